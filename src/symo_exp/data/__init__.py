@@ -1,0 +1,1 @@
+"""Trajectories: simulated or recorded, noisy, cached, cut into windows."""

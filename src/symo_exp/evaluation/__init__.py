@@ -1,0 +1,1 @@
+"""Rollouts and measures, written once for every method."""

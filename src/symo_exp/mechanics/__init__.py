@@ -1,0 +1,1 @@
+"""Lagrangian and discrete mechanics: torch only, no networks, no configuration."""

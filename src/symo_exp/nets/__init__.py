@@ -1,0 +1,1 @@
+"""Networks: multilayer perceptron, angle embedding, structured Lagrangian."""

@@ -1,0 +1,1 @@
+"""The true mechanical systems, one file each."""
