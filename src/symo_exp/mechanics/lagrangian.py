@@ -121,7 +121,9 @@ class Lagrangian(ABC):
             mass = self.mass_matrix(q_)
             p = matvec(mass, v)
             lagrangian = 0.5 * (v * p).sum(-1) - self.potential(q_)
-            (dq,) = torch.autograd.grad(lagrangian.sum(), q_, create_graph=tracked)
+            # The vanishing term keeps q in the graph of a Lagrangian that does not depend on it.
+            total = lagrangian.sum() + 0.0 * q_.sum()
+            (dq,) = torch.autograd.grad(total, q_, create_graph=tracked)
         return Gradients(dq, p, mass) if tracked else Gradients(dq, p.detach(), mass.detach())
 
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
