@@ -111,9 +111,7 @@ class Lagrangian(ABC):
         """The inverse Legendre transform, ``v = H(q)⁻¹ p``."""
         return solve(self.mass_matrix(q), p)
 
-    def gradients(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
-    ) -> Gradients:
+    def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
         """``∂ℒ/∂q``, ``∂ℒ/∂v`` and ``H``, differentiable where gradients are enabled."""
         tracked = torch.is_grad_enabled()
         with torch.enable_grad():
