@@ -61,9 +61,7 @@ class Midpoint(RungeKutta):
     """The explicit midpoint rule, order 2 (thesis (3.17) with its missing step)."""
 
     def __init__(self) -> None:
-        super().__init__(
-            name="midpoint", order=2, a=((), (1 / 2,)), b=(0.0, 1.0), c=(0.0, 1 / 2)
-        )
+        super().__init__(name="midpoint", order=2, a=((), (1 / 2,)), b=(0.0, 1.0), c=(0.0, 1 / 2))
 
 
 class RK4(RungeKutta):

@@ -111,9 +111,7 @@ class Lagrangian(ABC):
         """The inverse Legendre transform, ``v = H(q)⁻¹ p``."""
         return solve(self.mass_matrix(q), p)
 
-    def gradients(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
-    ) -> Gradients:
+    def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
         """``∂ℒ/∂q``, ``∂ℒ/∂v`` and ``H``, differentiable where gradients are enabled."""
         tracked = torch.is_grad_enabled()
         with torch.enable_grad():
@@ -129,7 +127,8 @@ class Lagrangian(ABC):
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
         """``H``, ``Ḣ v`` and ``∂ℒ/∂q``: the terms of the Euler-Lagrange equations (3.11)-(3.12)."""
         dq = self.gradients(q, v).q
-        mass, mass_rate = torch.func.jvp(self.mass_matrix, (q,), (v,))
+        rate: tuple[Tensor, Tensor] = torch.func.jvp(self.mass_matrix, (q,), (v,))
+        mass, mass_rate = rate
         return Rates(mass, matvec(mass_rate, v), dq)
 
     def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:

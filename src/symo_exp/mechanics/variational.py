@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.implicit import attach_root
 from symo_exp.mechanics.lagrangian import Expansion, Lagrangian
 from symo_exp.mechanics.roots import Root, RootFinder
 
@@ -42,6 +43,10 @@ class DiscreteExpansion(ABC):
         """``∂²L_d/∂q₀ᵢ∂q₁ⱼ``, the Jacobian of the discrete Euler-Lagrange equations."""
 
     @abstractmethod
+    def d2d1_limit(self) -> Float[Tensor, "batch n n"]:
+        """``−H/h``, what ``d2d1`` tends to for small steps."""
+
+    @abstractmethod
     def slots(self, q0: Tensor, q1: Tensor) -> Slots:
         """The slot derivatives, differentiable; ``q0``, ``q1`` hold the values of the point."""
 
@@ -62,14 +67,20 @@ class VariationalIntegrator(ABC):
 
     @abstractmethod
     def slots(
-        self, lagrangian: Lagrangian, q0: Float[Tensor, "batch n"], q1: Float[Tensor, "batch n"],
+        self,
+        lagrangian: Lagrangian,
+        q0: Float[Tensor, "batch n"],
+        q1: Float[Tensor, "batch n"],
         h: float,
     ) -> Slots:
         """``D₁L_d`` and ``D₂L_d``, differentiable in ``q₀``, ``q₁`` and the parameters."""
 
     @abstractmethod
     def expand(
-        self, lagrangian: Lagrangian, q0: Float[Tensor, "batch n"], q1: Float[Tensor, "batch n"],
+        self,
+        lagrangian: Lagrangian,
+        q0: Float[Tensor, "batch n"],
+        q1: Float[Tensor, "batch n"],
         h: float,
     ) -> DiscreteExpansion:
         """``L_d`` around ``(q₀, q₁)``, as root finding needs it."""
@@ -98,9 +109,7 @@ class VariationalMidpoint(VariationalIntegrator):
         gradients = lagrangian.gradients(0.5 * (q0 + q1), (q1 - q0) / h)
         return _midpoint_slots(gradients.q, gradients.v, h)
 
-    def expand(
-        self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float
-    ) -> MidpointExpansion:
+    def expand(self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float) -> MidpointExpansion:
         return MidpointExpansion(lagrangian.expand(0.5 * (q0 + q1), (q1 - q0) / h), h)
 
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
@@ -119,7 +128,10 @@ class MidpointExpansion(DiscreteExpansion):
         """``h/4 ℒ_qq + ½ (ℒ_vq)ᵀ − ½ ℒ_vq − H/h`` at the midpoint."""
         curvature = self._at.curvature()
         skew = 0.5 * (curvature.vq.mT - curvature.vq)
-        return (self._h / 4) * curvature.qq + skew - self._at.values.mass / self._h
+        return (self._h / 4) * curvature.qq + skew + self.d2d1_limit()
+
+    def d2d1_limit(self) -> Tensor:
+        return -self._at.values.mass / self._h
 
     def slots(self, q0: Tensor, q1: Tensor) -> Slots:
         gradients = self._at.gradients(0.5 * (q0 + q1), (q1 - q0) / self._h)
@@ -187,7 +199,42 @@ class VariationalStep(NamedTuple):
     root: Root[MomentumMismatch]
 
 
-@torch.no_grad()
+def next_pose(
+    integrator: VariationalIntegrator,
+    lagrangian: Lagrangian,
+    root_finder: RootFinder,
+    q: Float[Tensor, "batch n"],
+    impulse: Float[Tensor, "batch n"],
+    h: float,
+    guess: Float[Tensor, "batch n"],
+    *,
+    fallback: Float[Tensor, "batch n"] | None = None,
+) -> tuple[Float[Tensor, "batch n"], Root[MomentumMismatch]]:
+    """``q_{k+1}`` with ``p⁻(q_k, q_{k+1}) = p_k``, given ``impulse = p_k + f⁻``.
+
+    Differentiable in ``q``, ``impulse`` and the parameters by the implicit function theorem, where
+    gradients are enabled. A row without a root (see ``Root.converged``) keeps its last iterate;
+    with ``fallback`` it gets ``x + h H⁻¹ g(x)`` from that pose ``x`` instead, a Newton correction
+    with the Jacobian's limit for small steps, which is always regular.
+    """
+    problem = MomentumMatching(integrator, lagrangian, q, impulse, h)
+    root = root_finder.solve(problem, guess.detach())
+    tracked = torch.is_grad_enabled()
+    if not tracked and fallback is None:
+        return root.x, root
+    x, at = root.x, root.evaluation
+    failed = (~root.converged).nonzero().squeeze(-1) if fallback is not None else x.new_zeros(0)
+    if len(failed) > 0:
+        assert fallback is not None
+        x = x.index_copy(0, failed, fallback.detach()[failed])
+        at = at.replace(failed, problem.at(x[failed], failed))
+    jacobian = at.jacobian()
+    if len(failed) > 0:
+        jacobian = jacobian.index_copy(0, failed, at.rows(failed).expansion.d2d1_limit())
+    residual = impulse + at.expansion.slots(q, x).d1 if tracked else at.residual
+    return attach_root(x, residual, jacobian), root
+
+
 def variational_step(
     integrator: VariationalIntegrator,
     lagrangian: Lagrangian,
@@ -202,11 +249,15 @@ def variational_step(
     """``(q_k, p_k) → (q_{k+1}, p_{k+1})``: solve ``p⁻(q_k, q_{k+1}) = p_k``, then ``p⁺``.
 
     The same map as ``(q_{k−1}, q_k) → (q_k, q_{k+1})`` with the momentum carried along (Marsden
-    and West 2001, section 1.5). Rows without a root keep their last iterate: see ``root``.
+    and West 2001, section 1.5). Differentiable like ``next_pose``.
     """
     f0, f1 = integrator.impulses(force, force_next, h)
-    root = root_finder.solve(MomentumMatching(integrator, lagrangian, q, p + f0, h), guess)
-    return VariationalStep(root.x, root.evaluation.expansion.values.d2 + f1, root)
+    q_next, root = next_pose(integrator, lagrangian, root_finder, q, p + f0, h, guess)
+    if torch.is_grad_enabled():
+        d2 = integrator.slots(lagrangian, q, q_next, h).d2
+    else:
+        d2 = root.evaluation.expansion.values.d2
+    return VariationalStep(q_next, d2 + f1, root)
 
 
 def momentum_before(
