@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 
-from oscillator import Exact, Midpoint, Oscillator, data, oscillator
 from symo_exp.evaluation.evaluate import CHUNK, Evaluation, evaluate
 
 H = 0.1
