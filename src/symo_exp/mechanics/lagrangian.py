@@ -127,7 +127,7 @@ class Lagrangian(ABC):
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
         """``H``, ``Ḣ v`` and ``∂ℒ/∂q``: the terms of the Euler-Lagrange equations (3.11)-(3.12)."""
         dq = self.gradients(q, v).q
-        mass, mass_rate = torch.func.jvp(self.mass_matrix, (q,), (v,))
+        mass, mass_rate = torch.func.jvp(self.mass_matrix, (q,), (v,))[:2]
         return Rates(mass, matvec(mass_rate, v), dq)
 
     def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:

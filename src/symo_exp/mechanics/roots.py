@@ -29,12 +29,13 @@ class Evaluation(Protocol):
 
 
 E = TypeVar("E", bound=Evaluation)
+E_co = TypeVar("E_co", bound=Evaluation, covariant=True)
 
 
-class RootProblem(Protocol[E]):
+class RootProblem(Protocol[E_co]):
     """``g(x) = 0`` row by row."""
 
-    def at(self, x: Tensor, index: Tensor | None = None) -> E:
+    def at(self, x: Tensor, index: Tensor | None = None) -> E_co:
         """``g`` at ``x``; with ``index``, ``x`` holds only those rows of the batch."""
         ...
 

@@ -1,5 +1,7 @@
 """The multilayer perceptron that every method uses (thesis section 6.3)."""
 
+from itertools import pairwise
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -17,7 +19,7 @@ class MLP(nn.Module):
             if value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
         sizes = [inputs, *[width] * depth, outputs]
-        pairs = list(zip(sizes[:-1], sizes[1:], strict=True))
+        pairs = list(pairwise(sizes))
         self.weights = nn.ParameterList([torch.empty(out, into) for into, out in pairs])
         self.biases = nn.ParameterList([torch.zeros(out) for _, out in pairs])
         for weight in self.weights:

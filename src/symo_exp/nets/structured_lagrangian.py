@@ -6,13 +6,13 @@ Derivatives are closed forms instead of repeated automatic differentiation. With
 ``h_l = tanh z_l`` the hidden layers and ``d_l = ∂ℒ/∂z_l`` from one transposed pass:
 
 * ``ℒ_q = s_qᵀ W₁ᵀ d₁``;
-* along ``q' = a``, ``v' = b``: ``z_l' = W_l h_{l−1}'``, ``h_l' = (1 − h_l²) z_l'`` (a tangent pass);
+* a tangent pass along ``q' = a``, ``v' = b``: ``z_l' = W_l h_{l−1}'``, ``h_l' = (1 − h_l²) z_l'``;
 * ``φ = ⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩`` is the derivative of ``ℒ`` along ``(a, b)``. In its reverse pass the
   cotangents of the tangents ``z_l'`` are the ``d_l`` at hand, so only those of ``z_l`` are new:
   ``D_l = (1 − h_l²) C_l − 2 h_l z_l' d_l``, ``C_{l−1} = W_lᵀ D_l``, and
   ``∂φ/∂W_l = d_l h_{l−1}'ᵀ + D_l h_{l−1}ᵀ``, ``∂φ/∂b_l = D_l``;
-* ``ℒ_{q_i q_j} = o_iᵀ F_oo o_j + Σ_l Σ (−2 h_l d_l) z_{l,i} z_{l,j} + x̄ · s_ij``, with ``n`` tangent
-  passes along the coordinates, ``F_oo`` the second derivative of ``ℒ`` in the outputs.
+* ``ℒ_{q_i q_j} = o_iᵀ F_oo o_j + Σ_l Σ (−2 h_l d_l) z_{l,i} z_{l,j} + x̄ · s_ij``, with ``n``
+  tangent passes along the coordinates and ``F_oo`` the second derivative of ``ℒ`` in the outputs.
 """
 
 from __future__ import annotations
@@ -186,7 +186,8 @@ class StructuredExpansion(Expansion):
         rates = tangents[-1] @ weights[-1].T
         back, velocity = head.directional_cotangents(at.head, rates, b, mass_cotangent)
         own = (at.output_cotangent, *reversed(at.cotangents))
-        weight_gradients, bias_gradients = [], []
+        weight_gradients: list[Tensor] = []
+        bias_gradients: list[Tensor] = []
         for layer in range(len(weights) - 1, -1, -1):
             d = own[len(weights) - 1 - layer]
             gradient = d.T @ tangents[layer]
