@@ -27,9 +27,11 @@ log = logging.getLogger(__name__)
 def execute(argv: Sequence[str], *, debug: bool = False) -> int:
     """Do what the command says; the exit code. ``debug`` lets errors through with traceback."""
     args = parse(argv)
+    # Hydra does not read overrides on both sides of an option
+    argv = [*(word for word in argv if word not in args.overrides), *args.overrides]
     if args.config_dir is None:  # the sweeps that ship are names for -cn
-        argv = ["--config-dir", str(SWEEPS), *argv]
-        args = parse(argv)
+        args.config_dir = str(SWEEPS)
+        argv = ["--config-dir", args.config_dir, *argv]
     if not is_run(args):
         _hydra(argv)
         return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -62,7 +63,7 @@ def run(config: DictConfig, folder: Path, choices: Mapping[str, str]) -> Run:
         parts.tracker.log_measures(evaluation.measures)
         parts.tracker.log_run_folder(folder)
     seconds = time.perf_counter() - start
-    where = " ".join(filter(None, [str(folder), parts.tracker.address]))
+    where = "; ".join(filter(None, [os.path.relpath(folder), parts.tracker.address]))
     log.info("%s: %s  (%.0f s; %s)", name, one_line(evaluation.measures), seconds, where)
     return Run(parts, evaluation)
 
@@ -127,13 +128,11 @@ def parameters(config: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]
 
 
 def _values(config: DictConfig, path: str = "") -> Iterator[tuple[str, Any]]:
-    for key in config:
-        name = f"{path}.{key}" if path else str(key)
-        node = config._get_node(key)
-        if isinstance(node, DictConfig) and not node._is_none():
-            if not node._is_interpolation():
-                yield from _values(node, name)
-        elif not str(key).startswith("_") and not (
-            OmegaConf.is_interpolation(config, key) and isinstance(config[key], DictConfig)
-        ):
-            yield name, config[key]
+    for key in map(str, config):
+        name = f"{path}.{key}" if path else key
+        value = config[key]
+        if isinstance(value, DictConfig):
+            if not OmegaConf.is_interpolation(config, key):  # told where it stands
+                yield from _values(value, name)
+        elif key != "_partial_":
+            yield name, value

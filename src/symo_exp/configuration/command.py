@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import hydra
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -41,8 +41,8 @@ class Command(NamedTuple):
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
-    """Hydra's own options and the overrides."""
-    return get_args_parser().parse_args(list(argv))  # type: ignore[no-any-return]
+    """Hydra's own options and the overrides, in any order."""
+    return get_args_parser().parse_intermixed_args(list(argv))
 
 
 def is_run(args: argparse.Namespace) -> bool:
@@ -98,11 +98,11 @@ class _Composer:
         return Command(jobs, multirun=True)
 
     def _mode(self, overrides: list[str]) -> RunMode | None:
-        return self.hydra.get_mode(self.name, overrides)  # type: ignore[no-any-return]
+        return self.hydra.get_mode(self.name, overrides)
 
     def _parse(self, overrides: Sequence[str]) -> list[Override]:
         try:
-            return self.parser.parse_overrides(list(overrides))  # type: ignore[no-any-return]
+            return self.parser.parse_overrides(list(overrides))
         except HydraException as error:
             raise ConfigError(one_line(error)) from error
 
@@ -121,7 +121,7 @@ class _Composer:
             self._check_overrides(parsed)
             config = self._compose(overrides)
             config.hydra.job.num, config.hydra.job.id = number, str(number)
-            own = OmegaConf.masked_copy(config, [key for key in config if key != "hydra"])
+            own = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
             self._check_pairs(config, overrides)
             check_nodes(own, self._files_alone(parsed))
             place = config.hydra.sweep if kind == "sweep" else config.hydra.run
@@ -155,7 +155,7 @@ class _Composer:
                 )
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
-        return self.hydra.compose_config(self.name, list(overrides), RunMode.RUN)  # type: ignore[no-any-return]
+        return self.hydra.compose_config(self.name, list(overrides), RunMode.RUN)
 
     def _files_alone(self, overrides: Sequence[Override]) -> DictConfig:
         """The configuration with the choices of files made, and no single value changed."""
@@ -166,7 +166,7 @@ class _Composer:
 
     def _options(self, override: Override) -> list[str]:
         group: str = override.key_or_group
-        return self.hydra.config_loader.get_group_options(group)  # type: ignore[no-any-return]
+        return self.hydra.config_loader.get_group_options(group)
 
     def _check_overrides(self, overrides: Sequence[Override]) -> None:
         for override in overrides:
@@ -183,35 +183,33 @@ class _Composer:
 
 
 def _check_choice(group: str, value: object, options: Sequence[str]) -> None:
-    if not isinstance(value, str) or value in options:
+    if isinstance(value, list) or value in options:
         return
-    meant = closest(value, options)
+    meant = closest(str(value), options)
     hint = f"; did you mean {meant[0]}?" if meant else ""
     raise ConfigError(f"{group}={value} is not a choice; possible: {', '.join(options)}{hint}")
 
 
 def _check_key(name: str, known: DictConfig, groups: Sequence[str]) -> None:
-    node = known
+    node: Any = known
     parts = name.split(".")
     for depth, part in enumerate(parts):
         if not isinstance(node, DictConfig) or part not in node:
-            siblings = [str(k) for k in node] if isinstance(node, DictConfig) else []
+            siblings = [str(key) for key in node] if isinstance(node, DictConfig) else []
             siblings = [s for s in siblings if s != "hydra" and not s.startswith("_")]
-            here = ".".join(parts[: depth + 1])
-            everything = [k for k in _leaves(known) if not k.startswith("hydra.")]
-            raise unknown_key(here, siblings + (list(groups) if depth == 0 else []), everything)
-        node = node._get_node(part)
-        if isinstance(node, DictConfig) and node._is_interpolation():
-            node = node._dereference_node()
+            top = list(groups) if depth == 0 else []
+            own = {key: known[key] for key in known if key != "hydra"}
+            raise unknown_key(".".join(parts[: depth + 1]), siblings + top, _names(own))
+        node = node[part]
 
 
-def _leaves(config: DictConfig, path: str = "") -> Iterator[str]:
-    for key in config:
+def _names(values: Mapping[Any, Any], path: str = "") -> Iterator[str]:
+    """The dotted names of all settings."""
+    for key, value in values.items():
         name = f"{path}.{key}" if path else str(key)
         yield name
-        if not OmegaConf.is_interpolation(config, key) and OmegaConf.is_dict(config._get_node(key)):
-            if not config._get_node(key)._is_none():
-                yield from _leaves(config[key], name)
+        if isinstance(value, DictConfig):
+            yield from _names({k: value[k] for k in value}, name)
 
 
 def one_line(error: BaseException) -> str:
