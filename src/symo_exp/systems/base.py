@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -13,8 +14,9 @@ from torch import Tensor
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
-from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.lagrangian import Lagrangian, Rates
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.systems import complex_step
 
 Range = tuple[float, float]
 
@@ -89,6 +91,24 @@ class System(Lagrangian, ABC):
     ) -> Float[Tensor, "batch n"]:
         """``v̇ = H⁻¹ (B u − Ḣ v + ∂ℒ/∂q)``."""
         return acceleration(self, q, v, generalised_force(self.input_matrix.to(u), u))
+
+    def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
+        """The terms of the equations of motion; without a graph where none is wanted."""
+        tracked = torch.is_grad_enabled() and (q.requires_grad or v.requires_grad)
+        if tracked or not self._analytic:
+            return super().rates(q, v)
+        return complex_step.rates(self, q, v)
+
+    @cached_property
+    def _analytic(self) -> bool:
+        """Whether this system's functions allow the complex step, tried at points of the box."""
+        q, v = (
+            torch.tensor(ranges, dtype=torch.float64).T for ranges in self.sampling_box[:2]
+        )
+        share = torch.linspace(0.05, 0.95, 8, dtype=torch.float64).unsqueeze(-1)
+        return complex_step.applies(
+            self, q[0] + share * (q[1] - q[0]), v[0] + share.flip(0) * (v[1] - v[0])
+        )
 
     def identity(self) -> dict[str, object]:
         """Everything that decides how this system moves, as plain values."""
