@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from unittest import mock
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -87,15 +88,16 @@ def _check_folder(folder: Path) -> None:
 
 def _hydra(argv: Sequence[str]) -> None:
     """Compose again and run, by Hydra's launcher or sweeper."""
-    program, before = sys.argv[0], sys.argv
-    sys.argv = [program, *argv]
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed
-    try:
-        hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(one_line(error)) from error
-    finally:
-        sys.argv = before
+    entry = hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)
+    with (
+        mock.patch.object(sys, "argv", [sys.argv[0], *argv]),
+        # errors come here instead of being printed
+        mock.patch.dict(os.environ, HYDRA_FULL_ERROR="1"),
+    ):
+        try:
+            entry()
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(one_line(error)) from error
 
 
 def job(config: DictConfig) -> None:
