@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tests.evaluation.oscillator import Exact, Midpoint, Oscillator, data, oscillator
+from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 
 from symo_exp.evaluation.evaluate import CHUNK, Evaluation, evaluate
 
@@ -78,7 +78,8 @@ def test_divergence_is_infinite_and_counted():
     assert found["integration_diverged"] == 1.0
     assert found["integration_newton_failed"] == pytest.approx(10 / 30)
     assert found["test_newton_failed"] == 0.0
-    assert found["test_mse"] < 1e-20 and found["inertia_mse_aligned"] < 1e-20
+    assert found["test_mse"] < 1e-20
+    assert found["inertia_mse_aligned"] < 1e-20
 
 
 def test_a_rollout_starts_at_node_one_with_the_model_s_own_velocity():
@@ -88,7 +89,8 @@ def test_a_rollout_starts_at_node_one_with_the_model_s_own_velocity():
     assert torch.equal(motion.q[:, 0], sets.integration.q[:, 1])
     assert torch.equal(motion.q_true, sets.integration.q[:, 1:])
     assert not torch.equal(motion.v[:, 0], sets.integration.v[:, 1])
-    assert motion.q.shape == motion.q_true.shape and motion.converged.shape == (3, 30)
+    assert motion.q.shape == motion.q_true.shape
+    assert motion.converged.shape == (3, 30)
 
 
 def test_chunks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch):

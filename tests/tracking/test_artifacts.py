@@ -6,8 +6,8 @@ import pandas
 import pytest
 import torch
 import yaml
+from tests.oscillator import Exact, data, oscillator
 
-from oscillator import Exact, data, oscillator
 from symo_exp.evaluation.evaluate import evaluate
 from symo_exp.tracking import artifacts
 
