@@ -37,6 +37,8 @@ def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") ->
         elif key not in _INSTANTIATE_KEYS:
             if key not in parameters:
                 raise unknown_key(name, siblings=parameters)
+            if OmegaConf.is_missing(config, key):
+                raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
             _check_type(name, config, key, parameters[key])
         if OmegaConf.is_interpolation(config, key):
             continue  # checked where it points to

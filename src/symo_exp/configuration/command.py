@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -198,18 +198,20 @@ def _check_key(name: str, known: DictConfig, groups: Sequence[str]) -> None:
             siblings = [str(key) for key in node] if isinstance(node, DictConfig) else []
             siblings = [s for s in siblings if s != "hydra" and not s.startswith("_")]
             top = list(groups) if depth == 0 else []
-            own = {key: known[key] for key in known if key != "hydra"}
-            raise unknown_key(".".join(parts[: depth + 1]), siblings + top, _names(own))
-        node = node[part]
+            everything = (n for n in _names(known) if not n.startswith("hydra"))
+            raise unknown_key(".".join(parts[: depth + 1]), siblings + top, everything)
+        node = None if OmegaConf.is_missing(node, part) else node[part]
 
 
-def _names(values: Mapping[Any, Any], path: str = "") -> Iterator[str]:
-    """The dotted names of all settings."""
-    for key, value in values.items():
-        name = f"{path}.{key}" if path else str(key)
+def _names(config: DictConfig, path: str = "") -> Iterator[str]:
+    """The dotted names of all settings, each where it is written."""
+    for key in map(str, config):
+        name = f"{path}.{key}" if path else key
         yield name
-        if isinstance(value, DictConfig):
-            yield from _names({k: value[k] for k in value}, name)
+        if not OmegaConf.is_missing(config, key) and not OmegaConf.is_interpolation(config, key):
+            value = config[key]
+            if isinstance(value, DictConfig):
+                yield from _names(value, name)
 
 
 def one_line(error: BaseException) -> str:
