@@ -193,7 +193,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         if self._program is None:
             self.zero_grad()
             loss = self.loss(windows)
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             return loss.detach()
         loss, _, gradients = self._program(windows)
         for parameter, gradient in zip(self.parameters(), gradients, strict=True):
