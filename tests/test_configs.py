@@ -2,13 +2,13 @@
 
 import pytest
 import torch
+from tests.tables import choices
 
 from symo_exp.configuration import CONF, SWEEPS
 from symo_exp.configuration.command import jobs_of, parse
 from symo_exp.configuration.help import description
 from symo_exp.errors import ConfigError
 from symo_exp.recipe import build
-from tests.tables import choices
 
 GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")})
 CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
@@ -40,7 +40,9 @@ def test_every_choice_builds(group, choice, workplace):
 @pytest.mark.parametrize("model", choices("model"))
 def test_every_model_builds_for_every_system(model, preset, workplace):
     systems = ",".join(choices("system"))
-    parts = build_all(f"model={model}", f"preset={preset}", "-m", f"system={systems}", folder=workplace)
+    parts = build_all(
+        f"model={model}", f"preset={preset}", "-m", f"system={systems}", folder=workplace
+    )
     assert len({type(p.system) for p in parts}) == len(choices("system"))
 
 

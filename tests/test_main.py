@@ -147,7 +147,7 @@ def test_help_and_settings_come_without_the_heavy_libraries(workplace):
 
 
 def test_overrides_may_stand_on_both_sides_of_an_option():
-    words = "model=e2e_symo system=acrobot -m data.n_traj=8,16,32,64,128".split()
+    words = ["model=e2e_symo", "system=acrobot", "-m", "data.n_traj=8,16,32,64,128"]
     jobs, multirun = jobs_of(parse(words))
     assert multirun
     assert [job.config.data.n_traj for job in jobs] == [8, 16, 32, 64, 128]

@@ -43,10 +43,6 @@ class DiscreteExpansion(ABC):
         """``∂²L_d/∂q₀ᵢ∂q₁ⱼ``, the Jacobian of the discrete Euler-Lagrange equations."""
 
     @abstractmethod
-    def d2d1_limit(self) -> Float[Tensor, "batch n n"]:
-        """``−H/h``, what ``d2d1`` tends to for small steps."""
-
-    @abstractmethod
     def slots(self, q0: Tensor, q1: Tensor) -> Slots:
         """The slot derivatives, differentiable; ``q0``, ``q1`` hold the values of the point."""
 
@@ -128,10 +124,7 @@ class MidpointExpansion(DiscreteExpansion):
         """``h/4 ℒ_qq + ½ (ℒ_vq)ᵀ − ½ ℒ_vq − H/h`` at the midpoint."""
         curvature = self._at.curvature()
         skew = 0.5 * (curvature.vq.mT - curvature.vq)
-        return (self._h / 4) * curvature.qq + skew + self.d2d1_limit()
-
-    def d2d1_limit(self) -> Tensor:
-        return -self._at.values.mass / self._h
+        return (self._h / 4) * curvature.qq + skew - self._at.values.mass / self._h
 
     def slots(self, q0: Tensor, q1: Tensor) -> Slots:
         gradients = self._at.gradients(0.5 * (q0 + q1), (q1 - q0) / self._h)
@@ -207,32 +200,27 @@ def next_pose(
     impulse: Float[Tensor, "batch n"],
     h: float,
     guess: Float[Tensor, "batch n"],
-    *,
-    fallback: Float[Tensor, "batch n"] | None = None,
 ) -> tuple[Float[Tensor, "batch n"], Root[MomentumMismatch]]:
     """``q_{k+1}`` with ``p⁻(q_k, q_{k+1}) = p_k``, given ``impulse = p_k + f⁻``.
 
     Differentiable in ``q``, ``impulse`` and the parameters by the implicit function theorem, where
-    gradients are enabled. A row without a root (see ``Root.converged``) keeps its last iterate;
-    with ``fallback`` it gets ``x + h H⁻¹ g(x)`` from that pose ``x`` instead, a Newton correction
-    with the Jacobian's limit for small steps, which is always regular.
+    gradients are enabled. Rows without a root keep their last iterate: see ``Root.converged``.
     """
     problem = MomentumMatching(integrator, lagrangian, q, impulse, h)
     root = root_finder.solve(problem, guess.detach())
-    tracked = torch.is_grad_enabled()
-    if not tracked and fallback is None:
+    if not torch.is_grad_enabled():
         return root.x, root
-    x, at = root.x, root.evaluation
-    failed = (~root.converged).nonzero().squeeze(-1) if fallback is not None else x.new_zeros(0)
-    if len(failed) > 0:
-        assert fallback is not None
-        x = x.index_copy(0, failed, fallback.detach()[failed])
-        at = at.replace(failed, problem.at(x[failed], failed))
-    jacobian = at.jacobian()
-    if len(failed) > 0:
-        jacobian = jacobian.index_copy(0, failed, at.rows(failed).expansion.d2d1_limit())
-    residual = impulse + at.expansion.slots(q, x).d1 if tracked else at.residual
-    return attach_root(x, residual, jacobian), root
+    return differentiable_pose(root.x, root.evaluation, q, impulse), root
+
+
+def differentiable_pose(
+    x: Float[Tensor, "batch n"],
+    at: MomentumMismatch,
+    q: Float[Tensor, "batch n"],
+    impulse: Float[Tensor, "batch n"],
+) -> Float[Tensor, "batch n"]:
+    """The root ``x``, at which the problem was evaluated, with its implicit derivatives."""
+    return attach_root(x, impulse + at.expansion.slots(q, x).d1, at.jacobian())
 
 
 def variational_step(

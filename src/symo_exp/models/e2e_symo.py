@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import Given, Root, RootFinder, row_norm
+from symo_exp.mechanics.roots import row_norm
 from symo_exp.mechanics.types import Windows
-from symo_exp.mechanics.variational import MomentumMatching, MomentumMismatch, next_pose
+from symo_exp.mechanics.variational import MomentumMatching, differentiable_pose
 from symo_exp.models.compiled import Program
 from symo_exp.models.variational import VariationalModel
 
@@ -19,8 +19,8 @@ class E2ESyMo(VariationalModel):
     """Trains on the error of the root, differentiated by the implicit function theorem.
 
     A row whose root is not found has no implicit gradient. With ``fallback`` its residual is the
-    first correction of Newton's method from the datum, ``h H⁻¹ g(q_{k+1})``, which is the error
-    of the root to first order; without it the last iterate is taken for a root, as in the thesis.
+    preconditioned one, ``h H⁻¹ g``: the error of the root to first order. Without it the last
+    iterate is taken for a root, as in the thesis.
     """
 
     def __init__(self, *, fallback: bool = True, **base: Any) -> None:
@@ -29,30 +29,22 @@ class E2ESyMo(VariationalModel):
 
     def residuals(self, windows: Windows) -> Tensor:
         """``q*_{k+1} − q_{k+1}`` (thesis (5.28))."""
-        fallback = windows.q_next if self.fallback else None
-        guess = 2.0 * windows.q - windows.q_prev
-        error, root = self._error_of_root(windows, self.root, guess, fallback)
+        impulse, guess = self._impulse(windows), 2.0 * windows.q - windows.q_prev
+        problem = MomentumMatching(
+            self.integrator, self._lagrangian, windows.q, impulse, self.time_step
+        )
+        root = self.root.solve(problem, guess)
         self._count("newton_iterations", root.iterations.float().mean())
         self._count("newton_failed", (~root.converged).float().mean())
-        return error
-
-    def compile_training(self) -> None:
-        self._program = CompiledRootLoss(self)
-
-    def _error_of_root(
-        self, windows: Windows, finder: RootFinder, guess: Tensor, fallback: Tensor | None
-    ) -> tuple[Tensor, Root[MomentumMismatch]]:
-        pose, root = next_pose(
-            self.integrator,
-            self._lagrangian,
-            finder,
-            windows.q,
-            self._impulse(windows),
-            self.time_step,
-            guess,
-            fallback=fallback,
+        if not self.fallback or bool(root.converged.all()):
+            pose = differentiable_pose(root.x, root.evaluation, windows.q, impulse)
+            return pose - windows.q_next
+        found, lost = (rows.nonzero().squeeze(-1) for rows in (root.converged, ~root.converged))
+        pose = differentiable_pose(
+            root.x[found], root.evaluation.rows(found), windows.q[found], impulse[found]
         )
-        return pose - windows.q_next, root
+        error = torch.zeros_like(windows.q).index_copy(0, found, pose - windows.q_next[found])
+        return error.index_copy(0, lost, self.preconditioned_residuals(windows.rows(lost)))
 
     def _impulse(self, windows: Windows) -> Tensor:
         """``p_k + f⁻``: what does not depend on the next pose."""
@@ -60,6 +52,9 @@ class E2ESyMo(VariationalModel):
         force_next = self._force(windows.u_next, windows.q)
         f_minus, _ = self.integrator.impulses(force, force_next, self.time_step)
         return self._momentum_before(windows) + f_minus
+
+    def compile_training(self) -> None:
+        self._program = CompiledRootLoss(self)
 
 
 class CompiledRootLoss:
@@ -105,6 +100,11 @@ class CompiledRootLoss:
         return x + solve(at.jacobian(), -at.residual), row_norm(at.residual).amax()
 
     def _loss_at(self, windows: Windows, x: Tensor) -> tuple[Tensor, Tensor]:
-        finder = Given(tolerance=self._model.root.tolerance)
-        error, root = self._model._error_of_root(windows, finder, x, None)
-        return error.square().mean(), root.converged.all()
+        model = self._model
+        impulse = model._impulse(windows)
+        problem = MomentumMatching(
+            model.integrator, model.lagrangian, windows.q, impulse, model.time_step
+        )
+        at = problem.at(x)
+        error = differentiable_pose(x, at, windows.q, impulse) - windows.q_next
+        return error.square().mean(), row_norm(at.residual).amax() <= model.root.tolerance
