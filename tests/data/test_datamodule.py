@@ -49,7 +49,7 @@ def test_smaller_training_sets_are_prefixes() -> None:
     large = ready(n_traj=8, noise_std=1e-2)
     for n_traj in (1, 3):
         part = ready(n_traj=n_traj, noise_std=1e-2)
-        assert equal(part.train, large.train[: n_traj * 4])
+        assert equal(part.train, large.train.rows(slice(n_traj * 4)))
         assert equal(part.test, large.test)
 
 
@@ -180,7 +180,7 @@ def test_batches_are_every_sample_once_in_an_order_of_seed_and_epoch() -> None:
     same = ready(batch_size=5)
     assert all(equal(a, b) for a, b in zip(batches, same.batches(3), strict=True))
     ordered = ready(batch_size=5, shuffle=False)
-    assert equal(ordered.batches(0)[0], data.train[:5])
+    assert equal(ordered.batches(0)[0], data.train.rows(slice(5)))
 
 
 def test_an_epoch_has_eight_steps_whatever_the_size() -> None:
@@ -204,7 +204,7 @@ def test_what_is_watched() -> None:
     assert equal(watched, ready().val[:8])
     data = ready(monitor="test", monitor_trajectories=3, noise_std=1e-2, noise_test=True)
     (watched,) = data.val_dataloader()
-    assert equal(watched, data.test[:12])
+    assert equal(watched, data.test.rows(slice(12)))
 
 
 class Spy(lightning.LightningModule):
