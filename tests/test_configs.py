@@ -40,7 +40,9 @@ def test_every_choice_builds(group, choice, workplace):
 @pytest.mark.parametrize("model", choices("model"))
 def test_every_model_builds_for_every_system(model, preset, workplace):
     systems = ",".join(choices("system"))
-    parts = build_all(f"model={model}", f"preset={preset}", "-m", f"system={systems}", folder=workplace)
+    parts = build_all(
+        f"model={model}", f"preset={preset}", "-m", f"system={systems}", folder=workplace
+    )
     assert len({type(p.system) for p in parts}) == len(choices("system"))
 
 
