@@ -116,3 +116,12 @@ def test_true_parameters_are_not_read_from_the_model():
     right = Exact(system, system, H)
     wrong = replace(right, lagrangian=Oscillator(system.mass * 3, system.stiffness))
     assert result(right).measures["energy_mse"] == result(wrong).measures["energy_mse"]
+
+
+def test_a_driven_motion_conserves_nothing_and_is_not_asked_to():
+    model = Midpoint(oscillator(1), oscillator(1), H, reads_velocity=False)
+    sets = data(model.system, H)
+    driven = sets.integration._replace(u=torch.ones_like(sets.integration.u))
+    found = evaluate(model, model.system, sets._replace(integration=driven)).measures
+    energy = {"energy_mse", "energy_std", "energy_mse_fd"}
+    assert set(found) == (NAMES | INERTIA | VARIATIONAL) - energy

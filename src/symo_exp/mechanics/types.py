@@ -34,7 +34,7 @@ class Windows(NamedTuple):
     u: Float[Tensor, "samples m"]
     u_next: Float[Tensor, "samples m"]
 
-    def __getitem__(self, rows):  # type: ignore[override,no-untyped-def]
+    def __getitem__(self, rows):  # type: ignore[no-untyped-def]
         """Rows of every field for a slice or an index tensor; one field for an integer."""
         if isinstance(rows, int):
             return tuple.__getitem__(self, rows)
