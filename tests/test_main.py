@@ -156,6 +156,13 @@ def test_overrides_may_stand_on_both_sides_of_an_option():
     assert {job.config.system._target_ for job in jobs} == {"symo_exp.systems.acrobot.Acrobot"}
 
 
+def test_a_sweep_may_set_what_only_its_models_have():
+    words = "-m model=node,l_node model.sensitivity=adjoint hydra/launcher=joblib".split()
+    jobs = jobs_of(parse(words)).jobs
+    assert [job.label for job in jobs] == ["model=node", "model=l_node"]
+    assert {job.config.model.sensitivity for job in jobs} == {"adjoint"}
+
+
 def test_a_folder_belongs_to_what_is_computed(workplace):
     def folder(*words):
         return jobs_of(parse(words)).jobs[0].folder

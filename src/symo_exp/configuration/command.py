@@ -56,9 +56,10 @@ def is_run(args: argparse.Namespace) -> bool:
 def jobs_of(args: argparse.Namespace) -> Command:
     """Compose and check every job of the command; raise ``ConfigError`` for the first bad one."""
     hydra.version.setbase("1.3")
-    composer = _Composer(args)
     try:
-        return composer.command()
+        return _Composer(args).command()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(one_line(error)) from error
     finally:
         GlobalHydra.instance().clear()
 
@@ -79,28 +80,29 @@ class _Composer:
 
     def command(self) -> Command:
         given: list[str] = self.args.overrides
-        multirun = self.args.multirun or self._mode(given) == RunMode.MULTIRUN
-        if not multirun:
+        parsed = self._parse(given)
+        sweeps = [o.input_line for o in parsed if o.is_sweep_override()]
+        own = [o for o in parsed if o.is_hydra_override() and o.input_line not in sweeps]
+        master = self._compose_and_check(own)
+        if not (self.args.multirun or master.hydra.mode == RunMode.MULTIRUN):
+            if sweeps:
+                raise ConfigError(f"{sweeps[0]} is a sweep: add -m (--multirun) to run it")
             return Command([self._job(given, 0, "the run", "")], multirun=False)
-        fixed = [o for o in given if not self._is_sweep(o)]
-        sweeper = self._compose(tuple(fixed)).hydra.sweeper
+        sweeper = master.hydra.sweeper
         if not str(sweeper.get("_target_", "")).endswith(".BasicSweeper"):
             # what another sweeper will choose is not known: check at least what is fixed
+            fixed = [o for o in given if o not in sweeps]
             return Command([self._job(fixed, 0, "the sweep", "")], multirun=True)
         params = [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
-        combinations = self._expand(params + [o for o in given if not o.startswith("hydra.")])
-        kept = [o for o in given if o.startswith("hydra.")]
-        varied = [
-            [o for o in c if any(o not in other for other in combinations)] for c in combinations
-        ]
+        kept = [str(o.input_line) for o in own]
+        combinations = self._expand(params + [o for o in given if o not in kept])
+        common = set.intersection(*map(set, combinations))
+        labels = [" ".join([o for o in c if o not in common] or c) for c in combinations]
         jobs = [
-            self._job(kept + combination, number, " ".join(label or combination), "sweep")
-            for number, (combination, label) in enumerate(zip(combinations, varied, strict=True))
+            self._job(kept + combination, number, label, "sweep")
+            for number, (combination, label) in enumerate(zip(combinations, labels, strict=True))
         ]
         return Command(jobs, multirun=True)
-
-    def _mode(self, overrides: list[str]) -> RunMode | None:
-        return self.hydra.get_mode(self.name, overrides)
 
     def _parse(self, overrides: Sequence[str]) -> list[Override]:
         for override in overrides:
@@ -111,9 +113,6 @@ class _Composer:
         except HydraException as error:
             raise ConfigError(one_line(error)) from error
 
-    def _is_sweep(self, override: str) -> bool:
-        return bool(self._parse([override])[0].is_sweep_override())
-
     def _expand(self, overrides: Sequence[str]) -> list[list[str]]:
         try:
             return BasicSweeper.split_arguments(self._parse(overrides), None)[0]
@@ -123,19 +122,26 @@ class _Composer:
     def _job(self, overrides: list[str], number: int, label: str, kind: str) -> Job:
         try:
             parsed = self._parse(overrides)
-            files = self._files(parsed)
-            self._check_keys(parsed, files)
-            config = self._with_values(files, parsed)
+            config = self._compose_and_check(parsed)
             config.hydra.job.num, config.hydra.job.id = number, str(number)
             own = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
             self._check_pairs(config)
-            check_nodes(own, files)
+            check_nodes(own, self._files(parsed))
             place = config.hydra.sweep if kind == "sweep" else config.hydra.run
             folder = Path(place.dir, place.get("subdir", "")).absolute()
         except (ConfigError, HydraException, OmegaConfBaseException) as error:
             where = f"{label}: " if kind == "sweep" else ""
             raise ConfigError(where + one_line(error)) from error
         return Job(label, own, folder, folder / f"{config.hydra.job.name}.log")
+
+    def _compose_and_check(self, overrides: Sequence[Override]) -> DictConfig:
+        """What Hydra composes; values are set when all files are merged."""
+        files = self._files(overrides)
+        self._check_keys(overrides, files)
+        config = copy.deepcopy(files)
+        values = [o for o in overrides if not self._options(o.key_or_group)]
+        ConfigLoaderImpl._apply_overrides_to_config(values, config)
+        return config
 
     def _files(self, overrides: Sequence[Override]) -> DictConfig:
         """The configuration with the choices of files made, and no single value changed."""
@@ -148,13 +154,6 @@ class _Composer:
     def _compose(self, overrides: tuple[str, ...]) -> DictConfig:
         """Half a second, so the jobs of a sweep share what they have in common."""
         return self.hydra.compose_config(self.name, list(overrides), RunMode.RUN)
-
-    def _with_values(self, files: DictConfig, overrides: Sequence[Override]) -> DictConfig:
-        """What Hydra composes for these overrides: values are set when all files are merged."""
-        config = copy.deepcopy(files)
-        values = [o for o in overrides if not self._options(o.key_or_group)]
-        ConfigLoaderImpl._apply_overrides_to_config(values, config)
-        return config
 
     @functools.cache  # noqa: B019
     def _options(self, group: str) -> list[str]:
