@@ -41,7 +41,7 @@ BAD = [
     ("+nonsense.deep.inside=1", "nonsense", ""),
     ("+data.solver.metod=RK45", "data.solver.metod", "data.solver.method"),
     ("hydra.sweep.dirr=x", "dirr", ""),
-    ("data.n_traj", "data.n_traj", "="),
+    ("data.n_traj", "data.n_traj", "data.n_traj="),
     # choices
     ("model=symoo", "symoo", "e2e_symo, l_node, node, symo"),
     ("system=pendulun", "pendulun", "did you mean pendulum"),
@@ -52,7 +52,7 @@ BAD = [
     ("dtype=float16", "float16", "float32, float64"),
     ("model.scheduler_monitor=loss", "loss", ""),
     ("root.training.stopping=never", "never", "row or batch"),
-    ("integrator.sensitivity=magic", "magic", "direct or adjoint"),
+    ("model=node integrator.sensitivity=magic", "magic", "direct or adjoint"),
     ("data.monitor=train", "train", "val"),
     ("trainer.accelerator=tpu", "tpu", "cpu or gpu"),
     # values
@@ -112,8 +112,9 @@ BAD = [
 
 @pytest.mark.parametrize(("typed", "given", "wanted"), BAD, ids=[typed for typed, *_ in BAD])
 def test_bad_input_is_refused_in_a_line(typed, given, wanted, workplace, capsys, monkeypatch):
+    monkeypatch.setenv("HOME", str(workplace))  # where the cache would be
     monkeypatch.setattr("symo_exp.launch._hydra", lambda argv: pytest.fail("it started"))
-    code = main([*typed.split(), "data.cache_dir=cache"])
+    code = main(typed.split())
     out, err = capsys.readouterr()
     assert code == 2, err
     lines = err.strip().splitlines()
@@ -155,6 +156,13 @@ def test_overrides_may_stand_on_both_sides_of_an_option():
     assert {job.config.system._target_ for job in jobs} == {"symo_exp.systems.acrobot.Acrobot"}
 
 
+def test_a_sweep_may_set_what_only_its_models_have():
+    words = "-m model=node,l_node model.sensitivity=adjoint hydra/launcher=joblib".split()
+    jobs = jobs_of(parse(words)).jobs
+    assert [job.label for job in jobs] == ["model=node", "model=l_node"]
+    assert {job.config.model.sensitivity for job in jobs} == {"adjoint"}
+
+
 def test_a_folder_belongs_to_what_is_computed(workplace):
     def folder(*words):
         return jobs_of(parse(words)).jobs[0].folder
@@ -185,7 +193,7 @@ def test_parameters_are_flat_and_told_once():
 
 def test_a_run_ends_in_one_line(workplace, capsys):
     assert main([*QUIET, "model=symo"]) == 0
-    out, err = capsys.readouterr()
+    out, _ = capsys.readouterr()
     (line,) = out.strip().splitlines()
     assert all(name in line for name in MEASURES)
     (folder,) = (workplace / "outputs" / "default").glob("symo-pendulum-*")
@@ -215,7 +223,7 @@ def test_a_failing_job_does_not_stop_the_others(workplace, capsys):
     assert "loss" in failed.reason
     assert "optimizer.lr" in failed.reason  # what to try
     (line,) = [line for line in out.splitlines() if line.startswith("failed: ")]
-    assert "optimizer.lr=1e30" in line
+    assert "optimizer.lr=1e+30" in line
     log = folder / "symo_exp.log"
     assert str(log) in line
     assert "Traceback" in log.read_text()

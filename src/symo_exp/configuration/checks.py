@@ -32,7 +32,7 @@ def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") ->
     for key in map(str, config):
         name = f"{path}.{key}" if path else key
         if parameters is None:
-            if known is None or key not in known:
+            if known is None or not has(known, key):
                 raise unknown_key(name, siblings=[] if known is None else map(str, known))
         elif key not in _INSTANTIATE_KEYS:
             if key not in parameters:
@@ -43,7 +43,7 @@ def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") ->
         if OmegaConf.is_interpolation(config, key):
             continue  # checked where it points to
         value = config[key]
-        below = known.get(key) if isinstance(known, DictConfig) else None
+        below = known.get(key) if known is not None and key in known else None
         for item in value if isinstance(value, ListConfig) else [value]:
             if isinstance(item, DictConfig):
                 check_nodes(item, below if isinstance(below, DictConfig) else None, name)
@@ -59,6 +59,11 @@ def unknown_key(name: str, siblings: Iterable[str], everything: Iterable[str] = 
     if not meant:
         hint += ", ".join(siblings) or "nothing that can be set"
     return ConfigError(f"{name} is not a setting; {hint} (--cfg job shows all)")
+
+
+def has(config: DictConfig, key: str) -> bool:
+    """Whether the key is there, if only waiting for a value (``???``)."""
+    return key in config or OmegaConf.is_missing(config, key)
 
 
 def closest(word: str, words: Iterable[str]) -> list[str]:

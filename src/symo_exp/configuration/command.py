@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import copy
+import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import hydra
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path, get_args_parser
@@ -20,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from symo_exp.configuration import CONF, folders
-from symo_exp.configuration.checks import check_nodes, closest, unknown_key
+from symo_exp.configuration.checks import check_nodes, closest, has, unknown_key
 from symo_exp.errors import ConfigError
 
 assert folders  # registers the resolver that names the folder of a run
@@ -53,9 +56,10 @@ def is_run(args: argparse.Namespace) -> bool:
 def jobs_of(args: argparse.Namespace) -> Command:
     """Compose and check every job of the command; raise ``ConfigError`` for the first bad one."""
     hydra.version.setbase("1.3")
-    composer = _Composer(args)
     try:
-        return composer.command()
+        return _Composer(args).command()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(one_line(error)) from error
     finally:
         GlobalHydra.instance().clear()
 
@@ -73,41 +77,41 @@ class _Composer:
         self.parser = OverridesParser.create(config_loader=self.hydra.config_loader)
         self.args = args
         self.name: str = args.config_name or "config"
-        self.known: dict[tuple[str, ...], DictConfig] = {}
 
     def command(self) -> Command:
         given: list[str] = self.args.overrides
-        multirun = self.args.multirun or self._mode(given) == RunMode.MULTIRUN
-        if not multirun:
+        parsed = self._parse(given)
+        sweeps = [o.input_line for o in parsed if o.is_sweep_override()]
+        own = [o for o in parsed if o.is_hydra_override() and o.input_line not in sweeps]
+        master = self._compose_and_check(own)
+        if not (self.args.multirun or master.hydra.mode == RunMode.MULTIRUN):
+            if sweeps:
+                raise ConfigError(f"{sweeps[0]} is a sweep: add -m (--multirun) to run it")
             return Command([self._job(given, 0, "the run", "")], multirun=False)
-        fixed = [o for o in given if not self._is_sweep(o)]
-        sweeper = self._compose(fixed).hydra.sweeper
+        sweeper = master.hydra.sweeper
         if not str(sweeper.get("_target_", "")).endswith(".BasicSweeper"):
             # what another sweeper will choose is not known: check at least what is fixed
+            fixed = [o for o in given if o not in sweeps]
             return Command([self._job(fixed, 0, "the sweep", "")], multirun=True)
         params = [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
-        combinations = self._expand(params + [o for o in given if not o.startswith("hydra.")])
-        kept = [o for o in given if o.startswith("hydra.")]
-        varied = [
-            [o for o in c if any(o not in other for other in combinations)] for c in combinations
-        ]
+        kept = [str(o.input_line) for o in own]
+        combinations = self._expand(params + [o for o in given if o not in kept])
+        common = set.intersection(*map(set, combinations))
+        labels = [" ".join([o for o in c if o not in common] or c) for c in combinations]
         jobs = [
-            self._job(kept + combination, number, " ".join(label) or "the run", "sweep")
-            for number, (combination, label) in enumerate(zip(combinations, varied, strict=True))
+            self._job(kept + combination, number, label, "sweep")
+            for number, (combination, label) in enumerate(zip(combinations, labels, strict=True))
         ]
         return Command(jobs, multirun=True)
 
-    def _mode(self, overrides: list[str]) -> RunMode | None:
-        return self.hydra.get_mode(self.name, overrides)
-
     def _parse(self, overrides: Sequence[str]) -> list[Override]:
+        for override in overrides:
+            if "=" not in override and not override.startswith("~"):
+                raise ConfigError(f"{override} is no setting with a value: write {override}=...")
         try:
             return self.parser.parse_overrides(list(overrides))
         except HydraException as error:
             raise ConfigError(one_line(error)) from error
-
-    def _is_sweep(self, override: str) -> bool:
-        return bool(self._parse([override])[0].is_sweep_override())
 
     def _expand(self, overrides: Sequence[str]) -> list[list[str]]:
         try:
@@ -118,74 +122,74 @@ class _Composer:
     def _job(self, overrides: list[str], number: int, label: str, kind: str) -> Job:
         try:
             parsed = self._parse(overrides)
-            self._check_overrides(parsed)
-            config = self._compose(overrides)
+            config = self._compose_and_check(parsed)
             config.hydra.job.num, config.hydra.job.id = number, str(number)
             own = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
-            self._check_pairs(config, overrides)
-            check_nodes(own, self._files_alone(parsed))
+            self._check_pairs(config)
+            check_nodes(own, self._files(parsed))
             place = config.hydra.sweep if kind == "sweep" else config.hydra.run
             folder = Path(place.dir, place.get("subdir", "")).absolute()
         except (ConfigError, HydraException, OmegaConfBaseException) as error:
-            where = f"job {number + 1} ({label}): " if kind == "sweep" else ""
+            where = f"{label}: " if kind == "sweep" else ""
             raise ConfigError(where + one_line(error)) from error
         return Job(label, own, folder, folder / f"{config.hydra.job.name}.log")
 
-    def _check_pairs(self, config: DictConfig, overrides: list[str]) -> None:
-        """Refuse a choice that has nothing for this model: SyMo has no Runge-Kutta method."""
-        choices = config.hydra.runtime.choices
-        wanted = OmegaConf.to_container(config.model, resolve=False)
-        assert isinstance(wanted, dict)
-        for reference in wanted.values():
-            group, _, part = str(reference).strip("${}").partition(".")
-            if group not in choices or not part or OmegaConf.select(config, f"{group}.{part}"):
-                continue
-            options = self.hydra.config_loader.get_group_options(group)
-            fits = [
-                option
-                for option in options
-                if OmegaConf.select(
-                    self._compose([*overrides, f"{group}={option}"]), f"{group}.{part}"
-                )
-            ]
-            if fits:
-                raise ConfigError(
-                    f"{group}={choices[group]} does not go with model={choices.model}; "
-                    f"what does: {', '.join(f'{group}={option}' for option in fits)}"
-                )
+    def _compose_and_check(self, overrides: Sequence[Override]) -> DictConfig:
+        """What Hydra composes; values are set when all files are merged."""
+        files = self._files(overrides)
+        self._check_keys(overrides, files)
+        config = copy.deepcopy(files)
+        values = [o for o in overrides if not self._options(o.key_or_group)]
+        ConfigLoaderImpl._apply_overrides_to_config(values, config)
+        return config
 
-    def _compose(self, overrides: Sequence[str]) -> DictConfig:
+    def _files(self, overrides: Sequence[Override]) -> DictConfig:
+        """The configuration with the choices of files made, and no single value changed."""
+        choices = [o for o in overrides if self._options(o.key_or_group)]
+        for choice in choices:
+            _check_choice(choice.key_or_group, choice.value(), self._options(choice.key_or_group))
+        return self._compose(tuple(str(o.input_line) for o in choices))
+
+    @functools.cache  # noqa: B019 - it lives as long as the command is checked
+    def _compose(self, overrides: tuple[str, ...]) -> DictConfig:
+        """Half a second, so the jobs of a sweep share what they have in common."""
         return self.hydra.compose_config(self.name, list(overrides), RunMode.RUN)
 
-    def _files_alone(self, overrides: Sequence[Override]) -> DictConfig:
-        """The configuration with the choices of files made, and no single value changed."""
-        choices = tuple(o.input_line for o in overrides if self._options(o) and o.input_line)
-        if choices not in self.known:
-            self.known[choices] = self._compose(choices)
-        return self.known[choices]
-
-    def _options(self, override: Override) -> list[str]:
-        group: str = override.key_or_group
+    @functools.cache  # noqa: B019
+    def _options(self, group: str) -> list[str]:
         return self.hydra.config_loader.get_group_options(group)
 
-    def _check_overrides(self, overrides: Sequence[Override]) -> None:
-        for override in overrides:
-            name = override.key_or_group
-            options = self._options(override)
-            if options:
-                _check_choice(name, override.value(), options)
-        known = self._files_alone(overrides)
+    def _check_keys(self, overrides: Sequence[Override], files: DictConfig) -> None:
         for override in overrides:
             name = override.key_or_group
             new = override.is_add() or override.is_delete()
-            if not new and not self._options(override) and not name.startswith("hydra"):
-                _check_key(name, known, groups=self.hydra.config_loader.list_groups(""))
+            if not new and not self._options(name) and not name.startswith("hydra"):
+                _check_key(name, files, groups=self.hydra.config_loader.list_groups(""))
+
+    def _check_pairs(self, config: DictConfig) -> None:
+        """Refuse a choice that has nothing for this model: SyMo has no Runge-Kutta method."""
+        choices = config.hydra.runtime.choices
+        references = OmegaConf.to_container(config.model, resolve=False)
+        assert isinstance(references, dict)
+        for reference in references.values():
+            name = str(reference).strip("${}")
+            group = name.partition(".")[0]
+            if group == name or group not in choices or OmegaConf.select(config, name) is not None:
+                continue
+            others = [f"{group}={option}" for option in self._options(group)]
+            fits = [o for o in others if OmegaConf.select(self._compose((o,)), name) is not None]
+            if fits:
+                raise ConfigError(
+                    f"{group}={choices[group]} does not go with model={choices.model}; "
+                    f"what does: {', '.join(fits)}"
+                )
 
 
 def _check_choice(group: str, value: object, options: Sequence[str]) -> None:
     if isinstance(value, list) or value in options:
         return
-    meant = closest(str(value), options)
+    value = "null" if value is None else str(value)
+    meant = closest(value, options)
     hint = f"; did you mean {meant[0]}?" if meant else ""
     raise ConfigError(f"{group}={value} is not a choice; possible: {', '.join(options)}{hint}")
 
@@ -194,7 +198,7 @@ def _check_key(name: str, known: DictConfig, groups: Sequence[str]) -> None:
     node: Any = known
     parts = name.split(".")
     for depth, part in enumerate(parts):
-        if not isinstance(node, DictConfig) or part not in node:
+        if not isinstance(node, DictConfig) or not has(node, part):
             siblings = [str(key) for key in node] if isinstance(node, DictConfig) else []
             siblings = [s for s in siblings if s != "hydra" and not s.startswith("_")]
             top = list(groups) if depth == 0 else []
