@@ -1,0 +1,66 @@
+"""The measures that compare methods: mean squared errors, each a pure function of tensors.
+
+``q̂`` is predicted and ``q`` true. A prediction that has left the finite numbers has an infinite
+error: it is never skipped, and never turns a mean into something that looks like a number.
+"""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def squared_error(predicted: Tensor, true: Tensor) -> Tensor:
+    """``(x̂ − x)²`` element by element; infinite where the prediction is not finite."""
+    return (predicted - true).square().nan_to_num(nan=math.inf, posinf=math.inf)
+
+
+def pose_mse(
+    predicted: Float[Tensor, "samples n"], true: Float[Tensor, "samples n"]
+) -> Float[Tensor, ""]:
+    """One-step error of the pose, ``mean (q̂_{k+1} − q_{k+1})²`` over samples and coordinates.
+
+    Angles [rad] are not wrapped, lengths [m] weigh as much as angles (thesis section 6.2).
+    """
+    return squared_error(predicted, true).mean()
+
+
+def rollout_pose_mse(
+    predicted: Float[Tensor, "trajectories steps n"], true: Float[Tensor, "trajectories steps n"]
+) -> Float[Tensor, " trajectories"]:
+    """``mean_{t,i} (q̂_{t,i} − q_{t,i})²`` of each trajectory."""
+    return squared_error(predicted, true).mean((1, 2))
+
+
+def rollout_energy_mse(
+    energy: Float[Tensor, "trajectories steps"], initial: Float[Tensor, " trajectories"]
+) -> Float[Tensor, " trajectories"]:
+    """``mean_t (E(q̂_t, v̂_t) − E₀)²`` [J²] of each trajectory, ``E`` of the true system."""
+    return squared_error(energy, initial[:, None]).mean(1)
+
+
+def rollout_inertia_mse(
+    learned: Float[Tensor, "trajectories steps n n"], true: Float[Tensor, "trajectories steps n n"]
+) -> Float[Tensor, " trajectories"]:
+    """``mean_{t,i,j} (Ĥ_{ij} − H_{ij})²`` of each trajectory, mean over the n² entries."""
+    return squared_error(learned, true).mean((1, 2, 3))
+
+
+def finite_difference_velocity(
+    q: Float[Tensor, "trajectories nodes n"], time_step: float
+) -> Float[Tensor, "trajectories nodes-1 n"]:
+    """``(q_{k+1} − q_k) / h``, which the thesis pairs with ``q_{k+1}``.
+
+    It is the velocity at ``k + ½``: paired with ``q_{k+1}`` it belongs to a time half a step
+    earlier, and the energy error it gives is almost wholly that mismatch.
+    """
+    return q.diff(dim=1) / time_step
+
+
+def mean_and_std(per_trajectory: Float[Tensor, " trajectories"]) -> tuple[float, float]:
+    """Mean and standard deviation (of the population) over trajectories.
+
+    One infinite error makes the mean infinite and leaves the deviation undefined (NaN).
+    """
+    return per_trajectory.mean().item(), torch.std(per_trajectory, correction=0).item()

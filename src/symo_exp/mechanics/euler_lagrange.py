@@ -1,0 +1,27 @@
+"""The Euler-Lagrange equations solved for the acceleration."""
+
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.mechanics.lagrangian import Lagrangian, solve
+
+
+def acceleration(
+    lagrangian: Lagrangian,
+    q: Float[Tensor, "batch n"],
+    v: Float[Tensor, "batch n"],
+    force: Float[Tensor, "batch n"],
+) -> Float[Tensor, "batch n"]:
+    """Acceleration ``v̇ = H⁻¹ (F − Ḣ v + ∂ℒ/∂q)`` (thesis (3.13), (3.14) with ``∂/∂q`` throughout).
+
+    ``force`` is the generalised force ``F = B u``. A singular inertia gives non-finite rows.
+    """
+    rates = lagrangian.rates(q, v)
+    return solve(rates.mass, force - rates.mass_rate_v + rates.q)
+
+
+def generalised_force(
+    input_matrix: Float[Tensor, "n m"], u: Float[Tensor, "batch m"]
+) -> Float[Tensor, "batch n"]:
+    """``F = B u``: what the controls do on the coordinates."""
+    return u @ input_matrix.T

@@ -1,0 +1,49 @@
+"""The named fields that the packages exchange."""
+
+from typing import NamedTuple
+
+from jaxtyping import Float
+from torch import Tensor
+
+
+class Coordinates(NamedTuple):
+    """Generalised coordinates of a system: their names, and which of them are angles [rad]."""
+
+    names: tuple[str, ...]
+    angular: tuple[bool, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of degrees of freedom."""
+        return len(self.names)
+
+
+class Windows(NamedTuple):
+    """Samples of three consecutive nodes ``k-1, k, k+1``, one time step apart.
+
+    ``v`` belongs to node ``k`` and ``v_next`` to node ``k+1``. Every method sees these samples:
+    SyMo and E2E-SyMo read the poses, NODE and L-NODE the states at ``k`` and ``k+1``.
+    """
+
+    q_prev: Float[Tensor, "samples n"]
+    q: Float[Tensor, "samples n"]
+    q_next: Float[Tensor, "samples n"]
+    v: Float[Tensor, "samples n"]
+    v_next: Float[Tensor, "samples n"]
+    u_prev: Float[Tensor, "samples m"]
+    u: Float[Tensor, "samples m"]
+    u_next: Float[Tensor, "samples m"]
+
+    def __getitem__(self, rows):  # type: ignore[override,no-untyped-def]
+        """Rows of every field for a slice or an index tensor; one field for an integer."""
+        if isinstance(rows, int):
+            return tuple.__getitem__(self, rows)
+        return Windows(*(field[rows] for field in self))
+
+
+class Trajectories(NamedTuple):
+    """Trajectories of ``nodes`` nodes each, one time step apart."""
+
+    q: Float[Tensor, "trajectories nodes n"]
+    v: Float[Tensor, "trajectories nodes n"]
+    u: Float[Tensor, "trajectories nodes m"]

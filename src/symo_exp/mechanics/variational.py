@@ -1,0 +1,296 @@
+"""Variational integrators: the discrete Euler-Lagrange equations (thesis sections 3.3 and 5.1).
+
+Everything is said in the two momenta of an interval ``[t_k, t_{k+1}]``, the forced discrete
+Legendre transforms (3.41), (3.42), here with their corrected indices:
+
+    p⁻(q_k, q_{k+1}) = −D₁L_d(q_k, q_{k+1}) − f⁻        p⁺(q_k, q_{k+1}) = D₂L_d(q_k, q_{k+1}) + f⁺
+
+The discrete Euler-Lagrange equations (3.43) match them at a node:
+
+    g(q_{k+1}) = p⁺(q_{k−1}, q_k) − p⁻(q_k, q_{k+1}) = 0
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.mechanics.implicit import attach_root
+from symo_exp.mechanics.lagrangian import Expansion, Lagrangian
+from symo_exp.mechanics.roots import Root, RootFinder
+
+
+class Slots(NamedTuple):
+    """The slot derivatives of a discrete Lagrangian ``L_d(q₀, q₁)``."""
+
+    d1: Float[Tensor, "batch n"]
+    """``D₁L_d = ∂L_d/∂q₀``."""
+    d2: Float[Tensor, "batch n"]
+    """``D₂L_d = ∂L_d/∂q₁``."""
+
+
+class DiscreteExpansion(ABC):
+    """``L_d`` around a batch of pairs ``(q₀, q₁)``; see ``lagrangian.Expansion``."""
+
+    values: Slots
+
+    @abstractmethod
+    def d2d1(self) -> Float[Tensor, "batch n n"]:
+        """``∂²L_d/∂q₀ᵢ∂q₁ⱼ``, the Jacobian of the discrete Euler-Lagrange equations."""
+
+    @abstractmethod
+    def d2d1_limit(self) -> Float[Tensor, "batch n n"]:
+        """``−H/h``, what ``d2d1`` tends to for small steps."""
+
+    @abstractmethod
+    def slots(self, q0: Tensor, q1: Tensor) -> Slots:
+        """The slot derivatives, differentiable; ``q0``, ``q1`` hold the values of the point."""
+
+    @abstractmethod
+    def rows(self, index: Tensor) -> DiscreteExpansion:
+        """The same for some rows of the batch."""
+
+    @abstractmethod
+    def replace(self, index: Tensor, other: DiscreteExpansion) -> DiscreteExpansion:
+        """This expansion with the given rows taken from ``other``."""
+
+
+class VariationalIntegrator(ABC):
+    """A discrete Lagrangian made from a continuous one, with the forces that go with it."""
+
+    name: str
+    order: int
+
+    @abstractmethod
+    def slots(
+        self,
+        lagrangian: Lagrangian,
+        q0: Float[Tensor, "batch n"],
+        q1: Float[Tensor, "batch n"],
+        h: float,
+    ) -> Slots:
+        """``D₁L_d`` and ``D₂L_d``, differentiable in ``q₀``, ``q₁`` and the parameters."""
+
+    @abstractmethod
+    def expand(
+        self,
+        lagrangian: Lagrangian,
+        q0: Float[Tensor, "batch n"],
+        q1: Float[Tensor, "batch n"],
+        h: float,
+    ) -> DiscreteExpansion:
+        """``L_d`` around ``(q₀, q₁)``, as root finding needs it."""
+
+    @abstractmethod
+    def impulses(
+        self, force0: Float[Tensor, "batch n"], force1: Float[Tensor, "batch n"], h: float
+    ) -> tuple[Float[Tensor, "batch n"], Float[Tensor, "batch n"]]:
+        """Discrete forces ``f⁻`` (on ``q₀``) and ``f⁺`` (on ``q₁``) of a linear force [N s]."""
+
+
+class VariationalMidpoint(VariationalIntegrator):
+    """The midpoint rule, ``L_d(q₀, q₁) = h ℒ((q₀+q₁)/2, (q₁−q₀)/h)`` (thesis (5.4)), order 2.
+
+    With ``q̄ = (q₀+q₁)/2`` and ``v̄ = (q₁−q₀)/h``
+
+        D₁L_d = h/2 ℒ_q(q̄, v̄) − H(q̄) v̄        D₂L_d = h/2 ℒ_q(q̄, v̄) + H(q̄) v̄
+
+    and ``f⁻ = f⁺ = h/4 (F₀ + F₁)`` (thesis (5.15), (5.16)).
+    """
+
+    name = "midpoint"
+    order = 2
+
+    def slots(self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float) -> Slots:
+        gradients = lagrangian.gradients(0.5 * (q0 + q1), (q1 - q0) / h)
+        return _midpoint_slots(gradients.q, gradients.v, h)
+
+    def expand(self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float) -> MidpointExpansion:
+        return MidpointExpansion(lagrangian.expand(0.5 * (q0 + q1), (q1 - q0) / h), h)
+
+    def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
+        half = (h / 4) * (force0 + force1)
+        return half, half
+
+
+class MidpointExpansion(DiscreteExpansion):
+    """The midpoint discrete Lagrangian around ``(q₀, q₁)``."""
+
+    def __init__(self, at: Expansion, h: float) -> None:
+        self._at, self._h = at, h
+        self.values = _midpoint_slots(at.values.q, at.values.v, h)
+
+    def d2d1(self) -> Tensor:
+        """``h/4 ℒ_qq + ½ (ℒ_vq)ᵀ − ½ ℒ_vq − H/h`` at the midpoint."""
+        curvature = self._at.curvature()
+        skew = 0.5 * (curvature.vq.mT - curvature.vq)
+        return (self._h / 4) * curvature.qq + skew + self.d2d1_limit()
+
+    def d2d1_limit(self) -> Tensor:
+        return -self._at.values.mass / self._h
+
+    def slots(self, q0: Tensor, q1: Tensor) -> Slots:
+        gradients = self._at.gradients(0.5 * (q0 + q1), (q1 - q0) / self._h)
+        return _midpoint_slots(gradients.q, gradients.v, self._h)
+
+    def rows(self, index: Tensor) -> MidpointExpansion:
+        return MidpointExpansion(self._at.rows(index), self._h)
+
+    def replace(self, index: Tensor, other: DiscreteExpansion) -> MidpointExpansion:
+        assert isinstance(other, MidpointExpansion)
+        return MidpointExpansion(self._at.replace(index, other._at), self._h)
+
+
+def _midpoint_slots(dq: Tensor, p: Tensor, h: float) -> Slots:
+    impulse = (0.5 * h) * dq
+    return Slots(impulse - p, impulse + p)
+
+
+class MomentumMatching:
+    """``g(q₁) = p + D₁L_d(q₀, q₁) + f⁻ = 0``: the next pose for a momentum ``p`` at ``q₀``."""
+
+    def __init__(
+        self,
+        integrator: VariationalIntegrator,
+        lagrangian: Lagrangian,
+        q0: Float[Tensor, "batch n"],
+        impulse: Float[Tensor, "batch n"],
+        h: float,
+    ) -> None:
+        """``impulse = p + f⁻`` is what does not depend on ``q₁``: computed once a step."""
+        self._integrator, self._lagrangian = integrator, lagrangian
+        self._q0, self._impulse, self._h = q0.detach(), impulse.detach(), h
+
+    def at(self, x: Tensor, index: Tensor | None = None) -> MomentumMismatch:
+        q0, impulse = self._q0, self._impulse
+        if index is not None:
+            q0, impulse = q0[index], impulse[index]
+        expansion = self._integrator.expand(self._lagrangian, q0, x, self._h)
+        return MomentumMismatch(expansion, impulse)
+
+
+class MomentumMismatch:
+    """The discrete Euler-Lagrange residual at one candidate ``q₁``."""
+
+    def __init__(self, expansion: DiscreteExpansion, impulse: Tensor) -> None:
+        self.expansion, self._impulse = expansion, impulse
+        self.residual = impulse + expansion.values.d1
+
+    def jacobian(self) -> Tensor:
+        return self.expansion.d2d1()
+
+    def rows(self, index: Tensor) -> MomentumMismatch:
+        return MomentumMismatch(self.expansion.rows(index), self._impulse[index])
+
+    def replace(self, index: Tensor, other: MomentumMismatch) -> MomentumMismatch:
+        impulse = self._impulse.index_copy(0, index, other._impulse)
+        return MomentumMismatch(self.expansion.replace(index, other.expansion), impulse)
+
+
+class VariationalStep(NamedTuple):
+    """One step of a variational integrator in position-momentum form."""
+
+    q: Float[Tensor, "batch n"]
+    p: Float[Tensor, "batch n"]
+    root: Root[MomentumMismatch]
+
+
+def next_pose(
+    integrator: VariationalIntegrator,
+    lagrangian: Lagrangian,
+    root_finder: RootFinder,
+    q: Float[Tensor, "batch n"],
+    impulse: Float[Tensor, "batch n"],
+    h: float,
+    guess: Float[Tensor, "batch n"],
+    *,
+    fallback: Float[Tensor, "batch n"] | None = None,
+) -> tuple[Float[Tensor, "batch n"], Root[MomentumMismatch]]:
+    """``q_{k+1}`` with ``p⁻(q_k, q_{k+1}) = p_k``, given ``impulse = p_k + f⁻``.
+
+    Differentiable in ``q``, ``impulse`` and the parameters by the implicit function theorem, where
+    gradients are enabled. A row without a root (see ``Root.converged``) keeps its last iterate;
+    with ``fallback`` it gets ``x + h H⁻¹ g(x)`` from that pose ``x`` instead, a Newton correction
+    with the Jacobian's limit for small steps, which is always regular.
+    """
+    problem = MomentumMatching(integrator, lagrangian, q, impulse, h)
+    root = root_finder.solve(problem, guess.detach())
+    tracked = torch.is_grad_enabled()
+    if not tracked and fallback is None:
+        return root.x, root
+    x, at = root.x, root.evaluation
+    failed = (~root.converged).nonzero().squeeze(-1) if fallback is not None else x.new_zeros(0)
+    if len(failed) > 0:
+        assert fallback is not None
+        x = x.index_copy(0, failed, fallback.detach()[failed])
+        at = at.replace(failed, problem.at(x[failed], failed))
+    jacobian = at.jacobian()
+    if len(failed) > 0:
+        jacobian = jacobian.index_copy(0, failed, at.rows(failed).expansion.d2d1_limit())
+    residual = impulse + at.expansion.slots(q, x).d1 if tracked else at.residual
+    return attach_root(x, residual, jacobian), root
+
+
+def variational_step(
+    integrator: VariationalIntegrator,
+    lagrangian: Lagrangian,
+    root_finder: RootFinder,
+    q: Float[Tensor, "batch n"],
+    p: Float[Tensor, "batch n"],
+    force: Float[Tensor, "batch n"],
+    force_next: Float[Tensor, "batch n"],
+    h: float,
+    guess: Float[Tensor, "batch n"],
+) -> VariationalStep:
+    """``(q_k, p_k) → (q_{k+1}, p_{k+1})``: solve ``p⁻(q_k, q_{k+1}) = p_k``, then ``p⁺``.
+
+    The same map as ``(q_{k−1}, q_k) → (q_k, q_{k+1})`` with the momentum carried along (Marsden
+    and West 2001, section 1.5). Differentiable like ``next_pose``.
+    """
+    f0, f1 = integrator.impulses(force, force_next, h)
+    q_next, root = next_pose(integrator, lagrangian, root_finder, q, p + f0, h, guess)
+    if torch.is_grad_enabled():
+        d2 = integrator.slots(lagrangian, q, q_next, h).d2
+    else:
+        d2 = root.evaluation.expansion.values.d2
+    return VariationalStep(q_next, d2 + f1, root)
+
+
+def momentum_before(
+    integrator: VariationalIntegrator,
+    lagrangian: Lagrangian,
+    q_prev: Float[Tensor, "batch n"],
+    q: Float[Tensor, "batch n"],
+    force_prev: Float[Tensor, "batch n"],
+    force: Float[Tensor, "batch n"],
+    h: float,
+) -> Float[Tensor, "batch n"]:
+    """``p_k = p⁺(q_{k−1}, q_k)``, the discrete Legendre transform of two poses (3.41)."""
+    _, f1 = integrator.impulses(force_prev, force, h)
+    return integrator.slots(lagrangian, q_prev, q, h).d2 + f1
+
+
+def del_residual(
+    integrator: VariationalIntegrator,
+    lagrangian: Lagrangian,
+    q_prev: Float[Tensor, "batch n"],
+    q: Float[Tensor, "batch n"],
+    q_next: Float[Tensor, "batch n"],
+    force_prev: Float[Tensor, "batch n"],
+    force: Float[Tensor, "batch n"],
+    force_next: Float[Tensor, "batch n"],
+    h: float,
+) -> Float[Tensor, "batch n"]:
+    """``g = D₂L_d(q_{k−1}, q_k) + D₁L_d(q_k, q_{k+1}) + f⁺ + f⁻`` [N s] (thesis (5.1)).
+
+    Both intervals are evaluated as one batch. Differentiable in the poses, the forces and the
+    parameters of the Lagrangian.
+    """
+    slots = integrator.slots(lagrangian, torch.cat((q_prev, q)), torch.cat((q, q_next)), h)
+    f_minus = integrator.impulses(force, force_next, h)[0]
+    f_plus = integrator.impulses(force_prev, force, h)[1]
+    return slots.d2[: len(q)] + slots.d1[len(q) :] + f_plus + f_minus

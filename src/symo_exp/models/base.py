@@ -1,0 +1,233 @@
+"""What the four methods share: one-step map, rollout, loss and the training epoch."""
+
+from __future__ import annotations
+
+import copy
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, NamedTuple
+
+import lightning
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.optim import Optimizer
+from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
+
+from symo_exp.mechanics.euler_lagrange import generalised_force
+from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.types import Coordinates, Windows
+
+
+class Step(NamedTuple):
+    """The state one time step later, with the status of the root finding row by row."""
+
+    q: Float[Tensor, "batch n"]
+    v: Float[Tensor, "batch n"]
+    converged: Bool[Tensor, " batch"]
+    iterations: Int[Tensor, " batch"]
+
+
+class Rollout(NamedTuple):
+    """A trajectory from node 0 to node ``steps``; ``converged`` belongs to the steps between."""
+
+    q: Float[Tensor, "batch nodes n"]
+    v: Float[Tensor, "batch nodes n"]
+    converged: Bool[Tensor, "batch steps"]
+
+
+class DynamicsModel(lightning.LightningModule, ABC):
+    """A learned one-step map ``(q_k, v_k, u_k, u_{k+1}) → (q_{k+1}, v_{k+1})``.
+
+    One Lightning batch is one epoch: a list of mini batches. Optimisation is by hand, so that an
+    epoch costs little more than its optimiser steps. What it logs, once an epoch: ``train_loss``,
+    ``lr``, ``step_ms`` and, where roots are found, ``newton_iterations`` and ``newton_failed``.
+    """
+
+    reads_velocity: ClassVar[bool]
+    """Whether the method reads measured velocities; a variational one infers them from poses."""
+
+    input_matrix: Tensor
+
+    def __init__(
+        self,
+        *,
+        coordinates: Coordinates,
+        input_matrix: Tensor,
+        time_step: float,
+        optimizer: Callable[[Iterable[Tensor]], Optimizer] | None = None,
+        scheduler: Callable[[Optimizer], LRScheduler] | None = None,
+        scheduler_monitor: str = "train_loss",
+        evaluation_dtype: str = "float64",
+    ) -> None:
+        super().__init__()
+        self.automatic_optimization = False
+        self.coordinates = coordinates
+        self.time_step = float(time_step)
+        dtype = torch.get_default_dtype()
+        self.register_buffer("input_matrix", input_matrix.to(dtype), persistent=False)
+        self._optimizer, self._scheduler = optimizer, scheduler
+        self.scheduler_monitor = scheduler_monitor
+        self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
+        self._statistics: dict[str, Tensor] = {}
+
+    # -- the method ----------------------------------------------------------------------------
+
+    @property
+    def lagrangian(self) -> Lagrangian | None:
+        """The learned Lagrangian, where the method has one."""
+        return None
+
+    @abstractmethod
+    def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]:
+        """The training residuals of each sample; the loss is their mean square."""
+
+    @abstractmethod
+    def initial_velocity(self, windows: Windows) -> Float[Tensor, "samples n"]:
+        """The velocity at node ``k`` with which the method starts a prediction."""
+
+    @abstractmethod
+    def step(
+        self,
+        q: Float[Tensor, "batch n"],
+        v: Float[Tensor, "batch n"],
+        u: Float[Tensor, "batch m"] | None = None,
+        u_next: Float[Tensor, "batch m"] | None = None,
+    ) -> Step:
+        """One time step. Without a control it is zero; without ``u_next`` it is held."""
+
+    def predict(self, windows: Windows) -> Step:
+        """The one-step prediction of node ``k+1`` that every measure uses."""
+        return self.step(windows.q, self.initial_velocity(windows), windows.u, windows.u_next)
+
+    @torch.no_grad()
+    def rollout(
+        self,
+        q0: Float[Tensor, "batch n"],
+        v0: Float[Tensor, "batch n"],
+        u: Float[Tensor, "batch nodes m"] | None = None,
+        *,
+        steps: int | None = None,
+    ) -> Rollout:
+        """``steps`` time steps from ``(q0, v0)``, all trajectories at once.
+
+        ``u`` holds the control at every node, first to last; without it the motion is unforced
+        and ``steps`` says how long. A trajectory that diverges ends in non-finite numbers.
+        """
+        if (u is None) == (steps is None):
+            raise ValueError("rollout needs either u, the control at every node, or steps")
+        if u is None:
+            assert steps is not None
+            u = q0.new_zeros(len(q0), steps + 1, self.input_matrix.shape[1])
+        x, y = self._encode(q0, v0)
+        poses, inner, converged = [x], [y], []
+        for k in range(u.shape[1] - 1):
+            x, y, ok = self._advance(x, y, u[:, k], u[:, k + 1])
+            poses.append(x)
+            inner.append(y)
+            converged.append(ok)
+        q, y = torch.stack(poses, 1), torch.stack(inner, 1)
+        v = self._decode(q.flatten(0, 1), y.flatten(0, 1)).view_as(q)
+        status = torch.stack(converged, 1) if converged else q0.new_zeros(len(q0), 0).bool()
+        return Rollout(q, v, status)
+
+    def _encode(self, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+        """What a rollout carries from node to node: the velocity, or the momentum instead."""
+        return q, v
+
+    def _advance(
+        self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        step = self.step(q, y, u, u_next)
+        return step.q, step.v, step.converged
+
+    def _decode(self, q: Tensor, y: Tensor) -> Tensor:
+        return y
+
+    def for_evaluation(self) -> DynamicsModel:
+        """A copy for measuring: double precision, roots found to convergence."""
+        trainer, self._trainer = self._trainer, None
+        try:
+            twin = copy.deepcopy(self)
+        finally:
+            self._trainer = trainer
+        return twin.to(self._evaluation_dtype).eval().requires_grad_(False)
+
+    def energy(self, q: Tensor, v: Tensor) -> Tensor:
+        """Learned total energy [J, up to a constant]."""
+        return self._learned().energy(q, v)
+
+    def mass_matrix(self, q: Tensor) -> Tensor:
+        """Learned inertia ``H(q)``."""
+        return self._learned().mass_matrix(q)
+
+    def potential(self, q: Tensor) -> Tensor:
+        """Learned potential energy [J, up to a constant]."""
+        return self._learned().potential(q)
+
+    def momentum(self, q: Tensor, v: Tensor) -> Tensor:
+        """Learned momentum ``p = H(q) v``."""
+        return self._learned().momentum(q, v)
+
+    def _learned(self) -> Lagrangian:
+        if self.lagrangian is None:
+            raise AttributeError(f"{type(self).__name__} learns no Lagrangian")
+        return self.lagrangian
+
+    def _force(self, u: Tensor | None, like: Tensor) -> Tensor:
+        """``F = B u``, zero without a control."""
+        return torch.zeros_like(like) if u is None else generalised_force(self.input_matrix, u)
+
+    # -- training ------------------------------------------------------------------------------
+
+    def loss(self, windows: Windows) -> Float[Tensor, ""]:
+        """Mean square of the residuals."""
+        return self.residuals(windows).square().mean()
+
+    def configure_optimizers(self) -> Any:
+        if self._optimizer is None:
+            raise ValueError("this model was built without an optimizer: it can only predict")
+        optimizer = self._optimizer(self.parameters())
+        if self._scheduler is None:
+            return optimizer
+        return [optimizer], [{"scheduler": self._scheduler(optimizer)}]
+
+    def training_step(self, batches: list[Windows], _: int) -> None:
+        """All optimiser steps of one epoch, then the learning rate schedule."""
+        optimizer: Any = self.optimizers()
+        start = time.perf_counter()
+        total = torch.zeros((), device=self.device)
+        self._statistics = {}
+        for windows in batches:
+            loss = self.loss(windows)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            total += loss.detach()
+        mean = total / len(batches)
+        metrics = {name: value / len(batches) for name, value in self._statistics.items()}
+        metrics["train_loss"] = mean
+        metrics["lr"] = torch.tensor(optimizer.param_groups[0]["lr"])
+        if self.scheduler_monitor == "train_loss":
+            self._schedule(mean)
+        metrics["step_ms"] = torch.tensor(1e3 * (time.perf_counter() - start) / len(batches))
+        self.log_dict(metrics, on_step=False, on_epoch=True, batch_size=1)
+
+    def validation_step(self, windows: Windows, _: int) -> None:
+        loss = self.loss(windows)
+        self.log("val_loss", loss, batch_size=1)
+        if self.scheduler_monitor == "val_loss" and not self.trainer.sanity_checking:
+            self._schedule(loss)
+
+    def _schedule(self, monitored: Tensor) -> None:
+        scheduler = self.lr_schedulers()
+        if isinstance(scheduler, ReduceLROnPlateau):
+            scheduler.step(monitored)
+        elif isinstance(scheduler, LRScheduler):
+            scheduler.step()
+
+    def _count(self, name: str, value: Tensor) -> None:
+        """Add to a statistic whose mean over the epoch's steps is logged."""
+        if self.training:
+            self._statistics[name] = self._statistics.get(name, 0.0) + value.detach()

@@ -1,0 +1,128 @@
+"""Methods that learn a Lagrangian through a variational integrator (thesis chapter 5)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import Tensor
+
+from symo_exp.mechanics.roots import RootFinder
+from symo_exp.mechanics.types import Windows
+from symo_exp.mechanics.variational import (
+    VariationalIntegrator,
+    momentum_before,
+    variational_step,
+)
+from symo_exp.models.base import DynamicsModel, Step
+from symo_exp.nets.structured_lagrangian import StructuredLagrangian
+
+
+class VariationalModel(DynamicsModel):
+    """Predicts by solving the discrete Euler-Lagrange equations of a learned Lagrangian.
+
+    It reads poses only. The velocity at a node is that of the discrete Legendre transform,
+    ``v_k = H(q_k)⁻¹ p⁺(q_{k−1}, q_k)``, which belongs to the integrator.
+    """
+
+    reads_velocity = False
+
+    def __init__(
+        self,
+        *,
+        width: int,
+        depth: int = 2,
+        integrator: VariationalIntegrator,
+        root: RootFinder,
+        evaluation_root: RootFinder | None = None,
+        rollout_root: RootFinder | None = None,
+        **base: Any,
+    ) -> None:
+        """``root`` serves training; ``evaluation_root`` one-step measures, ``rollout_root``
+        rollouts of the copy made by ``for_evaluation``. Left out, they are the one before."""
+        super().__init__(**base)
+        angular = self.coordinates.angular
+        self._lagrangian = StructuredLagrangian(angular=angular, width=width, depth=depth)
+        self.integrator, self.root = integrator, root
+        self._evaluation_root = evaluation_root or root
+        self.rollout_root = rollout_root or self._evaluation_root
+
+    @property
+    def lagrangian(self) -> StructuredLagrangian:
+        return self._lagrangian
+
+    def for_evaluation(self) -> VariationalModel:
+        twin = super().for_evaluation()
+        assert isinstance(twin, VariationalModel)
+        twin.root = self._evaluation_root
+        return twin
+
+    def initial_velocity(self, windows: Windows) -> Tensor:
+        """``v_k = H(q_k)⁻¹ p⁺(q_{k−1}, q_k)``."""
+        return self._lagrangian.velocity(windows.q, self._momentum_before(windows))
+
+    def step(
+        self, q: Tensor, v: Tensor, u: Tensor | None = None, u_next: Tensor | None = None
+    ) -> Step:
+        p = self._lagrangian.momentum(q, v)
+        return self._step(q, p, u, u_next, guess=q + self.time_step * v)
+
+    def predict(self, windows: Windows) -> Step:
+        p, guess = self._momentum_before(windows), 2.0 * windows.q - windows.q_prev
+        return self._step(windows.q, p, windows.u, windows.u_next, guess=guess)
+
+    def _step(
+        self, q: Tensor, p: Tensor, u: Tensor | None, u_next: Tensor | None, *, guess: Tensor
+    ) -> Step:
+        force = self._force(u, q)
+        force_next = force if u_next is None else self._force(u_next, q)
+        step = variational_step(
+            self.integrator,
+            self._lagrangian,
+            self.root,
+            q,
+            p,
+            force,
+            force_next,
+            self.time_step,
+            guess,
+        )
+        v = self._lagrangian.velocity(step.q, step.p)
+        return Step(step.q, v, step.root.converged, step.root.iterations)
+
+    def _momentum_before(self, windows: Windows) -> Tensor:
+        force_prev, force = (
+            self._force(windows.u_prev, windows.q),
+            self._force(windows.u, windows.q),
+        )
+        return momentum_before(
+            self.integrator,
+            self._lagrangian,
+            windows.q_prev,
+            windows.q,
+            force_prev,
+            force,
+            self.time_step,
+        )
+
+    def _encode(self, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+        return q, self._lagrangian.momentum(q, v)
+
+    def _advance(
+        self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        guess = q + self.time_step * self._lagrangian.velocity(q, y)
+        step = variational_step(
+            self.integrator,
+            self._lagrangian,
+            self.rollout_root,
+            q,
+            y,
+            self._force(u, q),
+            self._force(u_next, q),
+            self.time_step,
+            guess,
+        )
+        return step.q, step.p, step.root.converged
+
+    def _decode(self, q: Tensor, y: Tensor) -> Tensor:
+        return self._lagrangian.velocity(q, y)

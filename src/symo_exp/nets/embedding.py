@@ -1,0 +1,73 @@
+"""The embedding ``s(q) = (r, cos φ, sin φ)`` of a configuration (thesis section 4.1.3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class Features(NamedTuple):
+    """``s(q)`` with its derivatives: every feature depends on one coordinate, its owner."""
+
+    x: Float[Tensor, "batch features"]
+    dx: Float[Tensor, "batch features"]
+    """``∂s_f/∂q`` with respect to the owner."""
+
+
+class Embedding(nn.Module):
+    """Angles enter a network as cosine and sine, so that it is periodic and smooth in them.
+
+    Features are ordered: translational coordinates, cosines, sines.
+    """
+
+    owner: Tensor
+    selection: Tensor
+
+    def __init__(self, *, angular: tuple[bool, ...]) -> None:
+        super().__init__()
+        straight = [i for i, is_angle in enumerate(angular) if not is_angle]
+        angles = [i for i, is_angle in enumerate(angular) if is_angle]
+        owner = torch.tensor([*straight, *angles, *angles], dtype=torch.int64)
+        self._straight, self._angles = len(straight), len(angles)
+        self.register_buffer("owner", owner, persistent=False)
+        # selection[f, i] = 1 where coordinate i owns feature f.
+        selection = nn.functional.one_hot(owner, len(angular)).to(torch.get_default_dtype())
+        self.register_buffer("selection", selection, persistent=False)
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return self._straight + 2 * self._angles
+
+    def forward(self, q: Float[Tensor, "batch n"]) -> Features:
+        owned = q[:, self.owner]
+        r = owned[:, : self._straight]
+        phi = owned[:, self._straight : self._straight + self._angles]
+        cos, sin = torch.cos(phi), torch.sin(phi)
+        return Features(
+            torch.cat((r, cos, sin), dim=1), torch.cat((torch.ones_like(r), -sin, cos), dim=1)
+        )
+
+    def second(self, features: Features) -> Float[Tensor, "batch features"]:
+        """``∂²s_f/∂q²`` with respect to the owner: ``−s_f`` for an angle, else zero."""
+        r, trigonometric = features.x[:, : self._straight], features.x[:, self._straight :]
+        return torch.cat((torch.zeros_like(r), -trigonometric), dim=1)
+
+    def tangent(
+        self, features: Features, direction: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch features"]:
+        """``s_q a``: the features' rate along ``a``."""
+        return features.dx * direction[:, self.owner]
+
+    def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
+        """``s_q eᵢ`` for every coordinate ``i``."""
+        return features.dx.unsqueeze(1) * self.selection.T
+
+    def to_coordinates(
+        self, cotangent: Float[Tensor, "batch features"]
+    ) -> Float[Tensor, "batch n"]:
+        """Sum of what belongs to each coordinate."""
+        return cotangent @ self.selection

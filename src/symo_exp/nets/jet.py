@@ -1,0 +1,41 @@
+"""A tanh layer on a jet: a value and its derivatives along some directions, together."""
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+
+def tanh_jet_layer(
+    x: Float[Tensor, "jet batch into"],
+    weight: Float[Tensor, "out into"],
+    bias: Float[Tensor, " out"],
+) -> Float[Tensor, "jet batch out"]:
+    """``h = tanh(W x + b)`` in row 0 and ``h_i = (1 − h²) W x_i`` in row ``i`` of the jet."""
+    return _TanhJetLayer.apply(x, weight, bias)
+
+
+class _TanhJetLayer(torch.autograd.Function):
+    """With cotangents ``G``: ``Z_i = (1 − h²) G_i``, ``Z₀ = (1 − h²) (G₀ − 2 h Σ_i G_i z_i)``."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        z = (x.flatten(0, 1) @ weight.T).view(*x.shape[:2], -1)
+        h = torch.tanh(z[0] + bias)
+        ctx.save_for_backward(x, weight, z, h)
+        return torch.cat((h.unsqueeze(0), z[1:] * (1.0 - h * h)))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        x, weight, z, h = ctx.saved_tensors
+        slope = 1.0 - h * h
+        bend = (cotangent[1:] * z[1:]).sum(0)
+        back = torch.cat(
+            (((cotangent[0] - 2.0 * h * bend) * slope).unsqueeze(0), cotangent[1:] * slope)
+        )
+        flat = back.flatten(0, 1)
+        dx = (flat @ weight).view_as(x)
+        return dx, flat.T @ x.flatten(0, 1), back[0].sum(0)

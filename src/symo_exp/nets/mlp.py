@@ -1,0 +1,32 @@
+"""The multilayer perceptron that every method uses (thesis section 6.3)."""
+
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class MLP(nn.Module):
+    """``depth`` hidden tanh layers of ``width`` units and a linear output.
+
+    Weights are Xavier-uniform with the gain of tanh, biases zero.
+    """
+
+    def __init__(self, *, inputs: int, outputs: int, width: int, depth: int) -> None:
+        super().__init__()
+        for name, value in (("width", width), ("depth", depth)):
+            if value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}")
+        sizes = [inputs, *[width] * depth, outputs]
+        pairs = list(pairwise(sizes))
+        self.weights = nn.ParameterList([torch.empty(out, into) for into, out in pairs])
+        self.biases = nn.ParameterList([torch.zeros(out) for _, out in pairs])
+        for weight in self.weights:
+            nn.init.xavier_uniform_(weight, gain=nn.init.calculate_gain("tanh"))
+
+    def forward(self, x: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
+        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
+        for w, b in hidden:
+            x = torch.tanh(nn.functional.linear(x, w, b))
+        return nn.functional.linear(x, weight, bias)

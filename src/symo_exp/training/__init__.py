@@ -1,0 +1,1 @@
+"""Fitting a model: the trainer, what watches it, and what is left of it."""

@@ -1,0 +1,60 @@
+"""Epoch, losses and time left, on a terminal only."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import time
+from typing import Any
+
+import lightning
+from tqdm import tqdm
+
+_REFRESH = 0.2  # seconds; reading a loss from a GPU waits for it
+
+
+class ProgressBar(lightning.Callback):
+    """One line that is redrawn; silent in a file, a pipe, or a process of a sweep among others."""
+
+    def __init__(self) -> None:
+        alone = multiprocessing.current_process().name == "MainProcess"
+        self.shown = alone and sys.stderr.isatty()
+        self._bar: Any = None
+        self._drawn = 0.0
+
+    def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        if self.shown:
+            start = trainer.current_epoch
+            self._bar = tqdm(
+                total=trainer.max_epochs,
+                initial=start,
+                desc=type(pl_module).__name__,
+                unit="epoch",
+                leave=False,
+                dynamic_ncols=True,
+                bar_format="{desc} {n_fmt}/{total_fmt} |{bar}| {remaining} left {postfix}",
+            )
+
+    def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        if self._bar is None or time.monotonic() - self._drawn < _REFRESH:
+            return
+        self._drawn = time.monotonic()
+        losses = {
+            name: f"{float(trainer.callback_metrics[name]):.2e}"
+            for name in ("train_loss", "val_loss")
+            if name in trainer.callback_metrics
+        }
+        self._bar.set_postfix(losses, refresh=False)
+        self._bar.n = trainer.current_epoch + 1
+        self._bar.refresh()
+
+    def on_train_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        self._close()
+
+    def on_exception(self, trainer: lightning.Trainer, pl_module: Any, exception: Any) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None

@@ -1,0 +1,69 @@
+"""The Lightning trainer, with nothing in it that costs time between optimiser steps."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Literal
+
+import lightning
+import torch
+from lightning.pytorch.loggers import Logger
+
+from symo_exp.errors import ConfigError
+from symo_exp.training.checkpoint import Checkpoint
+from symo_exp.training.divergence import StopOnDivergence
+from symo_exp.training.progress import ProgressBar
+
+
+def make_trainer(
+    *,
+    accelerator: Literal["cpu", "gpu"],
+    max_epochs: int,
+    validate_every: int,
+    checkpoint_every: float,
+    progress: bool,
+    threads: int,
+    folder: Path,
+    logger: Logger | None = None,
+) -> lightning.Trainer:
+    """A trainer whose Lightning batch is a whole epoch (see ``TrajectoryData``).
+
+    ``validate_every`` counts epochs, ``checkpoint_every`` seconds. ``threads`` holds for the
+    whole process: two jobs of a sweep on two cores get in each other's way with more than one.
+    Checkpoints go to ``folder``.
+    """
+    for name, value in {"max_epochs": max_epochs, "validate_every": validate_every}.items():
+        if value < 1:
+            raise ConfigError(f"trainer.{name}={value} must be at least 1")
+    if not checkpoint_every >= 0:
+        raise ConfigError(f"trainer.checkpoint_every={checkpoint_every} must be 0 or more seconds")
+    if threads < 1:
+        raise ConfigError(f"trainer.threads={threads} must be at least 1")
+    if accelerator == "gpu" and not torch.cuda.is_available():
+        raise ConfigError("trainer.accelerator=gpu, but PyTorch finds no GPU here; use trainer=cpu")
+    torch.set_num_threads(threads)
+    callbacks: list[lightning.Callback] = [StopOnDivergence(), Checkpoint(folder, checkpoint_every)]
+    if progress:
+        callbacks.append(ProgressBar())
+    _silence()
+    return lightning.Trainer(
+        accelerator=accelerator,
+        devices=1,
+        max_epochs=max_epochs,
+        check_val_every_n_epoch=validate_every,
+        num_sanity_val_steps=0,
+        inference_mode=False,  # a Lagrangian is differentiated in validation, too
+        logger=logger or False,
+        callbacks=callbacks,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        default_root_dir=folder,
+    )
+
+
+def _silence() -> None:
+    """Advice of Lightning that does not apply to data in memory and one item an epoch."""
+    for message in (".*does not have many workers.*", ".*number of training batches.*"):
+        warnings.filterwarnings("ignore", message=message)

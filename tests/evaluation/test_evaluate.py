@@ -1,0 +1,116 @@
+"""The evaluation against models whose errors are known."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from oscillator import Exact, Midpoint, Oscillator, data, oscillator
+
+from symo_exp.evaluation.evaluate import CHUNK, Evaluation, evaluate
+
+H = 0.1
+NAMES = {
+    "train_mse", "test_mse", "integration_mse", "integration_std", "integration_diverged",
+    "energy_mse", "energy_std",
+}  # fmt: skip
+INERTIA = {"inertia_mse", "inertia_std", "inertia_mse_aligned"}
+VARIATIONAL = {"energy_mse_fd", "test_newton_failed", "integration_newton_failed"}
+
+
+def result(model: Exact) -> Evaluation:
+    return evaluate(model, model.system, data(model.system, H))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_the_exact_flow_has_no_error(n: int):
+    system = oscillator(n)
+    evaluation = result(Exact(system, system, H))
+    assert set(evaluation.measures) == NAMES | INERTIA
+    assert all(value < 1e-20 for value in evaluation.measures.values()), evaluation.measures
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_constant_bias_is_the_one_step_error(n: int):
+    system = oscillator(n)
+    found = result(Exact(system, system, H, bias=1e-3)).measures
+    assert found["test_mse"] == pytest.approx(1e-6)
+    assert found["train_mse"] == pytest.approx(1e-6)
+    assert found["integration_mse"] > 1e-6
+    assert found["energy_mse"] > 1e-9
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_the_midpoint_rule_keeps_the_energy_of_legendre_but_not_of_finite_differences(n: int):
+    """Implicit midpoint conserves quadratic energies; the start is off by O(h²) only."""
+    system = oscillator(n)
+    evaluation = result(Midpoint(system, system, H, reads_velocity=False))
+    found = evaluation.measures
+    assert set(found) == NAMES | INERTIA | VARIATIONAL
+    drift = evaluation.rollouts.energy - evaluation.rollouts.energy[:, :1]
+    assert drift.abs().max() < 1e-12
+    assert 1e-12 < found["energy_mse"] < 1e-2 * found["energy_mse_fd"]
+    assert 0 < found["test_mse"] < 1e-6
+    assert found["test_newton_failed"] == found["integration_newton_failed"] == 0.0
+
+
+def test_the_inertia_error_compares_learned_and_true():
+    system = oscillator(2)
+    wrong = Oscillator(system.mass + torch.tensor([0.2, 0.4]), system.stiffness)
+    found = result(Exact(wrong, system, H)).measures
+    assert found["inertia_mse"] == pytest.approx((0.04 + 0.16) / 4)
+    assert found["inertia_mse_aligned"] == pytest.approx((0.04 + 0.16) / 4)
+    assert found["inertia_std"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_method_without_a_lagrangian_has_no_inertia():
+    system = oscillator(2)
+    assert set(result(Exact(None, system, H)).measures) == NAMES
+
+
+def test_divergence_is_infinite_and_counted():
+    system = oscillator(2)
+    model = Exact(system, system, H, reads_velocity=False, fails_from=20)
+    found = result(model).measures
+    for name in ("integration_mse", "energy_mse", "energy_mse_fd", "inertia_mse"):
+        assert found[name] == math.inf, name
+    assert math.isnan(found["integration_std"])
+    assert found["integration_diverged"] == 1.0
+    assert found["integration_newton_failed"] == pytest.approx(10 / 30)
+    assert found["test_newton_failed"] == 0.0
+    assert found["test_mse"] < 1e-20 and found["inertia_mse_aligned"] < 1e-20
+
+
+def test_a_rollout_starts_at_node_one_with_the_model_s_own_velocity():
+    system = oscillator(1)
+    sets = data(system, H)
+    motion = evaluate(Midpoint(system, system, H, reads_velocity=False), system, sets).rollouts
+    assert torch.equal(motion.q[:, 0], sets.integration.q[:, 1])
+    assert torch.equal(motion.q_true, sets.integration.q[:, 1:])
+    assert not torch.equal(motion.v[:, 0], sets.integration.v[:, 1])
+    assert motion.q.shape == motion.q_true.shape and motion.converged.shape == (3, 30)
+
+
+def test_chunks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch):
+    model = Exact(oscillator(2), oscillator(2), H, bias=1e-2)
+    whole = result(model).measures
+    assert len(data(model.system, H).test.q) < CHUNK
+    monkeypatch.setattr("symo_exp.evaluation.evaluate.CHUNK", 7)
+    assert result(model).measures == pytest.approx(whole, rel=1e-12)
+
+
+def test_float32_samples_are_measured_in_float64():
+    model = Exact(oscillator(1), oscillator(1), H)
+    sets = data(model.system, H)
+    single = sets.test._replace(**{k: x.float() for k, x in sets.test._asdict().items()})
+    found = evaluate(model, model.system, sets._replace(test=single))
+    assert found.rollouts.q.dtype == torch.float64
+    assert 0 < found.measures["test_mse"] < 1e-12
+
+
+def test_true_parameters_are_not_read_from_the_model():
+    """The energy is the true system's: a wrong learned Lagrangian cannot hide in it."""
+    system = oscillator(1)
+    right = Exact(system, system, H)
+    wrong = replace(right, lagrangian=Oscillator(system.mass * 3, system.stiffness))
+    assert result(right).measures["energy_mse"] == result(wrong).measures["energy_mse"]

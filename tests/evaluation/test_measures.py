@@ -1,0 +1,52 @@
+"""The measures, by hand on small numbers."""
+
+import math
+
+import pytest
+import torch
+
+from symo_exp.evaluation import measures
+
+NAN, INF = math.nan, math.inf
+
+
+def test_pose_error_is_the_mean_square_over_samples_and_coordinates():
+    predicted = torch.tensor([[1.0, 2.0], [3.0, 4.0]])
+    true = torch.tensor([[1.0, 0.0], [0.0, 3.0]])
+    assert measures.pose_mse(predicted, true).item() == (0 + 4 + 9 + 1) / 4
+
+
+def test_angles_are_not_wrapped():
+    turn = torch.tensor([[2 * math.pi]])
+    assert measures.pose_mse(turn, torch.zeros(1, 1)).item() == pytest.approx(4 * math.pi**2)
+
+
+def test_rollout_errors_keep_trajectories_apart():
+    predicted = torch.tensor([[[1.0], [3.0]], [[0.0], [2.0]]])
+    assert measures.rollout_pose_mse(predicted, torch.zeros(2, 2, 1)).tolist() == [5.0, 2.0]
+    energy = torch.tensor([[2.0, 4.0], [1.0, 1.0]])
+    assert measures.rollout_energy_mse(energy, torch.tensor([1.0, 1.0])).tolist() == [5.0, 0.0]
+
+
+def test_inertia_error_is_the_mean_over_all_entries():
+    learned = torch.zeros(1, 1, 2, 2)
+    learned[0, 0, 0, 1] = 2.0
+    assert measures.rollout_inertia_mse(learned, torch.zeros(1, 1, 2, 2)).tolist() == [1.0]
+
+
+def test_finite_difference_velocity():
+    q = torch.tensor([[[0.0], [1.0], [3.0]]])
+    assert measures.finite_difference_velocity(q, 0.5).flatten().tolist() == [2.0, 4.0]
+
+
+def test_mean_and_population_deviation():
+    assert measures.mean_and_std(torch.tensor([1.0, 3.0])) == (2.0, 1.0)
+    assert measures.mean_and_std(torch.tensor([4.0])) == (4.0, 0.0)
+
+
+@pytest.mark.parametrize("lost", [NAN, INF, -INF, 1e200])
+def test_a_lost_prediction_has_an_infinite_error(lost: float):
+    predicted = torch.tensor([[0.0], [lost]], dtype=torch.float64)
+    assert measures.pose_mse(predicted, torch.zeros(2, 1, dtype=torch.float64)).item() == INF
+    mean, deviation = measures.mean_and_std(torch.tensor([1.0, INF]))
+    assert mean == INF and math.isnan(deviation)
