@@ -35,6 +35,9 @@ class Contender(Protocol):
     def rollout(self, batch: Any, steps: int) -> np.ndarray:
         """Poses after 1..steps steps under the input held at u, (B, steps, n)."""
 
+    def iterations(self, batch: Any) -> int | None:
+        """The most Newton iterations that a row took, where roots are found."""
+
 
 class Autograd:
     """Baseline (a)."""
@@ -75,6 +78,12 @@ class Autograd:
     def rollout(self, batch: Windows, steps: int) -> np.ndarray:
         return self.model.rollout(batch, steps).numpy()
 
+    def iterations(self, batch: Windows) -> int | None:
+        if not isinstance(self.model, baseline_autograd.SyMo):
+            return None
+        self.model.predict(batch)
+        return self.model.iterations
+
 
 class Jax:
     """Baseline (b); float64 inside `jax.enable_x64`."""
@@ -91,6 +100,7 @@ class Jax:
         from benchmarks import baseline_jax
 
         self.module = baseline_jax
+        self.finds_roots = method in ("symo", "e2e_symo")
         self.method = baseline_jax.Method(method, case, lr=lr, **options)
         self.parameters = baseline_jax.to_parameters(layers)
         self.adam = self.method.start(self.parameters)
@@ -113,6 +123,11 @@ class Jax:
 
     def rollout(self, batch: Any, steps: int) -> np.ndarray:
         return np.asarray(self.method.rollout(self.parameters, batch, steps))
+
+    def iterations(self, batch: Any) -> int | None:
+        if not self.finds_roots:
+            return None
+        return int(self.method.newton_iterations(self.parameters, batch))
 
 
 def jax_is_installed() -> bool:
