@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from oscillator import Exact, Midpoint, Oscillator, data, oscillator
+from tests.evaluation.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 
 from symo_exp.evaluation.evaluate import CHUNK, Evaluation, evaluate
 

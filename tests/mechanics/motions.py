@@ -1,0 +1,47 @@
+"""A forced motion of a chain of pendulums, and the order of a method along it."""
+
+import math
+from collections.abc import Callable
+
+import torch
+from scipy.integrate import solve_ivp
+from torch import Tensor
+
+from symo_exp.mechanics.euler_lagrange import acceleration
+from symo_exp.mechanics.lagrangian import Lagrangian
+
+DURATION = 0.4
+
+
+def force_at(n: int, t: float, *, forced: bool) -> Tensor:
+    """A generalised force that varies linearly in time: the first-order hold is exact for it."""
+    if not forced:
+        return torch.zeros(1, n, dtype=torch.float64)
+    return torch.linspace(1.0, 2.0, n, dtype=torch.float64).unsqueeze(0) * (0.5 - 2.0 * t)
+
+
+def start(n: int) -> tuple[Tensor, Tensor]:
+    """A state far from equilibrium."""
+    q = torch.linspace(0.7, 1.9, n, dtype=torch.float64).unsqueeze(0)
+    return q, torch.linspace(1.0, -1.5, n, dtype=torch.float64).unsqueeze(0)
+
+
+def reference(lagrangian: Lagrangian, n: int, *, forced: bool) -> Tensor:
+    """The pose after ``DURATION`` by SciPy's DOP853 at tight tolerances, an independent method."""
+
+    def field(t: float, x: Tensor) -> Tensor:
+        q, v = torch.as_tensor(x).reshape(2, 1, n)
+        return torch.cat((v, acceleration(lagrangian, q, v, force_at(n, t, forced=forced)))).ravel()
+
+    x0 = torch.cat(start(n)).ravel()
+    solution = solve_ivp(field, (0, DURATION), x0, method="DOP853", rtol=1e-13, atol=1e-13)
+    return torch.as_tensor(solution.y[:n, -1]).unsqueeze(0)
+
+
+def order(integrate: Callable[[int], Tensor], exact: Tensor, steps: tuple[int, ...]) -> float:
+    """Slope of log error against log step."""
+    errors = [math.log((integrate(count) - exact).norm().item()) for count in steps]
+    sizes = [math.log(DURATION / count) for count in steps]
+    mean_x, mean_y = sum(sizes) / len(sizes), sum(errors) / len(errors)
+    slope = sum((x - mean_x) * (y - mean_y) for x, y in zip(sizes, errors, strict=True))
+    return slope / sum((x - mean_x) ** 2 for x in sizes)

@@ -1,0 +1,48 @@
+"""Explicit methods: their order, and what they do not conserve."""
+
+import pytest
+import torch
+
+from symo_exp.mechanics.euler_lagrange import acceleration
+from tests.chain import ChainPendulum
+from tests.mechanics.motions import DURATION, force_at, order, reference, start
+from tests.tables import explicit_integrators
+
+METHODS = explicit_integrators()
+
+
+@pytest.mark.parametrize("forced", [False, True], ids=["free", "forced"])
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("name", METHODS)
+@torch.no_grad()
+def test_order_of_convergence(name, n, forced):
+    method, chain = METHODS[name], ChainPendulum(n)
+
+    def integrate(steps):
+        (q, v), h = start(n), DURATION / steps
+        for k in range(steps):
+            u, u_next = (force_at(n, i * h, forced=forced) for i in (k, k + 1))
+            q, v = method.step(lambda *x: acceleration(chain, *x), q, v, u, u_next, h)
+        return q
+
+    slope = order(integrate, reference(chain, n, forced=forced), (16, 24, 32, 48))
+    assert slope == pytest.approx(method.order, abs=0.3)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_explicit_steps_are_not_symplectic(name):
+    """The property that the variational integrators have is not one that every method has."""
+    method, chain = METHODS[name], ChainPendulum(1)
+    q, v = start(1)
+    x = torch.cat((q, chain.momentum(q, v)), dim=1).requires_grad_()
+
+    def step(x):
+        q, p = x[:, :1], x[:, 1:]
+        u = torch.zeros_like(q)
+        q, v = method.step(
+            lambda *y: acceleration(chain, *y), q, chain.velocity(q, p), u, u, 0.3
+        )
+        return torch.cat((q, chain.momentum(q, v)), dim=1)
+
+    area = torch.linalg.det(torch.autograd.functional.jacobian(step, x).reshape(2, 2))
+    assert abs(area.item() - 1.0) > 1e-6

@@ -1,0 +1,221 @@
+"""Variational integrators: order, symplecticity, momentum, energy, and their derivatives."""
+
+import pytest
+import torch
+
+from symo_exp.mechanics.euler_lagrange import acceleration
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.variational import (
+    del_residual,
+    momentum_before,
+    next_pose,
+    variational_step,
+)
+from tests.chain import ChainPendulum
+from tests.learned import learned_lagrangian
+from tests.mechanics.motions import DURATION, force_at, order, reference, start
+from tests.tables import explicit_integrators, systems, variational_integrators
+
+METHODS = variational_integrators()
+TIGHT = Newton(tolerance=1e-13, max_iterations=50)
+
+
+def roll(method, lagrangian, q, p, steps, h, forced=False):
+    """Poses and momenta of a rollout, from node 0."""
+    n = q.shape[1]
+    poses, momenta = [q], [p]
+    for k in range(steps):
+        f, f_next = (force_at(n, i * h, forced=forced) for i in (k, k + 1))
+        guess = q + h * lagrangian.velocity(q, p)
+        q, p, _ = variational_step(method, lagrangian, TIGHT, q, p, f, f_next, h, guess)
+        poses.append(q)
+        momenta.append(p)
+    return torch.stack(poses), torch.stack(momenta)
+
+
+@pytest.mark.parametrize("forced", [False, True], ids=["free", "forced"])
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("name", METHODS)
+@torch.no_grad()
+def test_order_of_convergence(name, n, forced):
+    method, chain = METHODS[name], ChainPendulum(n)
+    q, v = start(n)
+
+    def integrate(steps):
+        p = chain.momentum(q, v)
+        return roll(method, chain, q, p, steps, DURATION / steps, forced)[0][-1]
+
+    counts = (16, 24, 32, 48) if method.order <= 4 else (4, 6, 8, 12)
+    slope = order(integrate, reference(chain, n, forced=forced), counts)
+    assert slope == pytest.approx(method.order, abs=0.3)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("name", METHODS)
+def test_steps_are_symplectic(name, n):
+    """``Mᵀ Ω M = Ω`` for the derivative M of one step in ``(q, p)`` (thesis (3.28))."""
+    method, chain, h = METHODS[name], ChainPendulum(n), 0.2
+    q, v = start(n)
+    x = torch.cat((q, chain.momentum(q, v)), dim=1)
+    zero = torch.zeros_like(q)
+
+    def step(x):
+        q, p = x[:, :n], x[:, n:]
+        guess = q + h * chain.velocity(q, p)
+        moved = variational_step(method, chain, TIGHT, q, p, zero, zero, h, guess)
+        return torch.cat((moved.q, moved.p), dim=1)
+
+    jacobian = torch.autograd.functional.jacobian(step, x).reshape(2 * n, 2 * n)
+    eye = torch.eye(n, dtype=torch.float64)
+    omega = torch.block_diag(eye, eye).roll(n, 0) * torch.tensor([[1.0]] * n + [[-1.0]] * n)
+    torch.testing.assert_close(jacobian.T @ omega @ jacobian, omega, atol=1e-10, rtol=0)
+
+
+def cyclic_coordinates():
+    """Pairs (system, i) where coordinate i enters neither the inertia nor the potential."""
+    found = []
+    for name, system in systems().items():
+        q = torch.linspace(0.3, 1.1, system.coordinates.n, dtype=torch.float64).unsqueeze(0)
+        for i in range(q.shape[1]):
+            moved = q.clone()
+            moved[:, i] += 0.7
+            same = (torch.equal(f(q), f(moved)) for f in (system.mass_matrix, system.potential))
+            if all(same):
+                found.append((name, i))
+    return found
+
+
+def test_there_is_a_cyclic_coordinate():
+    assert ("cartpole", 0) in cyclic_coordinates()
+
+
+@pytest.mark.parametrize(("system", "i"), cyclic_coordinates())
+@pytest.mark.parametrize("name", METHODS)
+@torch.no_grad()
+def test_momentum_of_a_cyclic_coordinate_is_kept(name, system, i):
+    """Without a force the momentum of a coordinate that does not enter ``ℒ`` is constant."""
+    system = systems()[system]
+    q, v = start(system.coordinates.n)
+    momenta = roll(METHODS[name], system, q, system.momentum(q, v), 400, 0.05)[1][:, 0, i]
+    assert (momenta - momenta[0]).abs().max() < 1e-11
+
+
+@pytest.mark.parametrize(("system", "i"), cyclic_coordinates())
+@pytest.mark.parametrize("name", explicit_integrators())
+@torch.no_grad()
+def test_explicit_steps_do_not_keep_it(name, system, i):
+    system, method = systems()[system], explicit_integrators()[name]
+    q, v = start(system.coordinates.n)
+    u, before = torch.zeros_like(q), system.momentum(q, v)[0, i]
+    for _ in range(100):
+        q, v = method.step(lambda *x: acceleration(system, *x), q, v, u, u, 0.1)
+    assert (system.momentum(q, v)[0, i] - before).abs() > 1e-9
+
+
+@pytest.mark.parametrize("name", METHODS)
+@torch.no_grad()
+def test_energy_stays_bounded_over_long_times(name):
+    """The error oscillates: it is no larger at the end of 3000 steps than at their beginning."""
+    chain, h = ChainPendulum(1), 0.1
+    q, v = start(1)
+    poses, momenta = roll(METHODS[name], chain, q, chain.momentum(q, v), 3000, h)
+    q, p = poses[:, 0], momenta[:, 0]
+    error = (chain.energy(q, chain.velocity(q, p)) - chain.energy(q, chain.velocity(q, p))[0]).abs()
+    assert error[-1000:].max() < 1.05 * error[:1000].max()
+
+
+@pytest.mark.parametrize("name", METHODS)
+@torch.no_grad()
+def test_energy_drifts_under_the_explicit_midpoint_rule(name):
+    chain, h, drift = ChainPendulum(1), 0.1, []
+    q, v = start(1)
+    u = torch.zeros_like(q)
+    for _ in range(1000):
+        q, v = explicit_integrators()["midpoint"].step(
+            lambda *x: acceleration(chain, *x), q, v, u, u, h
+        )
+        drift.append(chain.energy(q, v).item())
+    quarter = len(drift) // 4
+    assert abs(drift[-1] - drift[0]) > 2 * abs(drift[quarter] - drift[0])
+
+
+@pytest.mark.parametrize("name", METHODS)
+@torch.no_grad()
+def test_momentum_form_solves_the_discrete_euler_lagrange_equations(name):
+    method, chain, h = METHODS[name], ChainPendulum(2), 0.1
+    q, v = start(2)
+    q, v = q.expand(3, 2) + torch.arange(3.0).unsqueeze(1), v.expand(3, 2)
+    forces = [force_at(2, k * h, forced=True).expand(3, 2) for k in range(3)]
+    q_mid, p, _ = variational_step(
+        method, chain, TIGHT, q, chain.momentum(q, v), forces[0], forces[1], h, q + h * v
+    )
+    before = momentum_before(method, chain, q, q_mid, forces[0], forces[1], h)
+    torch.testing.assert_close(before, p)
+    last = variational_step(method, chain, TIGHT, q_mid, p, forces[1], forces[2], h, 2 * q_mid - q)
+    residual = del_residual(method, chain, q, q_mid, last.q, *forces, h)
+    assert last.root.converged.all()
+    assert residual.abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("name", METHODS)
+def test_jacobian_of_the_residual(name, n):
+    method, h, step = METHODS[name], 0.1, 1e-6
+    lagrangian = learned_lagrangian(tuple(i % 2 == 1 for i in range(n)))
+    q0, q1 = torch.randn(2, 5, n, dtype=torch.float64)
+    q1 = q0 + 0.1 * q1
+    jacobian = method.expand(lagrangian, q0, q1, h).d2d1()
+    for j in range(n):
+        shift = torch.zeros_like(q1)
+        shift[:, j] = step
+        ahead, behind = (method.expand(lagrangian, q0, q1 + s * shift, h) for s in (1, -1))
+        slope = (ahead.values.d1 - behind.values.d1) / (2 * step)
+        torch.testing.assert_close(jacobian[:, :, j], slope, atol=1e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("name", METHODS)
+def test_gradients_of_the_next_pose(name, n):
+    """Implicit derivatives in pose, impulse and parameters, against finite differences."""
+    method, h, eps = METHODS[name], 0.1, 1e-6
+    lagrangian = learned_lagrangian((True,) * n, width=6)
+    q = torch.randn(4, n, dtype=torch.float64, requires_grad=True)
+    v = torch.randn(4, n, dtype=torch.float64)
+    impulse = lagrangian.momentum(q, v).detach().requires_grad_()
+    weight = torch.randn(4, n, dtype=torch.float64)
+    parameters = [q, impulse, *lagrangian.net.parameters()]
+
+    def objective():
+        guess = q.detach() + h * v
+        pose, root = next_pose(method, lagrangian, TIGHT, q, impulse, h, guess)
+        assert root.converged.all()
+        return (weight * pose).sum()
+
+    gradients = torch.autograd.grad(objective(), parameters)
+    for x, gradient in zip(parameters, gradients, strict=True):
+        direction = torch.randn_like(x)
+        with torch.no_grad():
+            x += eps * direction
+            ahead = objective()
+            x -= 2 * eps * direction
+            behind = objective()
+            x += eps * direction
+        slope = (ahead - behind) / (2 * eps)
+        torch.testing.assert_close((gradient * direction).sum(), slope, atol=1e-7, rtol=1e-6)
+
+
+def test_a_row_without_a_root_takes_the_correction_of_its_fallback():
+    method, h = METHODS["midpoint"], 0.1
+    chain = ChainPendulum(1)
+    q = torch.tensor([[0.5], [0.5]], dtype=torch.float64)
+    impulse = torch.tensor([[0.2], [float("nan")]], dtype=torch.float64)
+    fallback = torch.tensor([[0.51], [0.52]], dtype=torch.float64)
+    pose, root = next_pose(method, chain, TIGHT, q, impulse, h, q, fallback=fallback)
+    assert root.converged.tolist() == [True, False]
+    impulse = torch.tensor([[0.2], [0.3]], dtype=torch.float64)
+    stubborn = Newton(tolerance=1e-300, max_iterations=1)
+    pose, root = next_pose(method, chain, stubborn, q, impulse, h, q, fallback=fallback)
+    assert not root.converged.any()
+    expansion = method.expand(chain, q, fallback, h)
+    expected = fallback + h * (impulse + expansion.values.d1) / chain.mass_matrix(q)[:, 0]
+    torch.testing.assert_close(pose, expected)

@@ -1,0 +1,62 @@
+"""Small models of every method and integrator that the configuration offers, at any n."""
+
+from typing import Any
+
+import torch
+from hydra.utils import get_class
+from omegaconf import OmegaConf
+
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.models.variational import VariationalModel
+from tests.tables import CONF, choices, explicit_integrators, variational_integrators
+
+H = 0.05
+
+
+def _classes() -> dict[str, Any]:
+    files = {name: OmegaConf.load(CONF / "model" / f"{name}.yaml") for name in choices("model")}
+    return {name: get_class(config._target_) for name, config in files.items()}
+
+
+def combinations() -> list[tuple[str, str]]:
+    """Every pair of method and integrator that exists."""
+    return [
+        (method, integrator)
+        for method, cls in _classes().items()
+        for integrator in _integrators_of(cls)
+    ]
+
+
+def _integrators_of(cls: Any) -> dict[str, Any]:
+    variational = issubclass(cls, VariationalModel)
+    return variational_integrators() if variational else explicit_integrators()
+
+
+def make(method: str, integrator: str, n: int, **overrides: Any) -> Any:
+    """A model in float64 with an inertia well away from singular."""
+    cls = _classes()[method]
+    torch.manual_seed(n)
+    arguments: dict[str, Any] = {
+        "coordinates": Coordinates(tuple(f"q{i}" for i in range(n)), (True, False, True)[:n]),
+        "input_matrix": torch.eye(n, dtype=torch.float64)[:, -1:],
+        "time_step": H,
+        "width": 8,
+        "integrator": _integrators_of(cls)[integrator],
+    }
+    if issubclass(cls, VariationalModel):
+        arguments["root"] = Newton(tolerance=1e-12, max_iterations=50)
+    model = cls(**{**arguments, **overrides}).double()
+    if model.lagrangian is not None:
+        with torch.no_grad():
+            model.lagrangian.net.biases[-1][:n] += 1.5
+    return model
+
+
+def windows(n: int, samples: int = 5) -> Windows:
+    """Smooth samples: three poses of a parabola, with their velocities, and varying controls."""
+    generator = torch.Generator().manual_seed(11)
+    q, v, a = torch.randn(3, samples, n, dtype=torch.float64, generator=generator)
+    u = torch.randn(3, samples, 1, dtype=torch.float64, generator=generator)
+    poses = [q + t * v + 0.5 * t * t * a for t in (-H, 0.0, H)]
+    return Windows(*poses, v, v + H * a, *u)

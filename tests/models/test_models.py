@@ -1,0 +1,184 @@
+"""The four methods: gradients against oracles, the contract that all keep, training."""
+
+import copy
+
+import pytest
+import torch
+
+from symo_exp.mechanics.roots import Newton
+from tests.models.methods import H, combinations, make, windows
+
+ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
+DEGREES = pytest.mark.parametrize("n", [1, 2, 3])
+
+
+@ALL
+@DEGREES
+def test_gradient_of_the_loss_against_finite_differences(method, integrator, n):
+    model, data, eps = make(method, integrator, n), windows(n), 1e-6
+    parameters = [p for p in model.parameters() if p.requires_grad]
+    gradients = torch.autograd.grad(model.loss(data), parameters, allow_unused=True)
+    for x, gradient in zip(parameters, gradients, strict=True):
+        direction = torch.randn_like(x)
+        with torch.no_grad():
+            x += eps * direction
+            ahead = model.loss(data)
+            x -= 2 * eps * direction
+            behind = model.loss(data)
+            x += eps * direction
+        slope = (ahead - behind) / (2 * eps)
+        computed = torch.zeros(()) if gradient is None else (gradient * direction).sum()
+        torch.testing.assert_close(computed.to(slope), slope.detach(), atol=1e-7, rtol=1e-5)
+
+
+@ALL
+@DEGREES
+def test_step_is_differentiable_in_its_inputs(method, integrator, n):
+    """What a controller needs: derivatives in state and control, through the roots too."""
+    model, data = make(method, integrator, n), windows(n, samples=2)
+
+    def outcome(q, v, u, u_next):
+        step = model.step(q, v, u, u_next)
+        return step.q, step.v
+
+    inputs = [x.clone().requires_grad_() for x in (data.q, data.v, data.u, data.u_next)]
+    assert torch.autograd.gradcheck(outcome, inputs, eps=1e-6, atol=1e-5, rtol=1e-4)
+
+
+@ALL
+@DEGREES
+@torch.no_grad()
+def test_rollout_is_repeated_steps(method, integrator, n):
+    model, data = make(method, integrator, n), windows(n)
+    u = torch.randn(len(data.q), 5, 1, dtype=torch.float64)
+    rollout = model.rollout(data.q, data.v, u)
+    q, v = data.q, data.v
+    for k in range(4):
+        q, v, converged, _ = model.step(q, v, u[:, k], u[:, k + 1])
+        assert converged.all()
+        torch.testing.assert_close(rollout.q[:, k + 1], q)
+        torch.testing.assert_close(rollout.v[:, k + 1], v)
+    assert rollout.converged.shape == (len(q), 4)
+    torch.testing.assert_close(rollout.v[:, 0], data.v)
+
+
+@ALL
+@torch.no_grad()
+def test_prediction_is_a_step_from_the_initial_velocity(method, integrator):
+    model, data = make(method, integrator, 2), windows(2)
+    predicted = model.predict(data)
+    stepped = model.step(data.q, model.initial_velocity(data), data.u, data.u_next)
+    torch.testing.assert_close(predicted.q, stepped.q)
+    torch.testing.assert_close(predicted.v, stepped.v)
+
+
+@ALL
+@torch.no_grad()
+def test_without_a_control_the_motion_is_unforced_and_one_control_is_held(method, integrator):
+    model, data = make(method, integrator, 2), windows(2)
+    zero = torch.zeros_like(data.u)
+    torch.testing.assert_close(
+        model.step(data.q, data.v).q, model.step(data.q, data.v, zero, zero).q
+    )
+    held = model.step(data.q, data.v, data.u)
+    torch.testing.assert_close(held.q, model.step(data.q, data.v, data.u, data.u).q)
+    rolled = model.rollout(data.q, data.v, steps=3)
+    forced = model.rollout(data.q, data.v, torch.zeros(len(data.q), 4, 1, dtype=torch.float64))
+    torch.testing.assert_close(rolled.q, forced.q)
+    assert not torch.allclose(held.q, model.step(data.q, data.v).q)
+
+
+@ALL
+@torch.no_grad()
+def test_only_methods_that_read_velocities_depend_on_them(method, integrator):
+    model, data = make(method, integrator, 2), windows(2)
+    moved = data._replace(v=data.v + 1.0)
+    same = torch.equal(model.predict(data).q, model.predict(moved).q)
+    assert same != model.reads_velocity
+
+
+@ALL
+def test_evaluation_copy_is_a_copy_in_double_precision(method, integrator):
+    model = make(method, integrator, 2).float()
+    twin = model.for_evaluation()
+    assert {p.dtype for p in twin.parameters()} == {torch.float64}
+    assert {p.dtype for p in model.parameters()} == {torch.float32}
+    assert not any(p.requires_grad for p in twin.parameters())
+    assert all(p.requires_grad for p in model.parameters())
+
+
+@ALL
+def test_single_precision_follows_double(method, integrator):
+    root = {"root": Newton()} if not make(method, integrator, 2).reads_velocity else {}
+    model, data = make(method, integrator, 2, **root), windows(2, samples=64)
+    single = copy.deepcopy(model).float()
+    double, low = model.predict(data).q, single.predict(type(data)(*(x.float() for x in data))).q
+    torch.testing.assert_close(low.double(), double, atol=1e-4, rtol=1e-4)
+
+
+@ALL
+def test_a_diverging_rollout_ends_in_numbers_not_in_an_exception(method, integrator):
+    model = make(method, integrator, 1)
+    q0 = torch.tensor([[float("nan")], [0.1]], dtype=torch.float64)
+    rollout = model.rollout(q0, torch.zeros_like(q0), steps=3)
+    assert rollout.q[0].isnan().all()
+    assert rollout.q[1].isfinite().all()
+
+
+def test_rollout_wants_controls_or_a_number_of_steps():
+    model = make("symo", "midpoint", 1)
+    q = torch.zeros(1, 1, dtype=torch.float64)
+    with pytest.raises(ValueError, match="either u"):
+        model.rollout(q, q)
+
+
+@pytest.mark.parametrize("method", ["node", "l_node"])
+@DEGREES
+def test_adjoint_gradients_approach_the_direct_ones_as_the_step_shrinks(method, n):
+    data, errors = windows(n), []
+    for h in (0.004, 0.002):
+        gradients = []
+        for sensitivity in ("direct", "adjoint"):
+            model = make(method, "rk4", n, time_step=h, sensitivity=sensitivity)
+            weight = list(model.parameters())[1]
+            total = model.step(data.q, data.v, data.u).q.sum()
+            gradients.append(torch.autograd.grad(total, weight)[0])
+        direct, adjoint = gradients
+        errors.append(((direct - adjoint).norm() / direct.norm()).item())
+    assert 0.0 < errors[1] < 0.2 * errors[0] < 1e-3
+
+
+def test_adjoint_step_has_the_value_of_the_direct_one():
+    data = windows(2)
+    steps = [
+        make("l_node", "rk4", 2, sensitivity=s).step(data.q, data.v, data.u, data.u_next)
+        for s in ("direct", "adjoint")
+    ]
+    torch.testing.assert_close(steps[0].q, steps[1].q)
+
+
+def test_rows_without_a_root_are_counted_and_do_not_spoil_the_gradient():
+    model, data = make("e2e_symo", "midpoint", 2), windows(2)
+    model.root = Newton(tolerance=1e-300, max_iterations=1)
+    model.train()
+    gradients = torch.autograd.grad(model.loss(data), list(model.lagrangian.net.parameters()))
+    assert model._statistics["newton_failed"] == 1.0
+    assert all(g.isfinite().all() for g in gradients)
+
+
+def test_the_true_lagrangian_has_no_residual_where_the_discrete_motion_is_its_own():
+    """Training targets made by the model itself are fitted exactly: a sign error is not."""
+    for method in ("symo", "e2e_symo"):
+        model, data = make(method, "midpoint", 3), windows(3)
+        exact = data._replace(q_next=model.predict(data).q.detach())
+        assert model.loss(data) > 1e-8
+        assert model.loss(exact) < 1e-20
+    for method in ("node", "l_node"):
+        model, data = make(method, "rk4", 3), windows(3)
+        step = model.predict(data)
+        exact = data._replace(q_next=step.q.detach(), v_next=step.v.detach())
+        assert model.loss(exact) < 1e-20
+
+
+def test_the_step_is_the_one_that_was_asked_for():
+    assert make("symo", "midpoint", 1).time_step == H

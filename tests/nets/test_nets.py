@@ -1,0 +1,119 @@
+"""The learned Lagrangian: closed forms against automatic differentiation, and its structure."""
+
+import pytest
+import torch
+
+from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
+from symo_exp.nets.embedding import Embedding
+from symo_exp.nets.structured_lagrangian import StructuredLagrangian
+from tests.learned import learned_lagrangian
+
+ANGULAR = [(True,), (False,), (False, True), (True, True), (True, False, True), (True,) * 4]
+
+
+class Plain(Lagrangian):
+    """The same Lagrangian without its closed forms: the oracle."""
+
+    def __init__(self, learned):
+        self.mass_matrix, self.potential = learned.mass_matrix, learned.potential
+
+    mass_matrix = potential = None
+
+
+Plain.__abstractmethods__ = frozenset()
+
+
+@pytest.fixture(params=ANGULAR, ids=str)
+def learned(request):
+    return learned_lagrangian(request.param)
+
+
+def points(learned):
+    generator = torch.Generator().manual_seed(3)
+    q, v = torch.randn(2, 9, learned.head.n, dtype=torch.float64, generator=generator)
+    return q.requires_grad_(), v.requires_grad_()
+
+
+@pytest.mark.parametrize("quantity", ["gradients", "rates"])
+def test_closed_forms_and_their_derivatives_are_those_of_autograd(learned, quantity):
+    q, v = points(learned)
+    closed, plain = (getattr(x, quantity)(q, v) for x in (learned, Plain(learned)))
+    inputs = [q, v, *learned.net.parameters()]
+    weights = [torch.randn_like(x) for x in closed]
+
+    def pullback(outputs):
+        total = sum((w * x).sum() for w, x in zip(weights, outputs, strict=True))
+        found = torch.autograd.grad(total, inputs, allow_unused=True)
+        return [torch.zeros_like(x) if g is None else g for g, x in zip(found, inputs, strict=True)]
+
+    for mine, oracle in zip(closed, plain, strict=True):
+        torch.testing.assert_close(mine, oracle, atol=1e-12, rtol=1e-12)
+    for mine, oracle in zip(pullback(closed), pullback(plain), strict=True):
+        torch.testing.assert_close(mine, oracle, atol=1e-11, rtol=1e-11)
+
+
+def test_each_output_can_be_differentiated_alone(learned):
+    q, v = points(learned)
+    for i in range(3):
+        closed = torch.autograd.grad(learned.gradients(q, v)[i].sin().sum(), q)[0]
+        plain = torch.autograd.grad(Plain(learned).gradients(q, v)[i].sin().sum(), q)[0]
+        torch.testing.assert_close(closed, plain, atol=1e-11, rtol=1e-11)
+
+
+def test_curvature_is_that_of_autograd(learned):
+    q, v = (x.detach() for x in points(learned))
+    closed = learned.expand(q, v).curvature()
+    plain = AutodiffExpansion(Plain(learned), q, v).curvature()
+    for mine, oracle in zip(closed, plain, strict=True):
+        torch.testing.assert_close(mine, oracle, atol=1e-11, rtol=1e-11)
+
+
+@pytest.mark.parametrize("depth", [1, 3])
+def test_any_depth(depth):
+    torch.manual_seed(0)
+    learned = StructuredLagrangian(angular=(True, False), width=7, depth=depth).double()
+    q, v = points(learned)
+    for quantity in ("gradients", "rates"):
+        closed, plain = (getattr(x, quantity)(q, v) for x in (learned, Plain(learned)))
+        for mine, oracle in zip(closed, plain, strict=True):
+            torch.testing.assert_close(mine, oracle, atol=1e-12, rtol=1e-12)
+
+
+def test_inertia_is_positive_definite_for_any_weights(learned):
+    with torch.no_grad():
+        for parameter in learned.net.parameters():
+            parameter.normal_(std=3.0)
+        mass = learned.mass_matrix(100.0 * torch.randn(200, learned.head.n, dtype=torch.float64))
+    assert torch.equal(mass, mass.mT)
+    assert torch.linalg.eigvalsh(mass).min() > 0.0
+
+
+def test_angles_are_periodic_and_translations_are_not(learned):
+    q, v = (x.detach() for x in points(learned))
+    for i, angular in enumerate(learned_angular(learned)):
+        turned = q.clone()
+        turned[:, i] += 2 * torch.pi
+        same = torch.allclose(learned.energy(turned, v), learned.energy(q, v), atol=1e-9)
+        assert same == angular
+
+
+def learned_angular(learned):
+    owner = learned.embedding.owner.tolist()
+    return [owner.count(i) == 2 for i in range(learned.head.n)]
+
+
+def test_embedding_lists_translations_then_cosines_then_sines():
+    q = torch.tensor([[0.1, 2.0, 0.3]])
+    x = Embedding(angular=(True, False, True))(q).x
+    expected = [2.0, *torch.cos(q[0, [0, 2]]).tolist(), *torch.sin(q[0, [0, 2]]).tolist()]
+    torch.testing.assert_close(x[0], torch.tensor(expected))
+
+
+def test_initialisation_is_that_of_the_thesis():
+    """Xavier-uniform weights with the gain of tanh, 5/3; zero biases."""
+    learned = StructuredLagrangian(angular=(True, True), width=256)
+    for weight, bias in zip(learned.net.weights, learned.net.biases, strict=True):
+        bound = 5 / 3 * (6 / sum(weight.shape)) ** 0.5
+        assert weight.abs().max() <= bound
+        assert weight.std().item() == pytest.approx(bound / 3**0.5, rel=0.1)
+        assert not bias.any()

@@ -1,0 +1,41 @@
+"""Everything that the configuration groups offer: a new file in one of them is tested by itself."""
+
+from pathlib import Path
+from typing import Any
+
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+CONF = Path(__file__).parents[1] / "conf"
+
+
+def choices(group: str) -> list[str]:
+    """Names of the choices of a group."""
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+def _integrators(kind: str) -> dict[str, Any]:
+    found = {}
+    for name in choices("integrator"):
+        config = OmegaConf.load(CONF / "integrator" / f"{name}.yaml")
+        if config.get(kind) is not None:
+            found[name] = instantiate(config[kind])
+    return found
+
+
+def explicit_integrators() -> dict[str, Any]:
+    """Name to Runge-Kutta method."""
+    return _integrators("explicit")
+
+
+def variational_integrators() -> dict[str, Any]:
+    """Name to variational integrator."""
+    return _integrators("variational")
+
+
+def systems() -> dict[str, Any]:
+    """Name to system."""
+    return {
+        name: instantiate(OmegaConf.load(CONF / "system" / f"{name}.yaml").system)
+        for name in choices("system")
+    }
