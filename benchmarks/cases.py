@@ -144,9 +144,7 @@ def random_windows(
     inputs = [uniform(case.n_inputs, 2.0) for _ in range(3)]
     if hold_input:
         inputs = inputs[:1] * 3
-    return Windows(
-        q - h * v + h**2 / 2 * a, q, q + h * v + h**2 / 2 * a, v, v + h * a, *inputs
-    )
+    return Windows(q - h * v + h**2 / 2 * a, q, q + h * v + h**2 / 2 * a, v, v + h * a, *inputs)
 
 
 def calm_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:

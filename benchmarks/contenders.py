@@ -61,9 +61,7 @@ class Autograd:
 
     def loss_and_gradient(self, batch: Windows) -> tuple[float, list[np.ndarray]]:
         loss = self.model.loss(batch)
-        slope = torch.autograd.grad(
-            loss, list(self.model.parameters()), materialize_grads=True
-        )
+        slope = torch.autograd.grad(loss, list(self.model.parameters()), materialize_grads=True)
         return loss.item(), [g.numpy() for g in slope]
 
     def train_step(self, batch: Windows) -> None:
@@ -113,9 +111,7 @@ class Jax:
         return float(loss), self.module.to_arrays(slope)
 
     def train_step(self, batch: Any) -> None:
-        self.parameters, self.adam, loss = self.method.train_step(
-            self.parameters, self.adam, batch
-        )
+        self.parameters, self.adam, loss = self.method.train_step(self.parameters, self.adam, batch)
         loss.block_until_ready()
 
     def predict(self, batch: Any) -> np.ndarray:

@@ -158,7 +158,9 @@ def machine() -> str:
     name = platform.processor() or platform.machine()
     path = Path("/proc/cpuinfo")
     if path.exists():
-        models = [x.split(":")[1].strip() for x in path.read_text().splitlines() if "model name" in x]
+        models = [
+            x.split(":")[1].strip() for x in path.read_text().splitlines() if "model name" in x
+        ]
         name = models[0] if models else name
     return f"{name}, one thread, Python {platform.python_version()}, torch {torch.__version__}"
 

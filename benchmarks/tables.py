@@ -43,9 +43,7 @@ Key = tuple[str, str, str, int, str]
 
 def report(rows: Sequence[Row], *, machine: str, worst_gradient: float) -> str:
     """The whole page."""
-    found: dict[Key, Row] = {
-        (r.measure, r.system, r.method, r.batch, r.contender): r for r in rows
-    }
+    found: dict[Key, Row] = {(r.measure, r.system, r.method, r.batch, r.contender): r for r in rows}
     systems = list(dict.fromkeys(r.system for r in rows))
     parts = [
         "# Benchmark",
@@ -101,7 +99,9 @@ def targets(found: dict[Key, Row], systems: list[str]) -> str:
                 continue
             got = statistics.median(values)
             met = got >= wanted if least else got <= wanted
-            texts.append(f"{got:.2f} ({'≥' if least else '≤'} {wanted:g}{'' if met else ', missed'})")
+            texts.append(
+                f"{got:.2f} ({'≥' if least else '≤'} {wanted:g}{'' if met else ', missed'})"
+            )
         lines.append(texts)
 
     def compare(method: str, over: str, under: str) -> Callable[[str, int], float | None]:
