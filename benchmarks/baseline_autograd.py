@@ -140,11 +140,12 @@ class SyMo(LagrangianMethod):
         """
         q_next = 2 * windows.q - windows.q_prev
         enough = self.tolerance * q_next.numel() ** 0.5
-        for self.iterations in range(self.max_iterations + 1):
+        for iteration in range(self.max_iterations + 1):
+            self.iterations = iteration
             with torch.enable_grad():
                 q_next = q_next.detach().requires_grad_()
                 g = self.discrete_euler_lagrange(windows, q_next)
-            if g.norm() <= enough or self.iterations == self.max_iterations:
+            if g.norm() <= enough or iteration == self.max_iterations:
                 break
             with torch.enable_grad():
                 slope = jacobian(g, q_next)

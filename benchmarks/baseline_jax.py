@@ -16,16 +16,16 @@ os.environ.setdefault(
     "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 )
 
-from collections.abc import Callable, Sequence  # noqa: E402
-from functools import partial  # noqa: E402
-from typing import NamedTuple  # noqa: E402
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
 
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-from jax import Array, lax  # noqa: E402
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
 
-from benchmarks.cases import Case, Layer, Windows  # noqa: E402
+from benchmarks.cases import Case, Layer, Windows
 
 EPSILON = 1e-9
 TOLERANCE = 1e-5

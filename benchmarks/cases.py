@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -115,7 +116,7 @@ def initial_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
     generator = torch.Generator().manual_seed(seed)
     sizes = case.layer_sizes(method)
     layers = []
-    for fan_in, fan_out in zip(sizes, sizes[1:], strict=False):
+    for fan_in, fan_out in pairwise(sizes):
         bound = 5 / 3 * math.sqrt(6 / (fan_in + fan_out))
         uniform = torch.rand(fan_out, fan_in, generator=generator, dtype=torch.float64)
         layers.append(Layer((2 * uniform - 1) * bound, torch.zeros(fan_out, dtype=torch.float64)))

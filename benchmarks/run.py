@@ -18,19 +18,19 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import torch  # noqa: E402
+import torch
 
-from benchmarks import agreement, tables  # noqa: E402
-from benchmarks.cases import (  # noqa: E402
+from benchmarks import agreement, tables
+from benchmarks.cases import (
     CASES,
     METHODS,
     initial_weights,
     plausible_weights,
     system_windows,
 )
-from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed  # noqa: E402
-from benchmarks.project import Project, fit_call  # noqa: E402
-from benchmarks.timing import interleaved  # noqa: E402
+from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
+from benchmarks.project import Project, fit_call
+from benchmarks.timing import interleaved
 
 BATCHES = (32, 128, 512)
 EVALUATION_ROWS = 4096
@@ -84,6 +84,7 @@ def contenders(
 def cells(plan: Plan) -> Iterator[Measurement]:
     """Every measurement of the plan."""
     clock = time.process_time if plan.process_clock else time.perf_counter
+    few = plan.baseline_rollout_steps
 
     def measure(
         name: str, system: str, method: str, rows: int, scale: dict[str, float], calls: dict
@@ -115,7 +116,6 @@ def cells(plan: Plan) -> Iterator[Measurement]:
             yield from measure("evaluation", system, method, EVALUATION_ROWS, {}, predict)
             # One trajectory at a time: a few steps of one tell the cost of all.
             roll = dict.fromkeys(group, lambda c, b: c.rollout(b, ROLLOUT_STEPS))
-            few = plan.baseline_rollout_steps
             roll["autograd"] = lambda c, b: c.rollout(type(b)(*(x[:1] for x in b)), few)
             scale = {"autograd": ROLLOUTS * ROLLOUT_STEPS / few}
             yield from measure("rollout", system, method, ROLLOUTS, scale, roll)

@@ -19,12 +19,12 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import torch  # noqa: E402
+import torch
 
-from benchmarks.cases import CASES, METHODS, Case, calm_weights, chain, random_windows  # noqa: E402
-from benchmarks.project import Project  # noqa: E402
-from benchmarks.tables import NAMES  # noqa: E402
-from benchmarks.timing import interleaved  # noqa: E402
+from benchmarks.cases import CASES, METHODS, Case, calm_weights, chain, random_windows
+from benchmarks.project import Project
+from benchmarks.tables import NAMES
+from benchmarks.timing import interleaved
 
 Point = tuple[int, Case, int]
 """(the abscissa, the case, the batch)."""
@@ -76,11 +76,13 @@ def exponent(rows: list[dict[str, object]], axis: str, method: str) -> float:
 
 
 MEMORY = """
-import resource, sys, torch
+import sys, torch
 torch.set_num_threads(1)
 from benchmarks.cases import CASES, calm_weights, random_windows
 from benchmarks.project import Project
-def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+def peak():  # getrusage would count what the parent used before exec
+    with open("/proc/self/status") as lines:
+        return next(int(x.split()[1]) / 1024 for x in lines if x.startswith("VmHWM"))
 case, method, batch = CASES["acrobot"], sys.argv[1], int(sys.argv[2])
 imported = peak()
 contender = Project(method, case, calm_weights(case, method))
@@ -92,7 +94,7 @@ print(imported, peak())
 
 
 def memory(batches: tuple[int, ...]) -> list[dict[str, object]]:
-    """Peak resident memory [MiB] of a fresh process: after its imports, and after training."""
+    """Peak resident memory [MiB] of a fresh process (Linux): after imports, and after training."""
     rows: list[dict[str, object]] = []
     for method in METHODS:
         for batch in batches:
@@ -151,7 +153,8 @@ def main(arguments: list[str] | None = None) -> None:
     rows = measure(quick=given.quick, process_clock=given.process_clock)
     write(rows, given.out / "scaling.csv")
     draw(rows, given.out / "scaling.png")
-    write(memory((128,) if given.quick else (32, 128, 512)), given.out / "memory.csv")
+    if Path("/proc/self/status").exists():
+        write(memory((128,) if given.quick else (32, 128, 512)), given.out / "memory.csv")
 
 
 if __name__ == "__main__":

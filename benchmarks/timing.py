@@ -1,4 +1,4 @@
-"""Interleaved timing: every contender takes its turn in every round, so that drift hits them all."""
+"""Interleaved timing: everyone takes a turn in every round, so that drift hits them all."""
 
 from __future__ import annotations
 
