@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tests.evaluation.oscillator import Exact, Midpoint, Oscillator, data, oscillator
+from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 
 from symo_exp.evaluation.evaluate import CHUNK, Evaluation, evaluate
 
@@ -78,7 +78,8 @@ def test_divergence_is_infinite_and_counted():
     assert found["integration_diverged"] == 1.0
     assert found["integration_newton_failed"] == pytest.approx(10 / 30)
     assert found["test_newton_failed"] == 0.0
-    assert found["test_mse"] < 1e-20 and found["inertia_mse_aligned"] < 1e-20
+    assert found["test_mse"] < 1e-20
+    assert found["inertia_mse_aligned"] < 1e-20
 
 
 def test_a_rollout_starts_at_node_one_with_the_model_s_own_velocity():
@@ -88,7 +89,8 @@ def test_a_rollout_starts_at_node_one_with_the_model_s_own_velocity():
     assert torch.equal(motion.q[:, 0], sets.integration.q[:, 1])
     assert torch.equal(motion.q_true, sets.integration.q[:, 1:])
     assert not torch.equal(motion.v[:, 0], sets.integration.v[:, 1])
-    assert motion.q.shape == motion.q_true.shape and motion.converged.shape == (3, 30)
+    assert motion.q.shape == motion.q_true.shape
+    assert motion.converged.shape == (3, 30)
 
 
 def test_chunks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch):
@@ -114,3 +116,12 @@ def test_true_parameters_are_not_read_from_the_model():
     right = Exact(system, system, H)
     wrong = replace(right, lagrangian=Oscillator(system.mass * 3, system.stiffness))
     assert result(right).measures["energy_mse"] == result(wrong).measures["energy_mse"]
+
+
+def test_a_driven_motion_conserves_nothing_and_is_not_asked_to():
+    model = Midpoint(oscillator(1), oscillator(1), H, reads_velocity=False)
+    sets = data(model.system, H)
+    driven = sets.integration._replace(u=torch.ones_like(sets.integration.u))
+    found = evaluate(model, model.system, sets._replace(integration=driven)).measures
+    energy = {"energy_mse", "energy_std", "energy_mse_fd"}
+    assert set(found) == (NAMES | INERTIA | VARIATIONAL) - energy

@@ -2,11 +2,11 @@
 
 import pytest
 import torch
-
-from symo_exp.mechanics.euler_lagrange import acceleration
 from tests.chain import ChainPendulum
 from tests.mechanics.motions import DURATION, force_at, order, reference, start
 from tests.tables import explicit_integrators
+
+from symo_exp.mechanics.euler_lagrange import acceleration
 
 METHODS = explicit_integrators()
 
@@ -39,9 +39,7 @@ def test_explicit_steps_are_not_symplectic(name):
     def step(x):
         q, p = x[:, :1], x[:, 1:]
         u = torch.zeros_like(q)
-        q, v = method.step(
-            lambda *y: acceleration(chain, *y), q, chain.velocity(q, p), u, u, 0.3
-        )
+        q, v = method.step(lambda *y: acceleration(chain, *y), q, chain.velocity(q, p), u, u, 0.3)
         return torch.cat((q, chain.momentum(q, v)), dim=1)
 
     area = torch.linalg.det(torch.autograd.functional.jacobian(step, x).reshape(2, 2))

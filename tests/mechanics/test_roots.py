@@ -146,7 +146,9 @@ def test_implicit_derivative_of_any_residual_by_any_finder(name, n):
     torch.testing.assert_close(gradient, slope, atol=1e-7, rtol=1e-7)
 
 
-@pytest.mark.parametrize("arguments", [{"tolerance": 0.0}, {"max_iterations": 0}, {"stopping": "x"}])
+@pytest.mark.parametrize(
+    "arguments", [{"tolerance": 0.0}, {"max_iterations": 0}, {"stopping": "x"}]
+)
 def test_nonsense_is_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         Newton(**arguments)

@@ -8,6 +8,7 @@ import pkgutil
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import PurePath
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -28,15 +29,17 @@ def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") ->
     """
     target = config.get("_target_")
     parameters = None if target is None else _parameters(target, path)
-    for key in config:
-        name = f"{path}.{key}" if path else str(key)
+    for key in map(str, config):
+        name = f"{path}.{key}" if path else key
         if parameters is None:
             if known is None or key not in known:
                 raise unknown_key(name, siblings=[] if known is None else map(str, known))
         elif key not in _INSTANTIATE_KEYS:
             if key not in parameters:
                 raise unknown_key(name, siblings=parameters)
-            _check_type(name, config, str(key), parameters[str(key)])
+            if OmegaConf.is_missing(config, key):
+                raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
+            _check_type(name, config, key, parameters[key])
         if OmegaConf.is_interpolation(config, key):
             continue  # checked where it points to
         value = config[key]
@@ -63,19 +66,31 @@ def closest(word: str, words: Iterable[str]) -> list[str]:
 
 
 def _parameters(target: str, path: str) -> Mapping[str, Any]:
-    """Names and type hints of what the constructor takes."""
+    """Names and type hints of what the constructor takes.
+
+    One that takes ``**base`` hands it to the constructor of the class above.
+    """
     made = _locate(target, path)
-    call = made.__init__ if inspect.isclass(made) else made  # type: ignore[misc]
-    names = [
-        p.name
-        for p in inspect.signature(made).parameters.values()
-        if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
-    ]
+    calls: list[Callable[..., Any]] = [made]
+    if inspect.isclass(made) and made.__init__ is not object.__init__:
+        calls = [vars(c)["__init__"] for c in made.__mro__ if "__init__" in vars(c)]
+    hints: dict[str, Any] = {}
+    for call in calls:
+        parameters = inspect.signature(call).parameters.values()
+        types_ = _hints(call)
+        for p in parameters:
+            if p.name != "self" and p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY):
+                hints.setdefault(p.name, types_.get(p.name, Any))
+        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+            break
+    return hints
+
+
+def _hints(call: Callable[..., Any]) -> dict[str, Any]:
     try:
-        hints = typing.get_type_hints(call)
+        return typing.get_type_hints(call)
     except (NameError, TypeError):  # names that only a type checker imports
-        hints = {}
-    return {name: hints.get(name, Any) for name in names}
+        return {}
 
 
 def _locate(target: str, path: str) -> Callable[..., Any]:
@@ -91,7 +106,7 @@ def _locate(target: str, path: str) -> Callable[..., Any]:
     ours = home == "symo_exp" and callable(made)
     if not ours and not (home in ALLOWED and inspect.isclass(made)):
         raise ConfigError(f"{where}={target} is refused: {allowed}, and a class")
-    return made  # type: ignore[no-any-return]
+    return typing.cast("Callable[..., Any]", made)
 
 
 def _check_type(name: str, config: DictConfig, key: str, hint: Any) -> None:
@@ -119,11 +134,11 @@ def conforms(value: Any, hint: Any) -> bool:
         return isinstance(value, float | int) and not isinstance(value, bool)
     if hint is int:
         return isinstance(value, int) and not isinstance(value, bool)
-    if hint in (bool, str):
-        return isinstance(value, hint)
-    if hint is type(None):
-        return value is None
-    return value is not None or hint is Any or not inspect.isclass(hint)
+    if hint is type(None) or value is None:
+        return value is None and hint in (type(None), Any)
+    if inspect.isclass(hint):  # no word or number is an object of any other class
+        return isinstance(value, hint) or (isinstance(value, str) and issubclass(hint, PurePath))
+    return True
 
 
 def describe(hint: Any) -> str:
@@ -135,7 +150,7 @@ def describe(hint: Any) -> str:
     words = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}
     if hint is type(None):
         return "null"
-    return words.get(hint) or getattr(hint, "__name__", str(hint))
+    return str(words.get(hint) or getattr(hint, "__name__", hint))
 
 
 def _spell(value: Any) -> str:

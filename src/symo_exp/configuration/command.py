@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import hydra
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path, get_args_parser
@@ -26,13 +27,12 @@ assert folders  # registers the resolver that names the folder of a run
 
 
 class Job(NamedTuple):
-    config: DictConfig  # with Hydra's own node
-    overrides: list[str]
+    """``label`` says what tells it from the other jobs of its sweep."""
 
-    @property
-    def folder(self) -> Path:
-        hydra = self.config.hydra
-        return Path(hydra.run.dir).absolute()
+    label: str
+    config: DictConfig
+    folder: Path
+    log: Path
 
 
 class Command(NamedTuple):
@@ -41,8 +41,8 @@ class Command(NamedTuple):
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
-    """Hydra's own options and the overrides."""
-    return get_args_parser().parse_args(list(argv))  # type: ignore[no-any-return]
+    """Hydra's own options and the overrides, in any order."""
+    return get_args_parser().parse_intermixed_args(list(argv))
 
 
 def is_run(args: argparse.Namespace) -> bool:
@@ -52,6 +52,7 @@ def is_run(args: argparse.Namespace) -> bool:
 
 def jobs_of(args: argparse.Namespace) -> Command:
     """Compose and check every job of the command; raise ``ConfigError`` for the first bad one."""
+    hydra.version.setbase("1.3")
     composer = _Composer(args)
     try:
         return composer.command()
@@ -78,26 +79,30 @@ class _Composer:
         given: list[str] = self.args.overrides
         multirun = self.args.multirun or self._mode(given) == RunMode.MULTIRUN
         if not multirun:
-            return Command([self._job(given, where="")], multirun=False)
-        master = self._compose([o for o in given if not self._is_sweep(o)])
-        sweeper = master.hydra.sweeper
-        if not str(sweeper.get("_target_", "")).endswith("BasicSweeper"):
-            return Command([self._job([o for o in given if not self._is_sweep(o)], "")], True)
+            return Command([self._job(given, 0, "the run", "")], multirun=False)
+        fixed = [o for o in given if not self._is_sweep(o)]
+        sweeper = self._compose(fixed).hydra.sweeper
+        if not str(sweeper.get("_target_", "")).endswith(".BasicSweeper"):
+            # what another sweeper will choose is not known: check at least what is fixed
+            return Command([self._job(fixed, 0, "the sweep", "")], multirun=True)
         params = [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
         combinations = self._expand(params + [o for o in given if not o.startswith("hydra.")])
-        hydra = [o for o in given if o.startswith("hydra.")]
+        kept = [o for o in given if o.startswith("hydra.")]
+        varied = [
+            [o for o in c if any(o not in other for other in combinations)] for c in combinations
+        ]
         jobs = [
-            self._job(hydra + o, f"job {i + 1} of {len(combinations)} ({' '.join(o)}): ")
-            for i, o in enumerate(combinations)
+            self._job(kept + combination, number, " ".join(label) or "the run", "sweep")
+            for number, (combination, label) in enumerate(zip(combinations, varied, strict=True))
         ]
         return Command(jobs, multirun=True)
 
     def _mode(self, overrides: list[str]) -> RunMode | None:
-        return self.hydra.get_mode(self.name, overrides)  # type: ignore[no-any-return]
+        return self.hydra.get_mode(self.name, overrides)
 
     def _parse(self, overrides: Sequence[str]) -> list[Override]:
         try:
-            return self.parser.parse_overrides(list(overrides))  # type: ignore[no-any-return]
+            return self.parser.parse_overrides(list(overrides))
         except HydraException as error:
             raise ConfigError(one_line(error)) from error
 
@@ -110,19 +115,47 @@ class _Composer:
         except HydraException as error:
             raise ConfigError(one_line(error)) from error
 
-    def _job(self, overrides: list[str], where: str) -> Job:
+    def _job(self, overrides: list[str], number: int, label: str, kind: str) -> Job:
         try:
             parsed = self._parse(overrides)
             self._check_overrides(parsed)
             config = self._compose(overrides)
-            own = OmegaConf.masked_copy(config, [key for key in config if key != "hydra"])
+            config.hydra.job.num, config.hydra.job.id = number, str(number)
+            own = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
+            self._check_pairs(config, overrides)
             check_nodes(own, self._files_alone(parsed))
+            place = config.hydra.sweep if kind == "sweep" else config.hydra.run
+            folder = Path(place.dir, place.get("subdir", "")).absolute()
         except (ConfigError, HydraException, OmegaConfBaseException) as error:
+            where = f"job {number + 1} ({label}): " if kind == "sweep" else ""
             raise ConfigError(where + one_line(error)) from error
-        return Job(config, overrides)
+        return Job(label, own, folder, folder / f"{config.hydra.job.name}.log")
+
+    def _check_pairs(self, config: DictConfig, overrides: list[str]) -> None:
+        """Refuse a choice that has nothing for this model: SyMo has no Runge-Kutta method."""
+        choices = config.hydra.runtime.choices
+        wanted = OmegaConf.to_container(config.model, resolve=False)
+        assert isinstance(wanted, dict)
+        for reference in wanted.values():
+            group, _, part = str(reference).strip("${}").partition(".")
+            if group not in choices or not part or OmegaConf.select(config, f"{group}.{part}"):
+                continue
+            options = self.hydra.config_loader.get_group_options(group)
+            fits = [
+                option
+                for option in options
+                if OmegaConf.select(
+                    self._compose([*overrides, f"{group}={option}"]), f"{group}.{part}"
+                )
+            ]
+            if fits:
+                raise ConfigError(
+                    f"{group}={choices[group]} does not go with model={choices.model}; "
+                    f"what does: {', '.join(f'{group}={option}' for option in fits)}"
+                )
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
-        return self.hydra.compose_config(self.name, list(overrides), RunMode.RUN)  # type: ignore[no-any-return]
+        return self.hydra.compose_config(self.name, list(overrides), RunMode.RUN)
 
     def _files_alone(self, overrides: Sequence[Override]) -> DictConfig:
         """The configuration with the choices of files made, and no single value changed."""
@@ -133,7 +166,7 @@ class _Composer:
 
     def _options(self, override: Override) -> list[str]:
         group: str = override.key_or_group
-        return self.hydra.config_loader.get_group_options(group)  # type: ignore[no-any-return]
+        return self.hydra.config_loader.get_group_options(group)
 
     def _check_overrides(self, overrides: Sequence[Override]) -> None:
         for override in overrides:
@@ -150,35 +183,35 @@ class _Composer:
 
 
 def _check_choice(group: str, value: object, options: Sequence[str]) -> None:
-    if not isinstance(value, str) or value in options:
+    if isinstance(value, list) or value in options:
         return
-    meant = closest(value, options)
+    meant = closest(str(value), options)
     hint = f"; did you mean {meant[0]}?" if meant else ""
     raise ConfigError(f"{group}={value} is not a choice; possible: {', '.join(options)}{hint}")
 
 
 def _check_key(name: str, known: DictConfig, groups: Sequence[str]) -> None:
-    node = known
+    node: Any = known
     parts = name.split(".")
     for depth, part in enumerate(parts):
         if not isinstance(node, DictConfig) or part not in node:
-            siblings = [str(k) for k in node] if isinstance(node, DictConfig) else []
+            siblings = [str(key) for key in node] if isinstance(node, DictConfig) else []
             siblings = [s for s in siblings if s != "hydra" and not s.startswith("_")]
-            here = ".".join(parts[: depth + 1])
-            everything = [k for k in _leaves(known) if not k.startswith("hydra.")]
-            raise unknown_key(here, siblings + (list(groups) if depth == 0 else []), everything)
-        node = node._get_node(part)
-        if isinstance(node, DictConfig) and node._is_interpolation():
-            node = node._dereference_node()
+            top = list(groups) if depth == 0 else []
+            everything = (n for n in _names(known) if not n.startswith("hydra"))
+            raise unknown_key(".".join(parts[: depth + 1]), siblings + top, everything)
+        node = None if OmegaConf.is_missing(node, part) else node[part]
 
 
-def _leaves(config: DictConfig, path: str = "") -> Iterator[str]:
-    for key in config:
-        name = f"{path}.{key}" if path else str(key)
+def _names(config: DictConfig, path: str = "") -> Iterator[str]:
+    """The dotted names of all settings, each where it is written."""
+    for key in map(str, config):
+        name = f"{path}.{key}" if path else key
         yield name
-        if not OmegaConf.is_interpolation(config, key) and OmegaConf.is_dict(config._get_node(key)):
-            if not config._get_node(key)._is_none():
-                yield from _leaves(config[key], name)
+        if not OmegaConf.is_missing(config, key) and not OmegaConf.is_interpolation(config, key):
+            value = config[key]
+            if isinstance(value, DictConfig):
+                yield from _names(value, name)
 
 
 def one_line(error: BaseException) -> str:

@@ -27,7 +27,7 @@ def run_folder(*, _root_: Container) -> str:
 
 
 def digest(config: DictConfig) -> str:
-    relevant = [key for key in config if key not in _INCIDENTAL[""]]
+    relevant = [key for key in map(str, config) if key not in _INCIDENTAL[""]]
     values: dict[str, Any] = OmegaConf.to_container(  # type: ignore[assignment]
         OmegaConf.masked_copy(config, relevant), resolve=True
     )

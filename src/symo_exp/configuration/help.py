@@ -19,28 +19,25 @@ python -m symo_exp -cn smoke                                           a sweep k
 """
 
 NOTES = """\
---cfg job    shows every setting with its value; any of them can be set: data.noise_std=1e-3
---config-dir FOLDER    adds your own system/NAME.yaml, data/NAME.yaml, ... to these
+--cfg job              shows every setting and its value; set any of them: data.noise_std=1e-3
+hydra/launcher=joblib  runs the jobs of a sweep side by side, one process a core
+--config-dir FOLDER    adds your own system/NAME.yaml, data/NAME.yaml and so on to these
 --hydra-help           the options of Hydra itself
-A message too terse? SYMO_EXP_DEBUG=1 shows where an error came from.
+SYMO_EXP_DEBUG=1       in the environment shows where an error came from
 """
 
 
 def help_text(folders: Sequence[Path] = ()) -> str:
     """The help, with the groups of ``folders`` (``--config-dir``) besides those that ship."""
     roots = [CONF, *folders]
-    groups = sorted({g for root in roots for g in _groups(root)}, key=_order)
+    groups = sorted({group for root in roots for group in _groups(root)})
     blocks = [f"{g}=\n" + _choices([root / g for root in roots]) for g in groups]
-    sweeps = "-cn\n" + _choices([SWEEPS])
+    sweeps = "-cn (a sweep)\n" + _choices([SWEEPS])
     return "\n".join([USAGE, *blocks, sweeps, NOTES])
 
 
 def _groups(root: Path) -> set[str]:
-    return {str(f.parent.relative_to(root)) for f in root.glob("*/**/*.yaml")}
-
-
-def _order(group: str) -> tuple[bool, str]:
-    return group.startswith("hydra/"), group
+    return {file.parent.name for file in root.glob("*/*.yaml")}
 
 
 def _choices(folders: Sequence[Path]) -> str:

@@ -61,7 +61,8 @@ def evaluate(model: Model, system: Lagrangian, data: Data) -> Evaluation:
         results["test_newton_failed"] = failed
 
     rollouts = _rollouts(model, system, data.integration)
-    results |= _rollout_measures(model, system, rollouts)
+    unforced = not data.integration.u.any()
+    results |= _rollout_measures(model, system, rollouts, unforced)
     return Evaluation(results, rollouts)
 
 
@@ -95,7 +96,9 @@ def _rollouts(model: Model, system: Lagrangian, true: Trajectories) -> Rollouts:
     )
 
 
-def _rollout_measures(model: Model, system: Lagrangian, motion: Rollouts) -> dict[str, float]:
+def _rollout_measures(
+    model: Model, system: Lagrangian, motion: Rollouts, unforced: bool
+) -> dict[str, float]:
     """Means over the predicted nodes, the start left out, of every trajectory."""
     q, q_true = motion.q[:, 1:], motion.q_true[:, 1:]
     initial = motion.energy_true[:, 0]
@@ -105,14 +108,16 @@ def _rollout_measures(model: Model, system: Lagrangian, motion: Rollouts) -> dic
         results[f"{name}_mse"], results[f"{name}_std"] = measures.mean_and_std(per_trajectory)
 
     record("integration", measures.rollout_pose_mse(q, q_true))
-    record("energy", measures.rollout_energy_mse(motion.energy[:, 1:], initial))
+    if unforced:  # else there is nothing to conserve
+        record("energy", measures.rollout_energy_mse(motion.energy[:, 1:], initial))
     diverged = ~torch.isfinite(q).all(-1).all(-1)
     results["integration_diverged"] = diverged.double().mean().item()
     if not model.reads_velocity:
+        results["integration_newton_failed"] = 1.0 - motion.converged.double().mean().item()
+    if not model.reads_velocity and unforced:
         v = measures.finite_difference_velocity(motion.q, motion.time_step)
         energy = _along(system.energy, q, v)
         results["energy_mse_fd"] = measures.rollout_energy_mse(energy, initial).mean().item()
-        results["integration_newton_failed"] = 1.0 - motion.converged.double().mean().item()
     if model.lagrangian is not None:
         learned, true = model.lagrangian.mass_matrix, _along(system.mass_matrix, q_true)
         device = model.input_matrix.device

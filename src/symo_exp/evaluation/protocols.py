@@ -63,7 +63,9 @@ class Model(Protocol):
     def predict(self, windows: Windows) -> Prediction:
         """The pose at node ``k + 1``."""
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor | None, steps: int | None = None) -> Path:
+    def rollout(
+        self, q0: Tensor, v0: Tensor, u: Tensor | None = None, *, steps: int | None = None
+    ) -> Path:
         """Consecutive steps from a state."""
 
 

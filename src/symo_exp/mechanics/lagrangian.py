@@ -180,6 +180,8 @@ def solve(
 
 def _jacobian(y: Tensor, x: Tensor) -> Tensor:
     """``∂y_bi/∂x_bj`` of a function that acts row by row."""
+    if not y.requires_grad:  # a constant inertia
+        return x.new_zeros(len(x), y.shape[1], x.shape[1])
     rows = [
         torch.autograd.grad(y[:, i].sum(), x, retain_graph=True, allow_unused=True)[0]
         for i in range(y.shape[1])

@@ -92,7 +92,7 @@ class Newton(RootFinder):
 
     def _by_row(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
         at = problem.at(x)
-        norm = _norm(at.residual)
+        norm = row_norm(at.residual)
         iterations = torch.zeros(len(x), dtype=torch.int64, device=x.device)
         damping = torch.ones(len(x), dtype=x.dtype, device=x.device)
         for _ in range(self.max_iterations):
@@ -109,7 +109,7 @@ class Newton(RootFinder):
             direction = solve(here.jacobian(), -here.residual)
             trial = before + alpha.unsqueeze(-1) * direction
             there = problem.at(trial, index)
-            there_norm = _norm(there.residual)
+            there_norm = row_norm(there.residual)
             old = norm if index is None else norm[index]
             accepted = there_norm <= torch.clamp((1.0 - 1e-4 * alpha) * old, min=self.tolerance)
             alpha = torch.where(accepted, (2.0 * alpha).clamp(max=1.0), 0.5 * alpha)
@@ -136,13 +136,26 @@ class Newton(RootFinder):
             x = x + solve(at.jacobian(), -at.residual)
             at = problem.at(x)
             iterations += 1
-            if bool(_norm(at.residual).square().mean().sqrt() <= self.tolerance):
+            if bool(row_norm(at.residual).square().mean().sqrt() <= self.tolerance):
                 break
-        norm = _norm(at.residual)
+        norm = row_norm(at.residual)
         done = bool(norm.square().mean().sqrt() <= self.tolerance)
         converged = torch.full_like(norm, done, dtype=torch.bool) | (norm <= self.tolerance)
         count = torch.full((len(x),), iterations, dtype=torch.int64, device=x.device)
         return Root(x, converged, count, at)
+
+
+class Given(RootFinder):
+    """Takes the initial guess for the root, and says of each row whether it is one."""
+
+    def __init__(self, *, tolerance: float = 1e-5) -> None:
+        super().__init__(tolerance=tolerance, max_iterations=1)
+
+    @torch.no_grad()
+    def solve(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
+        at = problem.at(x)
+        none = torch.zeros(len(x), dtype=torch.int64, device=x.device)
+        return Root(x, row_norm(at.residual) <= self.tolerance, none, at)
 
 
 class Broyden(RootFinder):
@@ -158,7 +171,7 @@ class Broyden(RootFinder):
     def solve(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
         at = problem.at(x)
         jacobian = at.jacobian()
-        norm = _norm(at.residual)
+        norm = row_norm(at.residual)
         iterations = torch.zeros(len(x), dtype=torch.int64, device=x.device)
         for _ in range(self.max_iterations):
             index = (~(norm <= self.tolerance)).nonzero().squeeze(-1)
@@ -174,11 +187,11 @@ class Broyden(RootFinder):
             jacobian = jacobian.index_copy(0, index, secant + update)
             iterations[index] += 1
             x = x.index_copy(0, index, trial)
-            norm = norm.index_copy(0, index, _norm(there.residual))
+            norm = norm.index_copy(0, index, row_norm(there.residual))
             at = at.replace(index, there)
         return Root(x, norm <= self.tolerance, iterations, at)
 
 
-def _norm(residual: Tensor) -> Tensor:
+def row_norm(residual: Tensor) -> Tensor:
     """``‖g‖₂ / √n`` of each row."""
     return residual.square().mean(-1).sqrt()

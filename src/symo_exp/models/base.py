@@ -18,6 +18,7 @@ from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.models.compiled import Program
 
 
 class Step(NamedTuple):
@@ -71,6 +72,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         self.scheduler_monitor = scheduler_monitor
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self._statistics: dict[str, Tensor] = {}
+        self._program: Callable[[Windows], Any] | None = None
 
     # -- the method ----------------------------------------------------------------------------
 
@@ -147,11 +149,12 @@ class DynamicsModel(lightning.LightningModule, ABC):
 
     def for_evaluation(self) -> DynamicsModel:
         """A copy for measuring: double precision, roots found to convergence."""
-        trainer, self._trainer = self._trainer, None
+        attached = self._trainer, self._program
+        self._trainer = self._program = None
         try:
             twin = copy.deepcopy(self)
         finally:
-            self._trainer = trainer
+            self._trainer, self._program = attached
         return twin.to(self._evaluation_dtype).eval().requires_grad_(False)
 
     def energy(self, q: Tensor, v: Tensor) -> Tensor:
@@ -185,6 +188,22 @@ class DynamicsModel(lightning.LightningModule, ABC):
         """Mean square of the residuals."""
         return self.residuals(windows).square().mean()
 
+    def loss_and_gradients(self, windows: Windows) -> Float[Tensor, ""]:
+        """The loss as a number; its gradients are left in the parameters."""
+        if self._program is None:
+            self.zero_grad()
+            loss = self.loss(windows)
+            loss.backward()  # type: ignore[no-untyped-call]
+            return loss.detach()
+        loss, _, gradients = self._program(windows)
+        for parameter, gradient in zip(self.parameters(), gradients, strict=True):
+            parameter.grad = gradient
+        return loss
+
+    def compile_training(self) -> None:
+        """Compile ``loss_and_gradients`` at its next call; see ``models.compiled``."""
+        self._program = Program(self, lambda windows: (self.loss(windows), ()), gradients=True)
+
     def configure_optimizers(self) -> Any:
         if self._optimizer is None:
             raise ValueError("this model was built without an optimizer: it can only predict")
@@ -200,11 +219,8 @@ class DynamicsModel(lightning.LightningModule, ABC):
         total = torch.zeros((), device=self.device)
         self._statistics = {}
         for windows in batches:
-            loss = self.loss(windows)
-            optimizer.zero_grad()
-            loss.backward()
+            total += self.loss_and_gradients(windows)
             optimizer.step()
-            total += loss.detach()
         mean = total / len(batches)
         metrics = {name: value / len(batches) for name, value in self._statistics.items()}
         metrics["train_loss"] = mean

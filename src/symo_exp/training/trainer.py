@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from pathlib import Path
 from typing import Literal
@@ -43,10 +44,10 @@ def make_trainer(
     if accelerator == "gpu" and not torch.cuda.is_available():
         raise ConfigError("trainer.accelerator=gpu, but PyTorch finds no GPU here; use trainer=cpu")
     torch.set_num_threads(threads)
+    _silence()
     callbacks: list[lightning.Callback] = [StopOnDivergence(), Checkpoint(folder, checkpoint_every)]
     if progress:
         callbacks.append(ProgressBar())
-    _silence()
     return lightning.Trainer(
         accelerator=accelerator,
         devices=1,
@@ -65,5 +66,7 @@ def make_trainer(
 
 def _silence() -> None:
     """Advice of Lightning that does not apply to data in memory and one item an epoch."""
-    for message in (".*does not have many workers.*", ".*number of training batches.*"):
-        warnings.filterwarnings("ignore", message=message)
+    for name in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    for message in ("does not have many workers", "number of training batches", "LeafSpec"):
+        warnings.filterwarnings("ignore", message=f".*{message}.*")

@@ -1,0 +1,66 @@
+# `make help` lists the targets. Nothing is needed but Python 3.10 or newer with venv.
+
+ifndef PYTHON
+PYTHON := $(shell for p in python3 python3.13 python3.12 python3.11 python3.10 python; do \
+	$$p -c 'import sys, venv; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && echo $$p && break; done)
+endif
+VENV ?= .venv
+PORT ?= 5000
+BIN := $(VENV)/bin
+PY := $(BIN)/python
+INSTALLED := $(VENV)/.installed
+STORE := $(CURDIR)/mlruns
+
+# One thread a process: at these sizes more threads only get in each other's way.
+export OMP_NUM_THREADS := 1
+export MLFLOW_DISABLE_TELEMETRY := true
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test test-slow ui lint smoke bench bench-quick clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
+
+install: $(INSTALLED) ## make the environment in .venv from constraints.txt
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "No Python 3.10 or newer with venv found; give one: make PYTHON=/path/to/python3" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: install ## train all four methods on the pendulum and print the results, some minutes
+	$(PY) -m symo_exp -cn demo
+	@echo
+	@echo 'The same with curves and pictures: make ui, then open http://127.0.0.1:$(PORT)'
+
+test: install ## run the tests, but for the long proofs
+	$(PY) -m pytest -n 2
+
+test-slow: install ## run the long proofs
+	$(PY) -m pytest -m slow
+
+ui: install ## open MLflow on the local store (PORT=5000)
+	@mkdir -p $(STORE)
+	MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow server --workers 1 \
+		--host 127.0.0.1 --port $(PORT) \
+		--backend-store-uri sqlite:///$(STORE)/mlflow.db \
+		--default-artifact-root $(STORE)/artifacts
+
+lint: install ## check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+smoke: install ## a sweep of a few epochs: does everything run?
+	$(PY) -m symo_exp -cn smoke
+
+bench: install ## measure speed, against other implementations where they are installed
+	$(PY) -m benchmarks
+
+bench-quick: install ## the same in two minutes
+	$(PY) -m benchmarks --quick
+
+clean: ## remove what was built, trained and cached here, and the environment
+	rm -rf $(VENV) build dist outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

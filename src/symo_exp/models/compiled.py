@@ -1,0 +1,69 @@
+"""Compiled training: loss and gradients of a batch as one graph, its kernels cached on disk.
+
+At these sizes a training step is a few hundred small operations, and most of its time is spent
+between them. Tracing the loss together with its gradient and handing both to the compiler
+removes that. Results agree with the uncompiled step to rounding.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.fx.experimental.proxy_tensor import make_fx
+from torch.utils import _pytree as pytree
+
+log = logging.getLogger(__name__)
+
+
+def compiler_available() -> bool:
+    """Whether the machine has the C++ compiler that the generated kernels need."""
+    return any(shutil.which(name) for name in ("c++", "g++", "clang++"))
+
+
+class Program:
+    """A function of tensors over a model's parameters, compiled once for each set of shapes."""
+
+    def __init__(self, model: nn.Module, function: Callable[..., Any], *, gradients: bool) -> None:
+        """With ``gradients`` the function returns ``(loss, rest)``, and a call
+        ``(loss, rest, gradients of the parameters)``."""
+        self._call = _Call(model, function)
+        names, parameters = zip(*self._call.named_parameters(), strict=True)
+        self._names: tuple[str, ...] = names
+        self._parameters: list[Tensor] = list(parameters)
+        self._gradients = gradients
+        self._compiled: dict[tuple[Any, ...], Callable[..., Any]] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        flat, _ = pytree.tree_flatten(arguments)
+        key = tuple((x.shape, x.dtype, x.device) for x in flat)
+        if key not in self._compiled:
+            traced = make_fx(lambda *inputs: self._run(*inputs))(self._parameters, arguments)
+            self._compiled[key] = torch.compile(traced, fullgraph=True, dynamic=False)
+        with torch.no_grad():
+            return self._compiled[key](self._parameters, arguments)
+
+    def _run(self, parameters: list[Tensor], arguments: tuple[Any, ...]) -> Any:
+        named = dict(zip(self._names, parameters, strict=True))
+        with torch.set_grad_enabled(self._gradients):
+            result = torch.func.functional_call(self._call, named, arguments)
+            if not self._gradients:
+                return result
+            loss, rest = result
+            gradients = torch.autograd.grad(loss, parameters, materialize_grads=True)
+        return loss.detach(), rest, gradients
+
+
+class _Call(nn.Module):
+    """A function as the forward pass of a module, so that its parameters can be replaced."""
+
+    def __init__(self, model: nn.Module, function: Callable[..., Any]) -> None:
+        super().__init__()
+        self.model, self._function = model, function
+
+    def forward(self, *arguments: Any) -> Any:
+        return self._function(*arguments)

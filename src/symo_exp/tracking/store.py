@@ -1,0 +1,183 @@
+"""Where runs are kept: an SQLite file by default, any MLflow tracking URI by configuration.
+
+MLflow creates a database, its tables and an experiment without a lock, so that processes that
+start together on a fresh store kill each other ("table experiments already exists"). Here all of
+it happens under a file lock beside the database.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import socket
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from filelock import FileLock, Timeout
+
+from symo_exp.errors import ConfigError
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+MEND = "correct logger.tracking_uri or MLFLOW_TRACKING_URI, or set neither for a local SQLite store"
+PORTS = {"postgresql": 5432, "mysql": 3306, "mssql": 1433}
+LOCK_SECONDS = 300.0
+
+
+@dataclass(frozen=True)
+class Store:
+    """A tracking store; relative paths have become absolute."""
+
+    uri: str
+    artifacts: str | None
+    """Where a new experiment keeps its files; ``None`` leaves it to the server."""
+    database: Path | None
+    """The file of an SQLite store."""
+
+    def __str__(self) -> str:
+        """The URI without a password."""
+        parts = urlsplit(self.uri)
+        if not parts.password:
+            return self.uri
+        return self.uri.replace(f":{parts.password}@", ":…@", 1)
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other processes out of an SQLite store while something is created in it."""
+        if self.database is None:
+            yield
+            return
+        self.database.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with FileLock(f"{self.database}.lock", timeout=LOCK_SECONDS):
+                yield
+        except Timeout:
+            raise ConfigError(
+                f"{self.database}.lock has been held for {LOCK_SECONDS:.0f} s by another process: "
+                "wait for it or end it"
+            ) from None
+
+
+def find(tracking_uri: str | None, directory: str | Path) -> Store:
+    """The store meant by the configuration, else by MLFLOW_TRACKING_URI, else SQLite.
+
+    ``directory`` holds the default ``mlflow.db`` and, unless a server decides, the artifacts.
+    """
+    folder = Path(directory).expanduser().absolute()
+    uri = tracking_uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{folder}/mlflow.db"
+    scheme = urlsplit(uri).scheme.partition("+")[0]
+    if scheme == "sqlite":
+        name = uri.partition("?")[0].partition(":///")[2]
+        if not name:
+            raise ConfigError(f"tracking URI {uri!r} names no file; give sqlite:///path/mlflow.db")
+        database = Path(name).absolute()
+        uri = uri.replace(name, str(database), 1)
+        return Store(uri, str(database.parent / "artifacts"), database)
+    if scheme in ("http", "https", "databricks") or uri == "databricks":
+        return Store(uri.rstrip("/"), None, None)
+    if scheme in PORTS:
+        return Store(uri, str(folder / "artifacts"), None)
+    known = "sqlite:///, http://, https://, " + ", ".join(f"{name}://" for name in PORTS)
+    raise ConfigError(f"tracking URI {uri!r} is of no kind MLflow keeps runs in ({known}): {MEND}")
+
+
+def check(store: Store, timeout: float) -> None:
+    """Refuse a store that cannot be reached or written, within ``timeout`` seconds.
+
+    Costs no import of MLflow, so that every job can ask before anything starts.
+    """
+    parts = urlsplit(store.uri)
+    if store.database is not None:
+        _check_file(store.database)
+    elif parts.scheme in ("http", "https"):
+        _check_server(store, timeout)
+    elif parts.hostname is not None:
+        port = parts.port or PORTS[parts.scheme.partition("+")[0]]
+        try:
+            socket.create_connection((parts.hostname, port), timeout).close()
+        except OSError as error:
+            raise ConfigError(f"no database answers at {store} ({error}): {MEND}") from None
+
+
+def _check_server(store: Store, timeout: float) -> None:
+    try:
+        urllib.request.urlopen(f"{store.uri}/health", timeout=timeout).close()
+    except urllib.error.HTTPError:
+        pass  # an answer, if only to ask who we are
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "reason", None) or error
+        raise ConfigError(f"no tracking server answers at {store} ({reason}): {MEND}") from None
+
+
+def _check_file(database: Path) -> None:
+    folder = database.parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if database.exists():
+            with database.open("rb+") as file:
+                header = file.read(16)
+            if header not in (b"", b"SQLite format 3\0"):
+                raise ConfigError(f"{database} is not an SQLite database: move it away or {MEND}")
+        elif not os.access(folder, os.W_OK):
+            raise PermissionError(f"no permission to write in {folder}")
+    except OSError as error:
+        reason = error.strerror or error
+        raise ConfigError(f"tracking store {database} is not writable ({reason}): {MEND}") from None
+
+
+@functools.lru_cache(maxsize=8)
+def connect(store: Store) -> MlflowClient:
+    """A client of the store; creates and migrates the tables of a fresh database (3 s)."""
+    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
+    # MLflow's own patience is minutes per call: training would seem to hang on a dead server.
+    os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
+    os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "20")
+
+    import logging
+
+    for name in ("mlflow.store.db.utils", "alembic"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+
+    from mlflow import MlflowClient
+    from mlflow.exceptions import MlflowException
+
+    try:
+        with store.lock():
+            client = MlflowClient(store.uri, registry_uri=store.uri)
+            client.search_experiments(max_results=1)
+    except MlflowException as error:
+        reason = str(error).strip().splitlines()[0]
+        raise ConfigError(f"tracking store {store} cannot be opened: {reason}") from error
+    return client
+
+
+def experiment_id(store: Store, name: str) -> str:
+    """The experiment of that name, created if need be; racing processes get the same one."""
+    from mlflow.exceptions import MlflowException
+
+    client = connect(store)
+    with store.lock():
+        found = client.get_experiment_by_name(name)
+        if found is None:
+            try:
+                return client.create_experiment(name, artifact_location=store.artifacts)
+            except MlflowException as error:
+                # behind a server there is no lock: another process was faster
+                if error.error_code != "RESOURCE_ALREADY_EXISTS":
+                    raise
+                found = client.get_experiment_by_name(name)
+                assert found is not None
+    if found.lifecycle_stage != "active":
+        raise ConfigError(
+            f"experiment {name!r} was deleted in {store}: restore it "
+            f"(mlflow experiments restore -x {found.experiment_id}) or choose another name"
+        )
+    return str(found.experiment_id)

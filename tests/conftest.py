@@ -1,0 +1,36 @@
+"""What all tests share."""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
+
+import pytest
+import torch
+from jaxtyping import install_import_hook
+
+# The shapes in the signatures of the mathematics are checked wherever a test calls it. (Not in
+# modules of protocols, which beartype cannot check.)
+install_import_hook(
+    [
+        "symo_exp.mechanics.euler_lagrange",
+        "symo_exp.mechanics.explicit",
+        "symo_exp.mechanics.lagrangian",
+        "symo_exp.nets",
+        "symo_exp.evaluation.measures",
+    ],
+    "beartype.beartype",
+)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_thread():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    """An empty folder to run commands in, with a store and a cache of its own."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("MLFLOW_TRACKING_URI", "SYMO_EXP_DEBUG", "HYDRA_FULL_ERROR"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path

@@ -1,0 +1,53 @@
+"""The true Lagrangian in an integrator: what is left is that integrator's own error."""
+
+import pytest
+import torch
+from tests.tables import systems
+
+from symo_exp.data.datamodule import TrajectoryData
+from symo_exp.evaluation.evaluate import evaluate
+from symo_exp.mechanics.explicit import RK4
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.variational import VariationalMidpoint
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.l_node import LNODE
+from symo_exp.models.symo import SyMo
+from symo_exp.systems.base import System
+
+# test pose MSE over the sampling box of the thesis: variational midpoint, RK4
+FLOORS = {"pendulum": (1.9e-5, 1.8e-8), "cartpole": (1.1e-8, 2.9e-12), "acrobot": (3.1e-8, 3.3e-12)}
+
+
+def knowing(model: DynamicsModel, system: System) -> DynamicsModel:
+    """The model with the truth in the place of its network."""
+    del model._lagrangian
+    model._lagrangian = system
+    return model
+
+
+@pytest.mark.parametrize("name", FLOORS)
+def test_the_one_step_error_of_the_truth_is_the_known_floor_of_the_integrator(name: str):
+    system = systems()[name]
+    sets = TrajectoryData(
+        system=system, n_traj=1, n_val=1, n_test=96, n_train_max=1, n_integration=2,
+        integration_steps=100, dtype="float64",
+    )  # fmt: skip
+    sets.setup("test")
+    shape = {
+        "coordinates": system.coordinates, "input_matrix": system.input_matrix,
+        "time_step": system.time_step, "width": 4,
+    }  # fmt: skip
+    root = Newton(tolerance=1e-10, max_iterations=20)
+    symo = knowing(SyMo(integrator=VariationalMidpoint(), root=root, **shape), system)
+    l_node = knowing(LNODE(integrator=RK4(), **shape), system)
+    midpoint, rk4 = evaluate(symo, system, sets).measures, evaluate(l_node, system, sets).measures
+
+    assert midpoint["test_mse"] == pytest.approx(FLOORS[name][0], rel=0.5)
+    assert rk4["test_mse"] == pytest.approx(FLOORS[name][1], rel=0.5)
+    for found in (midpoint, rk4):
+        assert found["inertia_mse_aligned"] == 0.0
+        assert found["integration_diverged"] == 0.0
+    assert midpoint["test_newton_failed"] == midpoint["integration_newton_failed"] == 0.0
+    # half a step of mismatch, not the motion, is what finite differences measure
+    assert midpoint["energy_mse"] < 0.1 * midpoint["energy_mse_fd"]
+    assert torch.get_default_dtype() == torch.float32

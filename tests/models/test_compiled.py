@@ -1,0 +1,40 @@
+"""Compiled training follows the uncompiled step."""
+
+import pytest
+import torch
+from tests.models.methods import make, windows
+
+from symo_exp.mechanics.roots import Newton
+from symo_exp.models.compiled import compiler_available
+
+needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ compiler")
+SLOW = [
+    pytest.param(*pair, marks=pytest.mark.slow)
+    for pair in [("node", "rk4"), ("l_node", "rk4"), ("e2e_symo", "midpoint")]
+]
+
+
+@needs_compiler
+@pytest.mark.parametrize(("method", "integrator"), [("symo", "midpoint"), *SLOW])
+def test_loss_and_gradients_are_those_of_the_uncompiled_step(method, integrator):
+    model, data = make(method, integrator, 2), windows(2, samples=8)
+    if not model.reads_velocity:
+        model.root = Newton(tolerance=1e-8)
+    expected = model.loss_and_gradients(data)
+    gradients = [parameter.grad.clone() for parameter in model.parameters()]
+    model.compile_training()
+    for _ in range(2):
+        loss = model.loss_and_gradients(data)
+        torch.testing.assert_close(loss, expected, atol=0, rtol=1e-9)
+        for parameter, gradient in zip(model.parameters(), gradients, strict=True):
+            torch.testing.assert_close(parameter.grad, gradient, atol=1e-10, rtol=1e-7)
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_a_batch_that_newton_cannot_finish_is_left_to_the_safeguards():
+    model, data = make("e2e_symo", "midpoint", 2), windows(2, samples=8)
+    model.root = Newton(tolerance=1e-300, max_iterations=2)
+    expected = model.loss_and_gradients(data)
+    model.compile_training()
+    torch.testing.assert_close(model.loss_and_gradients(data), expected)

@@ -1,0 +1,77 @@
+"""Every file of the configuration composes, passes the checks and builds what it names."""
+
+import pytest
+import torch
+
+from symo_exp.configuration import CONF, SWEEPS
+from symo_exp.configuration.command import jobs_of, parse
+from symo_exp.configuration.help import description
+from symo_exp.errors import ConfigError
+from symo_exp.recipe import build
+from tests.tables import choices
+
+GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")})
+CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
+SHIPPED = [*CONF.rglob("*.yaml"), *SWEEPS.glob("*.yaml")]
+
+
+def build_all(*argv: str, folder) -> list:
+    command = jobs_of(parse(argv))
+    return [build(job.config, folder / str(i)) for i, job in enumerate(command.jobs)]
+
+
+@pytest.mark.parametrize(("group", "choice"), CHOICES)
+def test_every_choice_builds(group, choice, workplace):
+    words = [f"{group}={choice}"]
+    if words == ["data=recorded"]:
+        (workplace / "mine.csv").write_text("trajectory,t,q_theta,u_0\n")
+        words.append("data.path=mine.csv")
+    if words == ["integrator=rk4"]:
+        words.append("model=node")
+    if words == ["trainer=gpu"] and not torch.cuda.is_available():
+        with pytest.raises(ConfigError, match="no GPU"):
+            build_all(*words, folder=workplace)
+        return
+    (parts,) = build_all(*words, folder=workplace)
+    assert parts.model.coordinates == parts.system.coordinates
+
+
+@pytest.mark.parametrize("preset", choices("preset"))
+@pytest.mark.parametrize("model", choices("model"))
+def test_every_model_builds_for_every_system(model, preset, workplace):
+    systems = ",".join(choices("system"))
+    parts = build_all(f"model={model}", f"preset={preset}", "-m", f"system={systems}", folder=workplace)
+    assert len({type(p.system) for p in parts}) == len(choices("system"))
+
+
+@pytest.mark.parametrize("sweep", sorted(f.stem for f in SWEEPS.glob("*.yaml")))
+def test_every_sweep_has_jobs_that_pass(sweep, workplace):
+    command = jobs_of(parse(["-cn", sweep, "--config-dir", str(SWEEPS)]))
+    assert command.multirun
+    assert len({job.folder for job in command.jobs}) == len(command.jobs) > 1
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda f: f"{f.parent.name}/{f.stem}")
+def test_every_file_says_what_it_is(file):
+    assert description(file)
+
+
+def test_thesis_and_default_protocol(workplace):
+    """The settings that the thesis states, and the ones in which the default differs from it."""
+    words = ["model=e2e_symo", "system=acrobot", "-m", "preset=default,thesis"]
+    default, thesis = (job.config for job in jobs_of(parse(words)).jobs)
+    for config in default, thesis:
+        assert (config.model.width, config.optimizer.lr) == (256, 1e-3)
+        assert config.trainer.max_epochs == 2000
+        assert config.data.batch_size is None
+        assert (config.scheduler.patience, config.scheduler.factor) == (50, 0.7)
+        assert (config.root.training.tolerance, config.root.training.max_iterations) == (1e-5, 10)
+    assert (default.model.scheduler_monitor, default.data.monitor) == ("train_loss", "val")
+    assert (thesis.model.scheduler_monitor, thesis.data.monitor) == ("val_loss", "test")
+    assert thesis.trainer.validate_every == 1
+    assert (thesis.root.rollout.tolerance, thesis.root.rollout.max_iterations) == (1e-4, 10)
+    assert default.root.rollout.tolerance <= 1e-9
+    assert thesis.integrator.sensitivity == "adjoint"
+    assert (thesis.data.solver.method, thesis.data.solver.rtol) == ("RK45", 1e-3)
+    pendulum = jobs_of(parse(["system=pendulum"])).jobs[0].config
+    assert (pendulum.model.width, pendulum.optimizer.lr) == (128, 1e-4)

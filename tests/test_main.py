@@ -1,0 +1,250 @@
+"""The command line: help, refusals, runs, sweeps, failures, exit codes."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from symo_exp.__main__ import main
+from symo_exp.configuration import CONF, SWEEPS
+from symo_exp.configuration.command import jobs_of, parse
+from symo_exp.recipe import parameters, run
+from symo_exp.training.outcome import MEASURES, Outcome
+
+TINY = [
+    "model.width=8",
+    "trainer.max_epochs=2",
+    "trainer.validate_every=1",
+    "data.n_traj=2",
+    "data.n_train_max=4",
+    "data.n_val=2",
+    "data.n_test=2",
+    "data.n_integration=2",
+    "data.integration_steps=20",
+    "data.monitor_trajectories=2",
+    "data.cache_dir=cache",
+]
+QUIET = [*TINY, "logger=none"]
+
+# what is typed, and words that the one line of the answer must have
+BAD = [
+    # keys
+    ("data.ntraj=8", "data.ntraj", "data.n_traj"),
+    ("n_traj=8", "n_traj", "data.n_traj"),
+    ("modle=symo", "modle", "model"),
+    ("+data.x=1", "data.x", "n_traj"),
+    ("++model.dept=2", "model.dept", "model.depth"),
+    ("+optimizer.learning_rate=1", "optimizer.learning_rate", "lr"),
+    ("+root.training.stoping=row", "root.training.stoping", "root.training.stopping"),
+    ("+nonsense.deep.inside=1", "nonsense", ""),
+    ("+data.solver.metod=RK45", "data.solver.metod", "data.solver.method"),
+    ("hydra.sweep.dirr=x", "dirr", ""),
+    ("data.n_traj", "data.n_traj", "="),
+    # choices
+    ("model=symoo", "symoo", "e2e_symo, l_node, node, symo"),
+    ("system=pendulun", "pendulun", "did you mean pendulum"),
+    ("integrator=rk5", "rk5", "midpoint, rk4"),
+    ("integrator=null", "null", "midpoint, rk4"),
+    ("+model=symo", "model", ""),
+    ("hydra/launcher=jobli", "jobli", "joblib"),
+    ("dtype=float16", "float16", "float32, float64"),
+    ("model.scheduler_monitor=loss", "loss", ""),
+    ("root.training.stopping=never", "never", "row or batch"),
+    ("integrator.sensitivity=magic", "magic", "direct or adjoint"),
+    ("data.monitor=train", "train", "val"),
+    ("trainer.accelerator=tpu", "tpu", "cpu or gpu"),
+    # values
+    ("data.n_traj=0", "0", "1 to 128"),
+    ("data.n_traj=129", "129", "1 to 128"),
+    ("data.n_traj=8.5", "8.5", "whole number"),
+    ("data.n_traj=many", "many", "whole number"),
+    ("data.n_traj=null", "null", "whole number"),
+    ("data.n_traj=[8]", "data.n_traj", "whole number"),
+    ("data.noise_std=-1", "-1", "at least 0"),
+    ("data.noise_std=nan", "nan", ""),
+    ("data.batch_size=0", "0", "at least 1"),
+    ("data.shuffle=perhaps", "perhaps", "true or false"),
+    ("data.solver.rtol=-1", "rtol", ""),
+    ("trainer.max_epochs=-1", "-1", "at least 1"),
+    ("trainer.max_epochs=0", "0", "at least 1"),
+    ("trainer.validate_every=0", "0", "at least 1"),
+    ("trainer.threads=0", "0", "at least 1"),
+    ("trainer.checkpoint_every=-1", "-1", "seconds"),
+    ("optimizer.lr=-1", "-1", "learning rate"),
+    ("optimizer.lr=fast", "fast", "number"),
+    ("model.width=0", "width", "0"),
+    ("model.depth=0", "depth", "0"),
+    ("model.width=wide", "wide", "whole number"),
+    ("root.training.tolerance=0", "tolerance", "0"),
+    ("root.training.max_iterations=0", "max_iterations", "0"),
+    ("system.mass=-1", "system.mass", "-1"),
+    ("system.time_step=0", "system.time_step", "0"),
+    ("seed=-1", "-1", "seed"),
+    ("seed=first", "first", "whole number"),
+    # combinations
+    ("model=symo integrator=rk4", "integrator=rk4", "integrator=midpoint"),
+    ("model=e2e_symo integrator=rk4", "integrator=rk4", "integrator=midpoint"),
+    ("data.n_traj=8,16", "data.n_traj", "multirun"),
+    ("data=recorded", "data.path", ""),
+    ("data=recorded data.path=nowhere.csv", "nowhere.csv", ""),
+    # places
+    ("output_dir=/dev/null/here", "/dev/null", "output_dir"),
+    ("logger.tracking_uri=http://127.0.0.1:9", "127.0.0.1:9", "tracking"),
+    ("logger.tracking_uri=sqlite:////dev/null/x/y.db", "/dev/null", ""),
+    ("logger.tracking_uri=carrier://pigeon", "carrier", "sqlite"),
+    ("--config-dir nowhere", "nowhere", ""),
+    ("-cn nothing", "nothing", ""),
+    # what a configuration must not run
+    ("model._target_=os.system", "os.system", "refused"),
+    ("model._target_=symo_exp.launch.os.system", "os.system", "refused"),
+    ("optimizer._target_=torch.hub.load", "torch.hub.load", "refused"),
+    ("optimizer._target_=torch.optim.Adom", "Adom", "cannot be found"),
+    # the last job of a sweep
+    ("-m data.n_traj=8,16,0", "data.n_traj=0", "1 to 128"),
+    ("-m data.n_traj=8 model=node,symo integrator=rk4", "model=symo", "integrator=midpoint"),
+    ("-m data.n_traj=8,8", "data.n_traj=8", "same run"),
+    ("-m model=node,symoo", "symoo", "symo"),
+    ("-cn smoke data.noise_std=0,-1", "noise_std=-1", "at least 0"),
+]
+
+
+@pytest.mark.parametrize(("typed", "given", "wanted"), BAD, ids=[typed for typed, *_ in BAD])
+def test_bad_input_is_refused_in_a_line(typed, given, wanted, workplace, capsys, monkeypatch):
+    monkeypatch.setattr("symo_exp.launch._hydra", lambda argv: pytest.fail("it started"))
+    code = main([*typed.split(), "data.cache_dir=cache"])
+    out, err = capsys.readouterr()
+    assert code == 2, err
+    lines = err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("symo_exp: error: ")
+    assert given in lines[0]
+    assert wanted in lines[0]
+    assert out == ""
+    assert list(workplace.rglob("*.ckpt")) + list(workplace.rglob("*.npz")) == []
+
+
+def test_help_shows_every_choice_with_a_line(workplace, capsys):
+    assert main(["-h"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    for file in [*CONF.glob("*/*.yaml"), *SWEEPS.glob("*.yaml")]:
+        assert any(line[0] == file.stem and len(line) > 2 for line in lines if line), file
+
+
+def test_help_and_settings_come_without_the_heavy_libraries(workplace):
+    code = (
+        "import sys; from symo_exp.__main__ import main; code = main(sys.argv[1:]); "
+        "heavy = {'torch', 'lightning', 'mlflow', 'pandas', 'matplotlib'} & set(sys.modules); "
+        "sys.exit(f'{code} {heavy}' if code or heavy else 0)"
+    )
+    for words in (["-h"], ["model=node", "--cfg", "job"]):
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    assert "symo_exp.models.node.NODE" in done.stdout
+
+
+def test_overrides_may_stand_on_both_sides_of_an_option():
+    words = "model=e2e_symo system=acrobot -m data.n_traj=8,16,32,64,128".split()
+    jobs, multirun = jobs_of(parse(words))
+    assert multirun
+    assert [job.config.data.n_traj for job in jobs] == [8, 16, 32, 64, 128]
+    assert {job.config.model._target_ for job in jobs} == {"symo_exp.models.e2e_symo.E2ESyMo"}
+    assert {job.config.system._target_ for job in jobs} == {"symo_exp.systems.acrobot.Acrobot"}
+
+
+def test_a_folder_belongs_to_what_is_computed(workplace):
+    def folder(*words):
+        return jobs_of(parse(words)).jobs[0].folder
+
+    assert folder("seed=1") == folder("seed=1", "trainer.progress=false", "logger=none")
+    assert folder("seed=1") == folder("-m", "seed=1")
+    names = [folder(), folder("seed=1"), folder("data.n_traj=8"), folder("optimizer.lr=1e-3")]
+    assert len(set(names)) == len(names)
+
+
+def test_the_recipe_returns_what_it_made(workplace):
+    config = jobs_of(parse([*QUIET, "model=l_node", "dtype=float64"])).jobs[0].config
+    done = run(config, workplace / "here", {"model": "l_node", "system": "pendulum"})
+    assert set(MEASURES) <= set(done.evaluation.measures)
+    assert next(done.parts.model.parameters()).dtype == torch.float64
+    assert torch.get_default_dtype() == torch.float32
+    assert (workplace / "here" / "checkpoints" / "last.ckpt").exists()
+
+
+def test_parameters_are_flat_and_told_once():
+    config = jobs_of(parse([])).jobs[0].config
+    flat = parameters(config, {"model": "e2e_symo", "hydra/launcher": "basic"})
+    assert flat["model"] == "e2e_symo"
+    assert flat["optimizer.lr"] == config.optimizer.lr
+    assert flat["data.seed"] == config.seed
+    assert not {name for name in flat if name.startswith(("hydra", "model.optimizer"))}
+
+
+def test_a_run_ends_in_one_line(workplace, capsys):
+    assert main([*QUIET, "model=symo"]) == 0
+    out, err = capsys.readouterr()
+    (line,) = out.strip().splitlines()
+    assert all(name in line for name in MEASURES)
+    (folder,) = (workplace / "outputs" / "default").glob("symo-pendulum-*")
+    assert str(folder.relative_to(workplace)) in line
+    assert Outcome.read(folder).status == "finished"
+
+
+def test_the_same_command_gives_the_same_numbers(workplace, capsys):
+    numbers = []
+    for _ in range(2):
+        assert main([*QUIET, "model=e2e_symo"]) == 0
+        (file,) = workplace.rglob("outcome.json")
+        numbers.append(json.loads(file.read_text())["measures"])
+    assert numbers[0] == numbers[1]
+
+
+def test_a_failing_job_does_not_stop_the_others(workplace, capsys):
+    # a rate of 1e30 overflows in the first steps
+    code = main([*QUIET, "model=node", "-m", "optimizer.lr=1e-3,1e30,1e-4"])
+    out, _ = capsys.readouterr()
+    assert code == 1
+    outcomes = {}
+    for file in (workplace / "outputs" / "default").glob("*/outcome.json"):
+        outcomes[file.parent] = Outcome.read(file.parent)
+    assert sorted(o.status for o in outcomes.values()) == ["failed", "finished", "finished"]
+    ((folder, failed),) = [(f, o) for f, o in outcomes.items() if o.status == "failed"]
+    assert "loss" in failed.reason
+    assert "optimizer.lr" in failed.reason  # what to try
+    (line,) = [line for line in out.splitlines() if line.startswith("failed: ")]
+    assert "optimizer.lr=1e30" in line
+    log = folder / "symo_exp.log"
+    assert str(log) in line
+    assert "Traceback" in log.read_text()
+    assert "Traceback" not in out
+
+
+def test_an_unforeseen_error_is_a_line_and_an_exit_code(workplace, capsys, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr("symo_exp.recipe.evaluate", broken)
+    assert main(QUIET) == 1
+    out, err = capsys.readouterr()
+    assert "ZeroDivisionError: oh" in err
+    assert "Traceback" not in out + err
+
+
+def test_a_multirun_is_one_parent_with_its_children(workplace, capsys):
+    words = [*TINY, "experiment=study", "model=node", "-m", "seed=0,1"]
+    assert main(words) == 0
+    assert "seed=1" in capsys.readouterr().out
+    from mlflow import MlflowClient
+
+    client = MlflowClient(f"sqlite:///{workplace}/mlruns/mlflow.db")
+    experiment = client.get_experiment_by_name("study")
+    runs = client.search_runs([experiment.experiment_id])
+    assert {r.info.status for r in runs} == {"FINISHED"}
+    (parent,) = [r for r in runs if "mlflow.parentRunId" not in r.data.tags]
+    children = [r for r in runs if r is not parent]
+    assert {r.data.tags["mlflow.parentRunId"] for r in children} == {parent.info.run_id}
+    assert sorted(r.data.params["seed"] for r in children) == ["0", "1"]
+    assert all("test_mse" in r.data.metrics for r in children)

@@ -1,0 +1,178 @@
+"""Which store is meant, whether it can be used, and that nobody tramples on it."""
+
+import multiprocessing
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+
+from symo_exp.errors import ConfigError
+from symo_exp.tracking import store as stores
+from symo_exp.tracking.runs import open_run
+from symo_exp.tracking.store import Store, check, connect, experiment_id, find
+
+
+def test_configuration_then_environment_then_sqlite(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert find(None, "runs").uri == f"sqlite:///{tmp_path}/runs/mlflow.db"
+    assert find(None, "runs").artifacts == f"{tmp_path}/runs/artifacts"
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://host:5000/")
+    assert find(None, "runs") == Store("http://host:5000", None, None)
+    assert find("sqlite:///x/y.db", "runs").uri == f"sqlite:///{tmp_path}/x/y.db"
+    assert find("sqlite:///x/y.db", "runs").artifacts == f"{tmp_path}/x/artifacts"
+    assert find("postgresql+psycopg2://u@h/db", "runs").artifacts == f"{tmp_path}/runs/artifacts"
+
+
+@pytest.mark.parametrize("uri", ["file:./mlruns", "mlruns", "/tmp/mlruns", "ftp://x", "sqlite://"])
+def test_a_uri_of_no_use_is_refused(uri, tmp_path):
+    with pytest.raises(ConfigError, match=r"tracking URI .*sqlite:///") as caught:
+        find(uri, tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_password_is_not_shown():
+    assert "secret" not in str(find("postgresql://me:secret@host/db", "."))
+
+
+def refused(store: Store, timeout: float = 0.5) -> str:
+    start = time.monotonic()
+    with pytest.raises(ConfigError) as caught:
+        check(store, timeout)
+    assert time.monotonic() - start < timeout + 2
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("scheme", ["http", "postgresql"])
+def test_nobody_there(scheme):
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+        assert "refused" in refused(find(f"{scheme}://127.0.0.1:{port}", "."))
+
+
+def test_a_silent_server_is_given_up():
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        assert "timed out" in refused(find(f"http://127.0.0.1:{silent.getsockname()[1]}", "."))
+
+
+def test_a_server_that_asks_for_a_password_is_there():
+    class Guarded(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_error(401)
+
+        def log_message(self, *_):
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Guarded)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        check(find(f"http://127.0.0.1:{server.server_port}", "."), timeout=2)
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def test_a_folder_that_cannot_be(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    assert "not writable" in refused(find(None, tmp_path / "file"))
+    assert "not writable" in refused(find(None, "/proc/nothing"))
+
+
+def test_a_foreign_file_is_not_touched(tmp_path):
+    (tmp_path / "mlflow.db").write_text("my diary, volume one")
+    assert "not an SQLite database" in refused(find(None, tmp_path))
+    assert (tmp_path / "mlflow.db").read_text() == "my diary, volume one"
+
+
+def test_a_store_of_a_newer_mlflow(store):
+    with sqlite3.connect(store.database) as database:
+        database.execute("update alembic_version set version_num = 'from_the_future'")
+    with pytest.raises(ConfigError, match="cannot be opened") as caught:
+        connect(store)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_experiment_is_created_once_and_keeps_its_artifacts_beside_the_database(store):
+    first = experiment_id(store, "e")
+    assert experiment_id(store, "e") == first
+    assert connect(store).get_experiment(first).artifact_location == store.artifacts
+
+
+def test_a_deleted_experiment_is_said(store):
+    connect(store).delete_experiment(experiment_id(store, "e"))
+    with pytest.raises(ConfigError, match="mlflow experiments restore"):
+        experiment_id(store, "e")
+
+
+def test_an_experiment_that_another_process_just_created(store, monkeypatch):
+    """Behind a server there is no lock: between our look and our creation it appears."""
+    client = connect(store)
+    wanted = client.create_experiment("e")
+    look = client.get_experiment_by_name
+    answers = iter([None, look("e")])
+    monkeypatch.setattr(client, "get_experiment_by_name", lambda name: next(answers))
+    assert experiment_id(store, "e") == wanted
+
+
+def _start(directory: Path, barrier, results) -> None:
+    try:
+        barrier.wait(60)
+        results.put(open_run(find(None, directory), "crowd", name="job"))
+    except BaseException as error:
+        results.put(error)
+        raise
+
+
+def test_four_processes_at_once_on_a_store_that_does_not_exist(tmp_path):
+    import mlflow  # noqa: F401  # before the fork, so that the processes do start together
+
+    context = multiprocessing.get_context("fork")
+    barrier, results = context.Barrier(4), context.Queue()
+    workers = [
+        context.Process(target=_start, args=(tmp_path / "new", barrier, results)) for _ in range(4)
+    ]
+    for worker in workers:
+        worker.start()
+    found = [results.get(timeout=120) for _ in workers]
+    for worker in workers:
+        worker.join(60)
+    assert all(isinstance(run, str) for run in found), found
+    client = connect(find(None, tmp_path / "new"))
+    experiments = client.search_experiments(filter_string="name = 'crowd'")
+    assert len(experiments) == 1
+    runs = client.search_runs([experiments[0].experiment_id])
+    assert {run.info.run_id for run in runs} == set(found)
+    assert len(runs) == 4
+
+
+def test_a_lock_that_is_never_released_ends_in_a_sentence(store, monkeypatch):
+    monkeypatch.setattr(stores, "LOCK_SECONDS", 0.1)
+    with store.lock():
+        code = (
+            "from symo_exp.tracking import store as s; s.LOCK_SECONDS = 0.1\n"
+            f"with s.find({store.uri!r}, '.').lock(): pass"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "ConfigError" in done.stderr
+    assert "by another process" in done.stderr
+
+
+def test_mlflow_is_imported_only_when_a_store_is_opened():
+    code = (
+        "import sys\n"
+        "from symo_exp.tracking import store, runs, parent, process, revision, artifacts\n"
+        "store.check(store.find(None, '/tmp'), 1.0)\n"
+        "assert not {'mlflow', 'torch', 'lightning'} & set(sys.modules), sorted(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
