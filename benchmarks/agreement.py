@@ -15,7 +15,7 @@ import torch
 
 from benchmarks.cases import CASES, METHODS, plausible_weights, system_windows
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
-from benchmarks.project import Project
+from benchmarks.project import Project, compiler_available
 
 LOSS_TOLERANCE = 1e-3
 GRADIENT_TOLERANCE = 2e-3
@@ -59,6 +59,8 @@ def differences(system: str, method: str, rows: int = 128) -> list[Difference]:
     if jax_is_installed():
         contenders["jax"] = Jax(method, case, layers)
     contenders["project"] = Project(method, case, layers)
+    if compiler_available():
+        contenders["compiled"] = Project(method, case, layers, compiled=True)
     return compare(system, method, reference, contenders, windows)
 
 

@@ -86,24 +86,25 @@ class Project:
         *,
         dtype: torch.dtype = torch.float32,
         lr: float = 1e-3,
+        compiled: bool = False,
         **options: Any,
     ):
         self.dtype = dtype
         self.model = build(method, case, layers, dtype, **options)
+        if compiled:
+            self.model.compile_training()
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr, fused=True)
 
     def prepare(self, windows: SharedWindows) -> Windows:
         return Windows(*windows.to(self.dtype))
 
     def loss_and_gradient(self, batch: Windows) -> tuple[float, list[np.ndarray]]:
-        loss = self.model.loss(batch)
-        slope = torch.autograd.grad(loss, parameters(self.model), materialize_grads=True)
-        return loss.item(), [g.numpy() for g in slope]
+        loss = self.model.loss_and_gradients(batch)
+        slope = [p.grad for p in parameters(self.model)]
+        return loss.item(), [g.numpy().copy() for g in slope if g is not None]
 
     def train_step(self, batch: Windows) -> None:
-        loss = self.model.loss(batch)
-        self.optimizer.zero_grad()
-        loss.backward()
+        self.model.loss_and_gradients(batch)
         self.optimizer.step()
 
     @torch.no_grad()

@@ -29,7 +29,7 @@ from benchmarks.cases import (
     system_windows,
 )
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
-from benchmarks.project import Project, fit_call
+from benchmarks.project import Project, compiler_available, fit_call
 from benchmarks.timing import interleaved
 
 BATCHES = (32, 128, 512)
@@ -111,7 +111,13 @@ def cells(plan: Plan) -> Iterator[Measurement]:
             group = contenders(system, method)
             for rows in plan.batches:
                 step = dict.fromkeys(group, lambda c, b: c.train_step(b))
+                if compiler_available():
+                    # A compiled graph belongs to one shape.
+                    layers = plausible_weights(system, method)
+                    compiled = Project(method, CASES[system], layers, lr=0.0, compiled=True)
+                    group["compiled"], step["compiled"] = compiled, step["project"]
                 yield from measure("step", system, method, rows, {}, step)
+            group.pop("compiled", None)
             predict = dict.fromkeys(group, lambda c, b: c.predict(b))
             yield from measure("evaluation", system, method, EVALUATION_ROWS, {}, predict)
             # One trajectory at a time: a few steps of one tell the cost of all.

@@ -112,12 +112,15 @@ def targets(found: dict[Key, Row], systems: list[str]) -> str:
 
         return cell
 
+    kinds = {"project": "eager", "compiled": "compiled"}
     for method, aim in TARGETS.items():
-        title = f"{NAMES[method]} step, times faster than (a)"
-        line(title, aim, compare(method, "autograd", "project"), least=True)
+        for ours, kind in kinds.items():
+            title = f"{NAMES[method]} step, {kind}: times faster than (a)"
+            line(title, aim, compare(method, "autograd", ours), least=True)
     for method in TARGETS:
-        title = f"{NAMES[method]} step, time relative to (b)"
-        line(title, PEER_TARGETS, compare(method, "project", "jax"), least=False)
+        for ours, kind in kinds.items():
+            title = f"{NAMES[method]} step, {kind}: time relative to (b)"
+            line(title, PEER_TARGETS, compare(method, ours, "jax"), least=False)
     return table(["reached (wanted)", *map(str, PEER_TARGETS)], lines)
 
 
@@ -126,13 +129,16 @@ def comparison(found: dict[Key, Row], measure: str) -> str:
     keys = dict.fromkeys(k[1:4] for k in found if k[0] == measure)
     lines = []
     for system, method, batch in keys:
-        a, b, p = (
-            found.get((measure, system, method, batch, c)) for c in ("autograd", "jax", "project")
+        a, b, p, c = (
+            found.get((measure, system, method, batch, name))
+            for name in ("autograd", "jax", "project", "compiled")
         )
         lines.append(
-            [system, NAMES[method], str(batch), ms(a), ms(b), ms(p), ratio(a, p), ratio(p, b)]
+            [system, NAMES[method], str(batch), ms(a), ms(b), ms(p), ms(c)]
+            + [ratio(a, p), ratio(p, b), ratio(a, c), ratio(c, b)]
         )
-    header = ["system", "method", "rows", "(a)", "(b)", "project", "(a)/project", "project/(b)"]
+    header = ["system", "method", "rows", "(a)", "(b)", "project", "compiled"]
+    header += ["(a)/project", "project/(b)", "(a)/compiled", "compiled/(b)"]
     return table(header, lines)
 
 
