@@ -201,7 +201,7 @@ def test_loaders_without_a_trainer() -> None:
 
 def test_what_is_watched() -> None:
     (watched,) = ready(monitor_trajectories=2).val_dataloader()
-    assert equal(watched, ready().val[:8])
+    assert equal(watched, ready().val.rows(slice(8)))
     data = ready(monitor="test", monitor_trajectories=3, noise_std=1e-2, noise_test=True)
     (watched,) = data.val_dataloader()
     assert equal(watched, data.test.rows(slice(12)))
