@@ -157,7 +157,7 @@ def test_overrides_may_stand_on_both_sides_of_an_option():
 
 
 def test_a_sweep_may_set_what_only_its_models_have():
-    words = "-m model=node,l_node model.sensitivity=adjoint hydra/launcher=joblib".split()
+    words = ["-m", "model=node,l_node", "model.sensitivity=adjoint", "hydra/launcher=joblib"]
     jobs = jobs_of(parse(words)).jobs
     assert [job.label for job in jobs] == ["model=node", "model=l_node"]
     assert {job.config.model.sensitivity for job in jobs} == {"adjoint"}

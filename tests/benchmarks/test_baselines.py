@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+
 from benchmarks.baseline_autograd import CLASSES, LNODE, E2ESyMo, SyMo
 from benchmarks.cases import CASES, METHODS, calm_weights, chain, random_windows
 from benchmarks.contenders import Autograd, Jax, jax_is_installed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -19,6 +20,8 @@ from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.models.compiled import Program
+
+log = logging.getLogger(__name__)
 
 
 class Step(NamedTuple):
@@ -190,12 +193,18 @@ class DynamicsModel(lightning.LightningModule, ABC):
 
     def loss_and_gradients(self, windows: Windows) -> Float[Tensor, ""]:
         """The loss as a number; its gradients are left in the parameters."""
+        if self._program is not None:
+            try:
+                loss, _, gradients = self._program(windows)
+            except Exception as error:  # of a compiler, which may fail in any way
+                reason = str(error).strip().splitlines() or [type(error).__name__]
+                log.warning("the training step is not compiled: %s", reason[0])
+                self._program = None
         if self._program is None:
             self.zero_grad()
             loss = self.loss(windows)
             loss.backward()
             return loss.detach()
-        loss, _, gradients = self._program(windows)
         for parameter, gradient in zip(self.parameters(), gradients, strict=True):
             parameter.grad = gradient
         return loss
