@@ -5,7 +5,7 @@ from typing import Any
 from torch import Tensor
 
 from symo_exp.mechanics.types import Windows
-from symo_exp.mechanics.variational import next_pose
+from symo_exp.mechanics.variational import Forces, next_pose
 from symo_exp.models.variational import VariationalModel
 
 
@@ -36,6 +36,7 @@ class E2ESyMo(VariationalModel):
             self._momentum_before(windows) + f_minus,
             self.time_step,
             guess=2.0 * windows.q - windows.q_prev,
+            forces=Forces(force, force_next),
             fallback=windows.q_next if self.fallback else None,
         )
         self._count("newton_iterations", root.iterations.float().mean())
