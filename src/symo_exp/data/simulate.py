@@ -1,96 +1,30 @@
-"""Ground truth: trajectories of a known system, by SciPy in float64."""
+"""Trajectories of a known system from random initial states."""
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 import torch
-from jaxtyping import Float
-from scipy.integrate import DOP853, RK23, RK45
-from torch import Tensor
 
-from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System
-
-METHODS = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
-
-
-class Solver(NamedTuple):
-    """How SciPy integrates, with its names; the defaults of its ``solve_ivp`` are RK45, 1e-3, 1e-6.
-
-    ``warm`` starts from a node with the step size proposed at the end of the step before. Without
-    it every node begins with SciPy's cautious search for a first step, as repeated calls of
-    ``solve_ivp`` do; at loose tolerances that costs time and makes the result more accurate.
-    """
-
-    method: str = "DOP853"
-    rtol: float = 1e-10
-    atol: float = 1e-10
-    warm: bool = True
-
-    def validated(self) -> Solver:
-        """This solver, or a ``ConfigError``."""
-        if self.method not in METHODS:
-            raise ConfigError(
-                f"data.solver.method={self.method!r}: expected one of {', '.join(METHODS)}"
-            )
-        for name, value in (("rtol", self.rtol), ("atol", self.atol)):
-            if not (isinstance(value, int | float) and 1e-12 <= value < 1):
-                raise ConfigError(f"data.solver.{name}={value!r}: expected 1e-12 <= {name} < 1")
-        return self
+from symo_exp.systems.simulation import Solver, simulate
 
 
-def simulate(
+def generate(
     system: System,
-    q0: Float[Tensor, "batch n"],
-    v0: Float[Tensor, "batch n"],
-    u: Float[Tensor, "batch *m"],
+    *,
+    count: int,
     steps: int,
+    forced: bool,
     solver: Solver,
+    seed: int | tuple[int, ...],
 ) -> Trajectories:
-    """Integrate ``v̇ = H⁻¹ (B u − Ḣ v + ∂ℒ/∂q)`` over ``steps`` steps of ``system.time_step``.
+    """``count`` trajectories from uniform draws of the system's box; the first are always the same.
 
-    ``u`` is (batch, m), constant along a trajectory, or (batch, steps + 1, m), one value a node;
-    the input is held from a node to the next. Angles are not wrapped. float64.
-
-    All trajectories are integrated together. SciPy's error norm is a root mean square over all
-    B·2n states; tolerances divided by √B make it bound every single trajectory as its tolerances
-    would. The integrator stops at every node, which therefore has no interpolation error.
+    An unforced trajectory has ``u = 0``.
     """
-    batch, n = q0.shape
-    u = u.double()
-    controls = u if u.dim() == 3 else u.unsqueeze(1).expand(-1, steps + 1, -1)
-    scale = 1 / math.sqrt(max(batch, 1))
-    state = torch.cat([q0, v0], dim=1).double().flatten().numpy()
-    nodes = np.empty((steps + 1, state.size))
-    nodes[0] = state
-    h, first_step = system.time_step, None
-    for k in range(steps):
-        held = controls[:, k]
-
-        def slope(_: float, x: np.ndarray, held: Tensor = held) -> np.ndarray:
-            q, v = torch.from_numpy(x).view(batch, 2 * n).split(n, dim=1)
-            with torch.no_grad():
-                return torch.cat([v, system.acceleration(q, v, held)], dim=1).flatten().numpy()
-
-        stepper = METHODS[solver.method](
-            slope, 0.0, nodes[k], h, rtol=solver.rtol * scale, atol=solver.atol * scale,
-            first_step=first_step,
-        )
-        message = None
-        while stepper.status == "running":
-            message = stepper.step()
-        if stepper.status == "failed" or not np.isfinite(stepper.y).all():
-            raise ConfigError(
-                f"data.solver={solver.method} with rtol={solver.rtol:g}, atol={solver.atol:g} "
-                f"failed between nodes {k} and {k + 1} of {type(system).__name__}: "
-                f"{message or 'not finite'}; try larger tolerances or milder parameters"
-            )
-        nodes[k + 1] = stepper.y
-        first_step = min(stepper.h_abs, h) if solver.warm else None
-    path = torch.from_numpy(nodes).view(steps + 1, batch, 2 * n).transpose(0, 1)
-    q, v = path.split(n, dim=2)
-    return Trajectories(q.contiguous(), v.contiguous(), controls.contiguous())
+    box = np.array([*system.sampling_box.q, *system.sampling_box.v, *system.sampling_box.u])
+    draws = np.random.default_rng(seed).uniform(box[:, 0], box[:, 1], size=(count, len(box)))
+    n = system.coordinates.n
+    q0, v0, u = (torch.from_numpy(part) for part in np.split(draws, [n, 2 * n], axis=1))
+    return simulate(system, q0, v0, u if forced else torch.zeros_like(u), steps, solver)

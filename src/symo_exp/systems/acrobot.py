@@ -84,7 +84,7 @@ class Acrobot(System):
         elbow = self.mass_2 * self.centre_2
         return -self.gravity * (shoulder * q[:, 0].cos() + elbow * q.sum(-1).cos())
 
-    def skeleton(self, q: Float[Tensor, "2"]) -> Skeleton:
+    def skeleton(self, q: Float[Tensor, " 2"]) -> Skeleton:
         first, second = q[0], q[0] + q[1]
         elbow = self.length_1 * torch.stack([first.sin(), -first.cos()])
         tip = elbow + self.length_2 * torch.stack([second.sin(), -second.cos()])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,7 @@ from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems import complex_step
+from symo_exp.systems.checks import real
 
 Range = tuple[float, float]
 
@@ -68,8 +70,8 @@ class System(Lagrangian, ABC):
         box: SamplingBox,
     ) -> None:
         for name, (value, _) in parameters.items():
-            _require_positive(f"system.{name}", value)
-        _require_positive("system.time_step", time_step)
+            real(f"system.{name}", value, above=0)
+        real("system.time_step", time_step, above=0)
         self.coordinates = coordinates
         self.input_matrix: Float[Tensor, "n m"] = torch.tensor(input_matrix, dtype=torch.float64)
         self.time_step = float(time_step)
@@ -99,16 +101,27 @@ class System(Lagrangian, ABC):
             return super().rates(q, v)
         return complex_step.rates(self, q, v)
 
+    def _points(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Fixed points ``(q, v, u)`` spread over the box."""
+        generator = torch.Generator().manual_seed(0)
+        points = []
+        for ranges in self.sampling_box:
+            low, high = torch.tensor(ranges, dtype=torch.float64).T
+            share = torch.rand(count, len(ranges), dtype=torch.float64, generator=generator)
+            points.append(low + share * (high - low))
+        return points[0], points[1], points[2]
+
+    def _fingerprint(self) -> str:
+        """Hash of accelerations, so that edited equations do not pass for the old ones."""
+        with torch.no_grad():
+            values = self.acceleration(*self._points(64)).flatten().tolist()
+        return hashlib.sha256(" ".join(f"{x:.9e}" for x in values).encode()).hexdigest()[:16]
+
     @cached_property
     def _analytic(self) -> bool:
         """Whether this system's functions allow the complex step, tried at points of the box."""
-        q, v = (
-            torch.tensor(ranges, dtype=torch.float64).T for ranges in self.sampling_box[:2]
-        )
-        share = torch.linspace(0.05, 0.95, 8, dtype=torch.float64).unsqueeze(-1)
-        return complex_step.applies(
-            self, q[0] + share * (q[1] - q[0]), v[0] + share.flip(0) * (v[1] - v[0])
-        )
+        q, v, _ = self._points(8)
+        return complex_step.applies(self, q, v)
 
     def identity(self) -> dict[str, object]:
         """Everything that decides how this system moves, as plain values."""
@@ -121,13 +134,8 @@ class System(Lagrangian, ABC):
             "input_matrix": self.input_matrix.tolist(),
             "time_step": self.time_step,
             "box": {k: [list(r) for r in v] for k, v in self.sampling_box._asdict().items()},
+            "accelerations": self._fingerprint(),
         }
-
-
-def _require_positive(key: str, value: float) -> None:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (number and math.isfinite(value) and value > 0):
-        raise ConfigError(f"{key}={value!r}: expected a finite number above 0")
 
 
 def _ranges(field: str, ranges: Sequence[Sequence[float]], count: int) -> tuple[Range, ...]:
@@ -139,6 +147,7 @@ def _ranges(field: str, ranges: Sequence[Sequence[float]], count: int) -> tuple[
     ordered = all(math.isfinite(low) and low <= high < math.inf for low, high in pairs)
     if len(pairs) != count or not ordered:
         raise ConfigError(
-            f"{key}={[list(pair) for pair in pairs]}: expected {count} pair(s) [low, high], low <= high"
+            f"{key}={[list(pair) for pair in pairs]}: expected {count} pair(s) [low, high] "
+            "with low <= high"
         )
     return pairs

@@ -11,9 +11,7 @@ from torch import Tensor
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import SamplingBox, Skeleton, System
 
-BOX = SamplingBox(
-    q=((-0.5, 0.5), (-3.14, 3.14)), v=((-0.05, 0.05), (-3.0, 3.0)), u=((-2.0, 2.0),)
-)
+BOX = SamplingBox(q=((-0.5, 0.5), (-3.14, 3.14)), v=((-0.05, 0.05), (-3.0, 3.0)), u=((-2.0, 2.0),))
 
 
 @final
@@ -63,7 +61,7 @@ class Cartpole(System):
     def potential(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, " batch"]:
         return self.mass_pole * self.gravity * self.half_length * q[:, 1].cos()
 
-    def skeleton(self, q: Float[Tensor, "2"]) -> Skeleton:
+    def skeleton(self, q: Float[Tensor, " 2"]) -> Skeleton:
         cart = torch.stack([q[0], torch.zeros_like(q[0])])
         tip = cart + 2 * self.half_length * torch.stack([q[1].sin(), q[1].cos()])
         return Skeleton(

@@ -54,7 +54,7 @@ class Pendulum(System):
     def potential(self, q: Float[Tensor, "batch 1"]) -> Float[Tensor, " batch"]:
         return 0.5 * self.mass * self.gravity * self.length * (1 + q[:, 0].cos())
 
-    def skeleton(self, q: Float[Tensor, "1"]) -> Skeleton:
+    def skeleton(self, q: Float[Tensor, " 1"]) -> Skeleton:
         tip = self.length * torch.stack([-q[0].sin(), q[0].cos()])
         points = torch.stack([torch.zeros_like(tip), tip])
         return Skeleton(points, links=((0, 1),), reach=self.length)

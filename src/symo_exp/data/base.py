@@ -1,0 +1,156 @@
+"""What simulated and recorded data have in common: noise, windows, batches."""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
+
+import lightning
+import torch
+
+from symo_exp.data.noise import add_noise
+from symo_exp.data.windows import windows
+from symo_exp.mechanics.types import Trajectories, Windows
+from symo_exp.systems.checks import one_of, real, whole
+
+Item = TypeVar("Item")
+
+
+class Splits(NamedTuple):
+    """The trajectories of an experiment, float64 and without added noise."""
+
+    train: Trajectories
+    val: Trajectories
+    test: Trajectories
+    integration: Trajectories
+
+
+class DataModule(lightning.LightningDataModule, ABC):
+    """Named windows of trajectories, in memory, in an order that only the seed decides.
+
+    After ``setup()``: ``train``, ``val`` and ``test`` (``Windows`` in ``dtype``);
+    ``train_trajectories``, ``val_trajectories`` and ``test_trajectories``, the same data before
+    they were cut, and ``integration``, all float64. It needs no Trainer.
+
+    ``n_traj`` is the number of training trajectories, the first of all there are. Noise of
+    standard deviation ``noise_std`` is added to the training data, and with ``noise_test`` to the
+    test data too; validation stays clean. An epoch has batches of ``batch_size`` samples,
+    ``4 n_traj`` if none is given. ``monitor`` says whether the windows of the validation or of the
+    test trajectories are watched during training, the first ``monitor_trajectories`` of them.
+    """
+
+    def __init__(
+        self,
+        *,
+        n_traj: int,
+        n_train_max: int,
+        n_val: int,
+        n_test: int,
+        noise_std: float,
+        noise_test: bool,
+        batch_size: int | None,
+        shuffle: bool,
+        seed: int,
+        noise_seed: int,
+        dtype: str | torch.dtype,
+        monitor: Literal["val", "test"],
+        monitor_trajectories: int | None,
+    ) -> None:
+        super().__init__()
+        self.n_traj = whole("data.n_traj", n_traj, low=1, high=n_train_max)
+        self.noise_std = real("data.noise_std", noise_std, low=0)
+        self.noise_test = noise_test
+        if batch_size is not None:
+            whole("data.batch_size", batch_size, low=1)
+        self.batch_size = 4 * n_traj if batch_size is None else batch_size
+        self.shuffle = shuffle
+        self.seed = whole("data.seed", seed, low=0, high=2**32 - 1)
+        self.noise_seed = whole("data.noise_seed", noise_seed, low=0, high=2**32 - 1)
+        name = one_of("data.dtype", str(dtype).removeprefix("torch."), ("float32", "float64"))
+        self.dtype: torch.dtype = getattr(torch, name)
+        self.monitor = one_of("data.monitor", monitor, ("val", "test"))
+        watched = n_val if monitor == "val" else n_test
+        self.monitor_trajectories = (
+            watched
+            if monitor_trajectories is None
+            else whole("data.monitor_trajectories", monitor_trajectories, low=1, high=watched)
+        )
+        self._on_device: dict[str, tuple[torch.device, Windows]] = {}
+
+    @abstractmethod
+    def load(self) -> Splits:
+        """All trajectories, with the whole training set; the same at every call."""
+
+    def setup(self, stage: str | None = None) -> None:
+        """Noise, precision and windows; what is there already is kept."""
+        if hasattr(self, "train"):
+            return
+        splits = self.load()
+        train = Trajectories(*(field[: self.n_traj] for field in splits.train))
+        self.train_trajectories = add_noise(train, self.noise_std, [self.noise_seed, 0])
+        self.val_trajectories = splits.val
+        std = self.noise_std if self.noise_test else 0.0
+        self.test_trajectories = add_noise(splits.test, std, [self.noise_seed, 1])
+        self.integration = splits.integration
+        self.train = self._windows(self.train_trajectories)
+        self.val = self._windows(self.val_trajectories)
+        self.test = self._windows(self.test_trajectories)
+
+    def batches(self, epoch: int) -> list[Windows]:
+        """The mini-batches of an epoch: a permutation that follows from the seed and the epoch."""
+        samples = self._placed("train", lambda: self.train)
+        if self.shuffle:
+            generator = torch.Generator().manual_seed(self.seed * 1_000_003 + epoch)
+            order = torch.randperm(len(samples.q), generator=generator)
+            rows = order.to(samples.q.device)
+            samples = Windows(*(field[rows] for field in samples))
+        parts = (field.split(self.batch_size) for field in samples)
+        return [Windows(*fields) for fields in zip(*parts, strict=True)]
+
+    def train_dataloader(self) -> Once[list[Windows]]:
+        """One item an epoch: all its mini-batches."""
+        alone = itertools.count()
+        return Once(
+            lambda: self.batches(self.trainer.current_epoch if self.trainer else next(alone))
+        )
+
+    def val_dataloader(self) -> Once[Windows]:
+        """One item: the windows that are watched during training."""
+        return Once(lambda: self._placed("watched", self._watched))
+
+    def transfer_batch_to_device(
+        self, batch: Any, device: torch.device, dataloader_idx: int
+    ) -> Any:
+        """Nothing to do: the loaders gather on the device."""
+        return batch
+
+    def _watched(self) -> Windows:
+        source = self.val_trajectories if self.monitor == "val" else self.test_trajectories
+        return self._windows(Trajectories(*(f[: self.monitor_trajectories] for f in source)))
+
+    def _windows(self, trajectories: Trajectories) -> Windows:
+        return Windows(*(field.to(self.dtype) for field in windows(trajectories)))
+
+    def _placed(self, name: str, make: Callable[[], Windows]) -> Windows:
+        """Samples on the trainer's device, moved there once."""
+        device = self.trainer.strategy.root_device if self.trainer else torch.device("cpu")
+        where, samples = self._on_device.get(name, (None, None))
+        if samples is None or where != device:
+            samples = Windows(*(field.to(device) for field in make()))
+            self._on_device[name] = (device, samples)
+        return samples
+
+
+class Once(Generic[Item]):
+    """A loader of one item, made when it is asked for."""
+
+    def __init__(self, make: Callable[[], Item]) -> None:
+        self._make = make
+
+    def __len__(self) -> int:
+        return 1
+
+    def __iter__(self) -> Iterator[Item]:
+        yield self._make()

@@ -1,0 +1,140 @@
+"""Arrays on disk under a key of everything that decides their bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from symo_exp.errors import ConfigError
+
+log = logging.getLogger(__name__)
+
+Arrays = Mapping[str, np.ndarray]
+
+
+class Cache:
+    """A folder of ``<name>-<key>.npz`` files, each with its recipe inside and beside it as JSON.
+
+    Files appear whole or not at all, and processes that want the same one wait for the first.
+    """
+
+    def __init__(self, directory: str | os.PathLike[str]) -> None:
+        self.directory = Path(directory).expanduser()
+        existing = next(
+            p for p in (self.directory, *self.directory.absolute().parents) if p.exists()
+        )
+        if not existing.is_dir():
+            raise self._refusal(f"{existing} is not a directory")
+        if not os.access(existing, os.W_OK | os.X_OK):
+            raise self._refusal(f"{existing} is not writable")
+
+    def path(self, name: str, recipe: Mapping[str, Any]) -> Path:
+        """Where the arrays of this recipe live."""
+        return self.directory / f"{name}-{key(recipe)}.npz"
+
+    def get(
+        self, name: str, recipe: Mapping[str, Any], make: Callable[[], Arrays]
+    ) -> dict[str, np.ndarray]:
+        """The arrays of ``recipe``: read, or made by ``make()`` and kept."""
+        path = self.path(name, recipe)
+        found = _read(path, recipe)
+        if found is not None:
+            return found
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            with _locked(path.with_suffix(".lock")):
+                found = _read(path, recipe, report=True)
+                if found is not None:
+                    return found
+                arrays = dict(make())
+                _write(path, recipe, arrays)
+        except OSError as error:
+            raise self._refusal(error.strerror or str(error)) from error
+        return arrays
+
+    def _refusal(self, reason: str) -> ConfigError:
+        return ConfigError(
+            f"data.cache_dir={self.directory}: {reason}; "
+            "name a writable directory, or null to keep no data on disk"
+        )
+
+
+def key(recipe: Mapping[str, Any]) -> str:
+    """A short hash of the recipe's canonical JSON."""
+    return hashlib.sha256(_canonical(recipe).encode()).hexdigest()[:16]
+
+
+def _canonical(recipe: Mapping[str, Any]) -> str:
+    return json.dumps(recipe, sort_keys=True, allow_nan=False)
+
+
+def _read(
+    path: Path, recipe: Mapping[str, Any], report: bool = False
+) -> dict[str, np.ndarray] | None:
+    """The arrays of a sound file; ``None``, and on request a word in the log, for any other."""
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        if str(arrays.pop("recipe")) == _canonical(recipe):
+            return arrays
+        reason = "it holds other data"
+    except (OSError, ValueError, TypeError, AttributeError, KeyError, EOFError) as error:
+        reason = f"unreadable ({' '.join(str(error).split()) or type(error).__name__})"
+    except (zipfile.BadZipFile, zlib.error) as error:
+        reason = f"damaged ({error})"
+    if report:
+        log.warning("Cached data %s: %s; making it again", path, reason)
+    return None
+
+
+def _write(path: Path, recipe: Mapping[str, Any], arrays: Arrays) -> None:
+    text = json.dumps(recipe, sort_keys=True, indent=1)
+    with _replacing(path.with_suffix(".json")) as temporary:
+        Path(temporary).write_text(text + "\n", encoding="utf-8")
+    with _replacing(path) as temporary, open(temporary, "wb") as file:
+        contents: dict[str, Any] = {"recipe": np.array(_canonical(recipe)), **arrays}
+        np.savez(file, **contents)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[str]:
+    """A temporary file beside ``path`` that takes its place when the block succeeds."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    os.close(handle)
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except BaseException:
+        with suppress(OSError):
+            os.unlink(temporary)
+        raise
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Alone among the processes that use this lock file.
+
+    Where there are no such locks (some network file systems, Windows) two processes may both
+    make the same data; the last atomic write wins, with the same bytes.
+    """
+    with open(path, "w") as file:
+        with suppress(ImportError, OSError):
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -1,0 +1,45 @@
+"""Values that a user may set, checked in one line each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from symo_exp.errors import ConfigError
+
+
+def whole(key: str, value: object, *, low: int, high: int | None = None) -> int:
+    """``value`` if it is a whole number from ``low`` to ``high``."""
+    if (
+        isinstance(value, int)
+        and not isinstance(value, bool)
+        and low <= value <= (value if high is None else high)
+    ):
+        return value
+    wanted = f"of at least {low}" if high is None else f"from {low} to {high}"
+    raise ConfigError(f"{key}={value!r}: expected a whole number {wanted}")
+
+
+def real(
+    key: str,
+    value: object,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    above: float | None = None,
+) -> float:
+    """``value`` if it is a finite number from ``low`` to ``high`` and greater than ``above``."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+        inside = (low is None or value >= low) and (high is None or value <= high)
+        if inside and (above is None or value > above):
+            return float(value)
+    bounds = {"of at least": low, "above": above, "of at most": high}
+    wanted = " and ".join(f"{word} {x:g}" for word, x in bounds.items() if x is not None)
+    raise ConfigError(f"{key}={value!r}: expected a finite number {wanted}".rstrip())
+
+
+def one_of(key: str, value: object, choices: Sequence[str]) -> str:
+    """``value`` if it is one of ``choices``."""
+    if value not in choices:
+        raise ConfigError(f"{key}={value!r}: expected one of {', '.join(choices)}")
+    return str(value)

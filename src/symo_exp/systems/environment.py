@@ -1,0 +1,152 @@
+"""A Gymnasium environment over any system: ``symo_exp/Pendulum-v0`` and so on.
+
+Importing this module registers one environment for each system of the package::
+
+    import gymnasium
+    import symo_exp.systems.environment
+
+    env = gymnasium.make("symo_exp/Acrobot-v0", render_mode="rgb_array")
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, final
+
+import gymnasium
+import numpy as np
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.systems.base import System
+from symo_exp.systems.render import Renderer
+from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.table import systems
+
+MAX_EPISODE_STEPS = 500
+SOLVER = Solver(method="RK45", rtol=1e-8, atol=1e-8)
+
+
+@final
+class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
+    """A step is ``system.time_step`` of exact motion under a held control.
+
+    - Action: the control ``u`` (m,), float64 [N or N m]; clipped to the range the data are drawn
+      from (``system.sampling_box.u``).
+    - Observation: ``(q, v)`` (2n,), float64. Angles are not wrapped: they count turns.
+    - Reward: the potential energy ``V(q)`` [J] of the state reached, which is greatest where the
+      masses are highest: swinging up pays.
+    - An episode has no end of its own; ``gymnasium.make`` truncates it after 500 steps.
+    - ``reset`` draws the state uniformly from the system's box, or takes
+      ``options={"q": [...], "v": [...]}``, either of which may be left out.
+    - The integrator is SciPy's RK45 unless ``solver`` says otherwise; the data sets are made by
+      the same function.
+    """
+
+    def __init__(
+        self, system: System, *, solver: Solver = SOLVER, render_mode: str | None = None
+    ) -> None:
+        self.metadata = {
+            "render_modes": ["human", "rgb_array"],
+            "render_fps": max(1, round(1 / system.time_step)),
+        }
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(f"render_mode={render_mode!r}: expected human, rgb_array or None")
+        self.system, self.solver, self.render_mode = system, solver, render_mode
+        low, high = np.array(system.sampling_box.u).T
+        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float64)
+        self.observation_space = gymnasium.spaces.Box(
+            -np.inf, np.inf, shape=(2 * system.coordinates.n,), dtype=np.float64
+        )
+        self._state: np.ndarray | None = None
+        self._renderer: Renderer | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        given = options or {}
+        unknown = set(given) - {"q", "v"}
+        if unknown:
+            raise ConfigError(f"reset options {sorted(unknown)}: expected q and v")
+        parts = []
+        for name in ("q", "v"):
+            low, high = np.array(getattr(self.system.sampling_box, name)).T
+            drawn = self.np_random.uniform(low, high)
+            part = np.asarray(given.get(name, drawn), dtype=np.float64)
+            if part.shape != drawn.shape or not np.isfinite(part).all():
+                raise ConfigError(
+                    f"reset option {name}={given[name]}: expected {len(drawn)} finite number(s)"
+                )
+            parts.append(part)
+        self._state = np.concatenate(parts)
+        self._show()
+        return self._state.copy(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        q, v = self._split(self._current())
+        space = self.action_space
+        assert isinstance(space, gymnasium.spaces.Box)
+        u = torch.from_numpy(np.clip(np.asarray(action, dtype=np.float64), space.low, space.high))
+        after = simulate(self.system, q, v, u.reshape(1, -1), steps=1, solver=self.solver)
+        self._state = torch.cat([after.q[0, 1], after.v[0, 1]]).numpy()
+        reward = float(self.system.potential(after.q[:, 1]))
+        self._show()
+        return self._state.copy(), reward, False, False, {}
+
+    def render(self) -> Any:
+        return self._draw() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _current(self) -> np.ndarray:
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        return self._state
+
+    def _split(self, state: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        q, v = torch.from_numpy(state).unsqueeze(0).split(self.system.coordinates.n, dim=1)
+        return q, v
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._draw()
+
+    def _draw(self) -> np.ndarray | None:
+        assert self.render_mode is not None
+        if self._renderer is None:
+            self._renderer = Renderer(
+                self.render_mode, self.metadata["render_fps"], type(self.system).__name__
+            )
+        q, _ = self._split(self._current())
+        return self._renderer.draw(self.system.skeleton(q[0]))
+
+
+def make(
+    system: str,
+    parameters: Mapping[str, Any] | None = None,
+    render_mode: str | None = None,
+    solver: Mapping[str, Any] | None = None,
+) -> Environment:
+    """The environment of the system of that class name, with parameters other than its own.
+
+    ``parameters`` are those of the system's constructor; ``solver`` has those of
+    ``Solver``.
+    """
+    chosen = dataclasses.replace(SOLVER, **(solver or {}))
+    return Environment(
+        systems()[system](**(parameters or {})), solver=chosen, render_mode=render_mode
+    )
+
+
+for _name in systems():
+    gymnasium.register(
+        f"symo_exp/{_name}-v0",
+        entry_point="symo_exp.systems.environment:make",
+        max_episode_steps=MAX_EPISODE_STEPS,
+        kwargs={"system": _name},
+    )

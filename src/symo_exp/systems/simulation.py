@@ -1,0 +1,97 @@
+"""Ground truth: trajectories of a known system, by SciPy in float64."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.integrate import DOP853, RK23, RK45
+from torch import Tensor
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Trajectories
+from symo_exp.systems.base import System
+from symo_exp.systems.checks import one_of, real
+
+METHODS = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How SciPy integrates, with its names; the defaults of its ``solve_ivp`` are RK45, 1e-3, 1e-6.
+
+    ``warm`` starts from a node with the step size proposed at the end of the step before. Without
+    it every node begins with SciPy's cautious search for a first step, as repeated calls of
+    ``solve_ivp`` do; at loose tolerances that makes the result more accurate.
+    """
+
+    method: str = "DOP853"
+    rtol: float = 1e-10
+    atol: float = 1e-10
+    warm: bool = True
+
+    def __post_init__(self) -> None:
+        one_of("data.solver.method", self.method, tuple(METHODS))
+        real("data.solver.rtol", self.rtol, low=1e-12, high=0.1)
+        real("data.solver.atol", self.atol, low=1e-14, high=0.1)
+
+
+def simulate(
+    system: System,
+    q0: Float[Tensor, "batch n"],
+    v0: Float[Tensor, "batch n"],
+    u: Float[Tensor, "batch *nodes m"],
+    steps: int,
+    solver: Solver,
+) -> Trajectories:
+    """Integrate ``v̇ = H⁻¹ (B u − Ḣ v + ∂ℒ/∂q)`` over ``steps`` steps of ``system.time_step``.
+
+    ``u`` is (batch, m), constant along a trajectory, or (batch, steps + 1, m), one value a node;
+    the input is held from a node to the next. Angles are not wrapped. float64.
+
+    All trajectories are integrated together. SciPy's error norm is a root mean square over all
+    B·2n states; tolerances divided by √B make it bound every single trajectory as its tolerances
+    would. The integrator stops at every node, which therefore has no interpolation error.
+    """
+    batch, n = q0.shape
+    u = u.double()
+    controls = u if u.dim() == 3 else u.unsqueeze(1).expand(-1, steps + 1, -1)
+    scale = 1 / math.sqrt(max(batch, 1))
+    state = torch.cat([q0, v0], dim=1).double().flatten().numpy()
+    nodes = np.empty((steps + 1, state.size))
+    nodes[0] = state
+    h, first_step = system.time_step, None
+    for k in range(steps):
+        held = controls[:, k]
+
+        def slope(_: float, x: np.ndarray, held: Tensor = held) -> np.ndarray:
+            q, v = torch.from_numpy(x).view(batch, 2 * n).split(n, dim=1)
+            with torch.no_grad():
+                return torch.cat([v, system.acceleration(q, v, held)], dim=1).flatten().numpy()
+
+        stepper = METHODS[solver.method](
+            slope,
+            0.0,
+            nodes[k],
+            h,
+            rtol=solver.rtol * scale,
+            atol=solver.atol * scale,
+            first_step=first_step,
+        )
+        message = None
+        while stepper.status == "running":
+            message = stepper.step()
+        if stepper.status == "failed" or not np.isfinite(stepper.y).all():
+            raise ConfigError(
+                f"data.solver={solver.method} with rtol={solver.rtol:g}, atol={solver.atol:g} "
+                f"failed between nodes {k} and {k + 1} of {type(system).__name__}: "
+                f"{message or 'not finite'}; try larger tolerances or milder parameters"
+            )
+        nodes[k + 1] = stepper.y
+        first_step = min(stepper.h_abs, h) if solver.warm else None
+    path = torch.from_numpy(nodes).view(steps + 1, batch, 2 * n).transpose(0, 1)
+    q, v = path.split(n, dim=2)
+    return Trajectories(q.contiguous(), v.contiguous(), controls.contiguous())

@@ -1,0 +1,307 @@
+"""Simulated data: reproducible, prefixes, clean where they must be, the same for every method."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import lightning
+import numpy as np
+import pytest
+import torch
+from tests.data.small import SIZES, ready, small
+
+from symo_exp.data import datamodule
+from symo_exp.data.cache import key
+from symo_exp.data.simulate import generate
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Trajectories, Windows
+from symo_exp.systems.acrobot import Acrobot
+from symo_exp.systems.base import SamplingBox
+from symo_exp.systems.cartpole import Cartpole
+from symo_exp.systems.simulation import Solver
+
+
+def equal(a: tuple, b: tuple) -> bool:
+    return len(a) == len(b) and all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def test_sizes_and_types() -> None:
+    data = ready()
+    assert [tuple(x.shape) for x in data.integration] == [(2, 8, 2), (2, 8, 2), (2, 8, 1)]
+    assert data.integration.q.dtype == torch.float64
+    assert (data.integration.u == 0).all()
+    assert [len(w.q) for w in (data.train, data.val, data.test)] == [16, 12, 16]
+    assert data.train.q.dtype == data.test.q.dtype == torch.float32
+    assert data.test_trajectories.q.dtype == data.train_trajectories.q.dtype == torch.float64
+    assert data.train_trajectories.q.shape == (4, 6, 2)
+    assert ready(dtype="float64").train.v.dtype == torch.float64
+
+
+def test_reproducible_bit_for_bit(tmp_path: Path) -> None:
+    made, again, read = ready(), ready(cache_dir=tmp_path), ready(cache_dir=tmp_path)
+    for data in (again, read):
+        for name in ("train", "val", "test", "integration", "test_trajectories"):
+            assert equal(getattr(made, name), getattr(data, name)), name
+
+
+def test_smaller_training_sets_are_prefixes() -> None:
+    large = ready(n_traj=8, noise_std=1e-2)
+    for n_traj in (1, 3):
+        part = ready(n_traj=n_traj, noise_std=1e-2)
+        assert equal(part.train, large.train[: n_traj * 4])
+        assert equal(part.test, large.test)
+
+
+def test_the_sets_share_no_start_and_follow_the_seed() -> None:
+    data, other = ready(), ready(seed=1)
+    starts = [t.q[:, 0] for t in (data.train_trajectories, data.val_trajectories)]
+    starts += [data.test_trajectories.q[:, 0], data.integration.q[:, 0]]
+    starts += [other.train_trajectories.q[:, 0]]
+    rows = torch.cat(starts)
+    assert len(torch.unique(rows, dim=0)) == len(rows)
+
+
+def test_draws_are_uniform_in_the_box_and_inputs_constant() -> None:
+    box = SamplingBox(q=((1.0, 2.0), (-3.0, 0.0)), v=((0.0, 0.1), (5.0, 6.0)), u=((-7.0, -6.0),))
+    path = generate(
+        Cartpole(box=box), count=2000, steps=1, forced=True, solver=Solver("RK23", 0.1, 0.1), seed=0
+    )
+    draws = torch.cat([path.q[:, 0], path.v[:, 0], path.u[:, 0]], 1).numpy()
+    low, high = np.array([*box.q, *box.v, *box.u]).T
+    share = np.sort((draws - low) / (high - low), axis=0)
+    ideal = (np.arange(2000) + 0.5)[:, None] / 2000
+    assert np.abs(share - ideal).max() < 1.95 / np.sqrt(2000)  # Kolmogorov-Smirnov, p = 0.001
+    assert torch.equal(path.u[:, 0], path.u[:, 1])
+
+
+def test_only_training_data_are_noisy() -> None:
+    clean, noisy = ready(), ready(noise_std=1e-2)
+    assert not torch.equal(clean.train.q, noisy.train.q)
+    assert not torch.equal(clean.train.v, noisy.train.v)
+    assert torch.equal(clean.train.u, noisy.train.u)
+    for name in ("val", "test", "integration"):
+        assert equal(getattr(clean, name), getattr(noisy, name))
+    both = ready(noise_std=1e-2, noise_test=True)
+    assert equal(both.train, noisy.train)
+    assert not torch.equal(both.test.q, clean.test.q)
+    assert equal(both.val, clean.val)
+    assert equal(both.integration, clean.integration)
+    difference = (both.test_trajectories.q - clean.test_trajectories.q)[:, :, 0]
+    other = (noisy.train_trajectories.q - clean.train_trajectories.q)[:, :, 0]
+    assert not torch.allclose(difference, other)  # noise of their own
+
+
+def test_noise_has_its_own_seed_and_comes_after_the_cache(tmp_path: Path) -> None:
+    one, two = (
+        ready(noise_std=1e-2, noise_seed=seed, cache_dir=tmp_path, shuffle=False) for seed in (1, 2)
+    )
+    assert not torch.equal(one.train.q, two.train.q)
+    assert len(list(tmp_path.glob("*.npz"))) == 1
+
+
+CHANGES = [
+    {"system": Acrobot()},
+    {"system": Cartpole(mass_pole=0.2)},
+    {"system": Cartpole(time_step=0.04)},
+    {"system": Cartpole(box=SamplingBox(((0, 1), (0, 1)), ((0, 1), (0, 1)), ((0, 1),)))},
+    {"n_train_max": 9},
+    {"n_val": 4},
+    {"n_test": 5},
+    {"n_steps": 5},
+    {"n_integration": 3},
+    {"integration_steps": 7},
+    {"solver": Solver("RK23", 1e-4, 1e-4)},
+    {"solver": Solver("RK45", 1e-5, 1e-4)},
+    {"solver": Solver("RK45", 1e-4, 1e-5)},
+    {"solver": Solver("RK45", 1e-4, 1e-4, warm=False)},
+    {"seed": 1},
+]
+KEPT = [
+    {"n_traj": 2},
+    {"noise_std": 1.0},
+    {"noise_seed": 7},
+    {"noise_test": True},
+    {"batch_size": 3},
+    {"shuffle": False},
+    {"dtype": "float64"},
+    {"monitor": "test"},
+    {"monitor_trajectories": 1},
+]
+
+
+def test_the_key_holds_everything_that_changes_the_bytes() -> None:
+    keys = [key(small(**change).recipe()) for change in [{}, *CHANGES]]
+    assert len(set(keys)) == len(keys)
+    for change in KEPT:
+        assert key(small(**change).recipe()) == keys[0], change
+    # Every argument of the constructor is in one of the two lists, or is where the data live.
+    covered = {name for change in [*CHANGES, *KEPT] for name in change} | {"cache_dir"}
+    arguments = set(datamodule.TrajectoryData.__init__.__annotations__) - {"return"}
+    assert covered == arguments
+    assert {field.name for field in dataclasses.fields(Solver)} == {
+        "method",
+        "rtol",
+        "atol",
+        "warm",
+    }
+
+
+def test_the_key_holds_versions_and_equations(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = key(small().recipe())
+    with monkeypatch.context() as patch:
+        patch.setattr(datamodule, "GENERATOR_VERSION", 999)
+        assert key(small().recipe()) != before
+    with monkeypatch.context() as patch:
+        patch.setattr(torch, "__version__", "0")
+        assert key(small().recipe()) != before
+    edited = Cartpole.potential
+    with monkeypatch.context() as patch:
+        patch.setattr(Cartpole, "potential", lambda self, q: 1.001 * edited(self, q))
+        assert key(small().recipe()) != before
+    assert key(small().recipe()) == before
+
+
+def test_batches_are_every_sample_once_in_an_order_of_seed_and_epoch() -> None:
+    data, same = ready(), ready()
+    batches = data.batches(3)
+    assert [len(b.q) for b in batches] == [16]
+    data = ready(batch_size=5)
+    batches = data.batches(3)
+    assert [len(b.q) for b in batches] == [5, 5, 5, 1]
+    joined = Windows(*(torch.cat(fields) for fields in zip(*batches, strict=True)))
+    order = joined.q_prev[:, 0].argsort()
+    expected = data.train.q_prev[:, 0].argsort()
+    for found, field in zip(joined, data.train, strict=True):
+        assert torch.equal(found[order], field[expected])  # all fields moved together
+    assert not torch.equal(joined.q, data.train.q)
+    assert not torch.equal(batches[0].q, data.batches(4)[0].q)
+    torch.manual_seed(99)  # nobody else's randomness matters
+    same = ready(batch_size=5)
+    assert all(equal(a, b) for a, b in zip(batches, same.batches(3), strict=True))
+    ordered = ready(batch_size=5, shuffle=False)
+    assert equal(ordered.batches(0)[0], data.train[:5])
+
+
+def test_an_epoch_has_eight_steps_whatever_the_size() -> None:
+    for n_traj in (1, 8):
+        assert len(ready(n_traj=n_traj, n_steps=32).batches(0)) == 8
+
+
+def test_loaders_without_a_trainer() -> None:
+    data = ready(batch_size=4)
+    loader = data.train_dataloader()
+    assert len(loader) == 1
+    epochs = [next(iter(loader)) for _ in range(2)]
+    for epoch, found in enumerate(epochs):
+        assert all(equal(a, b) for a, b in zip(found, data.batches(epoch), strict=True))
+    (watched,) = data.val_dataloader()
+    assert equal(watched, data.val)
+
+
+def test_what_is_watched() -> None:
+    (watched,) = ready(monitor_trajectories=2).val_dataloader()
+    assert equal(watched, ready().val[:8])
+    data = ready(monitor="test", monitor_trajectories=3, noise_std=1e-2, noise_test=True)
+    (watched,) = data.val_dataloader()
+    assert equal(watched, data.test[:12])
+
+
+class Spy(lightning.LightningModule):
+    """Keeps what it is given; ``width`` stands for methods that differ."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        torch.manual_seed(width)
+        self.net = torch.nn.Linear(2, width)
+        self.automatic_optimization = False
+        self.seen: list[torch.Tensor] = []
+        self.watched: list[torch.Tensor] = []
+
+    def training_step(self, batches: list[Windows], _: int) -> None:
+        optimizer = self.optimizers()
+        for batch in batches:
+            assert isinstance(batch, Windows)
+            self.seen.append(batch.q_next.clone())
+            optimizer.zero_grad()
+            self.net(batch.q).square().mean().backward()
+            optimizer.step()
+        torch.rand(len(self.net.weight))  # a method may draw as it likes
+
+    def validation_step(self, watched: Windows, _: int) -> None:
+        self.watched.append(watched.q.clone())
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        return torch.optim.SGD(self.parameters(), lr=1e-3)
+
+
+def fit(model: Spy, data: lightning.LightningDataModule, epochs: int = 2) -> Spy:
+    trainer = lightning.Trainer(
+        max_epochs=epochs,
+        accelerator="cpu",
+        logger=False,
+        enable_checkpointing=False,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        num_sanity_val_steps=0,
+    )
+    trainer.fit(model, datamodule=data)
+    return model
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_every_model_gets_the_same_batches_from_the_trainer() -> None:
+    one, two = (fit(Spy(width), small(batch_size=5)) for width in (1, 7))
+    assert len(one.seen) == 8
+    assert equal(tuple(one.seen), tuple(two.seen))
+    data = ready(batch_size=5)
+    expected = [batch.q_next for epoch in range(2) for batch in data.batches(epoch)]
+    assert equal(tuple(one.seen), tuple(expected))
+    assert equal(tuple(one.watched), (data.val.q,) * 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"n_traj": 0}, "data.n_traj=0: expected a whole number from 1 to 8"),
+        ({"n_traj": 9}, "data.n_traj=9: expected a whole number from 1 to 8"),
+        ({"n_traj": 2.0}, "data.n_traj=2.0"),
+        ({"n_traj": True}, "data.n_traj=True"),
+        ({"noise_std": -1e-3}, "data.noise_std=-0.001: expected a finite number of at least 0"),
+        ({"noise_std": float("nan")}, "data.noise_std=nan"),
+        ({"n_val": 0}, "data.n_val=0"),
+        ({"n_test": -1}, "data.n_test=-1"),
+        ({"n_steps": 0}, "data.n_steps=0"),
+        ({"n_integration": 0}, "data.n_integration=0"),
+        ({"integration_steps": 0}, "data.integration_steps=0"),
+        ({"batch_size": 0}, "data.batch_size=0"),
+        ({"seed": -1}, "data.seed=-1"),
+        ({"noise_seed": -1}, "data.noise_seed=-1"),
+        ({"dtype": "float16"}, "data.dtype='float16': expected one of float32, float64"),
+        ({"monitor": "train"}, "data.monitor='train': expected one of val, test"),
+        ({"monitor_trajectories": 4}, "data.monitor_trajectories=4: expected"),
+        ({"monitor": "test", "monitor_trajectories": 5}, "data.monitor_trajectories=5"),
+    ],
+)
+def test_bad_values_are_refused_before_anything_is_made(changes: dict, message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        small(**changes)
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)
+
+
+def test_default_sizes_are_those_of_the_thesis() -> None:
+    data = datamodule.TrajectoryData(system=Cartpole(), n_traj=128)
+    sizes = data.recipe()["trajectories"]
+    assert sizes == {"train": 128, "val": 128, "test": 128, "integration": 16}
+    assert (data.n_steps, data.integration_steps, data.batch_size) == (32, 500, 512)
+    with pytest.raises(ConfigError, match=r"data\.n_traj=129: expected .* from 1 to 128"):
+        datamodule.TrajectoryData(system=Cartpole(), n_traj=129)
+    assert set(SIZES) < set(datamodule.TrajectoryData.__init__.__annotations__)
+
+
+def test_trajectories_start_where_windows_do() -> None:
+    data = ready()
+    assert isinstance(data.test_trajectories, Trajectories)
+    torch.testing.assert_close(data.test.q_prev[0].double(), data.test_trajectories.q[0, 0])
+    torch.testing.assert_close(data.test.v_next[3].double(), data.test_trajectories.v[0, 5])

@@ -1,0 +1,161 @@
+"""A user's own recordings: they come back as they were, or are refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+from tests.chain import ChainPendulum
+
+from symo_exp.data.recorded import RecordedData, write
+from symo_exp.data.simulate import generate
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Trajectories
+from symo_exp.systems.base import System
+from symo_exp.systems.cartpole import Cartpole
+from symo_exp.systems.simulation import Solver
+
+
+def trajectories(system: System, count: int = 6, steps: int = 9) -> Trajectories:
+    solver = Solver("DOP853", 1e-9, 1e-9)
+    return generate(system, count=count, steps=steps, forced=True, solver=solver, seed=0)
+
+
+def recorded(system: System, path: Path, **arguments: object) -> RecordedData:
+    data = RecordedData(system=system, path=path, **arguments)  # type: ignore[arg-type]
+    data.prepare_data()
+    data.setup()
+    return data
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+@pytest.mark.parametrize("system", [Cartpole(), ChainPendulum(3)])
+def test_round_trip(system: System, suffix: str, tmp_path: Path) -> None:
+    truth, path = trajectories(system), tmp_path / f"mine{suffix}"
+    write(path, truth, system.coordinates, system.time_step)
+    data = recorded(system, path, n_val=1, n_test=2, n_integration=1, dtype="float64")
+    for found, rows in [
+        (data.train_trajectories, slice(0, 3)),
+        (data.val_trajectories, slice(3, 4)),
+        (data.test_trajectories, slice(4, 6)),
+        (data.integration, slice(4, 5)),
+    ]:
+        for field, expected in zip(found, truth, strict=True):
+            torch.testing.assert_close(field, expected[rows], rtol=1e-12, atol=1e-14)
+    assert len(data.train.q) == 3 * 8
+    assert sum(len(batch.q) for batch in data.batches(0)) == 24
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> pd.DataFrame:
+    system = Cartpole()
+    write(tmp_path / "x.parquet", trajectories(system), system.coordinates, system.time_step)
+    return pd.read_parquet(tmp_path / "x.parquet")
+
+
+def save(table: pd.DataFrame, tmp_path: Path) -> Path:
+    path = tmp_path / "changed.csv"
+    table.to_csv(path, index=False)
+    return path
+
+
+def test_names_order_and_extra_columns_do_not_matter(table: pd.DataFrame, tmp_path: Path) -> None:
+    plain = recorded(Cartpole(), save(table, tmp_path))
+    table["comment"] = "spare"
+    table["trajectory"] = table["trajectory"].map(lambda k: f"run {9 - k}")
+    shuffled = table.sample(frac=1, random_state=0).sort_values("trajectory", ascending=False)
+    again = recorded(Cartpole(), save(shuffled[shuffled.columns[::-1]], tmp_path))
+    for a, b in zip(plain.train, again.train, strict=True):
+        torch.testing.assert_close(a, b)
+
+
+def test_without_velocities_central_differences(tmp_path: Path) -> None:
+    """Second order: a quarter of the error at half the step."""
+    errors = []
+    for h in (0.02, 0.01):
+        system = ChainPendulum(1, time_step=h)
+        truth = trajectories(system, 4, round(0.4 / h))
+        write(tmp_path / "x.parquet", truth, system.coordinates, h)
+        table = pd.read_parquet(tmp_path / "x.parquet").drop(columns="v_theta_1")
+        found = recorded(system, save(table, tmp_path), n_traj=2, dtype="float64")
+        errors.append((found.train_trajectories.v - truth.v[:2]).abs().max().item())
+    assert 3 < errors[0] / errors[1] < 5
+
+
+def test_without_inputs_they_are_zero(table: pd.DataFrame, tmp_path: Path) -> None:
+    data = recorded(Cartpole(), save(table.drop(columns="u_0"), tmp_path))
+    assert (data.train.u == 0).all()
+
+
+def test_unequal_lengths_are_cut_into_pieces(table: pd.DataFrame, tmp_path: Path) -> None:
+    short = table.drop(index=range(12, 20))  # the second trajectory keeps two nodes
+    with pytest.raises(ConfigError, match="trajectory 1 has 2 node"):
+        recorded(Cartpole(), save(short, tmp_path))
+    short = table.drop(index=range(17, 20))
+    with pytest.raises(ConfigError, match=r"data\.segment=null.*7 to 10 nodes"):
+        recorded(Cartpole(), save(short, tmp_path))
+    data = recorded(Cartpole(), save(short, tmp_path), segment=4, n_traj=2, dtype="float64")
+    # 10 nodes give pieces at 0, 2, 4, 6; 7 nodes give them at 0, 2.
+    assert data.train_trajectories.q.shape == (6, 4, 2)
+    whole = recorded(Cartpole(), save(table, tmp_path), n_traj=1, dtype="float64")
+    for piece, window in zip(data.train, whole.train, strict=True):
+        assert torch.equal(piece[:8], window)  # no window is lost
+    assert data.integration.q.shape == (1, 10, 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.drop(columns="q_theta"), "no column q_theta"),
+        (lambda t: t.drop(columns="v_x"), "no column v_x"),
+        (lambda t: t.drop(columns="t"), "no column t"),
+        (lambda t: t.drop(columns="trajectory"), "no column trajectory"),
+        (lambda t: t.assign(t=2 * t["t"]), "steps by 0.1 s"),
+        (lambda t: t.drop(index=4), "trajectory 0 steps by 0.1 s at t=0.15"),
+        (lambda t: pd.concat([t, t.iloc[:1]]), "trajectory 0 steps by 0 s"),
+        (lambda t: t.assign(q_x=t["q_x"].where(t.index != 3)), "q_x is empty or not finite"),
+        (lambda t: t.assign(q_x="high"), "q_x holds something that is no number"),
+        (lambda t: t.assign(trajectory=t["trajectory"].where(t.index != 3)), "without a traj"),
+        (lambda t: t.iloc[:20], "has 2 trajectories, too few"),
+        (lambda t: t.iloc[:0], "has 0 trajectories"),
+    ],
+)
+def test_malformed_tables_are_refused_in_one_line(
+    change, message: str, table: pd.DataFrame, tmp_path: Path
+) -> None:
+    path = save(change(table), tmp_path)
+    with pytest.raises(ConfigError) as error:
+        RecordedData(system=Cartpole(), path=path)
+    assert message in str(error.value)
+    assert str(error.value).startswith(f"data.path={path}")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("absent.csv", None, "No such file"),
+        ("data.txt", b"x", r"ends in \.parquet or \.csv"),
+        ("broken.parquet", b"PAR1 nonsense", "cannot be read"),
+        ("empty.csv", b"", "cannot be read"),
+        ("bytes.csv", b"\xff\xfe\x00\x81,\n\x9d", "data.path"),
+    ],
+)
+def test_unreadable_files_are_refused_in_one_line(
+    name: str, content: bytes | None, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=message) as error:
+        RecordedData(system=Cartpole(), path=path)
+    assert "\n" not in str(error.value)
+
+
+def test_too_many_training_trajectories_are_refused(table: pd.DataFrame, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"data\.n_traj=5: expected a whole number from 1 to 4"):
+        RecordedData(system=Cartpole(), path=save(table, tmp_path), n_traj=5)
+    with pytest.raises(ConfigError, match=r"data\.segment=11: no training trajectory"):
+        RecordedData(system=Cartpole(), path=save(table, tmp_path), segment=11)

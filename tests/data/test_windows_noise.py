@@ -1,0 +1,80 @@
+"""Windows are aligned; noise has the size asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from symo_exp.data.noise import add_noise
+from symo_exp.data.windows import windows
+from symo_exp.mechanics.types import Trajectories
+
+
+def labelled(count: int = 3, nodes: int = 7, n: int = 2, m: int = 1) -> Trajectories:
+    """Every number says what it is: field, trajectory, node, component."""
+
+    def field(kind: int, width: int) -> torch.Tensor:
+        b, t, i = torch.meshgrid(*(torch.arange(k) for k in (count, nodes, width)), indexing="ij")
+        return (1000 * kind + 100 * b + 10 * t + i).double()
+
+    return Trajectories(field(1, n), field(2, n), field(3, m))
+
+
+def test_windows_hold_the_nodes_they_name() -> None:
+    cut = windows(labelled())
+    assert all(len(field) == 3 * 5 for field in cut)
+    row = 5 + 2  # second trajectory, third window
+    for name, kind, node in [
+        ("q_prev", 1, 2),
+        ("q", 1, 3),
+        ("q_next", 1, 4),
+        ("v", 2, 3),
+        ("v_next", 2, 4),
+        ("u_prev", 3, 2),
+        ("u", 3, 3),
+        ("u_next", 3, 4),
+    ]:
+        assert getattr(cut, name)[row, 0] == 1000 * kind + 100 * 1 + 10 * node, name
+
+
+def test_every_window_once_and_none_across_trajectories() -> None:
+    cut = windows(labelled())
+    assert len(torch.unique(cut.q_prev[:, 0])) == 15
+    assert ((cut.q_next - cut.q_prev) == 20).all()
+
+
+def test_noise_has_the_variance_asked_for() -> None:
+    """The sample variance of N normals is within 5 √(2/N) of 1."""
+    zero = Trajectories(*(torch.zeros(128, 34, k, dtype=torch.float64) for k in (2, 2, 1)))
+    noisy = add_noise(zero, 5e-3, 0)
+    for field in (noisy.q, noisy.v):
+        for component in (field[..., 0], field[..., 1]):
+            scaled = component.flatten() / 5e-3
+            assert abs(scaled.var() - 1) < 5 * np.sqrt(2 / scaled.numel())
+            assert abs(scaled.mean()) < 5 / np.sqrt(scaled.numel())
+    columns = torch.cat([noisy.q, noisy.v], -1).flatten(0, 1).T
+    off_diagonal = torch.corrcoef(columns) - torch.eye(4)
+    assert off_diagonal.abs().max() < 5 / np.sqrt(columns.shape[1])
+    nodes = noisy.q[:, 1:, 0] * noisy.q[:, :-1, 0] / 5e-3**2
+    assert abs(nodes.mean()) < 5 / np.sqrt(nodes.numel())  # white in time
+    assert (noisy.u == 0).all()
+
+
+def test_noise_of_a_trajectory_does_not_depend_on_the_others_and_scales() -> None:
+    clean = labelled(6)
+    few = Trajectories(*(field[:2] for field in clean))
+    torch.testing.assert_close(
+        add_noise(clean, 0.1, 3).v[:2], add_noise(few, 0.1, 3).v, rtol=0, atol=0
+    )
+    torch.testing.assert_close(
+        10 * (add_noise(clean, 0.1, 3).q - clean.q), add_noise(clean, 1.0, 3).q - clean.q
+    )
+
+
+@pytest.mark.parametrize("seed", [1, (0, 1)])
+def test_noise_is_decided_by_its_seed(seed: int | tuple[int, int]) -> None:
+    clean = labelled()
+    assert torch.equal(add_noise(clean, 0.1, seed).q, add_noise(clean, 0.1, seed).q)
+    assert not torch.equal(add_noise(clean, 0.1, seed).q, add_noise(clean, 0.1, 0).q)
+    assert torch.equal(add_noise(clean, 0.0, seed).q, clean.q)

@@ -1,0 +1,148 @@
+"""The Gymnasium environment: its contract, its motion and its pictures."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from tests.systems.every import SYSTEMS
+
+from symo_exp.errors import ConfigError
+from symo_exp.systems.environment import Environment
+from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.table import systems
+
+ids = pytest.mark.parametrize("name", systems())
+every_system = pytest.mark.parametrize("name", SYSTEMS)
+
+
+@ids
+def test_registered_and_accepted_by_gymnasium(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # the checker opens windows
+    env = gymnasium.make(f"symo_exp/{name}-v0", disable_env_checker=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # unbounded observations, unnormalised torques
+        check_env(env.unwrapped)
+    assert env.spec is not None
+    assert env.spec.max_episode_steps == 500
+    assert type(env.unwrapped.system).__name__ == name
+
+
+@every_system
+def test_stepping_is_simulating(name: str) -> None:
+    system = SYSTEMS[name]
+    env = Environment(system, solver=Solver("RK45", rtol=1e-10, atol=1e-11))
+    n = system.coordinates.n
+    observation, _ = env.reset(seed=3)
+    env.action_space.seed(3)
+    controls = np.stack([env.action_space.sample() for _ in range(11)])
+    observations = [observation]
+    for control in controls[:-1]:
+        observation, reward, *_ = env.step(control)
+        observations.append(observation)
+    start = torch.from_numpy(observations[0]).unsqueeze(0)
+    exact = simulate(
+        system,
+        start[:, :n],
+        start[:, n:],
+        torch.from_numpy(controls).unsqueeze(0),
+        10,
+        Solver("DOP853", rtol=1e-12, atol=1e-13),
+    )
+    expected = torch.cat([exact.q[0], exact.v[0]], 1).numpy()
+    np.testing.assert_allclose(np.stack(observations), expected, rtol=1e-7, atol=1e-7)
+    assert np.abs(np.diff(expected, axis=0)).max() > 1e-2
+    assert reward == pytest.approx(float(system.potential(exact.q[:, -1])), rel=1e-6)
+
+
+def test_resets_are_drawn_from_the_box_and_seeded() -> None:
+    system = SYSTEMS["cartpole"]
+    env = Environment(system)
+    starts = np.stack([env.reset(seed=seed)[0] for seed in range(200)])
+    box = np.array([*system.sampling_box.q, *system.sampling_box.v])
+    assert ((starts >= box[:, 0]) & (starts <= box[:, 1])).all()
+    covered = (starts.max(0) - starts.min(0)) / (box[:, 1] - box[:, 0])
+    assert (covered > 0.9).all()
+    np.testing.assert_array_equal(env.reset(seed=5)[0], starts[5])
+
+
+def test_reset_to_an_exact_state() -> None:
+    env = Environment(SYSTEMS["acrobot"])
+    state, _ = env.reset(options={"q": [0.1, -7.0], "v": [2.0, 3.0]})
+    np.testing.assert_array_equal(state, [0.1, -7.0, 2.0, 3.0])
+    state[:] = 0.0  # the caller's copy
+    assert env.step(np.zeros(1))[0][1] < -6
+    for wrong in ({"q": [0.1]}, {"v": [0.0, np.nan]}, {"theta": 1.0}):
+        with pytest.raises(ConfigError, match="expected"):
+            env.reset(options=wrong)
+
+
+def test_actions_are_clipped_to_the_range_of_the_data() -> None:
+    env = Environment(SYSTEMS["pendulum"])
+    ends = []
+    for torque in (2.0, 50.0):
+        env.reset(options={"q": [0.3], "v": [0.0]})
+        ends.append(env.step(np.array([torque]))[0])
+    np.testing.assert_array_equal(ends[0], ends[1])
+
+
+@every_system
+def test_pictures_show_the_system_moving(name: str) -> None:
+    env = Environment(SYSTEMS[name], render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    for _ in range(3):
+        env.step(env.action_space.high)
+    after = env.render()
+    env.close()
+    assert before.shape == (480, 480, 3)
+    assert before.dtype == np.uint8
+    drawn = (before != before[0, 0]).any(-1).mean()
+    assert 0.005 < drawn < 0.5
+    assert (before != after).any(-1).mean() > 1e-3
+
+
+def test_up_is_up_in_a_picture() -> None:
+    env = Environment(SYSTEMS["pendulum"], render_mode="rgb_array")
+    env.reset(options={"q": [0.0], "v": [0.0]})
+    picture = env.render()
+    rod = (picture != picture[0, 0]).any(-1)
+    assert rod[:200].sum() > 100
+    assert rod[280:].sum() == 0
+
+
+def test_pictures_need_no_display() -> None:
+    code = (
+        "from symo_exp.systems.environment import Environment\n"
+        "from symo_exp.systems.pendulum import Pendulum\n"
+        "env = Environment(Pendulum(), render_mode='rgb_array'); env.reset(seed=0)\n"
+        "assert env.render().std() > 1"
+    )
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    environment = {k: v for k, v in os.environ.items() if k not in hidden}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=120)
+
+
+def test_without_pygame_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    env = Environment(SYSTEMS["pendulum"], render_mode="rgb_array")
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"pip install 'symo_exp\[render\]'"):
+        env.render()
+
+
+def test_parameters_reach_the_system() -> None:
+    env = gymnasium.make(
+        "symo_exp/Pendulum-v0", parameters={"mass": 2.0, "time_step": 0.02}, solver={"rtol": 1e-6}
+    )
+    environment = env.unwrapped
+    assert environment.system.mass == 2.0
+    assert environment.metadata["render_fps"] == 50
+    assert environment.solver == Solver("RK45", rtol=1e-6, atol=1e-8)

@@ -1,0 +1,255 @@
+"""The systems against equations of motion written down independently, and against mechanics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+import torch
+from tests.systems.every import SYSTEMS, points
+from tests.tables import systems as configured
+from torch import Tensor
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.systems.acrobot import Acrobot
+from symo_exp.systems.base import SamplingBox, Skeleton, System
+from symo_exp.systems.cartpole import Cartpole
+from symo_exp.systems.pendulum import Pendulum
+from symo_exp.systems.table import systems
+
+every_system = pytest.mark.parametrize("name", SYSTEMS)
+
+
+def pendulum(s: Pendulum, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
+    """Gymnasium's Pendulum: θ̈ = 3g/(2l) sin θ + 3u/(m l²)."""
+    return 3 * s.gravity / (2 * s.length) * q.sin() + 3 * u / (s.mass * s.length**2)
+
+
+def acrobot(s: Acrobot, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
+    """Sutton and Barto, Reinforcement Learning, example 11.3 (Spong's equations)."""
+    m1, m2, l1, c1, c2 = s.mass_1, s.mass_2, s.length_1, s.centre_1, s.centre_2
+    i1, i2, g = s.inertia_1, s.inertia_2, s.gravity
+    (a, b), (da, db) = q.T, v.T
+    d1 = m1 * c1**2 + m2 * (l1**2 + c2**2 + 2 * l1 * c2 * b.cos()) + i1 + i2
+    d2 = m2 * (c2**2 + l1 * c2 * b.cos()) + i2
+    phi2 = m2 * c2 * g * (a + b - math.pi / 2).cos()
+    phi1 = (
+        -m2 * l1 * c2 * db**2 * b.sin()
+        - 2 * m2 * l1 * c2 * db * da * b.sin()
+        + (m1 * c1 + m2 * l1) * g * (a - math.pi / 2).cos()
+        + phi2
+    )
+    ddb = (u[:, 0] + d2 / d1 * phi1 - m2 * l1 * c2 * da**2 * b.sin() - phi2) / (
+        m2 * c2**2 + i2 - d2**2 / d1
+    )
+    dda = -(d2 * ddb + phi1) / d1
+    return torch.stack([dda, ddb], -1)
+
+
+def cartpole(s: Cartpole, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
+    """Florian, Correct equations for the dynamics of the cart-pole system, 2007; no friction."""
+    mc, mp, half, g = s.mass_cart, s.mass_pole, s.half_length, s.gravity
+    theta, rate, force = q[:, 1], v[:, 1], u[:, 0]
+    inner = (-force - mp * half * rate**2 * theta.sin()) / (mc + mp)
+    theta_dd = (g * theta.sin() + theta.cos() * inner) / (
+        half * (4 / 3 - mp * theta.cos() ** 2 / (mc + mp))
+    )
+    x_dd = (force + mp * half * (rate**2 * theta.sin() - theta_dd * theta.cos())) / (mc + mp)
+    return torch.stack([x_dd, theta_dd], -1)
+
+
+ODD_PARAMETERS: list[tuple[System, Callable[..., Tensor]]] = [
+    (Pendulum(), pendulum),
+    (Pendulum(gravity=3.7, mass=2.3, length=0.6), pendulum),
+    (Acrobot(), acrobot),
+    (
+        Acrobot(
+            gravity=9.0,
+            mass_1=1.2,
+            mass_2=0.7,
+            length_1=0.9,
+            length_2=1.4,
+            centre_1=0.4,
+            centre_2=0.8,
+            inertia_1=0.3,
+            inertia_2=0.2,
+        ),
+        acrobot,
+    ),
+    (Cartpole(), cartpole),
+    (Cartpole(gravity=3.7, mass_cart=0.8, mass_pole=0.4, half_length=0.9), cartpole),
+]
+
+
+@pytest.mark.parametrize(("system", "equations"), ODD_PARAMETERS)
+def test_acceleration_is_that_of_the_literature(
+    system: System, equations: Callable[..., Tensor]
+) -> None:
+    q, v, u = points(system)
+    found = system.acceleration(q, v, u)
+    assert found.dtype == torch.float64
+    torch.testing.assert_close(found, equations(system, q, v, u), rtol=1e-10, atol=1e-10)
+
+
+def test_double_pendulum_of_the_chain_is_that_of_the_literature() -> None:
+    """Equal masses and rods, absolute angles (Goldstein, ch. 1)."""
+    system = SYSTEMS["chain_2"]
+    q, v, _ = points(system)
+    (a, b), (da, db), g = q.T, v.T, 9.81
+    d = a - b
+    below = 3 - (2 * d).cos()
+    dda = (
+        -3 * g * a.sin() - g * (a - 2 * b).sin() - 2 * d.sin() * (db**2 + da**2 * d.cos())
+    ) / below
+    ddb = 2 * d.sin() * (2 * da**2 + 2 * g * a.cos() + db**2 * d.cos()) / below
+    found = system.acceleration(q, v, torch.zeros_like(q))
+    torch.testing.assert_close(found, torch.stack([dda, ddb], -1), rtol=1e-10, atol=1e-10)
+
+
+def test_the_acrobot_with_point_masses_is_a_chain_of_two() -> None:
+    """Relative to absolute angles: q = T θ, and B maps the elbow torque to both rods."""
+    tiny = 1e-14
+    acrobot = Acrobot(centre_1=1.0, centre_2=1.0, inertia_1=tiny, inertia_2=tiny)
+    q, v, u = points(acrobot)
+    to_absolute = torch.tensor([[1.0, 0.0], [1.0, 1.0]], dtype=torch.float64).T
+    torques = torch.cat([torch.zeros_like(u), u], 1)
+    chain = SYSTEMS["chain_2"].acceleration(q @ to_absolute, v @ to_absolute, torques)
+    found = acrobot.acceleration(q, v, u) @ to_absolute
+    torch.testing.assert_close(found, chain, rtol=1e-9, atol=1e-9)
+
+
+@every_system
+def test_declarations_agree(name: str) -> None:
+    system = SYSTEMS[name]
+    n, m = system.input_matrix.shape
+    assert system.input_matrix.dtype == torch.float64
+    assert len(system.coordinates.names) == len(system.coordinates.angular) == n
+    assert len(set(system.coordinates.names)) == n
+    box = system.sampling_box
+    assert (len(box.q), len(box.v), len(box.u)) == (n, n, m)
+    assert all(unit for _, unit in system.parameters.values())
+
+
+@every_system
+def test_inertia_is_symmetric_and_positive_definite(name: str) -> None:
+    system = SYSTEMS[name]
+    q, v, _ = points(system, 256)
+    mass = system.mass_matrix(q)
+    torch.testing.assert_close(mass, mass.mT, rtol=0, atol=0)
+    assert torch.linalg.eigvalsh(mass).min() > 1e-6
+    torch.testing.assert_close(system.momentum(q, v), torch.einsum("bij,bj->bi", mass, v))
+
+
+@every_system
+def test_power_is_what_the_motors_give(name: str) -> None:
+    """dE/dt = E_q v + E_v v̇ = vᵀ B u."""
+    system = SYSTEMS[name]
+    q, v, u = points(system)
+    a = system.acceleration(q, v, u)
+    _, rate = torch.func.jvp(system.energy, (q, v), (v, a))
+    power = torch.einsum("bi,ij,bj->b", v, system.input_matrix, u)
+    torch.testing.assert_close(rate, power, rtol=1e-10, atol=1e-9)
+    assert power.abs().max() > 0.1
+
+
+@every_system
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_complex_step_is_automatic_differentiation(name: str, dtype: torch.dtype) -> None:
+    system = SYSTEMS[name]
+    assert system._analytic
+    q, v, _ = (x.to(dtype) for x in points(system))
+    tolerance = 2e-4 if dtype == torch.float32 else 1e-11
+    for found, expected in zip(system.rates(q, v), Lagrangian.rates(system, q, v), strict=True):
+        assert found.dtype == dtype
+        torch.testing.assert_close(found, expected, rtol=tolerance, atol=tolerance)
+
+
+class Spring(System):
+    """A spring whose potential is written with ``abs``: the complex step would lose its force."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            coordinates=Coordinates(("x",), (False,)),
+            input_matrix=[[1.0]],
+            time_step=0.1,
+            parameters={},
+            box=SamplingBox(q=((-1.0, 1.0),), v=((-1.0, 1.0),), u=((-1.0, 1.0),)),
+        )
+
+    def mass_matrix(self, q: Tensor) -> Tensor:
+        return torch.ones_like(q).unsqueeze(-1)
+
+    def potential(self, q: Tensor) -> Tensor:
+        return 0.5 * q[:, 0].abs() ** 2
+
+    def skeleton(self, q: Tensor) -> Skeleton:
+        return Skeleton(torch.stack([q[0], 0 * q[0]]).unsqueeze(0), links=())
+
+
+def test_a_system_that_is_not_analytic_is_differentiated_automatically() -> None:
+    q, v, u = points(Spring())
+    torch.testing.assert_close(Spring().acceleration(q, v, u), u - q)
+
+
+def test_acceleration_can_be_differentiated() -> None:
+    system = SYSTEMS["chain_2"]
+    q, v, u = (x[:3].requires_grad_() for x in points(system))
+    assert torch.autograd.gradcheck(system.acceleration, (q, v, u))
+
+
+@every_system
+def test_the_skeleton_moves_with_the_joints(name: str) -> None:
+    """Bars are rigid, the parameters give their length, and gravity pulls down on them."""
+    system = SYSTEMS[name]
+    q, _, _ = points(system, 2)
+    one, two = system.skeleton(q[0]), system.skeleton(q[1])
+    assert one.links == two.links
+    assert one.points.shape == two.points.shape
+    for start, end in one.links:
+        lengths = [(s.points[end] - s.points[start]).norm() for s in (one, two)]
+        torch.testing.assert_close(lengths[0], lengths[1])
+    reaches = (one.points - one.points[0]).norm(dim=1)
+    assert reaches.max() <= one.reach + 1e-12
+    # The highest configuration of a grid has its last point highest above the first.
+    grid = torch.cartesian_prod(*[torch.linspace(-math.pi, math.pi, 13)] * q.shape[1])
+    grid = grid.double().reshape(-1, q.shape[1])
+    heights = torch.stack([(p := system.skeleton(g).points)[-1, 1] - p[0, 1] for g in grid])
+    potentials = system.potential(grid)
+    highest = heights[potentials > potentials.max() - 1e-9]
+    torch.testing.assert_close(highest, heights.max().expand_as(highest))
+
+
+def test_the_table_finds_what_is_configured() -> None:
+    assert {type(s).__name__ for s in configured().values()} == set(systems())
+
+
+@pytest.mark.parametrize("name", configured())
+def test_the_configuration_states_the_defaults(name: str) -> None:
+    stated = configured()[name]
+    assert stated.identity() == type(stated)().identity()
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "key"),
+    [
+        (Pendulum, {"mass": 0.0}, "system.mass=0.0"),
+        (Pendulum, {"length": -1.0}, "system.length=-1.0"),
+        (Acrobot, {"inertia_1": math.nan}, "system.inertia_1=nan"),
+        (Cartpole, {"time_step": 0}, "system.time_step=0"),
+        (Cartpole, {"mass_cart": "heavy"}, "system.mass_cart='heavy'"),
+        (Pendulum, {"box": SamplingBox(q=((1.0, -1.0),), v=((0, 1),), u=((0, 1),))}, "box.q"),
+        (Pendulum, {"box": SamplingBox(q=((0, 1),), v=((0, 1),), u=())}, "box.u"),
+        (Pendulum, {"box": SamplingBox(q=((0, 1),), v=(3,), u=((0, 1),))}, "box.v"),  # type: ignore[arg-type]
+    ],
+)
+def test_bad_parameters_are_refused_in_one_line(
+    kind: type[System], arguments: dict[str, object], key: str
+) -> None:
+    with pytest.raises(ConfigError) as error:
+        kind(**arguments)  # type: ignore[arg-type]
+    assert key in str(error.value)
+    assert "expected" in str(error.value)
+    assert "\n" not in str(error.value)
