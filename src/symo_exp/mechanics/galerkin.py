@@ -45,9 +45,7 @@ class Galerkin(VariationalIntegrator):
     coefficients: a network without training may have such rows.
     """
 
-    def __init__(
-        self, *, stages: int, tolerance: float = 1e-10, max_iterations: int = 10
-    ) -> None:
+    def __init__(self, *, stages: int, tolerance: float = 1e-12, max_iterations: int = 12) -> None:
         if stages < 1:
             raise ValueError(f"stages must be at least 1, got {stages}")
         if not tolerance > 0.0:
@@ -262,9 +260,7 @@ class GalerkinExpansion(DiscreteExpansion):
         if self._condensed is None:
             w = self._basis.hessian(self._at.curvature(), self._at.values.mass, self._h)
             ends = w[[0, -1]][:, 1:-1]
-            transfer = torch.linalg.solve_ex(
-                _matrix(w[1:-1, 1:-1]), _matrix(ends), left=False
-            )[0]
+            transfer = torch.linalg.solve_ex(_matrix(w[1:-1, 1:-1]), _matrix(ends), left=False)[0]
             n = w.shape[-1]
             d2d1 = w[0, -1] - transfer[:, :n] @ _matrix(w[1:-1, -1:])
             self._condensed = d2d1, transfer
