@@ -25,7 +25,7 @@ def test_order_of_convergence(name, n, forced):
             q, v = method.step(lambda *x: acceleration(chain, *x), q, v, u, u_next, h)
         return q
 
-    slope = order(integrate, reference(chain, n, forced=forced), (16, 24, 32, 48))
+    slope = order(integrate, reference(chain, n, forced=forced), (24, 32, 48, 64))
     assert slope == pytest.approx(method.order, abs=0.3)
 
 

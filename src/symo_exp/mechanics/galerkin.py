@@ -90,6 +90,9 @@ class Galerkin(VariationalIntegrator):
                 break
         return at
 
+    def converged(self) -> Galerkin:
+        return Galerkin(stages=self.stages)
+
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
         """``h Σᵢ bᵢ (1 − τᵢ) F(τᵢ)`` and ``h Σᵢ bᵢ τᵢ F(τᵢ)``, exact for ``s ≥ 2``."""
         first, *_, last = self._basis.impulses(Forces(force0, force1), h).unbind(0)

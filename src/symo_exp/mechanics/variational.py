@@ -109,6 +109,10 @@ class VariationalIntegrator(ABC):
     ) -> tuple[Float[Tensor, "batch n"], Float[Tensor, "batch n"]]:
         """Discrete forces ``f⁻`` (on ``q₀``) and ``f⁺`` (on ``q₁``) of a linear force [N s]."""
 
+    def converged(self) -> VariationalIntegrator:
+        """The same integrator with whatever it iterates carried to convergence."""
+        return self
+
 
 class VariationalMidpoint(VariationalIntegrator):
     """The midpoint rule, ``L_d(q₀, q₁) = h ℒ((q₀+q₁)/2, (q₁−q₀)/h)`` (thesis (5.4)), order 2.
@@ -238,9 +242,9 @@ def next_pose(
     """``q_{k+1}`` with ``p⁻(q_k, q_{k+1}) = p_k``, given ``impulse = p_k + f⁻``.
 
     Differentiable in ``q``, ``impulse``, ``forces`` and the parameters by the implicit function
-    theorem, where gradients are enabled. A row without a root (see ``Root.converged``) keeps its last iterate;
-    with ``fallback`` it gets ``x + h H⁻¹ g(x)`` from that pose ``x`` instead, a Newton correction
-    with the Jacobian's limit for small steps, which is always regular.
+    theorem, where gradients are enabled. A row without a root (see ``Root.converged``) keeps its
+    last iterate; with ``fallback`` it gets ``x + h H⁻¹ g(x)`` from that pose ``x`` instead, a
+    Newton correction with the Jacobian's limit for small steps, which is always regular.
     """
     problem = MomentumMatching(integrator, lagrangian, q, impulse, h, forces)
     root = root_finder.solve(problem, guess.detach())

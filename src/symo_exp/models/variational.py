@@ -54,6 +54,7 @@ class VariationalModel(DynamicsModel):
         twin = super().for_evaluation()
         assert isinstance(twin, VariationalModel)
         twin.root = self._evaluation_root
+        twin.integrator = self.integrator.converged()
         return twin
 
     def initial_velocity(self, windows: Windows) -> Tensor:
