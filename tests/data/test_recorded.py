@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pandas as pd
@@ -118,6 +119,10 @@ def test_unequal_lengths_are_cut_into_pieces(table: pd.DataFrame, tmp_path: Path
         (lambda t: t.assign(q_x=t["q_x"].where(t.index != 3)), "q_x is empty or not finite"),
         (lambda t: t.assign(q_x="high"), "q_x holds something that is no number"),
         (lambda t: t.assign(trajectory=t["trajectory"].where(t.index != 3)), "without a traj"),
+        (
+            lambda t: t.assign(q_theta=(10 * t["t"] + math.pi) % (2 * math.pi) - math.pi),
+            "turns q_theta by 5.78 rad",
+        ),
         (lambda t: t.iloc[:20], "has 2 trajectories, too few"),
         (lambda t: t.iloc[:0], "has 0 trajectories"),
     ],

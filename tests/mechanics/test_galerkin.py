@@ -68,9 +68,11 @@ def test_jacobian_in_the_next_pose(stages: int, n: int) -> None:
         for i in range(len(q0)):
             row = Forces(f.start[i : i + 1], f.end[i : i + 1])
 
-            def d1(x: Tensor, i: int = i, row: Forces = row, l: Lagrangian = lagrangian) -> Tensor:
+            def d1(
+                x: Tensor, i: int = i, row: Forces = row, own: Lagrangian = lagrangian
+            ) -> Tensor:
                 with torch.no_grad():
-                    return integrator.slots(l, q0[i : i + 1], x[None], h, row).d1[0]
+                    return integrator.slots(own, q0[i : i + 1], x[None], h, row).d1[0]
 
             torch.testing.assert_close(
                 jacobian[i],

@@ -69,8 +69,9 @@ class RecordedData(DataModule):
         seed: int = 0,
         noise_seed: int = 0,
         dtype: str | torch.dtype = "float32",
-        monitor: Literal["val", "test"] = "val",
+        monitor: Literal["val", "test", "held_out"] = "val",
         monitor_trajectories: int | None = None,
+        held_out: int = 0,
     ) -> None:
         self.system = system
         whole("data.n_val", n_val, low=1)
@@ -111,6 +112,7 @@ class RecordedData(DataModule):
             dtype=dtype,
             monitor=monitor,
             monitor_trajectories=monitor_trajectories,
+            held_out=held_out,
         )
 
     def load(self) -> Splits:
@@ -178,6 +180,7 @@ def read(path: str | os.PathLike[str], system: System) -> list[Recording]:
         rows = rows.sort_values("t", kind="stable")
         _check_times(where, label, rows["t"].to_numpy(), system.time_step)
         q = rows[q_columns].to_numpy()
+        _check_angles(where, label, q, system.coordinates)
         recordings.append(
             Recording(
                 label,
@@ -214,6 +217,15 @@ def _check_times(where: str, label: object, t: np.ndarray, h: float) -> None:
             f"{where}: trajectory {label} steps by {gaps[worst]:.6g} s at t={t[worst]:.6g}, "
             f"but system.time_step={h:g}; set system.time_step or resample to equal steps"
         )
+
+
+def _check_angles(where: str, label: object, q: np.ndarray, coordinates: Coordinates) -> None:
+    for name, angular, turn in zip(*coordinates, np.abs(np.diff(q, axis=0)).max(0), strict=True):
+        if angular and turn > np.pi:
+            raise ConfigError(
+                f"{where}: trajectory {label} turns q_{name} by {turn:.3g} rad in one step; angles "
+                "must not be wrapped (numpy.unwrap mends them) and be in radians"
+            )
 
 
 def _stack(recordings: list[Recording], segment: int | None, purpose: str) -> Trajectories:

@@ -38,7 +38,8 @@ def shift(x: Float[Tensor, "rows out"], bias: Tensor) -> Tensor:
 def weight_gradient(weight: Tensor, *pairs: Pair) -> Tensor | None:
     """``Σ ḡ xᵀ`` over all pairs and rows, for a backward pass in closed form."""
     if _record is not None:
-        return _record.keep(weight, *pairs)
+        _record.keep(weight, *pairs)
+        return None
     (cotangent, x), *others = pairs
     gradient = cotangent.T @ x
     for cotangent, x in others:
@@ -48,7 +49,10 @@ def weight_gradient(weight: Tensor, *pairs: Pair) -> Tensor | None:
 
 def bias_gradient(bias: Tensor, cotangent: Float[Tensor, "rows out"]) -> Tensor | None:
     """``Σ ḡ`` over all rows."""
-    return cotangent.sum(0) if _record is None else _record.keep(bias, (cotangent, cotangent))
+    if _record is None:
+        return cotangent.sum(0)
+    _record.keep(bias, (cotangent, cotangent))
+    return None
 
 
 class _Record:

@@ -27,8 +27,12 @@ class MLP(nn.Module):
         for weight in self.weights:
             nn.init.xavier_uniform_(weight, gain=nn.init.calculate_gain("tanh"))
 
+    def layers(self) -> tuple[tuple[Tensor, Tensor], ...]:
+        """Weight and bias of every layer, the linear output last."""
+        return tuple(zip(tuple(self.weights), tuple(self.biases), strict=True))
+
     def forward(self, x: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
-        *hidden, (weight, bias) = zip(self.weights, self.biases, strict=True)
+        *hidden, (weight, bias) = self.layers()
         for w, b in hidden:
             x = torch.tanh(linear(x, w, b))
         return linear(x, weight, bias)

@@ -58,16 +58,17 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> StructuredExpansion:
         features = self.embedding(q.detach())
-        weights, biases = self.net.weights, self.net.biases
+        layers = self.net.layers()
         hidden, x = [], features.x
-        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-            x = torch.addmm(bias, x, weight.T).tanh_()
+        for weight, bias in layers[:-1]:
+            x = torch.tanh(torch.addmm(bias, x, weight.T))
             hidden.append(x)
-        head = self.head.point(torch.addmm(biases[-1], x, weights[-1].T), v.detach())
+        weight, bias = layers[-1]
+        head = self.head.point(torch.addmm(bias, x, weight.T), v.detach())
         output_cotangent = self.head.cotangent(head)
         cotangents: list[Tensor] = []
         back = output_cotangent
-        for weight, h in zip(reversed(weights[1:]), reversed(hidden), strict=True):
+        for (weight, _), h in zip(reversed(layers[1:]), reversed(hidden), strict=True):
             back = (back @ weight) * (1.0 - h * h)
             cotangents.insert(0, back)
         return StructuredExpansion(
@@ -78,7 +79,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
                 head,
                 output_cotangent,
                 tuple(cotangents),
-                cotangents[0] @ weights[0],
+                cotangents[0] @ layers[0][0],
             ),
         )
 
@@ -92,11 +93,11 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         features = self.embedding(q)
         tangents = self.embedding.basis_tangents(features).transpose(0, 1)
         jet = torch.cat((features.x.unsqueeze(0), tangents))
-        weights, biases = self.net.weights, self.net.biases
-        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-            jet = tanh_jet_layer(jet, weight, bias)
-        jet = linear(jet.flatten(0, 1), weights[-1]).unflatten(0, (n + 1, -1))
-        outputs, partials = shift(jet[0], biases[-1]), jet[1:]
+        *hidden, (weight, bias) = self.net.layers()
+        for w, b in hidden:
+            jet = tanh_jet_layer(jet, w, b)
+        jet = linear(jet.flatten(0, 1), weight).unflatten(0, (n + 1, -1))
+        outputs, partials = shift(jet[0], bias), jet[1:]
         factor = head.factor(outputs)
         partial_factors = head.factor_tangent(head.slope(outputs), partials)  # (n, B, n, n)
         y = (v.unsqueeze(-2) @ factor).squeeze(-2)
@@ -139,7 +140,7 @@ class StructuredExpansion(Expansion):
     @torch.no_grad()
     def curvature(self) -> Curvature:
         embedding, head = self._lagrangian.embedding, self._lagrangian.head
-        weights, at = self._lagrangian.net.weights, self._passes
+        weights, at = tuple(self._lagrangian.net.weights), self._passes
         tangents = embedding.basis_tangents(at.features)  # (B, n, ·) from here on
         own = embedding.second(at.features) * at.feature_cotangent
         qq = torch.diag_embed(embedding.to_coordinates(own))
@@ -176,7 +177,7 @@ class StructuredExpansion(Expansion):
     ) -> tuple[Tensor, Tensor, list[Tensor | None], list[Tensor | None]]:
         """Gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩ + ⟨M, H⟩`` in ``q``, ``v``, weights and biases."""
         embedding, head = self._lagrangian.embedding, self._lagrangian.head
-        weights, at = self._lagrangian.net.weights, self._passes
+        weights, at = tuple(self._lagrangian.net.weights), self._passes
         inputs = (at.features.x, *at.hidden)
         tangents = [embedding.tangent(at.features, a)]
         bends: list[Tensor] = []
@@ -187,7 +188,7 @@ class StructuredExpansion(Expansion):
         rates = tangents[-1] @ weights[-1].T
         back, velocity = head.directional_cotangents(at.head, rates, b, mass_cotangent)
         own = (at.output_cotangent, *reversed(at.cotangents))
-        biases = self._lagrangian.net.biases
+        biases = tuple(self._lagrangian.net.biases)
         weight_gradients: list[Tensor | None] = []
         bias_gradients: list[Tensor | None] = []
         for layer in range(len(weights) - 1, -1, -1):

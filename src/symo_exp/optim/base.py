@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
 import torch
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.optim import Optimizer
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
 
 
@@ -27,21 +29,47 @@ class EpochOptimizer(Optimizer, ABC):
 
     Everything else, gradients and line searches included, is its own business. What it must
     remember to be resumed goes into ``memory``, which ``state_dict`` carries.
+
+    Losses on held-out samples arrive through ``validated``: the best parameters are kept, and after
+    ``patience`` losses that do not improve by a hundredth the training is ``finished``.
     """
 
-    memory: dict[str, Any]
-    finished: bool = False
-    """Whether further epochs are of no use."""
+    def __init__(self, params: Iterable[Tensor], *, patience: int) -> None:
+        if patience < 1:
+            raise ConfigError(f"optimizer.patience={patience}: expected at least 1")
+        super().__init__(params, {"lr": 1.0})
+        self.parameters: list[Tensor] = [p for g in self.param_groups for p in g["params"]]
+        self.patience = patience
+        self.finished = False
+        self.memory: dict[str, Any] = {"best": math.inf, "waited": 0, "weights": None}
 
     @abstractmethod
     def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
-        """One epoch; returns at least ``train_loss``, the loss before the last step."""
+        """One epoch; returns at least ``train_loss``, here the loss that it began with."""
 
     def validated(self, loss: Tensor) -> None:
         """Take note of a loss on held-out samples."""
+        value, best = float(loss.detach()), self.memory["best"]
+        if value < best:
+            self.memory |= {"best": value, "weights": self.flat()}
+        self.memory["waited"] = 0 if value < 0.99 * best else self.memory["waited"] + 1
+        self.finished = self.finished or self.memory["waited"] >= self.patience
 
     def ended(self) -> None:
         """The last epoch is over: leave the best parameters in place."""
+        if self.memory["weights"] is not None:
+            self.place(self.memory["weights"])
+
+    def flat(self) -> Tensor:
+        """All parameters as one vector."""
+        return torch.cat([p.detach().flatten() for p in self.parameters])
+
+    @torch.no_grad()
+    def place(self, flat: Tensor) -> None:
+        """Put such a vector in place."""
+        sizes = [p.numel() for p in self.parameters]
+        for p, part in zip(self.parameters, flat.split(sizes), strict=True):
+            p.copy_(part.view_as(p))
 
     def step(self, closure: Any = None) -> None:  # type: ignore[override]
         raise TypeError(f"{type(self).__name__} is driven by epochs, not by steps")
@@ -52,6 +80,7 @@ class EpochOptimizer(Optimizer, ABC):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         state = dict(state_dict)
         self.memory = dict(state.pop("memory"))
+        self.finished = self.memory["waited"] >= self.patience
         super().load_state_dict(state)
 
 

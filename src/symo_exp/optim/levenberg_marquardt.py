@@ -27,8 +27,7 @@ class LevenbergMarquardt(EpochOptimizer):
     wide network, that of the residuals, ``δ = −Jᵀ (J Jᵀ + λ I)⁻¹ r``. ``J`` is made in pieces of
     ``chunk`` samples; in parameter space only ``JᵀJ`` is kept.
 
-    Held-out losses arrive through ``validated``: the best parameters are kept, and after
-    ``patience`` losses that do not improve by a hundredth the training is ``finished``.
+    Where no step lowers the loss and ``λ`` passes 1e12, it is ``finished``.
     """
 
     def __init__(
@@ -49,18 +48,17 @@ class LevenbergMarquardt(EpochOptimizer):
         ):
             if not value > low:
                 raise ConfigError(f"optimizer.{name}={value}: expected a number above {low:g}")
-        for name, count in (("trials", trials), ("patience", patience), ("chunk", chunk)):
+        for name, count in (("trials", trials), ("chunk", chunk)):
             if count < 1:
                 raise ConfigError(f"optimizer.{name}={count}: expected at least 1")
-        super().__init__(params, {"lr": 1.0})
-        self.parameters: list[Tensor] = [p for g in self.param_groups for p in g["params"]]
+        super().__init__(params, patience=patience)
         if any(p.dtype != torch.float64 for p in self.parameters):
             raise ConfigError(
                 "Levenberg-Marquardt squares the condition of the problem: it needs dtype=float64"
             )
         self.success, self.failure, self.trials = success, failure, trials
-        self.patience, self.chunk = patience, chunk
-        self.memory = {"damping": damping, "best": math.inf, "waited": 0, "weights": None}
+        self.chunk = chunk
+        self.memory["damping"] = damping
 
     @property
     def damping(self) -> float:
@@ -70,14 +68,13 @@ class LevenbergMarquardt(EpochOptimizer):
     def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
         samples = whole(batches)
         system = self._normal_equations(model, samples)
-        start, before = self._flat(), system.loss
+        start, before = self.flat(), system.loss
         accepted = False
         for _ in range(self.trials):
             step = system.step(self.damping)
             if step is not None:
-                self._place(start + step)
-                after = self._loss(model, samples)
-                accepted = bool(after < before)
+                self.place(start + step)
+                accepted = bool(self._loss(model, samples) < before)
             self.memory["damping"] = (
                 max(self.damping / self.success, 1e-16)
                 if accepted
@@ -86,26 +83,12 @@ class LevenbergMarquardt(EpochOptimizer):
             if accepted:
                 break
         if not accepted:
-            self._place(start)
+            self.place(start)
             self.finished = self.damping >= 1e12
         return {
-            "train_loss": after if accepted else before,
+            "train_loss": before,
             "damping": torch.tensor(self.damping),
         }
-
-    def validated(self, loss: Tensor) -> None:
-        value = float(loss)
-        if value < self.memory["best"]:
-            improved = value < 0.99 * self.memory["best"]
-            self.memory |= {"best": value, "weights": self._flat()}
-        else:
-            improved = False
-        self.memory["waited"] = 0 if improved else self.memory["waited"] + 1
-        self.finished = self.finished or self.memory["waited"] >= self.patience
-
-    def ended(self) -> None:
-        if self.memory["weights"] is not None:
-            self._place(self.memory["weights"])
 
     def _normal_equations(self, model: Learner, samples: Windows) -> _System:
         size = sum(p.numel() for p in self.parameters)
@@ -137,15 +120,6 @@ class LevenbergMarquardt(EpochOptimizer):
         with torch.no_grad():
             pieces = [model.residuals(w).square() for w in _chunks(samples, 1024)]
         return torch.cat(pieces).mean()
-
-    def _flat(self) -> Tensor:
-        return torch.cat([p.detach().flatten() for p in self.parameters])
-
-    @torch.no_grad()
-    def _place(self, flat: Tensor) -> None:
-        sizes = [p.numel() for p in self.parameters]
-        for p, part in zip(self.parameters, flat.split(sizes), strict=True):
-            p.copy_(part.view_as(p))
 
     def _require(self, size: int, equations: int, per_sample: int, wide: bool) -> None:
         """Refuse at once what would not fit into memory."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -22,14 +24,21 @@ def rates(
     (Squire and Trapp, "Using complex variables to estimate derivatives", SIAM Review 40, 1998.)
     """
     batch, n = q.shape
-    axes = torch.eye(n, dtype=q.dtype, device=q.device).unsqueeze(1).expand(n, batch, n)
-    directions = torch.cat([axes, v.unsqueeze(0)])
-    shifted = torch.complex(q.expand(n + 1, batch, n), _STEP * directions).view(-1, n)
+    along_axes = q + _imaginary_axes(n, q.dtype, q.device)
+    along_v = torch.complex(q, _STEP * v).unsqueeze(0)
+    shifted = torch.cat([along_axes, along_v]).view(-1, n)
     mass = lagrangian.mass_matrix(shifted).view(n + 1, batch, n, n)
-    slope = lagrangian.potential(shifted).imag.view(n + 1, batch)[:n] / _STEP
-    mass_slope_v = (mass.imag @ (v / _STEP).unsqueeze(-1)).squeeze(-1)
-    dq = 0.5 * (mass_slope_v[:n] * v).sum(-1) - slope
+    slope = lagrangian.potential(shifted).imag.view(n + 1, batch)[:n]
+    mass_slope_v = (mass.imag * v.unsqueeze(-2)).sum(-1) / _STEP
+    dq = 0.5 * (mass_slope_v[:n] * v).sum(-1) - slope / _STEP
     return Rates(mass[0].real, mass_slope_v[n], dq.T)
+
+
+@cache
+def _imaginary_axes(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """``i ε`` times the unit vectors, (n, 1, n)."""
+    axes = _STEP * torch.eye(n, dtype=dtype, device=device).unsqueeze(1)
+    return torch.complex(torch.zeros_like(axes), axes)
 
 
 def applies(

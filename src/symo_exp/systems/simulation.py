@@ -12,6 +12,7 @@ from scipy.integrate import DOP853, RK23, RK45
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System
 from symo_exp.systems.checks import one_of, real
@@ -65,12 +66,12 @@ def simulate(
     nodes[0] = state
     h, first_step = system.time_step, None
     for k in range(steps):
-        held = controls[:, k]
+        force = generalised_force(system.input_matrix, controls[:, k])
 
-        def slope(_: float, x: np.ndarray, held: Tensor = held) -> np.ndarray:
+        @torch.no_grad()
+        def slope(_: float, x: np.ndarray, force: Tensor = force) -> np.ndarray:
             q, v = torch.from_numpy(x).view(batch, 2 * n).split(n, dim=1)
-            with torch.no_grad():
-                return torch.cat([v, system.acceleration(q, v, held)], dim=1).flatten().numpy()
+            return torch.cat([v, acceleration(system, q, v, force)], dim=1).view(-1).numpy()
 
         stepper = METHODS[solver.method](
             slope,
