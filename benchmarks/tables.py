@@ -134,8 +134,8 @@ def comparison(found: dict[Key, Row], measure: str) -> str:
             for name in ("autograd", "jax", "project", "compiled")
         )
         lines.append(
-            [system, NAMES[method], str(batch), ms(a), ms(b), ms(p), ms(c)]
-            + [ratio(a, p), ratio(p, b), ratio(a, c), ratio(c, b)]
+            [system, NAMES[method], str(batch), *map(ms, (a, b, p, c))]
+            + [ratio(x, y) for x, y in ((a, p), (p, b), (a, c), (c, b))]
         )
     header = ["system", "method", "rows", "(a)", "(b)", "project", "compiled"]
     header += ["(a)/project", "project/(b)", "(a)/compiled", "compiled/(b)"]

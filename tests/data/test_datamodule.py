@@ -118,6 +118,7 @@ CHANGES = [
     {"seed": 1},
 ]
 KEPT = [
+    {"held_out": 1},
     {"n_traj": 2},
     {"noise_std": 1.0},
     {"noise_seed": 7},
@@ -305,3 +306,12 @@ def test_trajectories_start_where_windows_do() -> None:
     assert isinstance(data.test_trajectories, Trajectories)
     torch.testing.assert_close(data.test.q_prev[0].double(), data.test_trajectories.q[0, 0])
     torch.testing.assert_close(data.test.v_next[3].double(), data.test_trajectories.v[0, 5])
+
+
+def test_held_out_trajectories_come_from_the_training_budget() -> None:
+    whole, data = ready(), ready(held_out=1, monitor="held_out")
+    watched = next(iter(data.val_dataloader()))
+    for all_, kept, held in zip(whole.train, data.train, watched, strict=True):
+        torch.testing.assert_close(torch.cat((kept, held)), all_)
+    with pytest.raises(ConfigError, match=r"data\.held_out"):
+        small(held_out=0, monitor="held_out")

@@ -56,7 +56,12 @@ class VariationalModel(DynamicsModel):
         twin = super().for_evaluation()
         assert isinstance(twin, VariationalModel)
         twin.root = self._evaluation_root
+        twin.integrator = self.integrator.converged()
         return twin
+
+    @property
+    def can_be_compiled(self) -> bool:
+        return not self.integrator.iterates
 
     def initial_velocity(self, windows: Windows) -> Tensor:
         """``v_k = H(q_k)⁻¹ p⁺(q_{k−1}, q_k)``."""

@@ -40,6 +40,8 @@ class CompileTraining(lightning.Callback):
         pl_module.compile_training()
 
     def wanted(self, trainer: lightning.Trainer, pl_module: Any) -> bool:
+        if not pl_module.can_be_compiled:
+            return False
         if self.mode != "auto":
             return bool(self.mode)
         datamodule: Any = getattr(trainer, "datamodule", None)
