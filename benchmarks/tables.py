@@ -133,10 +133,9 @@ def comparison(found: dict[Key, Row], measure: str) -> str:
             found.get((measure, system, method, batch, name))
             for name in ("autograd", "jax", "project", "compiled")
         )
-        lines.append(
-            [system, NAMES[method], str(batch), ms(a), ms(b), ms(p), ms(c)]
-            + [ratio(a, p), ratio(p, b), ratio(a, c), ratio(c, b)]
-        )
+        times = (ms(x) for x in (a, b, p, c))
+        ratios = (ratio(a, p), ratio(p, b), ratio(a, c), ratio(c, b))
+        lines.append([system, NAMES[method], str(batch), *times, *ratios])
     header = ["system", "method", "rows", "(a)", "(b)", "project", "compiled"]
     header += ["(a)/project", "project/(b)", "(a)/compiled", "compiled/(b)"]
     return table(header, lines)
