@@ -2,13 +2,13 @@
 
 import pytest
 import torch
+from tests.tables import choices
 
 from symo_exp.configuration import CONF, SWEEPS
 from symo_exp.configuration.command import jobs_of, parse
 from symo_exp.configuration.help import description
 from symo_exp.errors import ConfigError
 from symo_exp.recipe import build
-from tests.tables import choices
 
 GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")})
 CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
@@ -24,7 +24,8 @@ def build_all(*argv: str, folder) -> list:
 def test_every_choice_builds(group, choice, workplace):
     words = [f"{group}={choice}"]
     if words == ["data=recorded"]:
-        (workplace / "mine.csv").write_text("trajectory,t,q_theta,u_0\n")
+        rows = [f"{i},{0.1 * k},{0.01 * k},0" for i in range(3) for k in range(5)]
+        (workplace / "mine.csv").write_text("\n".join(["trajectory,t,q_theta,u_0", *rows]))
         words.append("data.path=mine.csv")
     if words == ["integrator=rk4"]:
         words.append("model=node")

@@ -24,6 +24,7 @@ TINY = [
     "data.n_integration=2",
     "data.integration_steps=20",
     "data.monitor_trajectories=2",
+    "data.solver={method: RK45, rtol: 1e-4, atol: 1e-4}",
     "data.cache_dir=cache",
 ]
 QUIET = [*TINY, "logger=none"]
@@ -94,6 +95,7 @@ BAD = [
     ("logger.tracking_uri=http://127.0.0.1:9", "127.0.0.1:9", "tracking"),
     ("logger.tracking_uri=sqlite:////dev/null/x/y.db", "/dev/null", ""),
     ("logger.tracking_uri=carrier://pigeon", "carrier", "sqlite"),
+    ("--foo", "--foo", "-h"),
     ("--config-dir nowhere", "nowhere", ""),
     ("-cn nothing", "nothing", ""),
     # what a configuration must not run
@@ -157,7 +159,7 @@ def test_overrides_may_stand_on_both_sides_of_an_option():
 
 
 def test_a_sweep_may_set_what_only_its_models_have():
-    words = "-m model=node,l_node model.sensitivity=adjoint hydra/launcher=joblib".split()
+    words = ["-m", "model=node,l_node", "model.sensitivity=adjoint", "hydra/launcher=joblib"]
     jobs = jobs_of(parse(words)).jobs
     assert [job.label for job in jobs] == ["model=node", "model=l_node"]
     assert {job.config.model.sensitivity for job in jobs} == {"adjoint"}

@@ -22,6 +22,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         print(help_text(), end="")
         return 0
+    if "--version" in argv:
+        from importlib.metadata import version
+
+        print(f"symo_exp {version('symo_exp')}")
+        return 0
     debug = "1" in (os.environ.get("SYMO_EXP_DEBUG"), os.environ.get("HYDRA_FULL_ERROR"))
     try:
         from symo_exp.launch import execute
