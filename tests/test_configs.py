@@ -2,13 +2,13 @@
 
 import pytest
 import torch
-from tests.tables import choices
 
 from symo_exp.configuration import CONF, SWEEPS
 from symo_exp.configuration.command import jobs_of, parse
 from symo_exp.configuration.help import description
 from symo_exp.errors import ConfigError
 from symo_exp.recipe import build
+from tests.tables import choices
 
 GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")})
 CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]

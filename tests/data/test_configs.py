@@ -6,13 +6,13 @@ from pathlib import Path
 
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
-from tests.tables import CONF
 
 from symo_exp.data.datamodule import TrajectoryData
 from symo_exp.data.recorded import RecordedData, write
 from symo_exp.data.simulate import generate
 from symo_exp.systems.pendulum import Pendulum
 from symo_exp.systems.simulation import Solver
+from tests.tables import CONF
 
 
 def composed(name: str, **changes: object):

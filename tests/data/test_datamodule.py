@@ -9,7 +9,6 @@ import lightning
 import numpy as np
 import pytest
 import torch
-from tests.data.small import SIZES, ready, small
 
 from symo_exp.data import datamodule
 from symo_exp.data.cache import key
@@ -20,6 +19,7 @@ from symo_exp.systems.acrobot import Acrobot
 from symo_exp.systems.base import SamplingBox
 from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.simulation import Solver
+from tests.data.small import SIZES, ready, small
 
 
 def equal(a: tuple, b: tuple) -> bool:

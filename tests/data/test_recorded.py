@@ -8,7 +8,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
-from tests.chain import ChainPendulum
 
 from symo_exp.data.recorded import RecordedData, write
 from symo_exp.data.simulate import generate
@@ -17,6 +16,7 @@ from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System
 from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.simulation import Solver
+from tests.chain import ChainPendulum
 
 
 def trajectories(system: System, count: int = 6, steps: int = 9) -> Trajectories:

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 
 from symo_exp.evaluation.evaluate import CHUNK, Evaluation, evaluate
+from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 
 H = 0.1
 NAMES = {

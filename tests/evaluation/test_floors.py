@@ -2,7 +2,6 @@
 
 import pytest
 import torch
-from tests.tables import systems
 
 from symo_exp.data.datamodule import TrajectoryData
 from symo_exp.evaluation.evaluate import evaluate
@@ -13,6 +12,7 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.models.l_node import LNODE
 from symo_exp.models.symo import SyMo
 from symo_exp.systems.base import System
+from tests.tables import systems
 
 # test pose MSE over the sampling box of the thesis: variational midpoint, RK4
 FLOORS = {"pendulum": (1.9e-5, 1.8e-8), "cartpole": (1.1e-8, 2.9e-12), "acrobot": (3.1e-8, 3.3e-12)}

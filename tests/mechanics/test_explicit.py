@@ -2,11 +2,11 @@
 
 import pytest
 import torch
+
+from symo_exp.mechanics.euler_lagrange import acceleration
 from tests.chain import ChainPendulum
 from tests.mechanics.motions import DURATION, force_at, order, reference, start
 from tests.tables import explicit_integrators
-
-from symo_exp.mechanics.euler_lagrange import acceleration
 
 METHODS = explicit_integrators()
 

@@ -2,11 +2,11 @@
 
 import pytest
 import torch
-from tests.chain import ChainPendulum
-from tests.learned import learned_lagrangian
 
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian
+from tests.chain import ChainPendulum
+from tests.learned import learned_lagrangian
 
 STEP = 1e-5
 

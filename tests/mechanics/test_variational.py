@@ -2,10 +2,6 @@
 
 import pytest
 import torch
-from tests.chain import ChainPendulum
-from tests.learned import learned_lagrangian
-from tests.mechanics.motions import DURATION, force_at, order, reference, start
-from tests.tables import explicit_integrators, systems, variational_integrators
 
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.roots import Newton
@@ -15,6 +11,10 @@ from symo_exp.mechanics.variational import (
     next_pose,
     variational_step,
 )
+from tests.chain import ChainPendulum
+from tests.learned import learned_lagrangian
+from tests.mechanics.motions import DURATION, force_at, order, reference, start
+from tests.tables import explicit_integrators, systems, variational_integrators
 
 METHODS = variational_integrators()
 TIGHT = Newton(tolerance=1e-13, max_iterations=50)

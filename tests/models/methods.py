@@ -5,11 +5,11 @@ from typing import Any
 import torch
 from hydra.utils import get_class
 from omegaconf import OmegaConf
-from tests.tables import CONF, choices, explicit_integrators, variational_integrators
 
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.models.variational import VariationalModel
+from tests.tables import CONF, choices, explicit_integrators, variational_integrators
 
 H = 0.05
 

@@ -2,10 +2,10 @@
 
 import pytest
 import torch
-from tests.models.methods import make, windows
 
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.compiled import compiler_available
+from tests.models.methods import make, windows
 
 needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ compiler")
 SLOW = [

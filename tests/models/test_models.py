@@ -4,9 +4,9 @@ import copy
 
 import pytest
 import torch
-from tests.models.methods import H, combinations, make, windows
 
 from symo_exp.mechanics.roots import Newton
+from tests.models.methods import H, combinations, make, windows
 
 ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
 DEGREES = pytest.mark.parametrize("n", [1, 2, 3])

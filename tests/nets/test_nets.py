@@ -2,11 +2,11 @@
 
 import pytest
 import torch
-from tests.learned import learned_lagrangian
 
 from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
 from symo_exp.nets.embedding import Embedding
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
+from tests.learned import learned_lagrangian
 
 ANGULAR = [(True,), (False,), (False, True), (True, True), (True, False, True), (True,) * 4]
 

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import pytest
 import torch
 from PIL import Image
-from tests.chain import ChainPendulum
-from tests.tables import choices, systems
 
 from symo_exp.evaluation.evaluate import Rollouts
 from symo_exp.report import pictures
 from symo_exp.report.style import METHODS, look, symbol
+from tests.chain import ChainPendulum
+from tests.tables import choices, systems
 
 SYSTEMS = systems() | {"chain_3": ChainPendulum(3)}
 STYLE = look("symo")

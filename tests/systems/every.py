@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import torch
-from tests.chain import ChainPendulum
-from tests.tables import systems as configured
 from torch import Tensor
 
 from symo_exp.systems.base import System
+from tests.chain import ChainPendulum
+from tests.tables import systems as configured
 
 SYSTEMS: dict[str, System] = configured() | {f"chain_{n}": ChainPendulum(n) for n in (1, 2, 3)}
 

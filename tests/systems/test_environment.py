@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from tests.systems.every import SYSTEMS
 
 from symo_exp.errors import ConfigError
 from symo_exp.systems.environment import Environment
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import systems
+from tests.systems.every import SYSTEMS
 
 ids = pytest.mark.parametrize("name", systems())
 every_system = pytest.mark.parametrize("name", SYSTEMS)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
-from tests.chain import ChainPendulum
-from tests.systems.every import SYSTEMS, points
 
 from symo_exp.errors import ConfigError
 from symo_exp.systems.base import System
 from symo_exp.systems.pendulum import Pendulum
 from symo_exp.systems.simulation import Solver, simulate
+from tests.chain import ChainPendulum
+from tests.systems.every import SYSTEMS, points
 
 every_system = pytest.mark.parametrize("name", SYSTEMS)
 TIGHT = Solver("DOP853", rtol=1e-12, atol=1e-13)

@@ -7,8 +7,6 @@ from collections.abc import Callable
 
 import pytest
 import torch
-from tests.systems.every import SYSTEMS, points
-from tests.tables import systems as configured
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
@@ -19,6 +17,8 @@ from symo_exp.systems.base import SamplingBox, Skeleton, System
 from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.pendulum import Pendulum
 from symo_exp.systems.table import systems
+from tests.systems.every import SYSTEMS, points
+from tests.tables import systems as configured
 
 every_system = pytest.mark.parametrize("name", SYSTEMS)
 

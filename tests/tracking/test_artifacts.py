@@ -6,10 +6,10 @@ import pandas
 import pytest
 import torch
 import yaml
-from tests.oscillator import Exact, data, oscillator
 
 from symo_exp.evaluation.evaluate import evaluate
 from symo_exp.tracking import artifacts
+from tests.oscillator import Exact, data, oscillator
 
 
 def test_rollouts_are_a_tidy_table(tmp_path):
