@@ -60,12 +60,27 @@ def run(config: DictConfig, folder: Path, choices: Mapping[str, str]) -> Run:
         evaluation = evaluate(parts.model.cpu(), parts.system, parts.data)
         artifacts.write_measures(folder, evaluation.measures)
         artifacts.write_rollouts(folder, evaluation.rollouts)
+        if config.pictures:
+            draw(parts, evaluation, choices["model"], name, folder / artifacts.PICTURES)
         parts.tracker.log_measures(evaluation.measures)
         parts.tracker.log_run_folder(folder)
     seconds = time.perf_counter() - start
     where = "; ".join(filter(None, [os.path.relpath(folder), parts.tracker.address]))
     log.info("%s: %s  (%.0f s; %s)", name, one_line(evaluation.measures), seconds, where)
     return Run(parts, evaluation)
+
+
+def draw(parts: Parts, evaluation: Evaluation, method: str, title: str, folder: Path) -> None:
+    """The pictures of a run. Nothing of it is lost if they cannot be drawn."""
+    from symo_exp.report.pictures import draw_run
+
+    model = parts.model.for_evaluation()
+    try:
+        draw_run(
+            model, parts.system, evaluation.rollouts, method=method, title=title, folder=folder
+        )
+    except Exception:
+        log.warning("the pictures could not be drawn", exc_info=True)
 
 
 def build(config: DictConfig, folder: Path) -> Parts:

@@ -49,7 +49,7 @@ def test_smaller_training_sets_are_prefixes() -> None:
     large = ready(n_traj=8, noise_std=1e-2)
     for n_traj in (1, 3):
         part = ready(n_traj=n_traj, noise_std=1e-2)
-        assert equal(part.train, large.train[: n_traj * 4])
+        assert equal(part.train, large.train.rows(slice(n_traj * 4)))
         assert equal(part.test, large.test)
 
 
@@ -118,6 +118,7 @@ CHANGES = [
     {"seed": 1},
 ]
 KEPT = [
+    {"held_out": 1},
     {"n_traj": 2},
     {"noise_std": 1.0},
     {"noise_seed": 7},
@@ -180,7 +181,7 @@ def test_batches_are_every_sample_once_in_an_order_of_seed_and_epoch() -> None:
     same = ready(batch_size=5)
     assert all(equal(a, b) for a, b in zip(batches, same.batches(3), strict=True))
     ordered = ready(batch_size=5, shuffle=False)
-    assert equal(ordered.batches(0)[0], data.train[:5])
+    assert equal(ordered.batches(0)[0], data.train.rows(slice(5)))
 
 
 def test_an_epoch_has_eight_steps_whatever_the_size() -> None:
@@ -201,10 +202,10 @@ def test_loaders_without_a_trainer() -> None:
 
 def test_what_is_watched() -> None:
     (watched,) = ready(monitor_trajectories=2).val_dataloader()
-    assert equal(watched, ready().val[:8])
+    assert equal(watched, ready().val.rows(slice(8)))
     data = ready(monitor="test", monitor_trajectories=3, noise_std=1e-2, noise_test=True)
     (watched,) = data.val_dataloader()
-    assert equal(watched, data.test[:12])
+    assert equal(watched, data.test.rows(slice(12)))
 
 
 class Spy(lightning.LightningModule):
@@ -305,3 +306,12 @@ def test_trajectories_start_where_windows_do() -> None:
     assert isinstance(data.test_trajectories, Trajectories)
     torch.testing.assert_close(data.test.q_prev[0].double(), data.test_trajectories.q[0, 0])
     torch.testing.assert_close(data.test.v_next[3].double(), data.test_trajectories.v[0, 5])
+
+
+def test_held_out_trajectories_come_from_the_training_budget() -> None:
+    whole, data = ready(), ready(held_out=1, monitor="held_out")
+    watched = next(iter(data.val_dataloader()))
+    for all_, kept, held in zip(whole.train, data.train, watched, strict=True):
+        torch.testing.assert_close(torch.cat((kept, held)), all_)
+    with pytest.raises(ConfigError, match=r"data\.held_out"):
+        small(held_out=0, monitor="held_out")

@@ -93,9 +93,11 @@ def test_one_bad_row_costs_one_row():
     start = torch.zeros(100, 1, dtype=torch.float64) + 0.3
     by_row, by_batch = Problem(function), Problem(function)
     finder = {"tolerance": 1e-10, "max_iterations": 20}
-    iterations = Newton(**finder).solve(by_row, start).iterations
+    root = Newton(**finder).solve(by_row, start)
+    iterations = root.iterations
     Newton(**finder, stopping="batch").solve(by_batch, start)
-    assert iterations[0] == 20
+    assert root.converged.tolist() == [False] + [True] * 99
+    assert iterations[0] < 20  # given up: no damping helps
     assert iterations[1:].max() <= 6
     assert by_batch.rows_evaluated > 2 * by_row.rows_evaluated
 

@@ -45,7 +45,7 @@ def test_order_of_convergence(name, n, forced):
         p = chain.momentum(q, v)
         return roll(method, chain, q, p, steps, DURATION / steps, forced)[0][-1]
 
-    counts = (16, 24, 32, 48) if method.order <= 4 else (4, 6, 8, 12)
+    counts = (16, 24, 32, 48) if method.order <= 4 else (8, 10, 12)
     slope = order(integrate, reference(chain, n, forced=forced), counts)
     assert slope == pytest.approx(method.order, abs=0.3)
 
@@ -96,7 +96,7 @@ def test_momentum_of_a_cyclic_coordinate_is_kept(name, system, i):
     """Without a force the momentum of a coordinate that does not enter ``ℒ`` is constant."""
     system = systems()[system]
     q, v = start(system.coordinates.n)
-    momenta = roll(METHODS[name], system, q, system.momentum(q, v), 400, 0.05)[1][:, 0, i]
+    momenta = roll(METHODS[name], system, q, system.momentum(q, v), 60, 0.05)[1][:, 0, i]
     assert (momenta - momenta[0]).abs().max() < 1e-11
 
 
@@ -112,16 +112,17 @@ def test_explicit_steps_do_not_keep_it(name, system, i):
     assert (system.momentum(q, v)[0, i] - before).abs() > 1e-9
 
 
+@pytest.mark.parametrize("steps", [600, pytest.param(3000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", METHODS)
 @torch.no_grad()
-def test_energy_stays_bounded_over_long_times(name):
-    """The error oscillates: it is no larger at the end of 3000 steps than at their beginning."""
+def test_energy_stays_bounded_over_long_times(name, steps):
+    """The error oscillates: it is no larger at the end than at the beginning."""
     chain, h = ChainPendulum(1), 0.1
     q, v = start(1)
-    poses, momenta = roll(METHODS[name], chain, q, chain.momentum(q, v), 3000, h)
+    poses, momenta = roll(METHODS[name], chain, q, chain.momentum(q, v), steps, h)
     q, p = poses[:, 0], momenta[:, 0]
     error = (chain.energy(q, chain.velocity(q, p)) - chain.energy(q, chain.velocity(q, p))[0]).abs()
-    assert error[-1000:].max() < 1.05 * error[:1000].max()
+    assert error[-steps // 3 :].max() < 1.05 * error[: steps // 3].max()
 
 
 @pytest.mark.parametrize("name", METHODS)

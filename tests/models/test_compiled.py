@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from symo_exp.mechanics.roots import Newton
-from symo_exp.models.compiled import compiler_available
+from symo_exp.training.compiling import compiler_available
 from tests.models.methods import make, windows
 
 needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ compiler")
@@ -38,3 +38,16 @@ def test_a_batch_that_newton_cannot_finish_is_left_to_the_safeguards():
     expected = model.loss_and_gradients(data)
     model.compile_training()
     torch.testing.assert_close(model.loss_and_gradients(data), expected)
+
+
+def test_a_compiler_that_fails_is_said_and_done_without(caplog):
+    model, data = make("symo", "midpoint", 2), windows(2)
+    expected = model.loss_and_gradients(data)
+
+    def broken(windows):
+        raise RuntimeError("no such compiler\nand a long tail")
+
+    model._program = broken
+    torch.testing.assert_close(model.loss_and_gradients(data), expected)
+    assert caplog.messages == ["the training step is not compiled: no such compiler"]
+    assert model._program is None

@@ -164,6 +164,7 @@ def test_rows_without_a_root_are_counted_and_do_not_spoil_the_gradient():
     gradients = torch.autograd.grad(model.loss(data), list(model.lagrangian.net.parameters()))
     assert model._statistics["newton_failed"] == 1.0
     assert all(g.isfinite().all() for g in gradients)
+    torch.testing.assert_close(model.residuals(data), model.preconditioned_residuals(data))
 
 
 def test_the_true_lagrangian_has_no_residual_where_the_discrete_motion_is_its_own():

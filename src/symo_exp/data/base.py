@@ -39,6 +39,8 @@ class DataModule(lightning.LightningDataModule, ABC):
     test data too; validation stays clean. An epoch has batches of ``batch_size`` samples,
     ``4 n_traj`` if none is given. ``monitor`` says whether the windows of the validation or of the
     test trajectories are watched during training, the first ``monitor_trajectories`` of them.
+    ``held_out`` takes that many trajectories out of the training set, its last ones;
+    ``monitor="held_out"`` watches them, so that a stopping rule costs no data beyond ``n_traj``.
     """
 
     def __init__(
@@ -55,8 +57,9 @@ class DataModule(lightning.LightningDataModule, ABC):
         seed: int,
         noise_seed: int,
         dtype: str | torch.dtype,
-        monitor: Literal["val", "test"],
+        monitor: Literal["val", "test", "held_out"],
         monitor_trajectories: int | None,
+        held_out: int,
     ) -> None:
         super().__init__()
         self.n_traj = whole("data.n_traj", n_traj, low=1, high=n_train_max)
@@ -70,8 +73,10 @@ class DataModule(lightning.LightningDataModule, ABC):
         self.noise_seed = whole("data.noise_seed", noise_seed, low=0, high=2**32 - 1)
         name = one_of("data.dtype", str(dtype).removeprefix("torch."), ("float32", "float64"))
         self.dtype: torch.dtype = getattr(torch, name)
-        self.monitor = one_of("data.monitor", monitor, ("val", "test"))
-        watched = n_val if monitor == "val" else n_test
+        self.monitor = one_of("data.monitor", monitor, ("val", "test", "held_out"))
+        low = 1 if monitor == "held_out" else 0
+        self.held_out = whole("data.held_out", held_out, low=low, high=n_traj - 1)
+        watched = {"val": n_val, "test": n_test, "held_out": held_out}[monitor]
         self.monitor_trajectories = (
             watched
             if monitor_trajectories is None
@@ -94,7 +99,10 @@ class DataModule(lightning.LightningDataModule, ABC):
         std = self.noise_std if self.noise_test else 0.0
         self.test_trajectories = add_noise(splits.test, std, [self.noise_seed, 1])
         self.integration = splits.integration
-        self.train = self._windows(self.train_trajectories)
+        kept = Trajectories(
+            *(field[: self.n_traj - self.held_out] for field in self.train_trajectories)
+        )
+        self.train = self._windows(kept)
         self.val = self._windows(self.val_trajectories)
         self.test = self._windows(self.test_trajectories)
 
@@ -127,7 +135,13 @@ class DataModule(lightning.LightningDataModule, ABC):
         return batch
 
     def _watched(self) -> Windows:
-        source = self.val_trajectories if self.monitor == "val" else self.test_trajectories
+        source = {
+            "val": self.val_trajectories,
+            "test": self.test_trajectories,
+            "held_out": Trajectories(
+                *(field[self.n_traj - self.held_out :] for field in self.train_trajectories)
+            ),
+        }[self.monitor]
         return self._windows(Trajectories(*(f[: self.monitor_trajectories] for f in source)))
 
     def _windows(self, trajectories: Trajectories) -> Windows:

@@ -57,8 +57,9 @@ class TrajectoryData(DataModule):
         noise_seed: int = 0,
         cache_dir: str | os.PathLike[str] | None = None,
         dtype: str | torch.dtype = "float32",
-        monitor: Literal["val", "test"] = "val",
+        monitor: Literal["val", "test", "held_out"] = "val",
         monitor_trajectories: int | None = None,
+        held_out: int = 0,
     ) -> None:
         self.system = system
         self.n_train_max = whole("data.n_train_max", n_train_max, low=1)
@@ -83,6 +84,7 @@ class TrajectoryData(DataModule):
             dtype=dtype,
             monitor=monitor,
             monitor_trajectories=monitor_trajectories,
+            held_out=held_out,
         )
 
     def recipe(self) -> dict[str, Any]:

@@ -69,8 +69,9 @@ class RecordedData(DataModule):
         seed: int = 0,
         noise_seed: int = 0,
         dtype: str | torch.dtype = "float32",
-        monitor: Literal["val", "test"] = "val",
+        monitor: Literal["val", "test", "held_out"] = "val",
         monitor_trajectories: int | None = None,
+        held_out: int = 0,
     ) -> None:
         self.system = system
         whole("data.n_val", n_val, low=1)
@@ -111,6 +112,7 @@ class RecordedData(DataModule):
             dtype=dtype,
             monitor=monitor,
             monitor_trajectories=monitor_trajectories,
+            held_out=held_out,
         )
 
     def load(self) -> Splits:

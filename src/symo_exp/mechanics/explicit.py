@@ -75,3 +75,26 @@ class RK4(RungeKutta):
             b=(1 / 8, 3 / 8, 3 / 8, 1 / 8),
             c=(0.0, 1 / 3, 2 / 3, 1.0),
         )
+
+
+class DormandPrince5(RungeKutta):
+    """The fifth-order method of Dormand and Prince (1980) with a fixed step.
+
+    Its seventh stage serves only the error estimate of an adaptive step, so there are six.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            name="dopri5",
+            order=5,
+            a=(
+                (),
+                (1 / 5,),
+                (3 / 40, 9 / 40),
+                (44 / 45, -56 / 15, 32 / 9),
+                (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+                (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+            ),
+            b=(35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+            c=(0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0),
+        )

@@ -74,6 +74,9 @@ class Newton(RootFinder):
     rule of the thesis: undamped steps of all rows until ``‖g‖_F ≤ tolerance √(B n)``.
     """
 
+    smallest_damping = 1 / 16
+    """A row that wants a smaller ``α`` is given up: near a singular Jacobian no root is at hand."""
+
     def __init__(
         self,
         *,
@@ -96,7 +99,8 @@ class Newton(RootFinder):
         iterations = torch.zeros(len(x), dtype=torch.int64, device=x.device)
         damping = torch.ones(len(x), dtype=x.dtype, device=x.device)
         for _ in range(self.max_iterations):
-            active = ~(norm <= self.tolerance)  # written so that NaN stays active
+            # The first condition is written so that NaN stays active, until it is given up.
+            active = ~(norm <= self.tolerance) & (damping >= self.smallest_damping)
             count = int(active.sum())
             if count == 0:
                 break
@@ -143,19 +147,6 @@ class Newton(RootFinder):
         converged = torch.full_like(norm, done, dtype=torch.bool) | (norm <= self.tolerance)
         count = torch.full((len(x),), iterations, dtype=torch.int64, device=x.device)
         return Root(x, converged, count, at)
-
-
-class Given(RootFinder):
-    """Takes the initial guess for the root, and says of each row whether it is one."""
-
-    def __init__(self, *, tolerance: float = 1e-5) -> None:
-        super().__init__(tolerance=tolerance, max_iterations=1)
-
-    @torch.no_grad()
-    def solve(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
-        at = problem.at(x)
-        none = torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        return Root(x, row_norm(at.residual) <= self.tolerance, none, at)
 
 
 class Broyden(RootFinder):

@@ -1,5 +1,7 @@
 """The named fields that the packages exchange."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 from jaxtyping import Float
@@ -34,11 +36,9 @@ class Windows(NamedTuple):
     u: Float[Tensor, "samples m"]
     u_next: Float[Tensor, "samples m"]
 
-    def __getitem__(self, rows):  # type: ignore[no-untyped-def]
-        """Rows of every field for a slice or an index tensor; one field for an integer."""
-        if isinstance(rows, int):
-            return tuple.__getitem__(self, rows)
-        return Windows(*(field[rows] for field in self))
+    def rows(self, index: Tensor | slice) -> Windows:
+        """These samples alone."""
+        return Windows(*(field[index] for field in self))
 
 
 class Trajectories(NamedTuple):

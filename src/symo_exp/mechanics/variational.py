@@ -24,6 +24,17 @@ from symo_exp.mechanics.lagrangian import Expansion, Lagrangian
 from symo_exp.mechanics.roots import Root, RootFinder
 
 
+class Forces(NamedTuple):
+    """The generalised force at both ends of an interval, linear in time between them [N or N m]."""
+
+    start: Float[Tensor, "batch n"]
+    end: Float[Tensor, "batch n"]
+
+    def rows(self, index: Tensor) -> Forces:
+        """The same for some rows of the batch."""
+        return Forces(self.start[index], self.end[index])
+
+
 class Slots(NamedTuple):
     """The slot derivatives of a discrete Lagrangian ``L_d(q₀, q₁)``."""
 
@@ -43,12 +54,8 @@ class DiscreteExpansion(ABC):
         """``∂²L_d/∂q₀ᵢ∂q₁ⱼ``, the Jacobian of the discrete Euler-Lagrange equations."""
 
     @abstractmethod
-    def d2d1_limit(self) -> Float[Tensor, "batch n n"]:
-        """``−H/h``, what ``d2d1`` tends to for small steps."""
-
-    @abstractmethod
-    def slots(self, q0: Tensor, q1: Tensor) -> Slots:
-        """The slot derivatives, differentiable; ``q0``, ``q1`` hold the values of the point."""
+    def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
+        """The slot derivatives, differentiable; the arguments hold the values of the point."""
 
     @abstractmethod
     def rows(self, index: Tensor) -> DiscreteExpansion:
@@ -60,10 +67,17 @@ class DiscreteExpansion(ABC):
 
 
 class VariationalIntegrator(ABC):
-    """A discrete Lagrangian made from a continuous one, with the forces that go with it."""
+    """A discrete Lagrangian made from a continuous one, with the forces that go with it.
+
+    ``forces`` of ``slots`` and ``expand`` bend the motion between two poses, which an integrator
+    that resolves it must know (left out, there are none); their impulses on the poses themselves
+    come from ``impulses``.
+    """
 
     name: str
     order: int
+    iterates = False
+    """Whether it solves for the motion between two poses."""
 
     @abstractmethod
     def slots(
@@ -72,8 +86,9 @@ class VariationalIntegrator(ABC):
         q0: Float[Tensor, "batch n"],
         q1: Float[Tensor, "batch n"],
         h: float,
+        forces: Forces | None = None,
     ) -> Slots:
-        """``D₁L_d`` and ``D₂L_d``, differentiable in ``q₀``, ``q₁`` and the parameters."""
+        """``D₁L_d``, ``D₂L_d``, differentiable in poses, forces and parameters."""
 
     @abstractmethod
     def expand(
@@ -82,6 +97,7 @@ class VariationalIntegrator(ABC):
         q0: Float[Tensor, "batch n"],
         q1: Float[Tensor, "batch n"],
         h: float,
+        forces: Forces | None = None,
     ) -> DiscreteExpansion:
         """``L_d`` around ``(q₀, q₁)``, as root finding needs it."""
 
@@ -90,6 +106,10 @@ class VariationalIntegrator(ABC):
         self, force0: Float[Tensor, "batch n"], force1: Float[Tensor, "batch n"], h: float
     ) -> tuple[Float[Tensor, "batch n"], Float[Tensor, "batch n"]]:
         """Discrete forces ``f⁻`` (on ``q₀``) and ``f⁺`` (on ``q₁``) of a linear force [N s]."""
+
+    def converged(self) -> VariationalIntegrator:
+        """The same integrator with whatever it iterates carried to convergence."""
+        return self
 
 
 class VariationalMidpoint(VariationalIntegrator):
@@ -105,11 +125,15 @@ class VariationalMidpoint(VariationalIntegrator):
     name = "midpoint"
     order = 2
 
-    def slots(self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float) -> Slots:
+    def slots(
+        self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
+    ) -> Slots:
         gradients = lagrangian.gradients(0.5 * (q0 + q1), (q1 - q0) / h)
         return _midpoint_slots(gradients.q, gradients.v, h)
 
-    def expand(self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float) -> MidpointExpansion:
+    def expand(
+        self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
+    ) -> MidpointExpansion:
         return MidpointExpansion(lagrangian.expand(0.5 * (q0 + q1), (q1 - q0) / h), h)
 
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
@@ -128,12 +152,9 @@ class MidpointExpansion(DiscreteExpansion):
         """``h/4 ℒ_qq + ½ (ℒ_vq)ᵀ − ½ ℒ_vq − H/h`` at the midpoint."""
         curvature = self._at.curvature()
         skew = 0.5 * (curvature.vq.mT - curvature.vq)
-        return (self._h / 4) * curvature.qq + skew + self.d2d1_limit()
+        return (self._h / 4) * curvature.qq + skew - self._at.values.mass / self._h
 
-    def d2d1_limit(self) -> Tensor:
-        return -self._at.values.mass / self._h
-
-    def slots(self, q0: Tensor, q1: Tensor) -> Slots:
+    def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         gradients = self._at.gradients(0.5 * (q0 + q1), (q1 - q0) / self._h)
         return _midpoint_slots(gradients.q, gradients.v, self._h)
 
@@ -160,16 +181,18 @@ class MomentumMatching:
         q0: Float[Tensor, "batch n"],
         impulse: Float[Tensor, "batch n"],
         h: float,
+        forces: Forces | None = None,
     ) -> None:
         """``impulse = p + f⁻`` is what does not depend on ``q₁``: computed once a step."""
         self._integrator, self._lagrangian = integrator, lagrangian
         self._q0, self._impulse, self._h = q0.detach(), impulse.detach(), h
+        self._forces = forces and Forces(forces.start.detach(), forces.end.detach())
 
     def at(self, x: Tensor, index: Tensor | None = None) -> MomentumMismatch:
-        q0, impulse = self._q0, self._impulse
+        q0, impulse, forces = self._q0, self._impulse, self._forces
         if index is not None:
-            q0, impulse = q0[index], impulse[index]
-        expansion = self._integrator.expand(self._lagrangian, q0, x, self._h)
+            q0, impulse, forces = q0[index], impulse[index], forces and forces.rows(index)
+        expansion = self._integrator.expand(self._lagrangian, q0, x, self._h, forces)
         return MomentumMismatch(expansion, impulse)
 
 
@@ -208,31 +231,30 @@ def next_pose(
     h: float,
     guess: Float[Tensor, "batch n"],
     *,
-    fallback: Float[Tensor, "batch n"] | None = None,
+    forces: Forces | None = None,
 ) -> tuple[Float[Tensor, "batch n"], Root[MomentumMismatch]]:
     """``q_{k+1}`` with ``p⁻(q_k, q_{k+1}) = p_k``, given ``impulse = p_k + f⁻``.
 
-    Differentiable in ``q``, ``impulse`` and the parameters by the implicit function theorem, where
-    gradients are enabled. A row without a root (see ``Root.converged``) keeps its last iterate;
-    with ``fallback`` it gets ``x + h H⁻¹ g(x)`` from that pose ``x`` instead, a Newton correction
-    with the Jacobian's limit for small steps, which is always regular.
+    Differentiable in ``q``, ``impulse``, ``forces`` and the parameters by the implicit function
+    theorem, where gradients are enabled. Rows without a root keep their last iterate: see
+    ``Root.converged``.
     """
-    problem = MomentumMatching(integrator, lagrangian, q, impulse, h)
+    problem = MomentumMatching(integrator, lagrangian, q, impulse, h, forces)
     root = root_finder.solve(problem, guess.detach())
-    tracked = torch.is_grad_enabled()
-    if not tracked and fallback is None:
+    if not torch.is_grad_enabled():
         return root.x, root
-    x, at = root.x, root.evaluation
-    failed = (~root.converged).nonzero().squeeze(-1) if fallback is not None else x.new_zeros(0)
-    if len(failed) > 0:
-        assert fallback is not None
-        x = x.index_copy(0, failed, fallback.detach()[failed])
-        at = at.replace(failed, problem.at(x[failed], failed))
-    jacobian = at.jacobian()
-    if len(failed) > 0:
-        jacobian = jacobian.index_copy(0, failed, at.rows(failed).expansion.d2d1_limit())
-    residual = impulse + at.expansion.slots(q, x).d1 if tracked else at.residual
-    return attach_root(x, residual, jacobian), root
+    return differentiable_pose(root.x, root.evaluation, q, impulse, forces), root
+
+
+def differentiable_pose(
+    x: Float[Tensor, "batch n"],
+    at: MomentumMismatch,
+    q: Float[Tensor, "batch n"],
+    impulse: Float[Tensor, "batch n"],
+    forces: Forces | None = None,
+) -> Float[Tensor, "batch n"]:
+    """The root ``x``, at which the problem was evaluated, with its implicit derivatives."""
+    return attach_root(x, impulse + at.expansion.slots(q, x, forces).d1, at.jacobian())
 
 
 def variational_step(
@@ -252,9 +274,12 @@ def variational_step(
     and West 2001, section 1.5). Differentiable like ``next_pose``.
     """
     f0, f1 = integrator.impulses(force, force_next, h)
-    q_next, root = next_pose(integrator, lagrangian, root_finder, q, p + f0, h, guess)
+    forces = Forces(force, force_next)
+    q_next, root = next_pose(
+        integrator, lagrangian, root_finder, q, p + f0, h, guess, forces=forces
+    )
     if torch.is_grad_enabled():
-        d2 = integrator.slots(lagrangian, q, q_next, h).d2
+        d2 = integrator.slots(lagrangian, q, q_next, h, forces).d2
     else:
         d2 = root.evaluation.expansion.values.d2
     return VariationalStep(q_next, d2 + f1, root)
@@ -271,7 +296,7 @@ def momentum_before(
 ) -> Float[Tensor, "batch n"]:
     """``p_k = p⁺(q_{k−1}, q_k)``, the discrete Legendre transform of two poses (3.41)."""
     _, f1 = integrator.impulses(force_prev, force, h)
-    return integrator.slots(lagrangian, q_prev, q, h).d2 + f1
+    return integrator.slots(lagrangian, q_prev, q, h, Forces(force_prev, force)).d2 + f1
 
 
 def del_residual(
@@ -290,7 +315,8 @@ def del_residual(
     Both intervals are evaluated as one batch. Differentiable in the poses, the forces and the
     parameters of the Lagrangian.
     """
-    slots = integrator.slots(lagrangian, torch.cat((q_prev, q)), torch.cat((q, q_next)), h)
+    forces = Forces(torch.cat((force_prev, force)), torch.cat((force, force_next)))
+    slots = integrator.slots(lagrangian, torch.cat((q_prev, q)), torch.cat((q, q_next)), h, forces)
     f_minus = integrator.impulses(force, force_next, h)[0]
     f_plus = integrator.impulses(force_prev, force, h)[1]
     return slots.d2[: len(q)] + slots.d1[len(q) :] + f_plus + f_minus

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -19,6 +20,9 @@ from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.models.compiled import Program
+from symo_exp.optim.base import EpochOptimizer, minibatches
+
+log = logging.getLogger(__name__)
 
 
 class Step(NamedTuple):
@@ -190,15 +194,26 @@ class DynamicsModel(lightning.LightningModule, ABC):
 
     def loss_and_gradients(self, windows: Windows) -> Float[Tensor, ""]:
         """The loss as a number; its gradients are left in the parameters."""
+        if self._program is not None:
+            try:
+                loss, _, gradients = self._program(windows)
+            except Exception as error:  # of a compiler, which may fail in any way
+                reason = str(error).strip().splitlines() or [type(error).__name__]
+                log.warning("the training step is not compiled: %s", reason[0])
+                self._program = None
         if self._program is None:
             self.zero_grad()
             loss = self.loss(windows)
             loss.backward()
             return loss.detach()
-        loss, _, gradients = self._program(windows)
         for parameter, gradient in zip(self.parameters(), gradients, strict=True):
             parameter.grad = gradient
         return loss
+
+    @property
+    def can_be_compiled(self) -> bool:
+        """Whether the loss is a fixed sequence of operations, whatever the numbers."""
+        return True
 
     def compile_training(self) -> None:
         """Compile ``loss_and_gradients`` at its next call; see ``models.compiled``."""
@@ -216,15 +231,17 @@ class DynamicsModel(lightning.LightningModule, ABC):
         """All optimiser steps of one epoch, then the learning rate schedule."""
         optimizer: Any = self.optimizers()
         start = time.perf_counter()
-        total = torch.zeros((), device=self.device)
         self._statistics = {}
-        for windows in batches:
-            total += self.loss_and_gradients(windows)
-            optimizer.step()
-        mean = total / len(batches)
+        method = _unwrapped(optimizer)
+        rate = torch.tensor(optimizer.param_groups[0]["lr"])
+        if isinstance(method, EpochOptimizer):
+            results = method.epoch(self, batches)
+            self.trainer.should_stop |= method.finished
+        else:
+            results = minibatches(optimizer, self, batches)
         metrics = {name: value / len(batches) for name, value in self._statistics.items()}
-        metrics["train_loss"] = mean
-        metrics["lr"] = torch.tensor(optimizer.param_groups[0]["lr"])
+        metrics |= {"lr": rate, **results}
+        mean = metrics["train_loss"]
         if self.scheduler_monitor == "train_loss":
             self._schedule(mean)
         metrics["step_ms"] = torch.tensor(1e3 * (time.perf_counter() - start) / len(batches))
@@ -233,8 +250,19 @@ class DynamicsModel(lightning.LightningModule, ABC):
     def validation_step(self, windows: Windows, _: int) -> None:
         loss = self.loss(windows)
         self.log("val_loss", loss, batch_size=1)
-        if self.scheduler_monitor == "val_loss" and not self.trainer.sanity_checking:
+        if self.trainer.sanity_checking:
+            return
+        if self.scheduler_monitor == "val_loss":
             self._schedule(loss)
+        method = _unwrapped(self.optimizers()) if self.trainer.optimizers else None
+        if isinstance(method, EpochOptimizer):
+            method.validated(loss)
+            self.trainer.should_stop |= method.finished
+
+    def on_train_end(self) -> None:
+        method = _unwrapped(self.optimizers())
+        if isinstance(method, EpochOptimizer):
+            method.ended()
 
     def _schedule(self, monitored: Tensor) -> None:
         scheduler = self.lr_schedulers()
@@ -247,3 +275,8 @@ class DynamicsModel(lightning.LightningModule, ABC):
         """Add to a statistic whose mean over the epoch's steps is logged."""
         if self.training:
             self._statistics[name] = self._statistics.get(name, 0.0) + value.detach()
+
+
+def _unwrapped(optimizer: Any) -> Any:
+    """The optimiser itself, without what Lightning puts around it."""
+    return getattr(optimizer, "optimizer", optimizer)

@@ -7,8 +7,6 @@ removes that. Results agree with the uncompiled step to rounding.
 
 from __future__ import annotations
 
-import logging
-import shutil
 from collections.abc import Callable
 from typing import Any
 
@@ -16,13 +14,6 @@ import torch
 from torch import Tensor, nn
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils import _pytree as pytree
-
-log = logging.getLogger(__name__)
-
-
-def compiler_available() -> bool:
-    """Whether the machine has the C++ compiler that the generated kernels need."""
-    return any(shutil.which(name) for name in ("c++", "g++", "clang++"))
 
 
 class Program:

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import Given, Root, RootFinder, row_norm
+from symo_exp.mechanics.roots import row_norm
 from symo_exp.mechanics.types import Windows
-from symo_exp.mechanics.variational import MomentumMatching, MomentumMismatch, next_pose
+from symo_exp.mechanics.variational import Forces, MomentumMatching, differentiable_pose
 from symo_exp.models.compiled import Program
 from symo_exp.models.variational import VariationalModel
 
@@ -19,8 +19,8 @@ class E2ESyMo(VariationalModel):
     """Trains on the error of the root, differentiated by the implicit function theorem.
 
     A row whose root is not found has no implicit gradient. With ``fallback`` its residual is the
-    first correction of Newton's method from the datum, ``h H⁻¹ g(q_{k+1})``, which is the error
-    of the root to first order; without it the last iterate is taken for a root, as in the thesis.
+    preconditioned one, ``h H⁻¹ g``: the error of the root to first order. Without it the last
+    iterate is taken for a root, as in the thesis.
     """
 
     def __init__(self, *, fallback: bool = True, **base: Any) -> None:
@@ -29,37 +29,39 @@ class E2ESyMo(VariationalModel):
 
     def residuals(self, windows: Windows) -> Tensor:
         """``q*_{k+1} − q_{k+1}`` (thesis (5.28))."""
-        fallback = windows.q_next if self.fallback else None
+        impulse, forces = self._impulse(windows), self._forces(windows)
         guess = 2.0 * windows.q - windows.q_prev
-        error, root = self._error_of_root(windows, self.root, guess, fallback)
+        problem = MomentumMatching(
+            self.integrator, self._lagrangian, windows.q, impulse, self.time_step, forces
+        )
+        root = self.root.solve(problem, guess)
         self._count("newton_iterations", root.iterations.float().mean())
         self._count("newton_failed", (~root.converged).float().mean())
-        return error
-
-    def compile_training(self) -> None:
-        self._program = CompiledRootLoss(self)
-
-    def _error_of_root(
-        self, windows: Windows, finder: RootFinder, guess: Tensor, fallback: Tensor | None
-    ) -> tuple[Tensor, Root[MomentumMismatch]]:
-        pose, root = next_pose(
-            self.integrator,
-            self._lagrangian,
-            finder,
-            windows.q,
-            self._impulse(windows),
-            self.time_step,
-            guess,
-            fallback=fallback,
+        if not self.fallback or bool(root.converged.all()):
+            pose = differentiable_pose(root.x, root.evaluation, windows.q, impulse, forces)
+            return pose - windows.q_next
+        found, lost = (rows.nonzero().squeeze(-1) for rows in (root.converged, ~root.converged))
+        pose = differentiable_pose(
+            root.x[found],
+            root.evaluation.rows(found),
+            windows.q[found],
+            impulse[found],
+            forces.rows(found),
         )
-        return pose - windows.q_next, root
+        error = torch.zeros_like(windows.q).index_copy(0, found, pose - windows.q_next[found])
+        return error.index_copy(0, lost, self.preconditioned_residuals(windows.rows(lost)))
+
+    def _forces(self, windows: Windows) -> Forces:
+        """The generalised forces at nodes ``k`` and ``k+1``."""
+        return Forces(self._force(windows.u, windows.q), self._force(windows.u_next, windows.q))
 
     def _impulse(self, windows: Windows) -> Tensor:
         """``p_k + f⁻``: what does not depend on the next pose."""
-        force = self._force(windows.u, windows.q)
-        force_next = self._force(windows.u_next, windows.q)
-        f_minus, _ = self.integrator.impulses(force, force_next, self.time_step)
+        f_minus, _ = self.integrator.impulses(*self._forces(windows), self.time_step)
         return self._momentum_before(windows) + f_minus
+
+    def compile_training(self) -> None:
+        self._program = CompiledRootLoss(self)
 
 
 class CompiledRootLoss:
@@ -88,23 +90,29 @@ class CompiledRootLoss:
                     model._count("newton_iterations", loss.new_tensor(float(iteration)))
                     model._count("newton_failed", loss.new_tensor(0.0))
                     return loss, (), gradients
-            x, worst = self._iterate(windows.q, impulse, x)
+            x, worst = self._iterate(windows, impulse, x)
         model.zero_grad()
         loss = model.loss(windows)
         return loss.detach(), (), torch.autograd.grad(loss, list(model.parameters()))
 
     def _first_step(self, windows: Windows) -> tuple[Tensor, Tensor, Tensor]:
         impulse = self._model._impulse(windows)
-        x, worst = self._newton_step(windows.q, impulse, 2.0 * windows.q - windows.q_prev)
+        x, worst = self._newton_step(windows, impulse, 2.0 * windows.q - windows.q_prev)
         return impulse, x, worst
 
-    def _newton_step(self, q: Tensor, impulse: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        model = self._model
-        problem = MomentumMatching(model.integrator, model.lagrangian, q, impulse, model.time_step)
-        at = problem.at(x)
+    def _newton_step(self, windows: Windows, impulse: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        at = self._problem(windows, impulse).at(x)
         return x + solve(at.jacobian(), -at.residual), row_norm(at.residual).amax()
 
     def _loss_at(self, windows: Windows, x: Tensor) -> tuple[Tensor, Tensor]:
-        finder = Given(tolerance=self._model.root.tolerance)
-        error, root = self._model._error_of_root(windows, finder, x, None)
-        return error.square().mean(), root.converged.all()
+        model = self._model
+        impulse, forces = model._impulse(windows), model._forces(windows)
+        at = self._problem(windows, impulse).at(x)
+        error = differentiable_pose(x, at, windows.q, impulse, forces) - windows.q_next
+        return error.square().mean(), row_norm(at.residual).amax() <= model.root.tolerance
+
+    def _problem(self, windows: Windows, impulse: Tensor) -> MomentumMatching:
+        model, forces = self._model, self._model._forces(windows)
+        return MomentumMatching(
+            model.integrator, model.lagrangian, windows.q, impulse, model.time_step, forces
+        )

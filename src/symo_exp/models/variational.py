@@ -6,10 +6,12 @@ from typing import Any
 
 from torch import Tensor
 
+from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
     VariationalIntegrator,
+    del_residual,
     momentum_before,
     variational_step,
 )
@@ -54,7 +56,12 @@ class VariationalModel(DynamicsModel):
         twin = super().for_evaluation()
         assert isinstance(twin, VariationalModel)
         twin.root = self._evaluation_root
+        twin.integrator = self.integrator.converged()
         return twin
+
+    @property
+    def can_be_compiled(self) -> bool:
+        return not self.integrator.iterates
 
     def initial_velocity(self, windows: Windows) -> Tensor:
         """``v_k = H(q_k)⁻¹ p⁺(q_{k−1}, q_k)``."""
@@ -69,6 +76,30 @@ class VariationalModel(DynamicsModel):
     def predict(self, windows: Windows) -> Step:
         p, guess = self._momentum_before(windows), 2.0 * windows.q - windows.q_prev
         return self._step(windows.q, p, windows.u, windows.u_next, guess=guess)
+
+    def del_residuals(self, windows: Windows) -> Tensor:
+        """``g(q_{k−1}, q_k, q_{k+1})`` at the data [N s]."""
+        return del_residual(
+            self.integrator,
+            self._lagrangian,
+            windows.q_prev,
+            windows.q,
+            windows.q_next,
+            self._force(windows.u_prev, windows.q),
+            self._force(windows.u, windows.q),
+            self._force(windows.u_next, windows.q),
+            self.time_step,
+        )
+
+    def preconditioned_residuals(self, windows: Windows) -> Tensor:
+        """``h H⁻¹ g`` with ``H`` at ``(q_k + q_{k+1})/2``, in the units of the coordinates.
+
+        One step of Newton's method from the datum ``q_{k+1}`` with ``−H/h``, the limit of the
+        Jacobian for small steps: to first order the error of the root, without finding it.
+        ``H`` is differentiated like everything else; held fixed, ``H → 0`` would remain a way out.
+        """
+        mass = self._lagrangian.mass_matrix(0.5 * (windows.q + windows.q_next))
+        return self.time_step * solve(mass, self.del_residuals(windows))
 
     def _step(
         self, q: Tensor, p: Tensor, u: Tensor | None, u_next: Tensor | None, *, guess: Tensor

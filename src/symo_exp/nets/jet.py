@@ -7,6 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from symo_exp.nets.affine import bias_gradient, weight_gradient
+
 
 def tanh_jet_layer(
     x: Float[Tensor, "jet batch into"],
@@ -24,13 +26,13 @@ class _TanhJetLayer(torch.autograd.Function):
     def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
         z = (x.flatten(0, 1) @ weight.T).view(*x.shape[:2], -1)
         h = torch.tanh(z[0] + bias)
-        ctx.save_for_backward(x, weight, z, h)
+        ctx.save_for_backward(x, weight, bias, z, h)
         return torch.cat((h.unsqueeze(0), z[1:] * (1.0 - h * h)))
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        x, weight, z, h = ctx.saved_tensors
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor | None, Tensor | None]:
+        x, weight, bias, z, h = ctx.saved_tensors
         slope = 1.0 - h * h
         bend = (cotangent[1:] * z[1:]).sum(0)
         back = torch.cat(
@@ -38,4 +40,8 @@ class _TanhJetLayer(torch.autograd.Function):
         )
         flat = back.flatten(0, 1)
         dx = (flat @ weight).view_as(x)
-        return dx, flat.T @ x.flatten(0, 1), back[0].sum(0)
+        return (
+            dx,
+            weight_gradient(weight, (flat, x.flatten(0, 1))),
+            bias_gradient(bias, back[0]),
+        )

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from symo_exp.nets.affine import linear
+
 
 class MLP(nn.Module):
     """``depth`` hidden tanh layers of ``width`` units and a linear output.
@@ -32,5 +34,5 @@ class MLP(nn.Module):
     def forward(self, x: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
         *hidden, (weight, bias) = self.layers()
         for w, b in hidden:
-            x = torch.tanh(nn.functional.linear(x, w, b))
-        return nn.functional.linear(x, weight, bias)
+            x = torch.tanh(linear(x, w, b))
+        return linear(x, weight, bias)

@@ -25,6 +25,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, Rates
+from symo_exp.nets.affine import bias_gradient, linear, shift, weight_gradient
 from symo_exp.nets.cholesky import CholeskyHead, HeadPoint
 from symo_exp.nets.embedding import Embedding, Features
 from symo_exp.nets.jet import tanh_jet_layer
@@ -95,8 +96,8 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         *hidden, (weight, bias) = self.net.layers()
         for w, b in hidden:
             jet = tanh_jet_layer(jet, w, b)
-        jet = jet @ weight.T
-        outputs, partials = jet[0] + bias, jet[1:]
+        jet = linear(jet.flatten(0, 1), weight).unflatten(0, (n + 1, -1))
+        outputs, partials = shift(jet[0], bias), jet[1:]
         factor = head.factor(outputs)
         partial_factors = head.factor_tangent(head.slope(outputs), partials)  # (n, B, n, n)
         y = (v.unsqueeze(-2) @ factor).squeeze(-2)
@@ -173,7 +174,7 @@ class StructuredExpansion(Expansion):
 
     def pullback(
         self, a: Tensor, b: Tensor, mass_cotangent: Tensor | None
-    ) -> tuple[Tensor, Tensor, list[Tensor], list[Tensor]]:
+    ) -> tuple[Tensor, Tensor, list[Tensor | None], list[Tensor | None]]:
         """Gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩ + ⟨M, H⟩`` in ``q``, ``v``, weights and biases."""
         embedding, head = self._lagrangian.embedding, self._lagrangian.head
         weights, at = tuple(self._lagrangian.net.weights), self._passes
@@ -187,13 +188,14 @@ class StructuredExpansion(Expansion):
         rates = tangents[-1] @ weights[-1].T
         back, velocity = head.directional_cotangents(at.head, rates, b, mass_cotangent)
         own = (at.output_cotangent, *reversed(at.cotangents))
-        weight_gradients: list[Tensor] = []
-        bias_gradients: list[Tensor] = []
+        biases = tuple(self._lagrangian.net.biases)
+        weight_gradients: list[Tensor | None] = []
+        bias_gradients: list[Tensor | None] = []
         for layer in range(len(weights) - 1, -1, -1):
             d = own[len(weights) - 1 - layer]
-            gradient = d.T @ tangents[layer]
-            weight_gradients.insert(0, gradient.addmm_(back.T, inputs[layer]))
-            bias_gradients.insert(0, back.sum(0))
+            factors = (d, tangents[layer]), (back, inputs[layer])
+            weight_gradients.insert(0, weight_gradient(weights[layer], *factors))
+            bias_gradients.insert(0, bias_gradient(biases[layer], back))
             back = back @ weights[layer]
             if layer > 0:
                 h = at.hidden[layer - 1]

@@ -13,6 +13,7 @@ from lightning.pytorch.loggers import Logger
 
 from symo_exp.errors import ConfigError
 from symo_exp.training.checkpoint import Checkpoint
+from symo_exp.training.compiling import CompileTraining
 from symo_exp.training.divergence import StopOnDivergence
 from symo_exp.training.progress import ProgressBar
 
@@ -25,6 +26,7 @@ def make_trainer(
     checkpoint_every: float,
     progress: bool,
     threads: int,
+    compile: bool | str,
     folder: Path,
     logger: Logger | None = None,
 ) -> lightning.Trainer:
@@ -32,6 +34,7 @@ def make_trainer(
 
     ``validate_every`` counts epochs, ``checkpoint_every`` seconds. ``threads`` holds for the
     whole process: two jobs of a sweep on two cores get in each other's way with more than one.
+    ``compile`` is true, false or ``auto``: see ``CompileTraining``.
     Checkpoints go to ``folder``.
     """
     for name, value in {"max_epochs": max_epochs, "validate_every": validate_every}.items():
@@ -41,11 +44,17 @@ def make_trainer(
         raise ConfigError(f"trainer.checkpoint_every={checkpoint_every} must be 0 or more seconds")
     if threads < 1:
         raise ConfigError(f"trainer.threads={threads} must be at least 1")
+    if compile not in (True, False, "auto"):
+        raise ConfigError(f"trainer.compile={compile} must be true, false or auto")
     if accelerator == "gpu" and not torch.cuda.is_available():
         raise ConfigError("trainer.accelerator=gpu, but PyTorch finds no GPU here; use trainer=cpu")
     torch.set_num_threads(threads)
     _silence()
-    callbacks: list[lightning.Callback] = [StopOnDivergence(), Checkpoint(folder, checkpoint_every)]
+    callbacks: list[lightning.Callback] = [
+        StopOnDivergence(),
+        Checkpoint(folder, checkpoint_every),
+        CompileTraining(compile),
+    ]
     if progress:
         callbacks.append(ProgressBar())
     return lightning.Trainer(

@@ -1,0 +1,109 @@
+"""Do all contenders compute the same numbers? Loss, gradient and prediction beside float64.
+
+The reference is baseline (a) in float64. Baseline (a) is timed through the adjoint, whose
+gradient is that of another discretisation (thesis section 4.2.2); the comparison takes the exact
+one, by backpropagation through the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from benchmarks.cases import CASES, METHODS, plausible_weights, system_windows
+from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
+from benchmarks.project import Project, compiler_available
+
+LOSS_TOLERANCE = 1e-3
+GRADIENT_TOLERANCE = 2e-3
+PREDICTION_TOLERANCE = 1e-4
+"""Relative error of the loss, of the gradient (Euclidean norm), and largest error of a pose [m or
+rad], all in float32: the discrete Euler-Lagrange residual divides differences of poses by h."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far a contender is from the reference."""
+
+    system: str
+    method: str
+    contender: str
+    loss: float
+    gradient: float
+    prediction: float
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether every error is within its tolerance."""
+        return (
+            self.loss <= LOSS_TOLERANCE
+            and self.gradient <= GRADIENT_TOLERANCE
+            and self.prediction <= PREDICTION_TOLERANCE
+        )
+
+
+def exact(method: str) -> dict[str, bool]:
+    """The option of baseline (a) that asks for the gradient of the step itself."""
+    return {"adjoint": False} if method in ("node", "l_node") else {}
+
+
+def differences(system: str, method: str, rows: int = 128) -> list[Difference]:
+    """Every contender beside the reference, on the same weights and data."""
+    case, layers = CASES[system], plausible_weights(system, method)
+    windows = system_windows(system, rows)
+    reference = Autograd(method, case, layers, dtype=torch.float64, **exact(method))
+    contenders: dict[str, Contender] = {"autograd": Autograd(method, case, layers, **exact(method))}
+    if jax_is_installed():
+        contenders["jax"] = Jax(method, case, layers)
+    contenders["project"] = Project(method, case, layers)
+    if compiler_available():
+        contenders["compiled"] = Project(method, case, layers, compiled=True)
+    return compare(system, method, reference, contenders, windows)
+
+
+def compare(
+    system: str,
+    method: str,
+    reference: Contender,
+    contenders: Mapping[str, Contender],
+    windows: object,
+) -> list[Difference]:
+    """Every contender beside the reference."""
+    batch = reference.prepare(windows)  # type: ignore[arg-type]
+    true_loss, true_slope = reference.loss_and_gradient(batch)
+    true_pose = reference.predict(batch)
+    rows = []
+    for name, contender in contenders.items():
+        batch = contender.prepare(windows)  # type: ignore[arg-type]
+        loss, slope = contender.loss_and_gradient(batch)
+        error = sum(np.sum((a - b) ** 2) for a, b in zip(slope, true_slope, strict=True))
+        size = sum(np.sum(b**2) for b in true_slope)
+        pose = np.abs(contender.predict(batch) - true_pose).max()
+        rows.append(
+            Difference(
+                system,
+                method,
+                name,
+                abs(loss - true_loss) / true_loss,
+                float(np.sqrt(error / size)),
+                float(pose),
+            )
+        )
+    return rows
+
+
+def check(systems: list[str], methods: list[str]) -> list[Difference]:
+    """All differences; raises in one sentence if one is too large."""
+    rows = [d for s in systems for m in methods for d in differences(s, m)]
+    for row in rows:
+        if not row.acceptable:
+            raise SystemExit(f"the contenders do not compute the same numbers: {row}")
+    return rows
+
+
+if __name__ == "__main__":
+    for row in check(list(CASES), list(METHODS)):
+        print(row)

@@ -1,0 +1,219 @@
+"""What is measured: systems (only their shape matters), weights and windows, equal for everybody.
+
+Everything is made in float64 from a seed; each implementation casts it to its own precision, so
+that all of them see the same weights and the same data.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from symo_exp.mechanics.explicit import RK4
+from symo_exp.systems.acrobot import Acrobot
+from symo_exp.systems.base import System
+from symo_exp.systems.cartpole import Cartpole
+from symo_exp.systems.pendulum import Pendulum
+
+METHODS = ("e2e_symo", "l_node", "symo", "node")
+
+
+@dataclass(frozen=True)
+class Case:
+    """Shape of a learning problem.
+
+    angular: which of the n coordinates are angles; input_matrix: B as n rows of m columns;
+    time_step: h [s]; speed: the largest velocity of the random windows [unit/s].
+    """
+
+    name: str
+    angular: tuple[bool, ...]
+    input_matrix: tuple[tuple[float, ...], ...]
+    time_step: float
+    width: int
+    speed: float
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.angular)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs m."""
+        return len(self.input_matrix[0])
+
+    @property
+    def n_features(self) -> int:
+        """Length of s(q) = (r, cos phi, sin phi)."""
+        return self.n + sum(self.angular)
+
+    def layer_sizes(self, method: str) -> tuple[int, int, int, int]:
+        """Sizes of the MLP, input to output: of (diag L, lower L, V)(s), or of v'(s, v, u)."""
+        if method == "node":
+            return self.n_features + self.n + self.n_inputs, self.width, self.width, self.n
+        return self.n_features, self.width, self.width, self.n * (self.n + 1) // 2 + 1
+
+
+def _case(system: System, width: int, speed: float) -> Case:
+    """The shape of one of the project's systems."""
+    name = type(system).__name__.lower()
+    matrix = tuple(tuple(row) for row in system.input_matrix.tolist())
+    return Case(name, system.coordinates.angular, matrix, system.time_step, width, speed)
+
+
+SYSTEMS: dict[str, System] = {"pendulum": Pendulum(), "acrobot": Acrobot(), "cartpole": Cartpole()}
+
+CASES = {
+    "pendulum": _case(SYSTEMS["pendulum"], 128, 2 * math.pi),
+    "acrobot": _case(SYSTEMS["acrobot"], 256, 3.14),
+    "cartpole": _case(SYSTEMS["cartpole"], 256, 3.0),
+}
+
+
+def chain(n: int, width: int = 256) -> Case:
+    """The shape of a chain of n pendulums, driven at the first: cost against coordinates."""
+    matrix = tuple((1.0 if i == 0 else 0.0,) for i in range(n))
+    return Case(f"chain{n}", (True,) * n, matrix, 0.05, width, 1.0)
+
+
+class Layer(NamedTuple):
+    """One affine map: weight (out, in), bias (out)."""
+
+    weight: Tensor
+    bias: Tensor
+
+
+class Windows(NamedTuple):
+    """N samples of three consecutive nodes, h apart: q, v (N, n), u (N, m)."""
+
+    q_prev: Tensor
+    q: Tensor
+    q_next: Tensor
+    v: Tensor
+    v_next: Tensor
+    u_prev: Tensor
+    u: Tensor
+    u_next: Tensor
+
+    def to(self, dtype: torch.dtype) -> Windows:
+        """The same windows in another precision."""
+        return Windows(*(x.to(dtype) for x in self))
+
+    def rows(self, index: slice | Tensor) -> Windows:
+        """A selection of the samples."""
+        return Windows(*(x[index] for x in self))
+
+
+def initial_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
+    """Xavier-uniform with tanh gain, zero biases: the weights that training starts with."""
+    generator = torch.Generator().manual_seed(seed)
+    sizes = case.layer_sizes(method)
+    layers = []
+    for fan_in, fan_out in pairwise(sizes):
+        bound = 5 / 3 * math.sqrt(6 / (fan_in + fan_out))
+        uniform = torch.rand(fan_out, fan_in, generator=generator, dtype=torch.float64)
+        layers.append(Layer((2 * uniform - 1) * bound, torch.zeros(fan_out, dtype=torch.float64)))
+    return layers
+
+
+def random_windows(
+    case: Case, count: int, seed: int = 0, *, hold_input: bool = True, acceleration: float = 3.0
+) -> Windows:
+    """Plausible windows: parabolic motion through random states, |v'| up to `acceleration`.
+
+    With `hold_input` the input is constant over a window, as in the protocol; without it, three
+    independent inputs (which tell apart their weights in the discrete force).
+    """
+    generator = torch.Generator().manual_seed(seed + 1)
+
+    def uniform(columns: int, bound: float) -> Tensor:
+        return (
+            2 * torch.rand(count, columns, generator=generator, dtype=torch.float64) - 1
+        ) * bound
+
+    h = case.time_step
+    position_bound = torch.tensor([math.pi if a else 0.5 for a in case.angular])
+    q = uniform(case.n, 1.0) * position_bound
+    v, a = uniform(case.n, case.speed), uniform(case.n, acceleration)
+    inputs = [uniform(case.n_inputs, 2.0) for _ in range(3)]
+    if hold_input:
+        inputs = inputs[:1] * 3
+    return Windows(q - h * v + h**2 / 2 * a, q, q + h * v + h**2 / 2 * a, v, v + h * a, *inputs)
+
+
+def calm_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
+    """Initial weights with the output layer a tenth and the diagonal of L near 1.3.
+
+    Then H is well conditioned for any number of coordinates, and every root is found.
+    """
+    *hidden, last = initial_weights(case, method, seed)
+    bias = last.bias.clone()
+    if method != "node":
+        bias[: case.n] = 1.0
+    return [*hidden, Layer(0.1 * last.weight, bias)]
+
+
+def system_windows(name: str, count: int, seed: int = 0) -> Windows:
+    """Shuffled windows of simulated trajectories, 34 nodes each, the input held along each."""
+    system = SYSTEMS[name]
+    generator = torch.Generator().manual_seed(seed)
+    trajectories = max(16, -(-count // 32))
+
+    def start(box: tuple[tuple[float, float], ...]) -> Tensor:
+        low, high = torch.tensor(box, dtype=torch.float64).T
+        unit = torch.rand(trajectories, len(low), generator=generator, dtype=torch.float64)
+        return low + (high - low) * unit
+
+    box, fine = system.sampling_box, 20
+    h = system.time_step / fine
+    q, v, u = start(box.q), start(box.v), start(box.u)
+    poses, velocities = [q], [v]
+    for _ in range(33):
+        for _ in range(fine):
+            q, v = RK4().step(system.acceleration, q.detach(), v.detach(), u, u, h)
+        poses.append(q)
+        velocities.append(v)
+    q, v = torch.stack(poses, 1), torch.stack(velocities, 1)
+    held = u.unsqueeze(1).expand(-1, 32, -1)
+    fields = (q[:, :-2], q[:, 1:-1], q[:, 2:], v[:, 1:-1], v[:, 2:], held, held, held)
+    order = torch.randperm(trajectories * 32, generator=generator)[:count]
+    return Windows(*(x.detach().flatten(0, 1)[order] for x in fields))
+
+
+@cache
+def plausible_weights(name: str, method: str, seed: int = 0, steps: int = 600) -> list[Layer]:
+    """What training passes through: a Lagrangian near the true one, but half as heavy again.
+
+    The network is fitted to 1.5 H and to V. Its roots exist, and its losses are large enough to
+    be compared in float32. NODE keeps its initial weights, which decide nothing about its cost.
+    """
+    from benchmarks.baseline_autograd import LagrangianMethod
+
+    case, system = CASES[name], SYSTEMS[name]
+    if method == "node":
+        return initial_weights(case, method, seed)
+    layers = calm_weights(case, method, seed)  # smooth, so that second derivatives are tame
+    generator = torch.Generator().manual_seed(seed)
+    model = LagrangianMethod(case, layers)
+    optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for _ in range(steps):
+        q = math.pi * (2 * torch.rand(256, case.n, generator=generator) - 1)
+        mass, potential = model.mass_and_potential(q)
+        true = 1.5 * system.mass_matrix(q)
+        scale = true.diagonal(dim1=1, dim2=2).sqrt()  # a light pole counts as much as its cart
+        error = ((mass - true) / (scale.unsqueeze(1) * scale.unsqueeze(2))).square().mean()
+        error = error + (potential - system.potential(q)).square().mean()
+        optimizer.zero_grad()
+        error.backward()
+        optimizer.step()
+        schedule.step()
+    flat = [p.detach().double() for p in model.parameters()]
+    return [Layer(*pair) for pair in zip(flat[::2], flat[1::2], strict=True)]

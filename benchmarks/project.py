@@ -1,0 +1,194 @@
+"""The project behind the face of a contender: the only file that knows its models."""
+
+from __future__ import annotations
+
+import importlib
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.cases import Case, Layer, system_windows
+from benchmarks.cases import Windows as SharedWindows
+from symo_exp.mechanics.explicit import RK4, Midpoint
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.variational import VariationalMidpoint
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.variational import VariationalModel
+from symo_exp.training.trainer import make_trainer
+
+CLASSES = {"e2e_symo": "E2ESyMo", "l_node": "LNODE", "symo": "SyMo", "node": "NODE"}
+CHUNK = 1024
+"""Rows of an evaluation at a time, as `symo_exp.evaluation` takes them."""
+
+
+def build(
+    method: str,
+    case: Case,
+    layers: Sequence[Layer],
+    dtype: torch.dtype,
+    *,
+    integrator: str = "rk4",
+    tolerance: float = 1e-5,
+    max_iterations: int = 10,
+    stopping: str = "row",
+    **training: Any,
+) -> DynamicsModel:
+    """A model of the project with the given weights."""
+    options: dict[str, Any] = {
+        "coordinates": Coordinates(tuple(f"q{i}" for i in range(case.n)), case.angular),
+        "input_matrix": torch.tensor(case.input_matrix),
+        "time_step": case.time_step,
+        "width": case.width,
+        **training,
+    }
+    if method in ("symo", "e2e_symo"):
+        options["integrator"] = VariationalMidpoint()
+        options["root"] = Newton(
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            stopping=stopping,  # type: ignore[arg-type]
+        )
+    else:
+        options["integrator"] = {"rk4": RK4, "midpoint": Midpoint}[integrator]()
+    module = importlib.import_module(f"symo_exp.models.{method}")
+    model: DynamicsModel = getattr(module, CLASSES[method])(**options).to(dtype)
+    with torch.no_grad():
+        for parameter, value in zip(parameters(model), flatten(layers), strict=True):
+            parameter.copy_(value)
+    return model
+
+
+def flatten(layers: Sequence[Layer]) -> list[torch.Tensor]:
+    """[weight, bias, weight, ...]."""
+    return [x for layer in layers for x in layer]
+
+
+def parameters(model: DynamicsModel) -> list[torch.nn.Parameter]:
+    """The model's parameters in that order (it keeps weights and biases apart)."""
+    lagrangian: Any = model.lagrangian
+    net = model.net if lagrangian is None else lagrangian.net
+    return [p for pair in zip(net.weights, net.biases, strict=True) for p in pair]
+
+
+class Project:
+    """The project's model with its default optimiser, fused Adam."""
+
+    def __init__(
+        self,
+        method: str,
+        case: Case,
+        layers: Sequence[Layer],
+        *,
+        dtype: torch.dtype = torch.float32,
+        lr: float = 1e-3,
+        compiled: bool = False,
+        **options: Any,
+    ):
+        self.dtype = dtype
+        self.model = build(method, case, layers, dtype, **options)
+        if compiled:
+            self.model.compile_training()
+        self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr, fused=True)
+
+    def prepare(self, windows: SharedWindows) -> Windows:
+        return Windows(*windows.to(self.dtype))
+
+    def loss_and_gradient(self, batch: Windows) -> tuple[float, list[np.ndarray]]:
+        loss = self.model.loss_and_gradients(batch)
+        slope = [p.grad for p in parameters(self.model)]
+        return loss.item(), [g.numpy().copy() for g in slope if g is not None]
+
+    def train_step(self, batch: Windows) -> None:
+        self.model.loss_and_gradients(batch)
+        self.optimizer.step()
+
+    @torch.no_grad()
+    def predict(self, batch: Windows) -> np.ndarray:
+        rows = range(0, len(batch.q), CHUNK)
+        return torch.cat([self.model.predict(batch[i : i + CHUNK]).q for i in rows]).numpy()
+
+    @torch.no_grad()
+    def rollout(self, batch: Windows, steps: int) -> np.ndarray:
+        held = batch.u.unsqueeze(1).expand(-1, steps + 1, -1)
+        batch = batch._replace(u_prev=batch.u)
+        start = self.model.initial_velocity(batch)
+        return self.model.rollout(batch.q, start, held).q[:, 1:].numpy()
+
+    def iterations(self, batch: Windows) -> int | None:
+        """The most Newton iterations that a row took, where roots are found."""
+        if not isinstance(self.model, VariationalModel):
+            return None
+        with torch.no_grad():
+            return int(self.model.predict(batch).iterations.max())
+
+
+class _Epochs:
+    """A "loader" with one item an epoch, the list of its mini batches (as `TrajectoryData`)."""
+
+    def __init__(self, windows: Windows, batch: int):
+        self.windows, self.batch = windows, batch
+
+    def __len__(self) -> int:
+        return 1
+
+    def __iter__(self) -> Iterator[list[Windows]]:
+        mixed = self.windows[torch.randperm(len(self.windows.q))]
+        yield [mixed[i : i + self.batch] for i in range(0, len(mixed.q), self.batch)]
+
+
+class _Once:
+    """A "loader" with one item."""
+
+    def __init__(self, item: Windows):
+        self.item = item
+
+    def __len__(self) -> int:
+        return 1
+
+    def __iter__(self) -> Iterator[Windows]:
+        yield self.item
+
+
+def fit_call(
+    method: str, case: Case, layers: Sequence[Layer], batch: int, epochs: int
+) -> tuple[Callable[[], object], Callable[[], object], int]:
+    """`Trainer.fit` for some epochs of 8 steps, the same steps bare, and how many they are.
+
+    The learning rate is 0, so that both see the same weights throughout.
+    """
+    windows = Windows(*system_windows(case.name, 8 * batch).to(torch.float32))
+    validation = windows[: min(len(windows.q), 512)]
+    bare = Project(method, case, layers, lr=0.0)
+
+    def fit() -> None:
+        model = build(
+            method,
+            case,
+            layers,
+            torch.float32,
+            optimizer=lambda p: torch.optim.Adam(p, lr=0.0, fused=True),
+            scheduler=lambda o: torch.optim.lr_scheduler.ReduceLROnPlateau(o, patience=50),
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            trainer = make_trainer(
+                accelerator="cpu",
+                max_epochs=epochs,
+                validate_every=10,
+                checkpoint_every=60.0,
+                progress=True,
+                threads=1,
+                folder=Path(folder),
+            )
+            trainer.fit(model, _Epochs(windows, batch), _Once(validation))
+
+    def steps() -> None:
+        for _ in range(epochs):
+            for part in next(iter(_Epochs(windows, batch))):
+                bare.train_step(part)
+
+    return fit, steps, 8 * epochs

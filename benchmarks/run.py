@@ -1,0 +1,222 @@
+"""`python -m benchmarks.run [--quick]`: the project beside its two baselines, one thread.
+
+First every contender must compute the same loss, gradient and prediction; then they are timed in
+interleaved rounds. Writes `measurements.csv` and `table.md` into the folder given by --out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import torch
+
+from benchmarks import agreement, tables
+from benchmarks.cases import (
+    CASES,
+    METHODS,
+    initial_weights,
+    plausible_weights,
+    system_windows,
+)
+from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
+from benchmarks.project import Project, compiler_available, fit_call
+from benchmarks.timing import interleaved
+
+BATCHES = (32, 128, 512)
+EVALUATION_ROWS = 4096
+ROLLOUTS, ROLLOUT_STEPS = 16, 500
+FIT_BATCH, FIT_EPOCHS = 128, 10
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One cell: milliseconds of one call (median, quartiles), and Newton iterations at most."""
+
+    measure: str
+    system: str
+    method: str
+    batch: int
+    contender: str
+    ms: float
+    low: float
+    high: float
+    iterations: int | None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is measured, and how long."""
+
+    systems: tuple[str, ...]
+    methods: tuple[str, ...]
+    batches: tuple[int, ...]
+    rounds: int
+    turn_ms: float
+    baseline_rollout_steps: int
+    process_clock: bool
+
+
+def contenders(
+    system: str, method: str, *, weights: str = "plausible", lr: float = 0.0
+) -> dict[str, Contender]:
+    """All implementations on the same weights. With lr = 0 a step costs what it costs, and the
+    weights stay what they are, so that every round measures the same thing."""
+    case = CASES[system]
+    choose = {"plausible": plausible_weights, "initial": lambda s, m: initial_weights(CASES[s], m)}
+    layers = choose[weights](system, method)
+    found: dict[str, Contender] = {"autograd": Autograd(method, case, layers, lr=lr)}
+    if jax_is_installed():
+        found["jax"] = Jax(method, case, layers, lr=lr)
+    found["project"] = Project(method, case, layers, lr=lr)
+    return found
+
+
+def cells(plan: Plan) -> Iterator[Measurement]:
+    """Every measurement of the plan."""
+    clock = time.process_time if plan.process_clock else time.perf_counter
+    few = plan.baseline_rollout_steps
+
+    def measure(
+        name: str, system: str, method: str, rows: int, scale: dict[str, float], calls: dict
+    ) -> Iterator[Measurement]:
+        batches = {k: c.prepare(system_windows(system, rows)) for k, c in group.items()}
+        bound = {k: (lambda k=k: calls[k](group[k], batches[k])) for k in calls}
+        heavy = name in ("evaluation", "rollout")
+        times = interleaved(
+            bound,
+            rounds=max(3, plan.rounds // 3) if heavy else plan.rounds,
+            turn_ms=plan.turn_ms,
+            warm_up=1 if heavy else 2,
+            clock=clock,
+        )
+        for k, t in times.items():
+            s = scale.get(k, 1.0)
+            taken = group[k].iterations(batches[k])
+            yield Measurement(
+                name, system, method, rows, k, s * t.median, s * t.low, s * t.high, taken
+            )
+
+    for system in plan.systems:
+        for method in plan.methods:
+            group = contenders(system, method)
+            for rows in plan.batches:
+                step = dict.fromkeys(group, lambda c, b: c.train_step(b))
+                if compiler_available():
+                    # A compiled graph belongs to one shape.
+                    layers = plausible_weights(system, method)
+                    compiled = Project(method, CASES[system], layers, lr=0.0, compiled=True)
+                    group["compiled"], step["compiled"] = compiled, step["project"]
+                yield from measure("step", system, method, rows, {}, step)
+            group.pop("compiled", None)
+            predict = dict.fromkeys(group, lambda c, b: c.predict(b))
+            yield from measure("evaluation", system, method, EVALUATION_ROWS, {}, predict)
+            # One trajectory at a time: a few steps of one tell the cost of all.
+            roll = dict.fromkeys(group, lambda c, b: c.rollout(b, ROLLOUT_STEPS))
+            roll["autograd"] = lambda c, b: c.rollout(type(b)(*(x[:1] for x in b)), few)
+            scale = {"autograd": ROLLOUTS * ROLLOUT_STEPS / few}
+            yield from measure("rollout", system, method, ROLLOUTS, scale, roll)
+            yield from fit_cells(plan, system, method)
+        yield from hard_cells(plan, system)
+
+
+def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
+    """`Trainer.fit` per optimiser step beside the bare steps it takes, on the same batches."""
+    fit, bare, steps = fit_call(
+        method, CASES[system], plausible_weights(system, method), FIT_BATCH, FIT_EPOCHS
+    )
+    times = interleaved({"fit": fit, "bare": bare}, rounds=max(3, plan.rounds // 3), warm_up=1)
+    for name, t in times.items():
+        yield Measurement(
+            name, system, method, FIT_BATCH, "project",
+            t.median / steps, t.low / steps, t.high / steps, None,
+        )  # fmt: skip
+
+
+def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
+    """An E2E-SyMo step at initial weights, where some rows have no root: 8 trajectories."""
+    case, layers = CASES[system], initial_weights(CASES[system], "e2e_symo")
+    group: dict[str, Contender] = {
+        "autograd": Autograd("e2e_symo", case, layers, lr=0.0),
+        "project": Project("e2e_symo", case, layers, lr=0.0),
+        "project, whole batch": Project("e2e_symo", case, layers, lr=0.0, stopping="batch"),
+    }
+    windows = system_windows(system, 32)
+    batches = {k: c.prepare(windows) for k, c in group.items()}
+    bound = {k: (lambda k=k: group[k].train_step(batches[k])) for k in group}
+    clock = time.process_time if plan.process_clock else time.perf_counter
+    for k, t in interleaved(bound, rounds=plan.rounds, turn_ms=plan.turn_ms, clock=clock).items():
+        taken = group[k].iterations(batches[k])
+        yield Measurement("hard rows", system, "e2e_symo", 32, k, t.median, t.low, t.high, taken)
+
+
+def machine() -> str:
+    """What the numbers were measured on."""
+    name = platform.processor() or platform.machine()
+    path = Path("/proc/cpuinfo")
+    if path.exists():
+        models = [
+            x.split(":")[1].strip() for x in path.read_text().splitlines() if "model name" in x
+        ]
+        name = models[0] if models else name
+    return f"{name}, one thread, Python {platform.python_version()}, torch {torch.__version__}"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Check, measure, write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="the acrobot only, two minutes")
+    parser.add_argument("--systems", nargs="+", choices=list(CASES))
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--batches", nargs="+", type=int, default=list(BATCHES))
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument(
+        "--process-clock", action="store_true", help="count processor time: for a shared machine"
+    )
+    given = parser.parse_args(arguments)
+    given.systems = given.systems or (["acrobot"] if given.quick else list(CASES))
+    plan = Plan(
+        tuple(given.systems),
+        tuple(given.methods),
+        tuple(given.batches),
+        rounds=5 if given.quick else 21,
+        turn_ms=5.0 if given.quick else 60.0,
+        baseline_rollout_steps=10 if given.quick else 100,
+        process_clock=given.process_clock,
+    )
+    torch.set_num_threads(1)
+    if not jax_is_installed():
+        print("JAX is not installed: baseline (b) is skipped (pip install 'symo_exp[bench]')")
+    differences = agreement.check(given.systems, given.methods)
+    worst = max(d.gradient for d in differences)
+    print(f"all contenders compute the same numbers (gradients to {worst:.1e} of float64)")
+    given.out.mkdir(parents=True, exist_ok=True)
+    rows: list[Measurement] = []
+    with (given.out / "measurements.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, [f.name for f in fields(Measurement)])
+        writer.writeheader()
+        for row in cells(plan):
+            rows.append(row)
+            writer.writerow(asdict(row))
+            stream.flush()
+            print(
+                f"{row.measure:10} {row.system:9} {row.method:9} {row.batch:5} "
+                f"{row.contender:20} {row.ms:10.3f} ms",
+                file=sys.stderr,
+            )
+    text = tables.report(rows, machine=machine(), worst_gradient=worst)
+    (given.out / "table.md").write_text(text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

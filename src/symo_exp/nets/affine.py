@@ -1,0 +1,145 @@
+"""Affine maps whose parameter gradients can be had for each sample instead of summed.
+
+The gradient of a weight is a sum of outer products over the rows of a batch, ``Σ_r ḡ_r x_rᵀ``. Code
+that uses a weight goes through this module: usually it gets that sum, and inside
+``parameter_jacobian`` the factors ``ḡ_r``, ``x_r`` are kept and put together sample by sample.
+
+Convention: the sample is the innermost part of a row index, so that of ``R N`` rows for ``N``
+samples row ``r`` belongs to sample ``r mod N``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+Pair = tuple[Tensor, Tensor]
+"""Rows ``ḡ (rows, out)`` and ``x (rows, in)`` of a sum of outer products."""
+
+
+def linear(x: Float[Tensor, "rows into"], weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """``W x + b`` in each row."""
+    if _record is None:
+        return nn.functional.linear(x, weight, bias)
+    y = _Linear.apply(x, weight)
+    return y if bias is None else _Shift.apply(y, bias)
+
+
+def shift(x: Float[Tensor, "rows out"], bias: Tensor) -> Tensor:
+    """``x + b`` in each row."""
+    return x + bias if _record is None else _Shift.apply(x, bias)
+
+
+def weight_gradient(weight: Tensor, *pairs: Pair) -> Tensor | None:
+    """``Σ ḡ xᵀ`` over all pairs and rows, for a backward pass in closed form."""
+    if _record is not None:
+        _record.keep(weight, *pairs)
+        return None
+    (cotangent, x), *others = pairs
+    gradient = cotangent.T @ x
+    for cotangent, x in others:
+        gradient.addmm_(cotangent.T, x)
+    return gradient
+
+
+def bias_gradient(bias: Tensor, cotangent: Float[Tensor, "rows out"]) -> Tensor | None:
+    """``Σ ḡ`` over all rows."""
+    if _record is None:
+        return cotangent.sum(0)
+    _record.keep(bias, (cotangent, cotangent))
+    return None
+
+
+class _Record:
+    """The factors of each parameter's gradient, by the address of its data."""
+
+    def __init__(self) -> None:
+        self.pairs: dict[int, list[Pair]] = {}
+
+    def keep(self, parameter: Tensor, *pairs: Pair) -> None:
+        self.pairs.setdefault(parameter.data_ptr(), []).extend(pairs)
+
+
+_record: _Record | None = None
+
+
+def parameter_jacobian(
+    function: Callable[[], Float[Tensor, "samples residuals"]], parameters: Sequence[Tensor]
+) -> tuple[Float[Tensor, "samples residuals"], Float[Tensor, "samples residuals parameters"]]:
+    """The residuals of independent samples and their derivatives in all parameters, flattened.
+
+    One backward pass for each residual of a sample. ``function`` may use the parameters through
+    this module only; anything else is found out and refused.
+    """
+    global _record
+    if _record is not None:
+        raise RuntimeError("parameter_jacobian cannot be nested")
+    _record = _Record()
+    try:
+        with torch.enable_grad():
+            residuals = function()
+        samples, count = residuals.shape
+        jacobian = residuals.new_zeros(samples, count, sum(p.numel() for p in parameters))
+        for k in range(count):
+            _record.pairs.clear()
+            summed = torch.autograd.grad(
+                residuals[:, k].sum(), parameters, retain_graph=k + 1 < count, allow_unused=True
+            )
+            if any(gradient is not None for gradient in summed):
+                raise RuntimeError("a parameter is used outside nets.affine: no Jacobian by sample")
+            _assemble(_record.pairs, parameters, jacobian[:, k])
+    finally:
+        _record = None
+    return residuals.detach(), jacobian
+
+
+def _assemble(
+    pairs: dict[int, list[Pair]],
+    parameters: Sequence[Tensor],
+    rows: Float[Tensor, "samples parameters"],
+) -> None:
+    samples, start = len(rows), 0
+    for p in parameters:
+        target = rows[:, start : start + p.numel()]
+        start += p.numel()
+        factors = pairs.get(p.data_ptr(), [])
+        if not factors:
+            continue
+        left = torch.cat([g.unflatten(0, (-1, samples)) for g, _ in factors])
+        if p.ndim == 1:
+            target.copy_(left.sum(0))
+        else:
+            right = torch.cat([x.unflatten(0, (-1, samples)) for _, x in factors])
+            outer = torch.bmm(left.permute(1, 2, 0), right.transpose(0, 1))
+            target.copy_(outer.flatten(1))
+
+
+class _Linear(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        return x @ weight.T
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor | None]:
+        x, weight = ctx.saved_tensors
+        return cotangent @ weight, weight_gradient(weight, (cotangent, x))
+
+
+class _Shift(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, bias: Tensor) -> Tensor:
+        ctx.save_for_backward(bias)
+        return x + bias
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor | None]:
+        (bias,) = ctx.saved_tensors
+        return cotangent, bias_gradient(bias, cotangent)

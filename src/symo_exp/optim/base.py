@@ -1,0 +1,104 @@
+"""What an optimiser needs that takes more than one step a mini batch."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.optim import Optimizer
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Windows
+
+
+class Learner(Protocol):
+    """A model as an optimiser sees it."""
+
+    def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]: ...
+
+    def loss(self, windows: Windows) -> Tensor: ...
+
+    def loss_and_gradients(self, windows: Windows) -> Tensor: ...
+
+
+class EpochOptimizer(Optimizer, ABC):
+    """An optimiser that is given all samples of an epoch and does with them what it wants.
+
+    Everything else, gradients and line searches included, is its own business. What it must
+    remember to be resumed goes into ``memory``, which ``state_dict`` carries.
+
+    Losses on held-out samples arrive through ``validated``: the best parameters are kept, and after
+    ``patience`` losses that do not improve by a hundredth the training is ``finished``.
+    """
+
+    def __init__(self, params: Iterable[Tensor], *, patience: int) -> None:
+        if patience < 1:
+            raise ConfigError(f"optimizer.patience={patience}: expected at least 1")
+        super().__init__(params, {"lr": 1.0})
+        self.parameters: list[Tensor] = [p for g in self.param_groups for p in g["params"]]
+        self.patience = patience
+        self.finished = False
+        self.memory: dict[str, Any] = {"best": math.inf, "waited": 0, "weights": None}
+
+    @abstractmethod
+    def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
+        """One epoch; returns at least ``train_loss``, here the loss that it began with."""
+
+    def validated(self, loss: Tensor) -> None:
+        """Take note of a loss on held-out samples."""
+        value, best = float(loss.detach()), self.memory["best"]
+        if value < best:
+            self.memory |= {"best": value, "weights": self.flat()}
+        self.memory["waited"] = 0 if value < 0.99 * best else self.memory["waited"] + 1
+        self.finished = self.finished or self.memory["waited"] >= self.patience
+
+    def ended(self) -> None:
+        """The last epoch is over: leave the best parameters in place."""
+        if self.memory["weights"] is not None:
+            self.place(self.memory["weights"])
+
+    def flat(self) -> Tensor:
+        """All parameters as one vector."""
+        return torch.cat([p.detach().flatten() for p in self.parameters])
+
+    @torch.no_grad()
+    def place(self, flat: Tensor) -> None:
+        """Put such a vector in place."""
+        sizes = [p.numel() for p in self.parameters]
+        for p, part in zip(self.parameters, flat.split(sizes), strict=True):
+            p.copy_(part.view_as(p))
+
+    def step(self, closure: Any = None) -> None:  # type: ignore[override]
+        raise TypeError(f"{type(self).__name__} is driven by epochs, not by steps")
+
+    def state_dict(self) -> dict[str, Any]:
+        return {**super().state_dict(), "memory": dict(self.memory)}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        state = dict(state_dict)
+        self.memory = dict(state.pop("memory"))
+        self.finished = self.memory["waited"] >= self.patience
+        super().load_state_dict(state)
+
+
+def minibatches(
+    optimizer: Optimizer, model: Learner, batches: Sequence[Windows]
+) -> dict[str, Tensor]:
+    """One step of a torch optimiser for each mini batch."""
+    total: Tensor | None = None
+    for windows in batches:
+        loss = model.loss_and_gradients(windows)
+        optimizer.step()
+        total = loss if total is None else total + loss
+    assert total is not None
+    return {"train_loss": total / len(batches)}
+
+
+def whole(batches: Sequence[Windows]) -> Windows:
+    """The mini batches of an epoch as one."""
+    return Windows(*(torch.cat(fields) for fields in zip(*batches, strict=True)))

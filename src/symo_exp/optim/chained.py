@@ -1,0 +1,73 @@
+"""One optimiser after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.optim import Optimizer
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Windows
+from symo_exp.optim.base import EpochOptimizer, Learner, minibatches
+
+
+class Chained(EpochOptimizer):
+    """``first`` on mini batches for ``epochs`` epochs, its rate along a half cosine; then ``then``.
+
+    ``first`` is a torch optimiser, ``then`` one that takes whole epochs and is told the held-out
+    losses.
+    """
+
+    def __init__(
+        self,
+        params: Iterable[Tensor],
+        *,
+        first: Callable[[Iterable[Tensor]], Optimizer],
+        epochs: int,
+        then: Callable[[Iterable[Tensor]], EpochOptimizer],
+    ) -> None:
+        if epochs < 0:
+            raise ConfigError(f"optimizer.epochs={epochs}: expected 0 or more")
+        super().__init__(params, patience=1)
+        self.epochs = epochs
+        self._first, self._then = first(self.parameters), then(self.parameters)
+        self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._first, max(epochs, 1))
+        self.memory["epoch"] = 0
+
+    def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
+        starting = self.memory["epoch"] < self.epochs
+        self.memory["epoch"] += 1
+        if not starting:
+            metrics = self._then.epoch(model, batches)
+            self.finished = self._then.finished
+            return metrics
+        rate = self._first.param_groups[0]["lr"]
+        metrics = minibatches(self._first, model, batches)
+        self._schedule.step()
+        return {**metrics, "lr": torch.tensor(rate)}
+
+    def validated(self, loss: Tensor) -> None:
+        if self.memory["epoch"] > self.epochs:
+            self._then.validated(loss)
+            self.finished = self._then.finished
+
+    def ended(self) -> None:
+        self._then.ended()
+
+    def state_dict(self) -> dict[str, Any]:
+        self.memory |= {
+            "first": self._first.state_dict(),
+            "then": self._then.state_dict(),
+            "schedule": self._schedule.state_dict(),
+        }
+        return super().state_dict()
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        super().load_state_dict(state_dict)
+        self._first.load_state_dict(self.memory["first"])
+        self._then.load_state_dict(self.memory["then"])
+        self._schedule.load_state_dict(self.memory["schedule"])
+        self.finished = self._then.finished

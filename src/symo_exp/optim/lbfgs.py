@@ -1,0 +1,53 @@
+"""L-BFGS on all samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from symo_exp.mechanics.types import Windows
+from symo_exp.optim.base import EpochOptimizer, Learner, whole
+
+
+class LBFGS(EpochOptimizer):
+    """``iterations`` steps of L-BFGS with a strong Wolfe line search in each epoch."""
+
+    def __init__(
+        self,
+        params: Iterable[Tensor],
+        *,
+        iterations: int = 10,
+        history: int = 50,
+        patience: int = 20,
+    ) -> None:
+        super().__init__(params, patience=patience)
+        self._inner = torch.optim.LBFGS(
+            self.parameters,
+            max_iter=iterations,
+            history_size=history,
+            tolerance_grad=0.0,
+            tolerance_change=0.0,
+            line_search_fn="strong_wolfe",
+        )
+
+    def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
+        samples = whole(batches)
+
+        def closure() -> Tensor:
+            self._inner.zero_grad()
+            loss = model.loss(samples)
+            loss.backward()
+            return loss
+
+        return {"train_loss": self._inner.step(closure).detach()}
+
+    def state_dict(self) -> dict[str, Any]:
+        self.memory["inner"] = self._inner.state_dict()
+        return super().state_dict()
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        super().load_state_dict(state_dict)
+        self._inner.load_state_dict(self.memory["inner"])

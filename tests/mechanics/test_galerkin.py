@@ -1,0 +1,147 @@
+"""What the table of integrators does not show of the Galerkin ones: bubbles, forces, rows."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.variational import (
+    Forces,
+    VariationalMidpoint,
+    del_residual,
+    momentum_before,
+    next_pose,
+)
+from tests.chain import ChainPendulum
+from tests.learned import learned_lagrangian
+
+ROOT = Newton(tolerance=1e-12, max_iterations=30)
+DEGREES = (1, 2, 3)
+STAGES = (2, 3)
+
+
+def lagrangians(n: int) -> list[Lagrangian]:
+    """A true one, and a learned one of angles and straight coordinates."""
+    return [ChainPendulum(n), learned_lagrangian(tuple(i % 2 == 0 for i in range(n)))]
+
+
+def state(n: int, rows: int = 3) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(10 + n)
+    q, v = torch.rand(2, rows, n, generator=generator, dtype=torch.float64) - 0.5
+    return 2.0 * q, v
+
+
+@pytest.mark.parametrize("n", DEGREES)
+def test_one_stage_is_the_midpoint_rule(n: int) -> None:
+    midpoint, one = VariationalMidpoint(), Galerkin(stages=1)
+    (q0, q1), f = state(n), Forces(*state(n))
+    for ours, theirs in zip(
+        one.impulses(*f, 0.1) + tuple(one.slots(ChainPendulum(n), q0, q1, 0.1, f)),
+        midpoint.impulses(*f, 0.1) + tuple(midpoint.slots(ChainPendulum(n), q0, q1, 0.1)),
+        strict=True,
+    ):
+        torch.testing.assert_close(ours, theirs)
+    a, b = (x.expand(ChainPendulum(n), q0, q1, 0.1) for x in (one, midpoint))
+    torch.testing.assert_close(a.d2d1(), b.d2d1())
+
+
+@pytest.mark.parametrize("n", DEGREES)
+@pytest.mark.parametrize("stages", STAGES)
+def test_inner_coefficients_are_stationary(stages: int, n: int) -> None:
+    (q0, v), f = state(n), Forces(*state(n))
+    for lagrangian in lagrangians(n):
+        at = Galerkin(stages=stages).expand(lagrangian, q0, q0 + 0.1 * v, 0.1, f)
+        assert at.stationarity.abs().max() < 1e-9
+        assert at.inner.abs().max() > 1e-5
+
+
+@pytest.mark.parametrize("n", DEGREES)
+@pytest.mark.parametrize("stages", STAGES)
+def test_jacobian_in_the_next_pose(stages: int, n: int) -> None:
+    h, integrator, (q0, v), f = 0.1, Galerkin(stages=stages), state(n), Forces(*state(n))
+    q1 = q0 + h * v
+    for lagrangian in lagrangians(n):
+        jacobian = integrator.expand(lagrangian, q0, q1, h, f).d2d1()
+        for i in range(len(q0)):
+            row = Forces(f.start[i : i + 1], f.end[i : i + 1])
+
+            def d1(
+                x: Tensor, i: int = i, row: Forces = row, own: Lagrangian = lagrangian
+            ) -> Tensor:
+                with torch.no_grad():
+                    return integrator.slots(own, q0[i : i + 1], x[None], h, row).d1[0]
+
+            torch.testing.assert_close(
+                jacobian[i],
+                differences(d1, q1[i]),
+                rtol=1e-6,
+                atol=1e-6 * float(jacobian.abs().max()),
+            )
+
+
+@pytest.mark.parametrize("n", DEGREES)
+@pytest.mark.parametrize("stages", STAGES)
+def test_derivatives_of_residual_root_and_momentum(stages: int, n: int) -> None:
+    """In poses, forces and parameters, for a true and a learned Lagrangian."""
+    h, integrator = 0.1, Galerkin(stages=stages)
+    q0, v = state(n)
+    forces = torch.stack((*state(n), 0.3 * v))
+    poses = torch.stack((q0, q0 + h * v, q0 + 2.1 * h * v))
+    weight = torch.randn(3, *q0.shape, dtype=torch.float64)
+    for lagrangian in lagrangians(n):
+        parameters = (
+            list(lagrangian.parameters()) if isinstance(lagrangian, torch.nn.Module) else []
+        )
+
+        def value(
+            poses: Tensor, forces: Tensor, *_: Tensor, lagrangian: Lagrangian = lagrangian
+        ) -> Tensor:
+            (a, b, c), (f, g, k) = poses, forces
+            residual = del_residual(integrator, lagrangian, a, b, c, f, g, k, h)
+            p = momentum_before(integrator, lagrangian, a, b, f, g, h)
+            impulse = p + integrator.impulses(g, k, h)[0]
+            root, _ = next_pose(
+                integrator, lagrangian, ROOT, b, impulse, h, 2 * b - a, forces=Forces(g, k)
+            )
+            return (weight * torch.stack((residual, p, root))).sum()
+
+        inputs = [x.clone().requires_grad_() for x in (poses, forces)]
+        gradients = torch.autograd.grad(value(*inputs), [*inputs, *parameters], allow_unused=True)
+        for x, gradient in zip([*inputs, *parameters], gradients, strict=True):
+            assert gradient is not None
+            direction = torch.randn(x.shape, dtype=torch.float64)
+            eps, ends = 1e-5, []
+            for sign in (1.0, -1.0):
+                with torch.no_grad():
+                    x += sign * eps * direction
+                    ends.append(value(*inputs))
+                    x -= sign * eps * direction
+            expected = (ends[0] - ends[1]) / (2 * eps)
+            torch.testing.assert_close((gradient * direction).sum(), expected, rtol=2e-6, atol=1e-7)
+
+
+def test_rows_and_replace_keep_every_point() -> None:
+    q0, v = state(2, rows=5)
+    q1 = q0 + 0.1 * v
+    integrator, index = Galerkin(stages=3), torch.tensor([3, 1])
+    for lagrangian in lagrangians(2):
+        whole = integrator.expand(lagrangian, q0, q1, 0.1)
+        part = whole.rows(index)
+        torch.testing.assert_close(part.values.d1, whole.values.d1[index])
+        torch.testing.assert_close(part.d2d1(), whole.d2d1()[index])
+        other = integrator.expand(lagrangian, q1[index], q0[index], 0.1)
+        mixed = whole.replace(index, other)
+        torch.testing.assert_close(mixed.d2d1()[index], other.d2d1())
+        torch.testing.assert_close(mixed.d2d1()[[0, 2, 4]], whole.d2d1()[[0, 2, 4]])
+
+
+def differences(function, x: Tensor, eps: float = 1e-5) -> Tensor:  # type: ignore[no-untyped-def]
+    columns = []
+    for i in range(len(x)):
+        e = torch.zeros_like(x)
+        e[i] = eps
+        with torch.no_grad():
+            columns.append((function(x + e) - function(x - e)) / (2 * eps))
+    return torch.stack(columns, dim=1)

@@ -1,0 +1,43 @@
+"""The Jacobian by samples of every method and integrator, against one backward pass a sample."""
+
+import pytest
+import torch
+
+from symo_exp.nets.affine import parameter_jacobian
+from tests.models.methods import combinations, make, windows
+
+OBJECTIVES = [
+    (method, integrator, overrides)
+    for method, integrator in combinations()
+    for overrides in ({}, {"objective": "preconditioned"})
+    if not overrides or method == "symo"
+]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(("method", "integrator", "overrides"), OBJECTIVES)
+def test_jacobian_by_samples(method, integrator, overrides, n):
+    model, data = make(method, integrator, n, **overrides), windows(n)
+    parameters = list(model.parameters())
+    values, jacobian = parameter_jacobian(lambda: model.residuals(data), parameters)
+    expected = model.residuals(data)
+    torch.testing.assert_close(values, expected)
+    for sample in range(expected.shape[0]):
+        for k in range(expected.shape[1]):
+            row = torch.autograd.grad(
+                expected[sample, k], parameters, retain_graph=True, materialize_grads=True
+            )
+            flat = torch.cat([x.flatten() for x in row])
+            torch.testing.assert_close(jacobian[sample, k], flat, rtol=1e-9, atol=1e-12)
+
+
+def test_a_use_of_a_parameter_behind_its_back_is_refused():
+    model, data = make("node", "rk4", 2), windows(2)
+
+    def function():
+        return model.residuals(data) + model.net.biases[-1].sum()
+
+    with pytest.raises(RuntimeError, match=r"outside nets\.affine"):
+        parameter_jacobian(function, list(model.parameters()))
+    model.loss(data).backward()  # and nothing stays behind
+    assert all(p.grad is not None for p in model.parameters())

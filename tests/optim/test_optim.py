@@ -1,0 +1,143 @@
+"""Optimisers of whole epochs: steps against linear algebra, stopping, resuming, every method."""
+
+import copy
+import math
+from itertools import pairwise
+from types import SimpleNamespace
+
+import pytest
+import torch
+from torch import nn
+
+from symo_exp.errors import ConfigError
+from symo_exp.optim import levenberg_marquardt
+from symo_exp.optim.chained import Chained
+from symo_exp.optim.lbfgs import LBFGS
+from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
+from tests.models.methods import make, windows
+
+
+def halves(n, samples=24):
+    data = windows(n, samples)
+    return [data[: samples // 2], data[samples // 2 :]]
+
+
+@pytest.mark.parametrize("wide", [False, True], ids=["parameters", "residuals"])
+def test_a_step_solves_the_damped_normal_equations(wide):
+    """In both spaces, against a dense Jacobian by one backward pass a residual."""
+    model, samples = make("symo", "midpoint", 2), 6 if wide else 120
+    data = windows(2, samples)
+    parameters = list(model.parameters())
+    assert (sum(p.numel() for p in parameters) > 2 * samples) == wide
+    r = model.residuals(data).flatten() / math.sqrt(2 * samples)
+    rows = [
+        torch.cat([
+            x.flatten()
+            for x in torch.autograd.grad(y, parameters, retain_graph=True, materialize_grads=True)
+        ])
+        for y in r
+    ]  # fmt: skip
+    jacobian, damping = torch.stack(rows), 1e-2
+    matrix = jacobian.T @ jacobian + damping * torch.eye(jacobian.shape[1], dtype=torch.float64)
+    expected = -torch.linalg.solve(matrix, jacobian.T @ r.detach())
+    optimizer = LevenbergMarquardt(parameters, damping=damping, chunk=50)
+    before = optimizer.flat()
+    optimizer.epoch(model, [data[:4], data[4:]])
+    assert optimizer.damping == pytest.approx(damping / 3)
+    torch.testing.assert_close(optimizer.flat() - before, expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("method", "integrator"),
+    [("node", "rk4"), ("l_node", "rk4"), ("symo", "galerkin4"), ("e2e_symo", "midpoint")],
+)
+@pytest.mark.parametrize("kind", [LevenbergMarquardt, LBFGS])
+def test_every_method_learns_with_it(kind, method, integrator, n):
+    model = make(method, integrator, n)
+    optimizer, batches = kind(model.parameters()), halves(n)
+    start = model.loss(windows(n, 24)).item()
+    losses = [optimizer.epoch(model, batches)["train_loss"].item() for _ in range(6)]
+    assert losses[0] == pytest.approx(start)
+    assert all(b <= a for a, b in pairwise(losses))
+    assert losses[-1] < 0.5 * losses[0]
+
+
+def chained(model):
+    return Chained(
+        model.parameters(),
+        first=lambda p: torch.optim.Adam(p, lr=1e-3),
+        epochs=2,
+        then=LevenbergMarquardt,
+    )
+
+
+@pytest.mark.parametrize("make_optimizer", [lambda m: LevenbergMarquardt(m.parameters()), chained,
+                                            lambda m: LBFGS(m.parameters())])  # fmt: skip
+@pytest.mark.parametrize("stop", [1, 4])
+def test_a_resumed_run_gives_the_same_bits(make_optimizer, stop, tmp_path):
+    def run(model, optimizer, epochs):
+        for _ in range(epochs):
+            optimizer.epoch(model, halves(2))
+            optimizer.validated(model.loss(windows(2)))
+
+    whole, part = (make("symo", "midpoint", 2) for _ in range(2))
+    run(whole, make_optimizer(whole), 6)
+    first = make_optimizer(part)
+    run(part, first, stop)
+    torch.save((part.state_dict(), first.state_dict()), tmp_path / "state")
+    again = make("symo", "midpoint", 2)
+    second = make_optimizer(again)
+    weights, state = torch.load(tmp_path / "state", weights_only=True)
+    again.load_state_dict(weights)
+    second.load_state_dict(copy.deepcopy(state))
+    run(again, second, 6 - stop)
+    for a, b in zip(whole.parameters(), again.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_it_stops_by_held_out_losses_and_keeps_the_best():
+    p = nn.Parameter(torch.zeros(1, dtype=torch.float64))
+    optimizer = LevenbergMarquardt([p], patience=2)
+    for value, loss in [(1.0, 0.5), (2.0, 0.3), (3.0, 0.4), (4.0, 0.6)]:
+        assert not optimizer.finished
+        p.data.fill_(value)
+        optimizer.validated(torch.tensor(loss))
+    assert optimizer.finished
+    optimizer.ended()
+    assert p.item() == 2.0
+
+
+def test_memory_that_is_not_there_is_named_before_the_work(monkeypatch):
+    model = make("symo", "midpoint", 2)
+    monkeypatch.setattr(levenberg_marquardt, "available_bytes", lambda: 1000)
+    with pytest.raises(ConfigError, match=r"needs about .* GB .* are free; use a smaller"):
+        LevenbergMarquardt(model.parameters()).epoch(model, halves(2))
+
+
+def test_single_precision_is_refused():
+    with pytest.raises(ConfigError, match="dtype=float64"):
+        LevenbergMarquardt(make("node", "rk4", 1).float().parameters())
+
+
+def test_within_a_training(tmp_path):
+    """Lightning drives it, passes held-out losses on and stops when it is finished."""
+    import lightning
+
+    torch.manual_seed(0)
+    model = make(
+        "symo", "midpoint", 2, optimizer=lambda p: LevenbergMarquardt(p, patience=1), scheduler=None
+    )
+    data = SimpleNamespace(train=[halves(2)], val=[windows(2, 7)])
+    trainer = lightning.Trainer(
+        max_epochs=200, accelerator="cpu", logger=False, enable_checkpointing=False,
+        enable_progress_bar=False, enable_model_summary=False, inference_mode=False,
+        default_root_dir=tmp_path, num_sanity_val_steps=0,
+    )  # fmt: skip
+    loaders = [torch.utils.data.DataLoader(x, batch_size=None) for x in (data.train, data.val)]
+    before = model.loss(windows(2, 7)).item()
+    trainer.fit(model, *loaders)
+    assert trainer.current_epoch < 200
+    best = model.trainer.optimizers[0].memory["best"]
+    assert model.loss(windows(2, 7)).item() == pytest.approx(best)
+    assert best < before
