@@ -180,7 +180,8 @@ class _Composer:
         for reference in references.values():
             name = str(reference).strip("${}")
             group = name.partition(".")[0]
-            if group == name or group not in choices or OmegaConf.select(config, name) is not None:
+            here = OmegaConf.select(config, name, default="nothing")  # null, not nothing
+            if group == name or group not in choices or here is not None:
                 continue
             others = [f"{group}={option}" for option in self._options(group)]
             fits = [o for o in others if OmegaConf.select(self._compose((o,)), name) is not None]
