@@ -16,7 +16,8 @@ RULES = {
     "mechanics": (set(), {"torch", "jaxtyping"}),
     "systems": ({"mechanics"}, {"torch", "jaxtyping", "numpy", "scipy", "gymnasium", "pygame"}),
     "nets": ({"mechanics"}, {"torch", "jaxtyping"}),
-    "models": ({"mechanics", "nets"}, {"torch", "jaxtyping", "lightning", "torchdiffeq"}),
+    "optim": ({"mechanics", "nets"}, {"torch", "jaxtyping"}),
+    "models": ({"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "lightning", "torchdiffeq"}),
     "data": (
         {"mechanics", "systems"},
         {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow"},

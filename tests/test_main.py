@@ -24,6 +24,7 @@ TINY = [
     "data.n_integration=2",
     "data.integration_steps=20",
     "data.monitor_trajectories=2",
+    "data.solver={method: RK45, rtol: 1e-4, atol: 1e-4}",
     "data.cache_dir=cache",
 ]
 QUIET = [*TINY, "logger=none"]
@@ -94,6 +95,7 @@ BAD = [
     ("logger.tracking_uri=http://127.0.0.1:9", "127.0.0.1:9", "tracking"),
     ("logger.tracking_uri=sqlite:////dev/null/x/y.db", "/dev/null", ""),
     ("logger.tracking_uri=carrier://pigeon", "carrier", "sqlite"),
+    ("--foo", "--foo", "-h"),
     ("--config-dir nowhere", "nowhere", ""),
     ("-cn nothing", "nothing", ""),
     # what a configuration must not run

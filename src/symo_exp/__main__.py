@@ -22,16 +22,29 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         print(help_text(), end="")
         return 0
-    debug = "1" in (os.environ.get("SYMO_EXP_DEBUG"), os.environ.get("HYDRA_FULL_ERROR"))
+    if "--version" in argv:
+        from importlib.metadata import version
+
+        print(f"symo_exp {version('symo_exp')}")
+        return 0
+    debug = os.environ.get("SYMO_EXP_DEBUG") == "1"
     try:
         from symo_exp.launch import execute
 
-        return execute(argv, debug=debug)
+        return execute(argv)
     except ConfigError as error:
         if debug:
             traceback.print_exc()
         print(f"symo_exp: error: {error}", file=sys.stderr)
         return 2
+    except Exception as error:
+        if debug:
+            raise
+        print(
+            f"symo_exp: {type(error).__name__}: {error} (SYMO_EXP_DEBUG=1 shows where)",
+            file=sys.stderr,
+        )
+        return 1
     except SystemExit as error:
         if type(error).__name__ == "SIGTERMException":  # of Lightning, which need not be imported
             return 143

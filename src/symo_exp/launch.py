@@ -25,8 +25,8 @@ from symo_exp.training.outcome import Outcome, Status, table
 log = logging.getLogger(__name__)
 
 
-def execute(argv: Sequence[str], *, debug: bool = False) -> int:
-    """Do what the command says; the exit code. ``debug`` lets errors through with traceback."""
+def execute(argv: Sequence[str]) -> int:
+    """Do what the command says; the exit code."""
     args = parse(argv)
     # Hydra does not read overrides on both sides of an option
     argv = [*(word for word in argv if word not in args.overrides), *args.overrides]
@@ -44,10 +44,14 @@ def execute(argv: Sequence[str], *, debug: bool = False) -> int:
         try:
             _hydra(argv)
         except Exception as error:  # a launcher that broke: what it finished still counts
-            if debug or not command.multirun:
+            if _debug() or not command.multirun:
                 raise
             log.error("the launcher stopped: %s", one_line(error))
     return _sum_up(command)
+
+
+def _debug() -> bool:
+    return os.environ.get("SYMO_EXP_DEBUG") == "1"
 
 
 def check(command: Command) -> None:
@@ -120,6 +124,8 @@ def job(config: DictConfig) -> None:
     except Exception as error:
         log.debug("failed", exc_info=True)  # to the log of the run, not to the terminal
         record("failed", f"{type(error).__name__}: {one_line(error)}")
+        if _debug():
+            raise
     except SystemExit as error:
         if isinstance(error.__context__, KeyboardInterrupt):  # how Lightning passes Ctrl-C on
             raise KeyboardInterrupt from error

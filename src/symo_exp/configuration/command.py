@@ -7,7 +7,7 @@ import copy
 import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import hydra
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
@@ -45,7 +45,13 @@ class Command(NamedTuple):
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     """Hydra's own options and the overrides, in any order."""
-    return get_args_parser().parse_intermixed_args(list(argv))
+
+    def refuse(message: str) -> NoReturn:
+        raise ConfigError(f"{message}; -h shows what can be typed")
+
+    parser = get_args_parser()
+    parser.error = refuse  # type: ignore[method-assign]
+    return parser.parse_intermixed_args(list(argv))
 
 
 def is_run(args: argparse.Namespace) -> bool:
@@ -174,7 +180,8 @@ class _Composer:
         for reference in references.values():
             name = str(reference).strip("${}")
             group = name.partition(".")[0]
-            if group == name or group not in choices or OmegaConf.select(config, name) is not None:
+            here = OmegaConf.select(config, name, default="nothing")  # null, not nothing
+            if group == name or group not in choices or here is not None:
                 continue
             others = [f"{group}={option}" for option in self._options(group)]
             fits = [o for o in others if OmegaConf.select(self._compose((o,)), name) is not None]

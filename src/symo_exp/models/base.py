@@ -7,7 +7,7 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import lightning
 import torch
@@ -63,8 +63,8 @@ class DynamicsModel(lightning.LightningModule, ABC):
         time_step: float,
         optimizer: Callable[[Iterable[Tensor]], Optimizer] | None = None,
         scheduler: Callable[[Optimizer], LRScheduler] | None = None,
-        scheduler_monitor: str = "train_loss",
-        evaluation_dtype: str = "float64",
+        scheduler_monitor: Literal["train_loss", "val_loss"] = "train_loss",
+        evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
         super().__init__()
         self.automatic_optimization = False
