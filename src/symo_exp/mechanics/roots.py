@@ -71,8 +71,9 @@ class Newton(RootFinder):
 
     ``stopping="row"``: a row is left alone as soon as it has converged, and its step is halved
     (``α``) until ``‖g‖`` decreases, so that one bad row costs one row. A row whose step is lost in
-    the rounding of ``x`` has converged, too: its ``‖g‖`` is as small as the precision lets it be. ``stopping="batch"`` is the
-    rule of the thesis: undamped steps of all rows until ``‖g‖_F ≤ tolerance √(B n)``.
+    the rounding of ``x`` has converged, too: its ``‖g‖`` is as small as the precision lets it be.
+    ``stopping="batch"`` is the rule of the thesis: undamped steps of all rows until
+    ``‖g‖_F ≤ tolerance √(B n)``.
     """
 
     smallest_damping = 1 / 16
