@@ -15,7 +15,7 @@ import torch
 
 from benchmarks.cases import CASES, METHODS, plausible_weights, system_windows
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
-from benchmarks.project import Project, compiler_available
+from benchmarks.project import Project
 
 LOSS_TOLERANCE = 1e-3
 GRADIENT_TOLERANCE = 2e-3
@@ -50,7 +50,9 @@ def exact(method: str) -> dict[str, bool]:
     return {"adjoint": False} if method in ("node", "l_node") else {}
 
 
-def differences(system: str, method: str, rows: int = 128) -> list[Difference]:
+def differences(
+    system: str, method: str, rows: int = 128, *, compiled: bool = False
+) -> list[Difference]:
     """Every contender beside the reference, on the same weights and data."""
     case, layers = CASES[system], plausible_weights(system, method)
     windows = system_windows(system, rows)
@@ -59,7 +61,7 @@ def differences(system: str, method: str, rows: int = 128) -> list[Difference]:
     if jax_is_installed():
         contenders["jax"] = Jax(method, case, layers)
     contenders["project"] = Project(method, case, layers)
-    if compiler_available():
+    if compiled:
         contenders["compiled"] = Project(method, case, layers, compiled=True)
     return compare(system, method, reference, contenders, windows)
 
@@ -95,9 +97,9 @@ def compare(
     return rows
 
 
-def check(systems: list[str], methods: list[str]) -> list[Difference]:
+def check(systems: list[str], methods: list[str], *, compiled: bool = False) -> list[Difference]:
     """All differences; raises in one sentence if one is too large."""
-    rows = [d for s in systems for m in methods for d in differences(s, m)]
+    rows = [d for s in systems for m in methods for d in differences(s, m, compiled=compiled)]
     for row in rows:
         if not row.acceptable:
             raise SystemExit(f"the contenders do not compute the same numbers: {row}")

@@ -35,7 +35,7 @@ from benchmarks.timing import interleaved
 BATCHES = (32, 128, 512)
 EVALUATION_ROWS = 4096
 ROLLOUTS, ROLLOUT_STEPS = 16, 500
-FIT_BATCH, FIT_EPOCHS = 128, 10
+FIT_BATCH, FIT_EPOCHS = 128, 20
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ class Plan:
     turn_ms: float
     baseline_rollout_steps: int
     process_clock: bool
+    compiled: bool
 
 
 def contenders(
@@ -89,7 +90,11 @@ def cells(plan: Plan) -> Iterator[Measurement]:
     def measure(
         name: str, system: str, method: str, rows: int, scale: dict[str, float], calls: dict
     ) -> Iterator[Measurement]:
-        batches = {k: c.prepare(system_windows(system, rows)) for k, c in group.items()}
+        windows = system_windows(system, rows)
+        if name == "rollout":  # unforced, as the protocol's
+            still = torch.zeros_like(windows.u)
+            windows = windows._replace(u_prev=still, u=still, u_next=still)
+        batches = {k: c.prepare(windows) for k, c in group.items()}
         bound = {k: (lambda k=k: calls[k](group[k], batches[k])) for k in calls}
         heavy = name in ("evaluation", "rollout")
         times = interleaved(
@@ -111,7 +116,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
             group = contenders(system, method)
             for rows in plan.batches:
                 step = dict.fromkeys(group, lambda c, b: c.train_step(b))
-                if compiler_available():
+                if plan.compiled:
                     # A compiled graph belongs to one shape.
                     layers = plausible_weights(system, method)
                     compiled = Project(method, CASES[system], layers, lr=0.0, compiled=True)
@@ -134,7 +139,9 @@ def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
     fit, bare, steps = fit_call(
         method, CASES[system], plausible_weights(system, method), FIT_BATCH, FIT_EPOCHS
     )
-    times = interleaved({"fit": fit, "bare": bare}, rounds=max(3, plan.rounds // 3), warm_up=1)
+    clock = time.process_time if plan.process_clock else time.perf_counter
+    rounds = max(3, plan.rounds // 3)
+    times = interleaved({"fit": fit, "bare": bare}, rounds=rounds, warm_up=1, clock=clock)
     for name, t in times.items():
         yield Measurement(
             name, system, method, FIT_BATCH, "project",
@@ -182,7 +189,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--process-clock", action="store_true", help="count processor time: for a shared machine"
     )
+    parser.add_argument(
+        "--compiled",
+        action=argparse.BooleanOptionalAction,
+        help="measure compiled training steps too (default: unless --quick; compiling takes long)",
+    )
     given = parser.parse_args(arguments)
+    if given.compiled is None:
+        given.compiled = not given.quick
     given.systems = given.systems or (["acrobot"] if given.quick else list(CASES))
     plan = Plan(
         tuple(given.systems),
@@ -192,11 +206,12 @@ def main(arguments: list[str] | None = None) -> None:
         turn_ms=5.0 if given.quick else 60.0,
         baseline_rollout_steps=10 if given.quick else 100,
         process_clock=given.process_clock,
+        compiled=given.compiled and compiler_available(),
     )
     torch.set_num_threads(1)
     if not jax_is_installed():
         print("JAX is not installed: baseline (b) is skipped (pip install 'symo_exp[bench]')")
-    differences = agreement.check(given.systems, given.methods)
+    differences = agreement.check(given.systems, given.methods, compiled=plan.compiled)
     worst = max(d.gradient for d in differences)
     print(f"all contenders compute the same numbers (gradients to {worst:.1e} of float64)")
     given.out.mkdir(parents=True, exist_ok=True)

@@ -133,10 +133,9 @@ def comparison(found: dict[Key, Row], measure: str) -> str:
             found.get((measure, system, method, batch, name))
             for name in ("autograd", "jax", "project", "compiled")
         )
-        lines.append(
-            [system, NAMES[method], str(batch), *map(ms, (a, b, p, c))]
-            + [ratio(x, y) for x, y in ((a, p), (p, b), (a, c), (c, b))]
-        )
+        times = (ms(x) for x in (a, b, p, c))
+        ratios = (ratio(a, p), ratio(p, b), ratio(a, c), ratio(c, b))
+        lines.append([system, NAMES[method], str(batch), *times, *ratios])
     header = ["system", "method", "rows", "(a)", "(b)", "project", "compiled"]
     header += ["(a)/project", "project/(b)", "(a)/compiled", "compiled/(b)"]
     return table(header, lines)

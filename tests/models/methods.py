@@ -58,5 +58,6 @@ def windows(n: int, samples: int = 5) -> Windows:
     generator = torch.Generator().manual_seed(11)
     q, v, a = torch.randn(3, samples, n, dtype=torch.float64, generator=generator)
     u = torch.randn(3, samples, 1, dtype=torch.float64, generator=generator)
+    v = 0.3 * v  # slow enough for every random inertia to have its roots
     poses = [q + t * v + 0.5 * t * t * a for t in (-H, 0.0, H)]
     return Windows(*poses, v, v + H * a, *u)

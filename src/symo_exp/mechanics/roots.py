@@ -70,8 +70,10 @@ class Newton(RootFinder):
     """Newton's method ``x⁺ = x − α J⁻¹ g`` with a safeguard for each row (thesis algorithm 3).
 
     ``stopping="row"``: a row is left alone as soon as it has converged, and its step is halved
-    (``α``) until ``‖g‖`` decreases, so that one bad row costs one row. ``stopping="batch"`` is the
-    rule of the thesis: undamped steps of all rows until ``‖g‖_F ≤ tolerance √(B n)``.
+    (``α``) until ``‖g‖`` decreases, so that one bad row costs one row. A row whose step is lost in
+    the rounding of ``x`` has converged, too: its ``‖g‖`` is as small as the precision lets it be.
+    ``stopping="batch"`` is the rule of the thesis: undamped steps of all rows until
+    ``‖g‖_F ≤ tolerance √(B n)``.
     """
 
     smallest_damping = 1 / 16
@@ -98,9 +100,11 @@ class Newton(RootFinder):
         norm = row_norm(at.residual)
         iterations = torch.zeros(len(x), dtype=torch.int64, device=x.device)
         damping = torch.ones(len(x), dtype=x.dtype, device=x.device)
+        settled = torch.zeros(len(x), dtype=torch.bool, device=x.device)
         for _ in range(self.max_iterations):
             # The first condition is written so that NaN stays active, until it is given up.
             active = ~(norm <= self.tolerance) & (damping >= self.smallest_damping)
+            active &= ~settled
             count = int(active.sum())
             if count == 0:
                 break
@@ -111,6 +115,8 @@ class Newton(RootFinder):
                 here, alpha = at.rows(index), damping[index]
             before = x if index is None else x[index]
             direction = solve(here.jacobian(), -here.residual)
+            still = direction.abs() <= _rounding(before)
+            settled = _put(settled, index, still.all(-1))
             trial = before + alpha.unsqueeze(-1) * direction
             there = problem.at(trial, index)
             there_norm = row_norm(there.residual)
@@ -130,7 +136,7 @@ class Newton(RootFinder):
             x = x.index_copy(0, to, trial[moved])
             norm = norm.index_copy(0, to, there_norm[moved])
             at = at.replace(to, there)
-        return Root(x, norm <= self.tolerance, iterations, at)
+        return Root(x, (norm <= self.tolerance) | settled, iterations, at)
 
     def _by_batch(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
         at = problem.at(x)
@@ -181,6 +187,16 @@ class Broyden(RootFinder):
             norm = norm.index_copy(0, index, row_norm(there.residual))
             at = at.replace(index, there)
         return Root(x, norm <= self.tolerance, iterations, at)
+
+
+def _rounding(x: Tensor) -> Tensor:
+    """What a few roundings of ``x`` come to."""
+    return 16.0 * torch.finfo(x.dtype).eps * x.abs().clamp(min=1.0)
+
+
+def _put(x: Tensor, index: Tensor | None, rows: Tensor) -> Tensor:
+    """``x`` with the given rows replaced, all of them without an index."""
+    return rows if index is None else x.index_copy(0, index, rows)
 
 
 def row_norm(residual: Tensor) -> Tensor:
