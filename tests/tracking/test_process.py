@@ -42,6 +42,8 @@ def test_what_cannot_be_known_is_not_dead():
     assert not is_dead({})
 
 
-@pytest.mark.parametrize(("pid", "dead"), [(os.getpid(), False), (999999999, True)])
+@pytest.mark.parametrize(
+    ("pid", "dead"), [(os.getpid(), False), (999999999, True)], ids=["ours", "none"]
+)
 def test_without_proc_the_id_must_do(pid, dead):
     assert is_dead({HOST: socket.gethostname(), PID: str(pid), STARTED: ""}) is dead

@@ -32,7 +32,7 @@ class ProgressBar(lightning.Callback):
                 unit="epoch",
                 leave=False,
                 dynamic_ncols=True,
-                bar_format="{desc} {n_fmt}/{total_fmt} |{bar}| {remaining} left {postfix}",
+                bar_format="{desc} {n_fmt}/{total_fmt} |{bar}| {remaining} left{postfix}",
             )
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
