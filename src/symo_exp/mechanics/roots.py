@@ -69,10 +69,10 @@ class RootFinder(ABC):
 class Newton(RootFinder):
     """Newton's method ``x⁺ = x − α J⁻¹ g`` with a safeguard for each row (thesis algorithm 3).
 
-    ``stopping="row"``: a row is left alone as soon as it has converged, and its step is halved
-    (``α``) until ``‖g‖`` decreases, so that one bad row costs one row. A row whose step is lost in
-    the rounding of ``x`` has converged, too: its ``‖g‖`` is as small as the precision lets it be.
-    ``stopping="batch"`` is the rule of the thesis: undamped steps of all rows until
+    ``stopping="row"``: once most rows have converged only the others go on, and the step of a row
+    is halved (``α``) until ``‖g‖`` decreases, so that one bad row costs one row. A row whose step
+    is lost in the rounding of ``x`` has converged, too: its ``‖g‖`` is as small as the precision
+    lets it be. ``stopping="batch"`` is the rule of the thesis: undamped steps of all rows until
     ``‖g‖_F ≤ tolerance √(B n)``.
     """
 
@@ -108,14 +108,14 @@ class Newton(RootFinder):
             count = int(active.sum())
             if count == 0:
                 break
-            if count == len(x):
+            if 2 * count > len(x):  # picking rows would cost more than it saves
                 index, here, alpha = None, at, damping
             else:
                 index = active.nonzero().squeeze(-1)
                 here, alpha = at.rows(index), damping[index]
             before = x if index is None else x[index]
             direction = solve(here.jacobian(), -here.residual)
-            still = direction.abs() <= _rounding(before)
+            still = direction.abs() <= rounding(before)
             settled = _put(settled, index, still.all(-1))
             trial = before + alpha.unsqueeze(-1) * direction
             there = problem.at(trial, index)
@@ -123,13 +123,12 @@ class Newton(RootFinder):
             old = norm if index is None else norm[index]
             accepted = there_norm <= torch.clamp((1.0 - 1e-4 * alpha) * old, min=self.tolerance)
             alpha = torch.where(accepted, (2.0 * alpha).clamp(max=1.0), 0.5 * alpha)
+            iterations += active
             if index is None and bool(accepted.all()):
                 x, at, norm, damping = trial, there, there_norm, alpha
-                iterations += 1
                 continue
             if index is None:
                 index = torch.arange(len(x), device=x.device)
-            iterations[index] += 1
             damping = damping.index_copy(0, index, alpha)
             moved = accepted.nonzero().squeeze(-1)
             to, there = index[moved], there.rows(moved)
@@ -189,7 +188,7 @@ class Broyden(RootFinder):
         return Root(x, norm <= self.tolerance, iterations, at)
 
 
-def _rounding(x: Tensor) -> Tensor:
+def rounding(x: Tensor) -> Tensor:
     """What a few roundings of ``x`` come to."""
     return 16.0 * torch.finfo(x.dtype).eps * x.abs().clamp(min=1.0)
 

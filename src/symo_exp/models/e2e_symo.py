@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import row_norm
+from symo_exp.mechanics.roots import rounding, row_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import Forces, MomentumMatching, differentiable_pose
 from symo_exp.models.compiled import Program
@@ -108,8 +108,10 @@ class CompiledRootLoss:
         model = self._model
         impulse, forces = model._impulse(windows), model._forces(windows)
         at = self._problem(windows, impulse).at(x)
-        error = differentiable_pose(x, at, windows.q, impulse, forces) - windows.q_next
-        return error.square().mean(), row_norm(at.residual).amax() <= model.root.tolerance
+        pose = differentiable_pose(x, at, windows.q, impulse, forces)
+        small = row_norm(at.residual) <= model.root.tolerance
+        settled = ((pose - x).abs() <= rounding(x)).all(-1)
+        return (pose - windows.q_next).square().mean(), (small | settled).all()
 
     def _problem(self, windows: Windows, impulse: Tensor) -> MomentumMatching:
         model, forces = self._model, self._model._forces(windows)

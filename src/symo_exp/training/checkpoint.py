@@ -14,7 +14,7 @@ import torch
 
 
 class Checkpoint(lightning.Callback):
-    """Write ``last.ckpt`` at the end of an epoch when ``seconds`` have passed, and at the end.
+    """Write ``last.ckpt`` at the end of an epoch when ``seconds`` have passed, and of the training.
 
     The file appears whole or not at all, and the one before stays as ``previous.ckpt``. It also
     holds the state of the random generators, which Lightning leaves out: without it a resumed run
@@ -36,9 +36,12 @@ class Checkpoint(lightning.Callback):
             self._random = None
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        done = trainer.current_epoch + 1 == trainer.max_epochs
-        if done or time.monotonic() - self._written >= self.seconds:
+        if time.monotonic() - self._written >= self.seconds:
             self.write(trainer)
+
+    def on_fit_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        # After ``on_train_end``, where an optimiser may put the best weights in place.
+        self.write(trainer)
 
     def write(self, trainer: lightning.Trainer) -> None:
         new = self.last.with_suffix(".new")
