@@ -18,7 +18,7 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.base import DynamicsModel
-from symo_exp.models.compiled import compiler_available as compiler_available
+from symo_exp.training.compiling import compiler_available as compiler_available
 from symo_exp.models.variational import VariationalModel
 from symo_exp.training.trainer import make_trainer
 

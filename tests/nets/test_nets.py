@@ -54,7 +54,7 @@ def test_closed_forms_and_their_derivatives_are_those_of_autograd(learned, quant
 
 def test_each_output_can_be_differentiated_alone(learned):
     q, v = points(learned)
-    for i in range(3):
+    for i in range(2):
         closed = torch.autograd.grad(learned.gradients(q, v)[i].sin().sum(), q)[0]
         plain = torch.autograd.grad(Plain(learned).gradients(q, v)[i].sin().sum(), q)[0]
         torch.testing.assert_close(closed, plain, atol=1e-11, rtol=1e-11)

@@ -210,7 +210,7 @@ class GalerkinExpansion(DiscreteExpansion):
 
     def update(self) -> Float[Tensor, "inner batch n"]:
         """What Newton's method with the inertia's part of ``W_cc`` takes away from ``c``."""
-        inertia = self._basis.inertia(self._at.values.mass, self._h)[1:-1, 1:-1]
+        inertia = self._basis.inertia(self._at.mass(), self._h)[1:-1, 1:-1]
         step = torch.linalg.solve_ex(_matrix(inertia), _column(self.stationarity))[0]
         return _blocks(step.squeeze(-1), len(self.inner))
 
@@ -258,7 +258,7 @@ class GalerkinExpansion(DiscreteExpansion):
     def _condense(self) -> tuple[Tensor, Tensor]:
         """``D₂D₁L_d`` and ``W_ec W_cc⁻¹``."""
         if self._condensed is None:
-            w = self._basis.hessian(self._at.curvature(), self._at.values.mass, self._h)
+            w = self._basis.hessian(self._at.curvature(), self._at.mass(), self._h)
             ends = w[[0, -1]][:, 1:-1]
             transfer = torch.linalg.solve_ex(_matrix(w[1:-1, 1:-1]), _matrix(ends), left=False)[0]
             n = w.shape[-1]

@@ -11,14 +11,12 @@ from torch import Tensor
 
 
 class Gradients(NamedTuple):
-    """First derivatives of ``ℒ`` and the inertia they contain."""
+    """First derivatives of ``ℒ``."""
 
     q: Float[Tensor, "batch n"]
     """``∂ℒ/∂q``."""
     v: Float[Tensor, "batch n"]
     """``∂ℒ/∂v = H v``, the momentum."""
-    mass: Float[Tensor, "batch n n"]
-    """``H(q)``."""
 
 
 class Curvature(NamedTuple):
@@ -51,6 +49,10 @@ class Expansion(ABC):
 
     values: Gradients
     """Gradients at the point, without a graph."""
+
+    @abstractmethod
+    def mass(self) -> Float[Tensor, "batch n n"]:
+        """``H`` at the point, without a graph."""
 
     @abstractmethod
     def curvature(self) -> Curvature:
@@ -112,17 +114,16 @@ class Lagrangian(ABC):
         return solve(self.mass_matrix(q), p)
 
     def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
-        """``∂ℒ/∂q``, ``∂ℒ/∂v`` and ``H``, differentiable where gradients are enabled."""
+        """``∂ℒ/∂q`` and ``∂ℒ/∂v``, differentiable where gradients are enabled."""
         tracked = torch.is_grad_enabled()
         with torch.enable_grad():
             q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
-            mass = self.mass_matrix(q_)
-            p = matvec(mass, v)
+            p = self.momentum(q_, v)
             lagrangian = 0.5 * (v * p).sum(-1) - self.potential(q_)
             # The vanishing term keeps q in the graph of a Lagrangian that does not depend on it.
             total = lagrangian.sum() + 0.0 * q_.sum()
             (dq,) = torch.autograd.grad(total, q_, create_graph=tracked)
-        return Gradients(dq, p, mass) if tracked else Gradients(dq, p.detach(), mass.detach())
+        return Gradients(dq, p) if tracked else Gradients(dq, p.detach())
 
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
         """``H``, ``Ḣ v`` and ``∂ℒ/∂q``: the terms of the Euler-Lagrange equations (3.11)-(3.12)."""
@@ -142,6 +143,10 @@ class AutodiffExpansion(Expansion):
         self._lagrangian, self._q, self._v = lagrangian, q, v
         with torch.no_grad():
             self.values = lagrangian.gradients(q, v)
+
+    def mass(self) -> Tensor:
+        with torch.no_grad():
+            return self._lagrangian.mass_matrix(self._q)
 
     def curvature(self) -> Curvature:
         with torch.enable_grad():

@@ -152,7 +152,7 @@ class MidpointExpansion(DiscreteExpansion):
         """``h/4 ℒ_qq + ½ (ℒ_vq)ᵀ − ½ ℒ_vq − H/h`` at the midpoint."""
         curvature = self._at.curvature()
         skew = 0.5 * (curvature.vq.mT - curvature.vq)
-        return (self._h / 4) * curvature.qq + skew - self._at.values.mass / self._h
+        return (self._h / 4) * curvature.qq + skew - self._at.mass() / self._h
 
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         gradients = self._at.gradients(0.5 * (q0 + q1), (q1 - q0) / self._h)

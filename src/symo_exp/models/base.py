@@ -265,6 +265,8 @@ class DynamicsModel(lightning.LightningModule, ABC):
             method.ended()
 
     def _schedule(self, monitored: Tensor) -> None:
+        if isinstance(_unwrapped(self.optimizers()), EpochOptimizer):
+            return  # it has no rate
         scheduler = self.lr_schedulers()
         if isinstance(scheduler, ReduceLROnPlateau):
             scheduler.step(monitored)

@@ -93,41 +93,45 @@ class CholeskyHead(nn.Module):
 
     def cotangent(self, at: HeadPoint) -> Float[Tensor, "batch outputs"]:
         """``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
-        minus_one = -torch.ones_like(at.v[:, :1])
-        return self._collect(at, at.v, at.y, last=minus_one)
-
-    def tangent(
-        self, at: HeadPoint, rates: Float[Tensor, "batch outputs"], b: Float[Tensor, "batch n"]
-    ) -> tuple[Tensor, Tensor]:
-        """``L'`` and ``y' = L'ᵀ v + Lᵀ b`` when ``o`` changes at ``rates`` and ``v`` at ``b``."""
-        factor_rate = self.factor_tangent(at.slope, rates)
-        return factor_rate, _row(at.v, factor_rate) + _row(b, at.factor)
+        lower = at.v[:, self.lower_row] * at.y[:, self.lower_column]
+        return torch.cat((at.v * at.y * at.slope, lower, -torch.ones_like(at.v[:, :1])), dim=1)
 
     def directional_cotangents(
         self,
         at: HeadPoint,
         rates: Float[Tensor, "batch outputs"],
         b: Float[Tensor, "batch n"],
-        mass_cotangent: Float[Tensor, "batch n n"] | None,
     ) -> tuple[Float[Tensor, "batch outputs"], Float[Tensor, "batch n"]]:
-        """Gradients in ``o`` and ``v`` of ``φ = ∂ℒ/∂o · o' + ∂ℒ/∂v · b + ⟨M, H⟩``, ``o'`` fixed.
+        """Gradients in ``o`` and ``v`` of ``φ = ∂ℒ/∂o · o' + ∂ℒ/∂v · b``, ``o'`` held fixed.
 
-        ``φ = y · y' − V' + ε v · b + ⟨M, L Lᵀ⟩`` with ``y'`` as in ``tangent``.
+        ``φ = y · y' − V' + ε v · b`` with ``y' = L'ᵀ v + Lᵀ b``.
         """
-        factor_rate, y_rate = self.tangent(at, rates, b)
-        outputs = self._collect(at, at.v, y_rate, last=torch.zeros_like(at.v[:, :1]))
-        outputs = outputs + self._collect(at, b, at.y, last=torch.zeros_like(b[:, :1]))
-        # The second derivative of the softplus, on the diagonal.
+        factor_rate = self.factor_tangent(at.slope, rates)
+        y_rate = _row(at.v, factor_rate) + _row(b, at.factor)
+        # The last factor of the diagonal is the second derivative of the softplus.
         bend = at.v * at.y * at.slope * (1.0 - at.slope) * rates[:, : self.n]
-        if mass_cotangent is not None:
-            # ∂⟨M, L Lᵀ⟩/∂L = (M + Mᵀ) L
-            dense = (mass_cotangent + mass_cotangent.mT) @ at.factor
-            bend = bend + at.slope * dense.diagonal(dim1=-2, dim2=-1)
-            lower = dense[:, self.lower_row, self.lower_column]
-            outputs[:, self.n : -1] += lower
-        outputs[:, : self.n] += bend
+        diagonal = (at.v * y_rate + b * at.y) * at.slope + bend
+        row, column = self.lower_row, self.lower_column
+        lower = at.v[:, row] * y_rate[:, column] + b[:, row] * at.y[:, column]
+        outputs = torch.cat((diagonal, lower, torch.zeros_like(at.v[:, :1])), dim=1)
         velocity = _apply(at.factor, y_rate) + _apply(factor_rate, at.y) + EPSILON * b
         return outputs, velocity
+
+    def curvature(
+        self, at: HeadPoint, rates: Float[Tensor, "batch k outputs"]
+    ) -> tuple[Float[Tensor, "batch k k"], Float[Tensor, "batch n k"]]:
+        """``o_iᵀ (∂²ℒ/∂o²) o_j`` and ``∂ℒ_v/∂o · o_j`` for ``k`` directions ``o_i``.
+
+        With ``y_i = L_iᵀ v``: the first is ``y_i · y_j`` and what the softplus bends, the second
+        ``L_j y + L y_j``.
+        """
+        factors = self.factor_tangent(at.slope.unsqueeze(1), rates)  # L_i: (B, k, n, n)
+        ys = _row(at.v.unsqueeze(1), factors)
+        bend = at.v * at.y * at.slope * (1.0 - at.slope)
+        diagonal = rates[..., : self.n]
+        second = ys @ ys.mT + (diagonal * bend.unsqueeze(1)) @ diagonal.mT
+        momenta = _apply(factors, at.y.unsqueeze(1)) + ys @ at.factor.mT
+        return second, momenta.mT
 
     def _fill(self, diagonal: Tensor, outputs: Tensor) -> Tensor:
         lower = outputs[..., self.n : -1]
@@ -135,18 +139,12 @@ class CholeskyHead(nn.Module):
         flat = torch.cat((diagonal, lower, zero), dim=-1)[..., self.place]
         return flat.unflatten(-1, (self.n, self.n))
 
-    def _collect(self, at: HeadPoint, left: Tensor, right: Tensor, *, last: Tensor) -> Tensor:
-        """``leftᵢ rightⱼ`` for each entry of ``L``, through the softplus on the diagonal."""
-        diagonal = left * right * at.slope
-        lower = left[:, self.lower_row] * right[:, self.lower_column]
-        return torch.cat((diagonal, lower, last), dim=1)
-
 
 def _row(vector: Tensor, matrix: Tensor) -> Tensor:
-    """``Aᵀ x``."""
-    return (vector.unsqueeze(-2) @ matrix).squeeze(-2)
+    """``Aᵀ x``; for so small matrices a sum is as fast as a product, and can be compiled away."""
+    return (vector.unsqueeze(-1) * matrix).sum(-2)
 
 
 def _apply(matrix: Tensor, vector: Tensor) -> Tensor:
-    """``A x``."""
-    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+    """``A x``, likewise."""
+    return (matrix * vector.unsqueeze(-2)).sum(-1)

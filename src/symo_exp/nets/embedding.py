@@ -25,6 +25,7 @@ class Embedding(nn.Module):
 
     owner: Tensor
     selection: Tensor
+    bend: Tensor
 
     def __init__(self, *, angular: tuple[bool, ...]) -> None:
         super().__init__()
@@ -36,6 +37,8 @@ class Embedding(nn.Module):
         # selection[f, i] = 1 where coordinate i owns feature f.
         selection = nn.functional.one_hot(owner, len(angular)).to(torch.get_default_dtype())
         self.register_buffer("selection", selection, persistent=False)
+        bend = torch.cat((torch.zeros(len(straight)), -torch.ones(2 * len(angles))))
+        self.register_buffer("bend", bend, persistent=False)
 
     @property
     def size(self) -> int:
@@ -53,14 +56,11 @@ class Embedding(nn.Module):
 
     def second(self, features: Features) -> Float[Tensor, "batch features"]:
         """``∂²s_f/∂q²`` with respect to the owner: ``−s_f`` for an angle, else zero."""
-        r, trigonometric = features.x[:, : self._straight], features.x[:, self._straight :]
-        return torch.cat((torch.zeros_like(r), -trigonometric), dim=1)
+        return features.x * self.bend
 
-    def tangent(
-        self, features: Features, direction: Float[Tensor, "batch n"]
-    ) -> Float[Tensor, "batch features"]:
-        """``s_q a``: the features' rate along ``a``."""
-        return features.dx * direction[:, self.owner]
+    def spread(self, direction: Float[Tensor, "batch n"]) -> Float[Tensor, "batch features"]:
+        """The entry of its owner for each feature; ``dx`` times it is the features' rate."""
+        return direction[:, self.owner]
 
     def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
         """``s_q eᵢ`` for every coordinate ``i``."""

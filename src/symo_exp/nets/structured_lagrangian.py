@@ -58,30 +58,30 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> StructuredExpansion:
         features = self.embedding(q.detach())
-        layers = self.net.layers()
-        hidden, x = [], features.x
-        for weight, bias in layers[:-1]:
+        *layers, (last, last_bias) = self.net.layers()
+        hidden, slopes, x = [], [], features.x
+        for weight, bias in layers:
             x = torch.tanh(torch.addmm(bias, x, weight.T))
             hidden.append(x)
-        weight, bias = layers[-1]
-        head = self.head.point(torch.addmm(bias, x, weight.T), v.detach())
+            slopes.append(1.0 - x * x)
+        head = self.head.point(torch.addmm(last_bias, x, last.T), v.detach())
         output_cotangent = self.head.cotangent(head)
         cotangents: list[Tensor] = []
-        back = output_cotangent
-        for (weight, _), h in zip(reversed(layers[1:]), reversed(hidden), strict=True):
-            back = (back @ weight) * (1.0 - h * h)
+        back, above = output_cotangent, last
+        for (weight, _), slope in zip(reversed(layers), reversed(slopes), strict=True):
+            back = (back @ above) * slope
             cotangents.insert(0, back)
-        return StructuredExpansion(
-            self,
-            _Passes(
-                features,
-                tuple(hidden),
-                head,
-                output_cotangent,
-                tuple(cotangents),
-                cotangents[0] @ layers[0][0],
-            ),
+            above = weight
+        passes = _Passes(
+            features,
+            tuple(hidden),
+            tuple(slopes),
+            head,
+            output_cotangent,
+            tuple(cotangents),
+            back @ above,
         )
+        return StructuredExpansion(self, passes)
 
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
         """``H``, ``Ḣ v``, ``ℒ_q`` from a jet: the value and its ``n`` coordinate derivatives.
@@ -116,6 +116,8 @@ class _Passes(NamedTuple):
     features: Features
     hidden: tuple[Tensor, ...]
     """``h_l``."""
+    slopes: tuple[Tensor, ...]
+    """``1 − h_l²``."""
     head: HeadPoint
     output_cotangent: Tensor
     """``∂ℒ/∂o``."""
@@ -130,35 +132,28 @@ class StructuredExpansion(Expansion):
 
     def __init__(self, lagrangian: StructuredLagrangian, passes: _Passes) -> None:
         self._lagrangian, self._passes = lagrangian, passes
-        head, embedding = lagrangian.head, lagrangian.embedding
         self.values = Gradients(
-            embedding.to_coordinates(passes.features.dx * passes.feature_cotangent),
-            head.momentum(passes.head),
-            head.mass(passes.head.factor),
+            lagrangian.embedding.to_coordinates(passes.features.dx * passes.feature_cotangent),
+            lagrangian.head.momentum(passes.head),
         )
+
+    def mass(self) -> Tensor:
+        return self._lagrangian.head.mass(self._passes.head.factor)
 
     @torch.no_grad()
     def curvature(self) -> Curvature:
         embedding, head = self._lagrangian.embedding, self._lagrangian.head
-        weights, at = tuple(self._lagrangian.net.weights), self._passes
+        *weights, last = tuple(self._lagrangian.net.weights)
+        at = self._passes
         tangents = embedding.basis_tangents(at.features)  # (B, n, ·) from here on
         own = embedding.second(at.features) * at.feature_cotangent
         qq = torch.diag_embed(embedding.to_coordinates(own))
-        for weight, h, d in zip(weights[:-1], at.hidden, at.cotangents, strict=True):
+        for weight, h, slope, d in zip(weights, at.hidden, at.slopes, at.cotangents, strict=True):
             z = tangents @ weight.T
-            qq = qq + (z * (-2.0 * h * d).unsqueeze(1)) @ z.mT
-            tangents = z * (1.0 - h * h).unsqueeze(1)
-        rates = tangents @ weights[-1].T
-        point = at.head
-        n = head.n
-        factors = head.factor_tangent(point.slope.unsqueeze(1), rates)  # L_i: (B, n, n, n)
-        ys = (point.v[:, None, None, :] @ factors).squeeze(-2)  # y_i = L_iᵀ v: (B, n, n)
-        bend = point.v * point.y * point.slope * (1.0 - point.slope)
-        diagonal_rates = rates[..., :n]
-        qq = qq + ys @ ys.mT + (diagonal_rates * bend.unsqueeze(1)) @ diagonal_rates.mT
-        # p_i = L_i y + L y_i, stored with the derivative last.
-        moved = (factors @ point.y[:, None, :, None]).squeeze(-1) + ys @ point.factor.mT
-        return Curvature(qq, moved.mT)
+            qq = torch.baddbmm(qq, z * (h * d).unsqueeze(1), z.mT, alpha=-2.0)
+            tangents = z * slope.unsqueeze(1)
+        outputs_qq, vq = head.curvature(at.head, tangents @ last.T)
+        return Curvature(qq + outputs_qq, vq)
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         net = self._lagrangian.net
@@ -173,58 +168,57 @@ class StructuredExpansion(Expansion):
         return StructuredExpansion(self._lagrangian, passes)
 
     def pullback(
-        self, a: Tensor, b: Tensor, mass_cotangent: Tensor | None
-    ) -> tuple[Tensor, Tensor, list[Tensor | None], list[Tensor | None]]:
-        """Gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩ + ⟨M, H⟩`` in ``q``, ``v``, weights and biases."""
-        embedding, head = self._lagrangian.embedding, self._lagrangian.head
-        weights, at = tuple(self._lagrangian.net.weights), self._passes
-        inputs = (at.features.x, *at.hidden)
-        tangents = [embedding.tangent(at.features, a)]
-        bends: list[Tensor] = []
-        for weight, h, d in zip(weights[:-1], at.hidden, at.cotangents, strict=True):
+        self, a: Tensor, b: Tensor, *, to_point: bool
+    ) -> tuple[Tensor | None, Tensor | None, list[Tensor | None], list[Tensor | None]]:
+        """Gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩`` in ``q``, ``v``, weights and biases.
+
+        Those in ``q`` and ``v`` are left out unless asked for by ``to_point``.
+        """
+        embedding, net = self._lagrangian.embedding, self._lagrangian.net
+        weights, biases, at = tuple(net.weights), tuple(net.biases), self._passes
+        direction = embedding.spread(a)
+        tangents = [at.features.dx * direction]
+        bends: list[Tensor] = []  # −2 h_l z_l' d_l
+        for weight, h, slope, d in zip(
+            weights[:-1], at.hidden, at.slopes, at.cotangents, strict=True
+        ):
             z = tangents[-1] @ weight.T
-            bends.append(z * h * d)
-            tangents.append(z * (1.0 - h * h))
+            bends.append(-2.0 * z * h * d)
+            tangents.append(z * slope)
         rates = tangents[-1] @ weights[-1].T
-        back, velocity = head.directional_cotangents(at.head, rates, b, mass_cotangent)
-        own = (at.output_cotangent, *reversed(at.cotangents))
-        biases = tuple(self._lagrangian.net.biases)
+        back, velocity = self._lagrangian.head.directional_cotangents(at.head, rates, b)
+        inputs = (at.features.x, *at.hidden)
+        own = (*at.cotangents, at.output_cotangent)
         weight_gradients: list[Tensor | None] = []
         bias_gradients: list[Tensor | None] = []
         for layer in range(len(weights) - 1, -1, -1):
-            d = own[len(weights) - 1 - layer]
-            factors = (d, tangents[layer]), (back, inputs[layer])
+            factors = (own[layer], tangents[layer]), (back, inputs[layer])
             weight_gradients.insert(0, weight_gradient(weights[layer], *factors))
             bias_gradients.insert(0, bias_gradient(biases[layer], back))
-            back = back @ weights[layer]
             if layer > 0:
-                h = at.hidden[layer - 1]
-                back = back * (1.0 - h * h) - 2.0 * bends[layer - 1]
-        second = embedding.second(at.features) * at.feature_cotangent
-        pose = embedding.to_coordinates(back * at.features.dx)
-        pose = pose + embedding.to_coordinates(second) * a
+                back = torch.addcmul(bends[layer - 1], back @ weights[layer], at.slopes[layer - 1])
+        if not to_point:
+            return None, None, weight_gradients, bias_gradients
+        second = embedding.second(at.features) * at.feature_cotangent * direction
+        pose = embedding.to_coordinates((back @ weights[0]) * at.features.dx + second)
         return pose, velocity, weight_gradients, bias_gradients
 
 
 class _DifferentiableGradients(torch.autograd.Function):
-    """``(ℒ_q, ℒ_v, H)`` at an expanded point; the backward pass is its ``pullback``."""
+    """``(ℒ_q, ℒ_v)`` at an expanded point; the backward pass is its ``pullback``."""
 
     @staticmethod
     def forward(
         ctx: Any, at: StructuredExpansion, q: Tensor, v: Tensor, *parameters: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor]:
         ctx.at = at
-        ctx.set_materialize_grads(False)
-        return tuple(x.clone() for x in at.values)  # type: ignore[return-value]
+        return at.values.q.clone(), at.values.v.clone()
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, a: Tensor | None, b: Tensor | None, mass: Tensor | None) -> Any:
-        at: StructuredExpansion = ctx.at
-        zero = torch.zeros_like(at.values.q)
-        pose, velocity, weights, biases = at.pullback(
-            zero if a is None else a, zero if b is None else b, mass
-        )
+    def backward(ctx: Any, a: Tensor, b: Tensor) -> Any:
+        to_point = ctx.needs_input_grad[1] or ctx.needs_input_grad[2]
+        pose, velocity, weights, biases = ctx.at.pullback(a, b, to_point=to_point)
         return None, pose, velocity, *weights, *biases
 
 
