@@ -46,7 +46,13 @@ def test_a_make_target_exists(target):
 
 
 def test_make_help_lists_every_target():
-    out = subprocess.run(["make", "help"], cwd=ROOT, check=True, capture_output=True, text=True)
+    out = subprocess.run(
+        ["make", "--no-print-directory", "help"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
     makefile = (ROOT / "Makefile").read_text()
     targets = re.search(r"^\.PHONY: (.*)$", makefile, flags=re.M).group(1).split()
     assert [line.split()[0] for line in out.stdout.splitlines()] == targets
