@@ -111,7 +111,9 @@ class Project:
     @torch.no_grad()
     def predict(self, batch: Windows) -> np.ndarray:
         rows = range(0, len(batch.q), CHUNK)
-        return torch.cat([self.model.predict(batch[i : i + CHUNK]).q for i in rows]).numpy()
+        return torch.cat(
+            [self.model.predict(batch.rows(slice(i, i + CHUNK))).q for i in rows]
+        ).numpy()
 
     @torch.no_grad()
     def rollout(self, batch: Windows, steps: int) -> np.ndarray:
@@ -138,7 +140,7 @@ class _Epochs:
         return 1
 
     def __iter__(self) -> Iterator[list[Windows]]:
-        mixed = self.windows[torch.randperm(len(self.windows.q))]
+        mixed = self.windows.rows(torch.randperm(len(self.windows.q)))
         yield [mixed[i : i + self.batch] for i in range(0, len(mixed.q), self.batch)]
 
 
@@ -163,7 +165,7 @@ def fit_call(
     The learning rate is 0, so that both see the same weights throughout.
     """
     windows = Windows(*system_windows(case.name, 8 * batch).to(torch.float32))
-    validation = windows[: min(len(windows.q), 512)]
+    validation = windows.rows(slice(512))
     bare = Project(method, case, layers, lr=0.0)
 
     def fit() -> None:

@@ -113,7 +113,7 @@ class DataModule(lightning.LightningDataModule, ABC):
             generator = torch.Generator().manual_seed(self.seed * 1_000_003 + epoch)
             order = torch.randperm(len(samples.q), generator=generator)
             rows = order.to(samples.q.device)
-            samples = Windows(*(field[rows] for field in samples))
+            samples = samples.rows(rows)
         parts = (field.split(self.batch_size) for field in samples)
         return [Windows(*fields) for fields in zip(*parts, strict=True)]
 

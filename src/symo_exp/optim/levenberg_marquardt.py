@@ -191,7 +191,7 @@ def _flatten(r: Tensor, jacobian: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _rows(samples: Windows, rows: Any) -> Windows:
-    return Windows(*(field[rows] for field in samples))
+    return samples.rows(rows)
 
 
 def _chunks(samples: Windows, size: int) -> Iterator[Windows]:
