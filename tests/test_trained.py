@@ -129,7 +129,7 @@ def test_in_another_process_by_folder_and_by_id(folder, tmp_path, directory):
 
 
 def test_double_precision_keeps_the_weights_and_does_not_round_the_input_matrix(folder):
-    trained = made(folder, config("l_node"))
+    trained = made(folder, config("node"))
     back = load(folder, dtype=torch.float64)
     assert {p.dtype for p in back.parameters()} == {torch.float64}
     for mine, theirs in zip(trained.parameters(), back.parameters(), strict=True):
