@@ -19,7 +19,7 @@ from tests.models.methods import make, windows
 
 def halves(n, samples=24):
     data = windows(n, samples)
-    return [data[: samples // 2], data[samples // 2 :]]
+    return [data.rows(slice(None, samples // 2)), data.rows(slice(samples // 2, None))]
 
 
 @pytest.mark.parametrize("wide", [False, True], ids=["parameters", "residuals"])
@@ -42,7 +42,7 @@ def test_a_step_solves_the_damped_normal_equations(wide):
     expected = -torch.linalg.solve(matrix, jacobian.T @ r.detach())
     optimizer = LevenbergMarquardt(parameters, damping=damping, chunk=50)
     before = optimizer.flat()
-    optimizer.epoch(model, [data[:4], data[4:]])
+    optimizer.epoch(model, [data.rows(slice(None, 4)), data.rows(slice(4, None))])
     assert optimizer.damping == pytest.approx(damping / 3)
     torch.testing.assert_close(optimizer.flat() - before, expected, rtol=1e-6, atol=1e-9)
 
