@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.training.compiling import compiler_available
 from tests.models.methods import make, windows
 
@@ -51,3 +51,21 @@ def test_a_compiler_that_fails_is_said_and_done_without(caplog):
     torch.testing.assert_close(model.loss_and_gradients(data), expected)
     assert caplog.messages == ["the training step is not compiled: no such compiler"]
     assert model._program is None
+
+
+@pytest.mark.parametrize(
+    ("method", "integrator", "options", "possible"),
+    [
+        ("node", "rk4", {}, True),
+        ("node", "rk4", {"sensitivity": "adjoint"}, False),
+        ("symo", "midpoint", {}, True),
+        ("symo", "galerkin4", {}, False),
+        ("e2e_symo", "midpoint", {}, True),
+        ("e2e_symo", "midpoint", {"root": Newton(stopping="batch")}, False),
+        ("e2e_symo", "midpoint", {"root": Broyden()}, False),
+    ],
+)
+def test_only_what_is_a_fixed_sequence_of_operations_is_compiled(
+    method, integrator, options, possible
+):
+    assert make(method, integrator, 1, **options).can_be_compiled == possible

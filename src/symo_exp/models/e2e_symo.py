@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import rounding, row_norm
+from symo_exp.mechanics.roots import Newton, rounding, row_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import Forces, MomentumMatching, differentiable_pose
 from symo_exp.models.compiled import Program
@@ -59,6 +59,12 @@ class E2ESyMo(VariationalModel):
         """``p_k + f⁻``: what does not depend on the next pose."""
         f_minus, _ = self.integrator.impulses(*self._forces(windows), self.time_step)
         return self._momentum_before(windows) + f_minus
+
+    @property
+    def can_be_compiled(self) -> bool:
+        """Where roots are found by Newton's method row by row, as the compiled iteration does."""
+        by_row = isinstance(self.root, Newton) and self.root.stopping == "row"
+        return by_row and super().can_be_compiled
 
     def compile_training(self) -> None:
         self._program = CompiledRootLoss(self)

@@ -36,6 +36,10 @@ class OdeModel(DynamicsModel):
             raise ValueError(f"sensitivity must be direct or adjoint, got {sensitivity}")
         self.integrator, self.sensitivity = integrator, sensitivity
 
+    @property
+    def can_be_compiled(self) -> bool:
+        return self.sensitivity == "direct"
+
     @abstractmethod
     def acceleration(
         self,
