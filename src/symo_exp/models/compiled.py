@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch._inductor import compile as inductor_compile
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils import _pytree as pytree
 
@@ -30,13 +31,32 @@ class Program:
         self._compiled: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
     def __call__(self, *arguments: Any) -> Any:
-        flat, _ = pytree.tree_flatten(arguments)
+        flat, structure = pytree.tree_flatten((self._parameters, arguments))
         key = tuple((x.shape, x.dtype, x.device) for x in flat)
         if key not in self._compiled:
-            traced = make_fx(lambda *inputs: self._run(*inputs))(self._parameters, arguments)
-            self._compiled[key] = torch.compile(traced, fullgraph=True, dynamic=False)
+            self._compiled[key] = self._compile(flat, structure)
+        return self._compiled[key](flat)
+
+    def _compile(self, flat: list[Tensor], structure: pytree.TreeSpec) -> Callable[..., Any]:
+        """The graph goes to the compiler as it is: its only inputs are tensors of fixed shapes,
+        so nothing has to be checked at every call."""
+        outputs: list[pytree.TreeSpec] = []
+
+        def run(*tensors: Tensor) -> list[Tensor]:
+            result, output = pytree.tree_flatten(
+                self._run(*pytree.tree_unflatten(list(tensors), structure))
+            )
+            outputs.append(output)
+            return result
+
         with torch.no_grad():
-            return self._compiled[key](self._parameters, arguments)
+            kernel = inductor_compile(make_fx(run)(*flat), [*flat])
+
+        def call(tensors: list[Tensor]) -> Any:
+            with torch.no_grad():
+                return pytree.tree_unflatten(kernel(*tensors), outputs[0])
+
+        return call
 
     def _run(self, parameters: list[Tensor], arguments: tuple[Any, ...]) -> Any:
         named = dict(zip(self._names, parameters, strict=True))
