@@ -47,7 +47,8 @@ class DynamicsModel(lightning.LightningModule, ABC):
 
     One Lightning batch is one epoch: a list of mini batches. Optimisation is by hand, so that an
     epoch costs little more than its optimiser steps. What it logs, once an epoch: ``train_loss``,
-    ``lr``, ``step_ms`` and, where roots are found, ``newton_iterations`` and ``newton_failed``.
+    ``lr``, ``step_ms``, ``skipped_steps`` and, where roots are found, ``newton_iterations`` and
+    ``newton_failed``.
     """
 
     reads_velocity: ClassVar[bool]
@@ -64,9 +65,13 @@ class DynamicsModel(lightning.LightningModule, ABC):
         optimizer: Callable[[Iterable[Tensor]], Optimizer] | None = None,
         scheduler: Callable[[Optimizer], LRScheduler] | None = None,
         scheduler_monitor: Literal["train_loss", "val_loss"] = "train_loss",
+        gradient_clip: float | None = None,
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
         super().__init__()
+        if gradient_clip is not None and not gradient_clip > 0.0:
+            raise ValueError(f"gradient_clip must be positive or null, got {gradient_clip}")
+        self.gradient_clip = gradient_clip
         self.automatic_optimization = False
         self.coordinates = coordinates
         self.time_step = float(time_step)

@@ -19,6 +19,10 @@ from symo_exp.mechanics.types import Windows
 class Learner(Protocol):
     """A model as an optimiser sees it."""
 
+    gradient_clip: float | None
+
+    def parameters(self) -> Iterable[Tensor]: ...
+
     def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]: ...
 
     def loss(self, windows: Windows) -> Tensor: ...
@@ -89,14 +93,25 @@ class EpochOptimizer(Optimizer, ABC):
 def minibatches(
     optimizer: Optimizer, model: Learner, batches: Sequence[Windows]
 ) -> dict[str, Tensor]:
-    """One step of a torch optimiser for each mini batch."""
-    total: Tensor | None = None
+    """One step of a torch optimiser for each mini batch.
+
+    With ``model.gradient_clip`` the norm of the gradient is bounded by it, and a batch whose
+    gradient is not finite is skipped, out of the mean loss too, and counted: a Lagrangian without
+    training has rows with a nearly singular inertia, from which explicit steps fly off.
+    """
+    losses: list[Tensor] = []
     for windows in batches:
         loss = model.loss_and_gradients(windows)
+        if model.gradient_clip is not None:
+            norm = torch.nn.utils.clip_grad_norm_(model.parameters(), model.gradient_clip)
+            if not bool(norm.isfinite()):
+                continue
         optimizer.step()
-        total = loss if total is None else total + loss
-    assert total is not None
-    return {"train_loss": total / len(batches)}
+        losses.append(loss)
+    results = {"train_loss": torch.stack(losses).mean() if losses else torch.tensor(math.nan)}
+    if model.gradient_clip is not None:
+        results["skipped_steps"] = torch.tensor(float(len(batches) - len(losses)))
+    return results
 
 
 def whole(batches: Sequence[Windows]) -> Windows:
