@@ -30,6 +30,8 @@ class CompileTraining(lightning.Callback):
 
     def on_fit_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         if not self.wanted(trainer, pl_module):
+            if self.mode is True:
+                log.warning("this training is no fixed sequence of operations: not compiled")
             return
         if not compiler_available():
             log.warning("no C++ compiler here: the training step is not compiled")
