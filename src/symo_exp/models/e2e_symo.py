@@ -31,10 +31,7 @@ class E2ESyMo(VariationalModel):
         """``q*_{k+1} − q_{k+1}`` (thesis (5.28))."""
         impulse, forces = self._impulse(windows), self._forces(windows)
         guess = 2.0 * windows.q - windows.q_prev
-        problem = MomentumMatching(
-            self.integrator, self._lagrangian, windows.q, impulse, self.time_step, forces
-        )
-        root = self.root.solve(problem, guess)
+        root = self.root.solve(self._problem(windows, impulse), guess)
         self._count("newton_iterations", root.iterations.float().mean())
         self._count("newton_failed", (~root.converged).float().mean())
         if not self.fallback or bool(root.converged.all()):
@@ -59,6 +56,12 @@ class E2ESyMo(VariationalModel):
         """``p_k + f⁻``: what does not depend on the next pose."""
         f_minus, _ = self.integrator.impulses(*self._forces(windows), self.time_step)
         return self._momentum_before(windows) + f_minus
+
+    def _problem(self, windows: Windows, impulse: Tensor) -> MomentumMatching:
+        forces = self._forces(windows)
+        return MomentumMatching(
+            self.integrator, self._lagrangian, windows.q, impulse, self.time_step, forces
+        )
 
     @property
     def can_be_compiled(self) -> bool:
@@ -107,20 +110,14 @@ class CompiledRootLoss:
         return impulse, x, worst
 
     def _newton_step(self, windows: Windows, impulse: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        at = self._problem(windows, impulse).at(x)
+        at = self._model._problem(windows, impulse).at(x)
         return x + solve(at.jacobian(), -at.residual), row_norm(at.residual).amax()
 
     def _loss_at(self, windows: Windows, x: Tensor) -> tuple[Tensor, Tensor]:
         model = self._model
         impulse, forces = model._impulse(windows), model._forces(windows)
-        at = self._problem(windows, impulse).at(x)
+        at = self._model._problem(windows, impulse).at(x)
         pose = differentiable_pose(x, at, windows.q, impulse, forces)
         small = row_norm(at.residual) <= model.root.tolerance
         settled = ((pose - x).abs() <= rounding(x)).all(-1)
         return (pose - windows.q_next).square().mean(), (small | settled).all()
-
-    def _problem(self, windows: Windows, impulse: Tensor) -> MomentumMatching:
-        model, forces = self._model, self._model._forces(windows)
-        return MomentumMatching(
-            model.integrator, model.lagrangian, windows.q, impulse, model.time_step, forces
-        )
