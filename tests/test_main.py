@@ -184,6 +184,15 @@ def test_the_recipe_returns_what_it_made(workplace):
     assert (workplace / "here" / "checkpoints" / "last.ckpt").exists()
 
 
+def test_a_model_that_is_not_learned_is_measured_without_training(workplace):
+    words = ["pair=true_variational_midpoint", *QUIET]
+    (job,) = jobs_of(parse(words)).jobs
+    done = run(job.config, workplace / "there", {"model": "m", "system": "s"})
+    assert done.evaluation.measures["inertia_mse"] == 0.0
+    assert done.evaluation.measures["test_mse"] > 0.0
+    assert not (workplace / "there" / "checkpoints").exists()
+
+
 def test_parameters_are_flat_and_told_once():
     config = jobs_of(parse([])).jobs[0].config
     flat = parameters(config, {"model": "e2e_symo", "hydra/launcher": "basic"})

@@ -192,6 +192,20 @@ def test_weights_of_another_shape(folder):
     assert "does not fit" in edited(folder, lambda c: c["model"].update(width=9))
 
 
+def test_a_model_that_is_not_learned_needs_no_weights(folder):
+    """The true system as a model: its configuration is all of it."""
+    system = SYSTEMS["pendulum"]
+    truth = {
+        "_target_": "symo_exp.models.true.TrueOde", "integrator": EXPLICIT, "lagrangian": system,
+    }  # fmt: skip
+    artifacts.write_config(folder, {"system": system, "model": truth})
+    model, q0 = load(folder), torch.tensor([[0.3]])
+    after = model.step(q0, 0.0 * q0)
+    assert model.mass_matrix(q0).item() == pytest.approx(1.5 / 3)
+    assert model.energy(after.q, after.v).item() == pytest.approx(model.energy(q0, 0.0 * q0).item())
+    assert after.v.item() > 0.1
+
+
 def test_what_is_missing_is_said(folder, tmp_path):
     assert "no config.yaml" in sentence(folder)
     artifacts.write_config(folder, config())

@@ -56,7 +56,10 @@ def run(config: DictConfig, folder: Path, choices: Mapping[str, str]) -> Run:
         default_dtype(config.dtype),
         parts.tracker.run(name=name, parameters=parameters(config, choices)),
     ):
-        parts.trainer.fit(parts.model, datamodule=parts.data)
+        if parts.model.learns:
+            parts.trainer.fit(parts.model, datamodule=parts.data)
+        else:
+            parts.data.setup()
         evaluation = evaluate(parts.model.cpu(), parts.system, parts.data)
         artifacts.write_measures(folder, evaluation.measures)
         artifacts.write_rollouts(folder, evaluation.rollouts)
@@ -102,7 +105,8 @@ def build(config: DictConfig, folder: Path) -> Parts:
     tracker = _make(config, "logger")
     trainer = _make(config, "trainer", folder=folder / "checkpoints", logger=tracker)
     try:
-        model.configure_optimizers()
+        if model.learns:
+            model.configure_optimizers()
     except (ValueError, TypeError, RuntimeError) as error:
         raise ConfigError(f"optimizer or scheduler: {error}") from error
     return Parts(system, data, model, tracker, trainer)

@@ -70,7 +70,8 @@ def _download(run_id: str, tracking_uri: str | None, directory: str | Path, targ
     client = connect(store)
     try:
         client.get_run(run_id)
-        for name in (artifacts.CONFIG, artifacts.CHECKPOINT):
+        trained = client.list_artifacts(run_id, str(Path(artifacts.CHECKPOINT).parent))
+        for name in (artifacts.CONFIG, artifacts.CHECKPOINT) if trained else (artifacts.CONFIG,):
             (Path(target) / name).parent.mkdir(exist_ok=True)
             copy = client.download_artifacts(run_id, name, target)
             shutil.move(copy, Path(target) / name)  # stores differ in the folders they make
@@ -83,7 +84,6 @@ def _from_folder(
     folder: Path, dtype: torch.dtype | None, device: str | torch.device
 ) -> DynamicsModel:
     config = _read_config(folder / artifacts.CONFIG)
-    weights = _read_weights(folder / artifacts.CHECKPOINT)
     # an optimizer and its schedule belong to the training
     plan = {k: v for k, v in config["model"].items() if k not in ("optimizer", "scheduler")}
     _check([config["system"], plan], folder)
@@ -94,6 +94,15 @@ def _from_folder(
         input_matrix=system.input_matrix,
         time_step=system.time_step,
     )
+    if model.learns:
+        _set_weights(model, folder)
+    model.to(device=device, dtype=dtype)
+    model.input_matrix.copy_(system.input_matrix)  # it is not trained: not rounded either
+    return model.eval()
+
+
+def _set_weights(model: DynamicsModel, folder: Path) -> None:
+    weights = _read_weights(folder / artifacts.CHECKPOINT)
     model.to(next(value.dtype for value in weights.values() if value.is_floating_point()))
     try:
         model.load_state_dict(weights)
@@ -102,9 +111,6 @@ def _from_folder(
             f"the checkpoint in {folder} does not fit its config.yaml: "
             + " ".join(str(error).split())[:300]
         ) from None
-    model.to(device=device, dtype=dtype)
-    model.input_matrix.copy_(system.input_matrix)  # it is not trained: not rounded either
-    return model.eval()
 
 
 def _read_config(path: Path) -> Mapping[str, Any]:

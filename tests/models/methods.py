@@ -14,9 +14,14 @@ from tests.tables import CONF, choices, explicit_integrators, variational_integr
 H = 0.05
 
 
+def learned() -> list[str]:
+    """The models that have a net: all but the true ones."""
+    return list(_classes())
+
+
 def _classes() -> dict[str, Any]:
     files = {name: OmegaConf.load(CONF / "model" / f"{name}.yaml") for name in choices("model")}
-    return {name: get_class(config._target_) for name, config in files.items()}
+    return {name: get_class(file._target_) for name, file in files.items() if "width" in file}
 
 
 def combinations() -> list[tuple[str, str]]:

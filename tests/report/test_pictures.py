@@ -11,8 +11,9 @@ from PIL import Image
 
 from symo_exp.evaluation.evaluate import Rollouts
 from symo_exp.report import pictures
-from symo_exp.report.style import METHODS, look, symbol
+from symo_exp.report.style import METHODS, TRUE, look, symbol
 from tests.chain import ChainPendulum
+from tests.models.methods import learned
 from tests.tables import choices, systems
 
 SYSTEMS = systems() | {"chain_3": ChainPendulum(3)}
@@ -150,7 +151,8 @@ def test_the_animation_is_small_and_plays_in_real_time(tmp_path):
 
 
 def test_every_method_has_a_colour_of_its_own():
-    assert set(METHODS) == set(choices("model"))
+    assert set(METHODS) == set(learned())
+    assert set(METHODS) | set(TRUE) == set(choices("model"))
     assert len({style.colour for style in METHODS.values()}) == len(METHODS)
     assert look("a_new_method").label == "a_new_method"
 

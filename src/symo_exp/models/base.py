@@ -83,6 +83,11 @@ class DynamicsModel(lightning.LightningModule, ABC):
         self._statistics: dict[str, Tensor] = {}
         self._program: Callable[[Windows], Any] | None = None
 
+    @property
+    def learns(self) -> bool:
+        """Whether there is anything to train."""
+        return any(True for _ in self.parameters())
+
     # -- the method ----------------------------------------------------------------------------
 
     @property

@@ -1,4 +1,4 @@
-"""Methods that learn a Lagrangian through a variational integrator (thesis chapter 5)."""
+"""Methods that move by a Lagrangian in a variational integrator (thesis chapter 5)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from symo_exp.mechanics.lagrangian import solve
+from symo_exp.mechanics.lagrangian import Lagrangian, solve
 from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
@@ -20,19 +20,20 @@ from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
 class VariationalModel(DynamicsModel):
-    """Predicts by solving the discrete Euler-Lagrange equations of a learned Lagrangian.
+    """Predicts by solving the discrete Euler-Lagrange equations of its Lagrangian.
 
-    It reads poses only. The velocity at a node is that of the discrete Legendre transform,
+    A subclass has that Lagrangian, as ``_lagrangian``. It reads poses only. The velocity at a
+    node is that of the discrete Legendre transform,
     ``v_k = H(q_k)⁻¹ p⁺(q_{k−1}, q_k)``, which belongs to the integrator.
     """
 
     reads_velocity = False
 
+    _lagrangian: Lagrangian
+
     def __init__(
         self,
         *,
-        width: int,
-        depth: int = 2,
         integrator: VariationalIntegrator,
         root: RootFinder,
         evaluation_root: RootFinder | None = None,
@@ -42,14 +43,12 @@ class VariationalModel(DynamicsModel):
         """``root`` serves training; ``evaluation_root`` one-step measures, ``rollout_root``
         rollouts of the copy made by ``for_evaluation``. Left out, they are the one before."""
         super().__init__(**base)
-        angular = self.coordinates.angular
-        self._lagrangian = StructuredLagrangian(angular=angular, width=width, depth=depth)
         self.integrator, self.root = integrator, root
         self._evaluation_root = evaluation_root or root
         self.rollout_root = rollout_root or self._evaluation_root
 
     @property
-    def lagrangian(self) -> StructuredLagrangian:
+    def lagrangian(self) -> Lagrangian:
         return self._lagrangian
 
     def for_evaluation(self) -> VariationalModel:
@@ -157,3 +156,18 @@ class VariationalModel(DynamicsModel):
 
     def _decode(self, q: Tensor, y: Tensor) -> Tensor:
         return self._lagrangian.velocity(q, y)
+
+
+class LearnedVariationalModel(VariationalModel):
+    """A variational method whose Lagrangian is a network."""
+
+    _lagrangian: StructuredLagrangian
+
+    def __init__(self, *, width: int, depth: int = 2, **base: Any) -> None:
+        super().__init__(**base)
+        angular = self.coordinates.angular
+        self._lagrangian = StructuredLagrangian(angular=angular, width=width, depth=depth)
+
+    @property
+    def lagrangian(self) -> StructuredLagrangian:
+        return self._lagrangian

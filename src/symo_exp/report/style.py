@@ -22,6 +22,8 @@ METHODS = {
     "symo": Look("SyMo", "#0072B2"),
     "e2e_symo": Look("E2E-SyMo", "#D55E00"),
 }
+TRUE = ("true_ode", "true_variational")
+"""The methods that are not learned: drawn as the truth is, as floors under the others."""
 SPARE = ("#CC79A7", "#56B4E9", "#F0E442")
 DASHES = {"midpoint": "-", "rk4": "--"}
 """Line style of an integrator, where one figure shows both."""
@@ -51,6 +53,8 @@ def look(method: str) -> Look:
     """The look of a method; one that has no entry gets a spare colour by its name."""
     if method in METHODS:
         return METHODS[method]
+    if method in TRUE:
+        return TRUTH._replace(label="true system")
     return Look(method, SPARE[sum(method.encode()) % len(SPARE)])
 
 
