@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+import yaml
 
 from symo_exp.configuration import CONF, SWEEPS
 from symo_exp.configuration.command import jobs_of, parse
@@ -29,6 +30,8 @@ def test_every_choice_builds(group, choice, workplace):
         words.append("data.path=mine.csv")
     if group == "integrator" and choice not in variational_integrators():
         words.append("model=node")
+    if words == ["model=true_ode"]:
+        words.append("integrator=rk4")
     if group == "optimizer":
         words.append("dtype=float64")  # some need it
     if words == ["trainer=gpu"] and not torch.cuda.is_available():
@@ -54,6 +57,36 @@ def test_every_sweep_has_jobs_that_pass(sweep, workplace):
     command = jobs_of(parse(["-cn", sweep, "--config-dir", str(SWEEPS)]))
     assert command.multirun
     assert len({job.folder for job in command.jobs}) == len(command.jobs) > 1
+
+
+@pytest.mark.parametrize("pair", choices("pair"))
+def test_a_pair_is_a_model_and_an_integrator_by_one_name(pair, workplace):
+    """The same folder, thus the same run, whichever way it is asked for."""
+    (by_pair,) = jobs_of(parse([f"pair={pair}", "system=acrobot", "seed=1"])).jobs
+    choices_ = yaml.safe_load((CONF / "pair" / f"{pair}.yaml").read_text()) or {"defaults": []}
+    words = [
+        f"{group.removeprefix('override /')}={choice}"
+        for entry in choices_["defaults"]
+        for group, choice in entry.items()
+    ]
+    assert pair == "none" or pair == "_".join(word.partition("=")[2] for word in words)
+    (by_groups,) = jobs_of(parse([*words, "system=acrobot", "seed=1"])).jobs
+    assert by_pair.folder == by_groups.folder
+
+
+@pytest.mark.parametrize("sweep", ["data_size", "tables", "noise"])
+def test_sweeps_share_their_runs(sweep, workplace):
+    """A run at 32 trajectories without noise is one run, in every sweep and typed by hand."""
+    narrow = ["system=pendulum", "pair=node_rk4,symo_midpoint", "seed=0,1"]
+    jobs = jobs_of(parse(["-cn", sweep, "--config-dir", str(SWEEPS), *narrow])).jobs
+    typed = "experiment=thesis model=node integrator=rk4 system=pendulum data.n_traj=32 seed=1"
+    assert jobs_of(parse(typed.split())).jobs[0].folder in [job.folder for job in jobs]
+
+
+def test_a_pair_goes_with_a_preset(workplace):
+    (job,) = jobs_of(parse(["preset=fast", "pair=symo_midpoint"])).jobs
+    assert job.config.integrator.variational._target_.endswith("VariationalMidpoint")
+    assert job.config.optimizer._target_.endswith("Chained")
 
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda f: f"{f.parent.name}/{f.stem}")
