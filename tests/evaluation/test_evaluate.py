@@ -12,7 +12,7 @@ from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 H = 0.1
 NAMES = {
     "train_mse", "test_mse", "integration_mse", "integration_std", "integration_diverged",
-    "energy_mse", "energy_std",
+    "energy_mse", "energy_std", "test_mse_state", "integration_mse_state",
 }  # fmt: skip
 INERTIA = {"inertia_mse", "inertia_std", "inertia_mse_aligned"}
 VARIATIONAL = {"energy_mse_fd", "test_newton_failed", "integration_newton_failed"}
@@ -36,8 +36,18 @@ def test_a_constant_bias_is_the_one_step_error(n: int):
     found = result(Exact(system, system, H, bias=1e-3)).measures
     assert found["test_mse"] == pytest.approx(1e-6)
     assert found["train_mse"] == pytest.approx(1e-6)
+    assert found["test_mse_state"] == pytest.approx(0.5e-6)  # the velocity is right
     assert found["integration_mse"] > 1e-6
     assert found["energy_mse"] > 1e-9
+
+
+def test_the_error_of_the_state_is_that_of_poses_and_velocities_together():
+    system = oscillator(2)
+    evaluation = result(Midpoint(system, system, H))
+    motion = evaluation.rollouts
+    pairs = torch.cat((motion.q - motion.q_true, motion.v - motion.v_true), dim=-1)
+    expected = pairs[:, 1:].square().mean().item()
+    assert evaluation.measures["integration_mse_state"] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
@@ -72,7 +82,8 @@ def test_divergence_is_infinite_and_counted():
     system = oscillator(2)
     model = Exact(system, system, H, reads_velocity=False, fails_from=20)
     found = result(model).measures
-    for name in ("integration_mse", "energy_mse", "energy_mse_fd", "inertia_mse"):
+    lost = ("integration_mse", "integration_mse_state", "energy_mse", "energy_mse_fd")
+    for name in (*lost, "inertia_mse"):
         assert found[name] == math.inf, name
     assert math.isnan(found["integration_std"])
     assert found["integration_diverged"] == 1.0

@@ -55,8 +55,8 @@ def evaluate(model: Model, system: Lagrangian, data: Data) -> Evaluation:
     """
     model = model.for_evaluation()
     results: dict[str, float] = {}
-    results["train_mse"], _ = _one_step(model, data.train)
-    results["test_mse"], failed = _one_step(model, data.test)
+    results["train_mse"], _, _ = _one_step(model, data.train)
+    results["test_mse"], results["test_mse_state"], failed = _one_step(model, data.test)
     if not model.reads_velocity:
         results["test_newton_failed"] = failed
 
@@ -66,16 +66,19 @@ def evaluate(model: Model, system: Lagrangian, data: Data) -> Evaluation:
     return Evaluation(results, rollouts)
 
 
-def _one_step(model: Model, samples: Windows) -> tuple[float, float]:
-    """Error of the pose, and the fraction of samples whose root was not found."""
+def _one_step(model: Model, samples: Windows) -> tuple[float, float, float]:
+    """Errors of pose and of state, and the fraction of samples whose root was not found."""
     samples = Windows(*(field.to(model.input_matrix) for field in samples))
-    predicted, converged = [], []
+    predicted, velocity, converged = [], [], []
     for start in range(0, len(samples.q), CHUNK):
         step = model.predict(Windows(*(field[start : start + CHUNK] for field in samples)))
         predicted.append(step.q)
+        velocity.append(step.v)
         converged.append(step.converged)
     failed = 1.0 - torch.cat(converged).double().mean().item()
-    return measures.pose_mse(torch.cat(predicted), samples.q_next).item(), failed
+    pose = measures.pose_mse(torch.cat(predicted), samples.q_next).item()
+    speed = measures.pose_mse(torch.cat(velocity), samples.v_next).item()
+    return pose, 0.5 * (pose + speed), failed
 
 
 def _rollouts(model: Model, system: Lagrangian, true: Trajectories) -> Rollouts:
@@ -107,7 +110,10 @@ def _rollout_measures(
     def record(name: str, per_trajectory: Tensor) -> None:
         results[f"{name}_mse"], results[f"{name}_std"] = measures.mean_and_std(per_trajectory)
 
-    record("integration", measures.rollout_pose_mse(q, q_true))
+    pose = measures.rollout_pose_mse(q, q_true)
+    record("integration", pose)
+    speed = measures.rollout_pose_mse(motion.v[:, 1:], motion.v_true[:, 1:])
+    results["integration_mse_state"] = (0.5 * (pose + speed)).mean().item()
     if unforced:  # else there is nothing to conserve
         record("energy", measures.rollout_energy_mse(motion.energy[:, 1:], initial))
     diverged = ~torch.isfinite(q).all(-1).all(-1)

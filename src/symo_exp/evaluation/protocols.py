@@ -19,6 +19,10 @@ class Prediction(Protocol):
         """Pose at the next node."""
 
     @property
+    def v(self) -> Float[Tensor, "batch n"]:
+        """Velocity at the next node."""
+
+    @property
     def converged(self) -> Bool[Tensor, " batch"]:
         """Rows whose root was found (all of them for an explicit method)."""
 
