@@ -185,6 +185,7 @@ def fit_call(
                 checkpoint_every=60.0,
                 progress=True,
                 threads=1,
+                compile=False,
                 folder=Path(folder),
             )
             trainer.fit(model, _Epochs(windows, batch), _Once(validation))

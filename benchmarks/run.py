@@ -31,6 +31,7 @@ from benchmarks.cases import (
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
 from benchmarks.project import Project, compiler_available, fit_call
 from benchmarks.timing import interleaved
+from symo_exp.training.allocator import keep_freed_memory
 
 BATCHES = (32, 128, 512)
 EVALUATION_ROWS = 4096
@@ -209,6 +210,7 @@ def main(arguments: list[str] | None = None) -> None:
         compiled=given.compiled and compiler_available(),
     )
     torch.set_num_threads(1)
+    keep_freed_memory()  # for everybody
     if not jax_is_installed():
         print("JAX is not installed: baseline (b) is skipped (pip install 'symo_exp[bench]')")
     differences = agreement.check(given.systems, given.methods, compiled=plan.compiled)

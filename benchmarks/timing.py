@@ -28,8 +28,9 @@ def interleaved(
 ) -> dict[str, Timing]:
     """Median time of a call of each, over `rounds` rounds.
 
-    A turn repeats the call until about `turn_ms` are spent (at least once), measured beforehand;
-    the order is reversed in every other round, and the garbage collector rests. On a machine that
+    A turn repeats the call until about `turn_ms` are spent (at least once), measured beforehand,
+    after one more that refills the caches where a call is short enough; the order is reversed in
+    every other round, and the garbage collector rests. On a machine that
     is shared, `clock=time.process_time` counts only what this process used.
     """
     repeats = {}
@@ -46,6 +47,8 @@ def interleaved(
         for turn in range(rounds):
             for name in list(calls)[:: 1 if turn % 2 == 0 else -1]:
                 call = calls[name]
+                if repeats[name] > 1:
+                    call()
                 began = clock()
                 for _ in range(repeats[name]):
                     call()

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch._inductor import compile as inductor_compile
+from torch._inductor import standalone_compile
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils import _pytree as pytree
 
@@ -39,7 +39,8 @@ class Program:
 
     def _compile(self, flat: list[Tensor], structure: pytree.TreeSpec) -> Callable[..., Any]:
         """The graph goes to the compiler as it is: its only inputs are tensors of fixed shapes,
-        so nothing has to be checked at every call."""
+        so nothing has to be checked at every call. The next process that comes with the same
+        graph finds its kernels on disk, and spends seconds here instead of a minute."""
         outputs: list[pytree.TreeSpec] = []
 
         def run(*tensors: Tensor) -> list[Tensor]:
@@ -50,7 +51,8 @@ class Program:
             return result
 
         with torch.no_grad():
-            kernel = inductor_compile(make_fx(run)(*flat), [*flat])
+            graph = make_fx(run)(*flat)
+            kernel = standalone_compile(graph, [*flat], dynamic_shapes="from_example_inputs")
 
         def call(tensors: list[Tensor]) -> Any:
             with torch.no_grad():

@@ -12,6 +12,7 @@ import torch
 from lightning.pytorch.loggers import Logger
 
 from symo_exp.errors import ConfigError
+from symo_exp.training.allocator import keep_freed_memory
 from symo_exp.training.checkpoint import Checkpoint
 from symo_exp.training.compiling import CompileTraining
 from symo_exp.training.divergence import StopOnDivergence
@@ -49,6 +50,7 @@ def make_trainer(
     if accelerator == "gpu" and not torch.cuda.is_available():
         raise ConfigError("trainer.accelerator=gpu, but PyTorch finds no GPU here; use trainer=cpu")
     torch.set_num_threads(threads)
+    keep_freed_memory()
     _silence()
     callbacks: list[lightning.Callback] = [
         StopOnDivergence(),
