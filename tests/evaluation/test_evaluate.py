@@ -12,6 +12,7 @@ from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 H = 0.1
 NAMES = {
     "train_mse", "test_mse", "integration_mse", "integration_std", "integration_diverged",
+    "integration_mse_100", "valid_steps",
     "energy_mse", "energy_std", "test_mse_state", "integration_mse_state",
 }  # fmt: skip
 INERTIA = {"inertia_mse", "inertia_std", "inertia_mse_aligned"}

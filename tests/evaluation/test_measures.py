@@ -28,6 +28,11 @@ def test_rollout_errors_keep_trajectories_apart():
     assert measures.rollout_energy_mse(energy, torch.tensor([1.0, 1.0])).tolist() == [5.0, 0.0]
 
 
+def test_a_prediction_is_valid_until_its_error_first_exceeds_a_tenth():
+    path = torch.tensor([[0.0, 0.09, 0.2, 0.0], [0.0, 0.0, 0.0, 0.0], [math.nan, 0.0, 0.0, 0.0]])
+    assert measures.valid_steps(path.unsqueeze(-1), torch.zeros(3, 4, 1)).tolist() == [2, 4, 0]
+
+
 def test_inertia_error_is_the_mean_over_all_entries():
     learned = torch.zeros(1, 1, 2, 2)
     learned[0, 0, 0, 1] = 2.0

@@ -17,6 +17,9 @@ from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
 CHUNK = 1024
 """Rows evaluated at once: more cost memory and, beyond the cache, time."""
 
+SHORT = 100
+"""Steps over which a rollout is measured as well: a chaotic motion is lost in the long one."""
+
 
 @dataclass(frozen=True)
 class Rollouts:

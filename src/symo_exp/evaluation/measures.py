@@ -10,6 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+VALID_ERROR = 0.1
+"""Error of a pose [rad, m] up to which a prediction counts as valid."""
+
 
 def squared_error(predicted: Tensor, true: Tensor) -> Tensor:
     """``(x̂ − x)²`` element by element; infinite where the prediction is not finite."""
@@ -31,6 +34,17 @@ def rollout_pose_mse(
 ) -> Float[Tensor, " trajectories"]:
     """``mean_{t,i} (q̂_{t,i} − q_{t,i})²`` of each trajectory."""
     return squared_error(predicted, true).mean((1, 2))
+
+
+def valid_steps(
+    predicted: Float[Tensor, "trajectories steps n"], true: Float[Tensor, "trajectories steps n"]
+) -> Float[Tensor, " trajectories"]:
+    """Steps before the error of the pose, root mean square over coordinates, exceeds 0.1 [rad, m].
+
+    A rollout that stays within it has all its steps.
+    """
+    left = squared_error(predicted, true).mean(2).sqrt() > VALID_ERROR
+    return (left.cumsum(1) == 0).sum(1).double()
 
 
 def rollout_energy_mse(
