@@ -115,6 +115,9 @@ def _rollout_measures(
 
     pose = measures.rollout_pose_mse(q, q_true)
     record("integration", pose)
+    first = measures.rollout_pose_mse(q[:, :SHORT], q_true[:, :SHORT])
+    results[f"integration_mse_{SHORT}"] = first.mean().item()
+    results["valid_steps"] = measures.valid_steps(q, q_true).median().item()
     speed = measures.rollout_pose_mse(motion.v[:, 1:], motion.v_true[:, 1:])
     results["integration_mse_state"] = (0.5 * (pose + speed)).mean().item()
     if unforced:  # else there is nothing to conserve
