@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
+
+from symo_exp.files import write_whole
 
 if TYPE_CHECKING:
     import pyarrow
@@ -35,14 +36,14 @@ def present(folder: Path) -> list[Path]:
 def write_config(folder: Path, config: Mapping[str, Any]) -> Path:
     """The resolved configuration as plain YAML: from it ``symo_exp.load`` rebuilds the model."""
     text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
-    return _write(folder / CONFIG, lambda path: path.write_text(text, encoding="utf-8"))
+    return _write(folder / CONFIG, text)
 
 
 def write_measures(folder: Path, measures: Mapping[str, float]) -> Path:
     """The measures as JSON; ``"inf"`` and ``"nan"`` as strings, since JSON has no such numbers."""
     plain = {k: x if math.isfinite(x) else str(float(x)) for k, x in measures.items()}
     text = json.dumps(plain, indent=1) + "\n"
-    return _write(folder / MEASURES, lambda path: path.write_text(text, encoding="utf-8"))
+    return _write(folder / MEASURES, text)
 
 
 def read_measures(folder: Path) -> dict[str, float]:
@@ -56,9 +57,9 @@ def write_rollouts(folder: Path, rollouts: Rollouts) -> Path:
     import pyarrow.parquet
 
     table = rollout_table(rollouts)
-    return _write(
-        folder / ROLLOUTS, lambda path: pyarrow.parquet.write_table(table, path, compression="zstd")
-    )
+    path = folder / ROLLOUTS
+    write_whole(path, lambda file: pyarrow.parquet.write_table(table, file, compression="zstd"))
+    return path
 
 
 def rollout_table(rollouts: Rollouts) -> pyarrow.Table:
@@ -87,13 +88,6 @@ def rollout_table(rollouts: Rollouts) -> pyarrow.Table:
     return pyarrow.table({name: x.flatten().numpy() for name, x in columns.items()})
 
 
-def _write(path: Path, write: Callable[[Path], object]) -> Path:
-    """Write beside and rename: a killed process leaves the old file or the new, never a half."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        write(part)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+def _write(path: Path, text: str) -> Path:
+    write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
     return path
