@@ -31,9 +31,21 @@ class NoTracker(Tracker):
     def check(self) -> None:
         """Nothing can be wrong."""
 
-    def run(self, *, name: str, parameters: Mapping[str, Any]) -> AbstractContextManager[None]:
+    def run(
+        self, *, name: str, parameters: Mapping[str, Any], folder: Path | None = None
+    ) -> AbstractContextManager[None]:
         """A run that leaves no trace."""
         return nullcontext()
+
+    def deliver(self, folder: Path) -> None:
+        """Nothing is left undone."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Nothing."""
 
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
         """Nothing."""

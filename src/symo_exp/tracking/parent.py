@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import Any, NamedTuple
 
 from symo_exp.tracking.runs import PARENT, close_run, log_parameters, open_run
 from symo_exp.tracking.store import Store, check, find
+
+log = logging.getLogger(__name__)
 
 
 class _Parent(NamedTuple):
@@ -52,4 +55,7 @@ def end_parent(status: str = "FINISHED", reason: str = "") -> None:
         return
     parent, _open = _open, None
     os.environ.pop(PARENT, None)
-    close_run(parent.store, parent.run_id, status, reason)
+    try:
+        close_run(parent.store, parent.run_id, status, reason)
+    except Exception as error:  # a store that is away must not cost a sweep its end
+        log.warning("the run %s of the sweep could not be closed: %s", parent.run_id, error)

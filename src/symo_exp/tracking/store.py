@@ -31,6 +31,11 @@ PORTS = {"postgresql": 5432, "mysql": 3306, "mssql": 1433}
 LOCK_SECONDS = 300.0
 
 
+class AwayError(ConfigError):
+    """Nobody answers where the store should be: a mistake at the start of a command, and later
+    something to sit out."""
+
+
 @dataclass(frozen=True)
 class Store:
     """A tracking store; relative paths have become absolute."""
@@ -103,17 +108,18 @@ def check(store: Store, timeout: float) -> None:
         try:
             socket.create_connection((parts.hostname, port), timeout).close()
         except OSError as error:
-            raise ConfigError(f"no database answers at {store} ({error}): {MEND}") from None
+            raise AwayError(f"no database answers at {store} ({error}): {MEND}") from None
 
 
 def _check_server(store: Store, timeout: float) -> None:
     try:
         urllib.request.urlopen(f"{store.uri}/health", timeout=timeout).close()
-    except urllib.error.HTTPError:
-        pass  # an answer, if only to ask who we are
+    except urllib.error.HTTPError as error:
+        if error.code in (502, 503, 504):  # a proxy, whose server is away
+            raise AwayError(f"no tracking server answers at {store} ({error}): {MEND}") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "reason", None) or error
-        raise ConfigError(f"no tracking server answers at {store} ({reason}): {MEND}") from None
+        raise AwayError(f"no tracking server answers at {store} ({reason}): {MEND}") from None
 
 
 def _check_file(database: Path) -> None:

@@ -19,8 +19,17 @@ class Tracker(Logger):
         """Raise ``ConfigError`` if nothing could be kept. Quick: asked before any training."""
 
     @abstractmethod
-    def run(self, *, name: str, parameters: Mapping[str, Any]) -> AbstractContextManager[None]:
-        """Open a run and close it: FINISHED, FAILED on an error, KILLED on an interruption."""
+    def run(
+        self, *, name: str, parameters: Mapping[str, Any], folder: Path | None = None
+    ) -> AbstractContextManager[None]:
+        """Open a run and close it: FINISHED, FAILED on an error, KILLED on an interruption.
+
+        ``folder`` is the run's own: what is known there of an earlier start is continued.
+        """
+
+    @abstractmethod
+    def deliver(self, folder: Path) -> None:
+        """Keep what a finished run has left in its folder for this."""
 
     @abstractmethod
     def log_measures(self, measures: Mapping[str, float]) -> None:
@@ -29,6 +38,14 @@ class Tracker(Logger):
     @abstractmethod
     def log_run_folder(self, folder: Path) -> None:
         """Keep the files of a run folder (see ``artifacts``)."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """What is not kept yet, as plain values: it travels in the checkpoint."""
+
+    @abstractmethod
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """What ``state_dict`` gave, in a process that goes on with the training."""
 
     @property
     @abstractmethod
