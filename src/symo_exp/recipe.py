@@ -16,6 +16,7 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from symo_exp.configuration.folders import digest
 from symo_exp.data.datamodule import TrajectoryData
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
@@ -23,9 +24,13 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import System
 from symo_exp.tracking import artifacts
 from symo_exp.tracking.tracker import Tracker
+from symo_exp.training import resuming, stopping
 from symo_exp.training.outcome import one_line
 
 log = logging.getLogger(__name__)
+
+CHECKPOINTS = "checkpoints"
+"""Where in the folder of a run."""
 
 
 class Parts(NamedTuple):
@@ -46,7 +51,8 @@ class Run(NamedTuple):
 def run(config: DictConfig, folder: Path, choices: Mapping[str, str]) -> Run:
     """One run: its files go to ``folder``, its curves and measures to the tracker.
 
-    ``choices`` names the files that the groups of the configuration come from.
+    It goes on where an earlier start in the same folder was cut. ``choices`` names the files that
+    the groups of the configuration come from.
     """
     start = time.perf_counter()
     name = f"{choices['model']} {choices['system']}"
@@ -54,12 +60,9 @@ def run(config: DictConfig, folder: Path, choices: Mapping[str, str]) -> Run:
     artifacts.write_config(folder, plain(config))
     with (
         default_dtype(config.dtype),
-        parts.tracker.run(name=name, parameters=parameters(config, choices)),
+        parts.tracker.run(name=name, parameters=parameters(config, choices), folder=folder),
     ):
-        if parts.model.learns:
-            parts.trainer.fit(parts.model, datamodule=parts.data)
-        else:
-            parts.data.setup()
+        train(parts, folder / CHECKPOINTS, digest(config))
         evaluation = evaluate(parts.model.cpu(), parts.system, parts.data)
         artifacts.write_measures(folder, evaluation.measures)
         artifacts.write_rollouts(folder, evaluation.rollouts)
@@ -71,6 +74,27 @@ def run(config: DictConfig, folder: Path, choices: Mapping[str, str]) -> Run:
     where = "; ".join(filter(None, [os.path.relpath(folder), parts.tracker.address]))
     log.info("%s: %s  (%.0f s; %s)", name, one_line(evaluation.measures), seconds, where)
     return Run(parts, evaluation)
+
+
+def train(parts: Parts, folder: Path, run: str) -> None:
+    """Fit, from the last sound checkpoint in ``folder`` on if there is one."""
+    if not parts.model.learns:
+        parts.data.prepare_data()
+        parts.data.setup()
+        return
+    saved = resuming.latest(folder, run, parts.model)
+    if saved is not None and saved.complete:
+        parts.data.prepare_data()
+        parts.data.setup()
+        parts.model.load_state_dict(saved.state["state_dict"])
+        parts.tracker.load_state_dict(saved.state.get("logger", {}))
+        parts.tracker.finalize("success")
+        return
+    if saved is not None:
+        log.info("going on after epoch %d", saved.state["epoch"])
+    path = None if saved is None else str(saved.path)
+    parts.trainer.fit(parts.model, datamodule=parts.data, ckpt_path=path)
+    stopping.raise_if_requested()
 
 
 def draw(parts: Parts, evaluation: Evaluation, method: str, title: str, folder: Path) -> None:
@@ -103,7 +127,8 @@ def build(config: DictConfig, folder: Path) -> Parts:
             time_step=system.time_step,
         )
     tracker = _make(config, "logger")
-    trainer = _make(config, "trainer", folder=folder / "checkpoints", logger=tracker)
+    where = {"folder": folder / CHECKPOINTS, "run": digest(config)}
+    trainer = _make(config, "trainer", **where, logger=tracker)
     try:
         if model.learns:
             model.configure_optimizers()

@@ -13,7 +13,7 @@ from typing import Any
 from omegaconf import Container, DictConfig, OmegaConf
 
 _INCIDENTAL = {
-    "": {"hydra", "experiment", "output_dir", "logger"},
+    "": {"hydra", "experiment", "output_dir", "logger", "resume"},
     "data": {"cache_dir"},
     "trainer": {"progress", "checkpoint_every"},
 }

@@ -2,28 +2,68 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import random
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import lightning
 import numpy as np
 import torch
+from lightning.pytorch.plugins.io import TorchCheckpointIO
+
+from symo_exp.files import write_whole
+from symo_exp.training import stopping
+
+log = logging.getLogger(__name__)
+
+LAST, PREVIOUS = "last.ckpt", "previous.ckpt"
+
+
+@runtime_checkable
+class Stateful(Protocol):
+    """What else has a state that belongs to an epoch: a tracker with rows it has not sent."""
+
+    def state_dict(self) -> dict[str, Any]: ...
+
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...
+
+
+class WholeFiles(TorchCheckpointIO):
+    """Checkpoints that appear whole or not at all; the one before is kept."""
+
+    def save_checkpoint(
+        self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
+    ) -> None:
+        last = Path(path)
+        write_whole(last, lambda file: torch.save(checkpoint, file), keep=last.parent / PREVIOUS)
+
+    def load_checkpoint(
+        self, path: str | os.PathLike[str], *args: Any, **kwargs: Any
+    ) -> dict[str, Any]:
+        """Only tensors and plain values: a checkpoint is data and must not run anything."""
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        return state
 
 
 class Checkpoint(lightning.Callback):
-    """Write ``last.ckpt`` at the end of an epoch when ``seconds`` have passed, and of the training.
+    """Write ``last.ckpt`` between two epochs when ``seconds`` have passed, and after the training.
 
-    The file appears whole or not at all, and the one before stays as ``previous.ckpt``. It also
-    holds the state of the random generators, which Lightning leaves out: without it a resumed run
-    would draw other numbers.
+    Between two epochs, when everything about the first has been logged, nothing of it can be lost
+    or told twice. The file also holds the state of the random generators and of the ``logger``,
+    which Lightning leaves out, and says which ``run`` it belongs to and whether the training is
+    ``complete``.
+
+    A stop that was requested happens here, after writing.
     """
 
-    def __init__(self, folder: Path, seconds: float) -> None:
-        self.last, self.previous = folder / "last.ckpt", folder / "previous.ckpt"
+    def __init__(self, folder: Path, seconds: float, run: str = "") -> None:
+        self.last = folder / LAST
         self.seconds = seconds
+        self.run = run
+        self._complete = False
         self._written = 0.0
         self._random: dict[str, Any] | None = None
 
@@ -35,21 +75,22 @@ class Checkpoint(lightning.Callback):
             np.random.set_state(_tuples(self._random["numpy"]))
             self._random = None
 
-    def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        if time.monotonic() - self._written >= self.seconds:
-            self.write(trainer)
+    def on_train_epoch_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        signum = stopping.requested()
+        due = time.monotonic() - self._written >= self.seconds
+        if trainer.current_epoch > 0 and (signum is not None or due):
+            try:
+                trainer.save_checkpoint(self.last)
+            except OSError as error:  # a full disk, perhaps: there is a good one from before
+                log.warning("no checkpoint: %s", error)
+            self._written = time.monotonic()
+        if signum is not None:
+            raise stopping.Interrupted(signum)
 
     def on_fit_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         # After ``on_train_end``, where an optimiser may put the best weights in place.
-        self.write(trainer)
-
-    def write(self, trainer: lightning.Trainer) -> None:
-        new = self.last.with_suffix(".new")
-        trainer.save_checkpoint(new)
-        if self.last.exists():
-            os.replace(self.last, self.previous)
-        os.replace(new, self.last)
-        self._written = time.monotonic()
+        self._complete = True
+        trainer.save_checkpoint(self.last)
 
     def on_save_checkpoint(
         self, trainer: lightning.Trainer, pl_module: Any, checkpoint: dict[str, Any]
@@ -61,11 +102,16 @@ class Checkpoint(lightning.Callback):
             "python": random.getstate(),
             "numpy": numpy,
         }
+        checkpoint["run"], checkpoint["complete"] = self.run, self._complete
+        if isinstance(trainer.logger, Stateful):
+            checkpoint["logger"] = trainer.logger.state_dict()
 
     def on_load_checkpoint(
         self, trainer: lightning.Trainer, pl_module: Any, checkpoint: dict[str, Any]
     ) -> None:
         self._random = checkpoint.get("random")
+        if isinstance(trainer.logger, Stateful):
+            trainer.logger.load_state_dict(checkpoint.get("logger", {}))
 
 
 def _tuples(value: Any) -> Any:

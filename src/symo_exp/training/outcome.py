@@ -1,15 +1,16 @@
-"""How each run of a command ended: a small file in its folder, and the table of all of them."""
+"""How far each run of a command has come: a small file in its folder, and the table of all."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
-Status = Literal["finished", "failed", "refused"]
+from symo_exp.files import write_whole
+
+Status = Literal["waiting", "running", "finished", "failed", "refused", "interrupted"]
 FILE = "outcome.json"
 MEASURES = ("train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse")
 """The five that a line shows; the others are in the files of the run."""
@@ -17,26 +18,26 @@ MEASURES = ("train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_m
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished run has measures, any other a reason; bad input is refused, not failed."""
+    """A finished run has measures, one that ended otherwise a reason: bad input is refused, not
+    failed. A run that goes on names its process (see ``tracking.process``)."""
 
     status: Status
     reason: str = ""
     measures: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
+    process: dict[str, str] = field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        new = folder / f".{FILE}.{os.getpid()}"
-        new.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
-        os.replace(new, folder / FILE)
+        text = json.dumps(asdict(self), indent=1) + "\n"
+        write_whole(folder / FILE, lambda path: path.write_text(text, encoding="utf-8"))
 
     @staticmethod
     def read(folder: Path) -> Outcome:
-        """What the run left; a run that left nothing was killed or never started."""
+        """What the run left; one that has left nothing that can be read waits to be started."""
         try:
             return Outcome(**json.loads((folder / FILE).read_text(encoding="utf-8")))
-        except FileNotFoundError:
-            return Outcome("failed", "it did not run to its end")
+        except (OSError, ValueError, TypeError):
+            return Outcome("waiting", "it did not run")
 
     @staticmethod
     def forget(folder: Path) -> None:
@@ -49,7 +50,7 @@ def one_line(measures: Mapping[str, float]) -> str:
 
 
 def table(labels: Sequence[str], outcomes: Sequence[Outcome], logs: Sequence[Path]) -> str:
-    """A row for each run, and for those that failed the reason and the log."""
+    """A row for each run, and for those that are not finished the reason and the log."""
     rows = [["run", *MEASURES, "seconds"]]
     for label, outcome in zip(labels, outcomes, strict=True):
         cells = (outcome.measures.get(name) for name in MEASURES)

@@ -13,9 +13,10 @@ from lightning.pytorch.loggers import Logger
 
 from symo_exp.errors import ConfigError
 from symo_exp.training.allocator import keep_freed_memory
-from symo_exp.training.checkpoint import Checkpoint
+from symo_exp.training.checkpoint import Checkpoint, WholeFiles
 from symo_exp.training.compiling import CompileTraining
 from symo_exp.training.divergence import StopOnDivergence
+from symo_exp.training.patience import FinishEpochs
 from symo_exp.training.progress import ProgressBar
 
 
@@ -30,13 +31,14 @@ def make_trainer(
     compile: bool | str,
     folder: Path,
     logger: Logger | None = None,
+    run: str = "",
 ) -> lightning.Trainer:
     """A trainer whose Lightning batch is a whole epoch (see ``TrajectoryData``).
 
     ``validate_every`` counts epochs, ``checkpoint_every`` seconds. ``threads`` holds for the
     whole process: two jobs of a sweep on two cores get in each other's way with more than one.
     ``compile`` is true, false or ``auto``: see ``CompileTraining``.
-    Checkpoints go to ``folder``.
+    Checkpoints go to ``folder`` and say that they belong to ``run``.
     """
     for name, value in {"max_epochs": max_epochs, "validate_every": validate_every}.items():
         if value < 1:
@@ -54,7 +56,8 @@ def make_trainer(
     _silence()
     callbacks: list[lightning.Callback] = [
         StopOnDivergence(),
-        Checkpoint(folder, checkpoint_every),
+        Checkpoint(folder, checkpoint_every, run),
+        FinishEpochs(),
         CompileTraining(compile),
     ]
     if progress:
@@ -68,6 +71,7 @@ def make_trainer(
         inference_mode=False,  # a Lagrangian is differentiated in validation, too
         logger=logger or False,
         callbacks=callbacks,
+        plugins=[WholeFiles()],
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,

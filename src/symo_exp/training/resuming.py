@@ -1,0 +1,70 @@
+"""Where a training left off: the last checkpoint that is sound and belongs to the run."""
+
+from __future__ import annotations
+
+import logging
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+
+from symo_exp.training.checkpoint import LAST, PREVIOUS
+
+log = logging.getLogger(__name__)
+
+
+class Saved(NamedTuple):
+    path: Path
+    state: dict[str, Any]
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is left to train."""
+        return bool(self.state["complete"])
+
+
+def latest(folder: Path, run: str, model: torch.nn.Module) -> Saved | None:
+    """The last checkpoint, else the one before, else nothing; a line in the log says why."""
+    for path in (folder / LAST, folder / PREVIOUS):
+        if not path.exists():
+            continue
+        try:
+            return Saved(path, _read(path, run, model))
+        except _UnsoundError as error:
+            log.warning("checkpoint %s is not used: %s", path, error)
+    return None
+
+
+class _UnsoundError(Exception):
+    pass
+
+
+def _read(path: Path, run: str, model: torch.nn.Module) -> dict[str, Any]:
+    try:
+        if path.stat().st_size == 0:
+            raise _UnsoundError("it is empty")
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()  # the sums of all its parts
+        if damaged is not None:
+            raise _UnsoundError(f"{damaged} in it is damaged")
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except zipfile.BadZipFile:
+        raise _UnsoundError("it is no whole file") from None
+    except Exception as error:  # damaged in any other way, or not ours
+        if isinstance(error, _UnsoundError):
+            raise
+        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+        raise _UnsoundError(f"it cannot be read ({reason})") from None
+    wanted = {"state_dict", "run", "complete", "random", "loops", "optimizer_states"}
+    if not isinstance(state, dict) or not wanted <= state.keys():
+        raise _UnsoundError("it is no checkpoint of a run")
+    if state["run"] != run:
+        raise _UnsoundError("it belongs to another run")
+    if _shapes(state["state_dict"]) != _shapes(model.state_dict()):
+        raise _UnsoundError("its weights are those of another model")
+    return state
+
+
+def _shapes(weights: Any) -> dict[str, tuple[torch.Size, torch.dtype]]:
+    return {name: (value.shape, value.dtype) for name, value in weights.items()}

@@ -1,0 +1,122 @@
+"""Being asked to stop, by Ctrl-C (SIGINT) or SIGTERM: once, at the end of the epoch; twice, now.
+
+The command that started the jobs tells them through a file, since a signal reaches one process
+only, or all of a terminal's at different moments.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+FOLDER = "SYMO_EXP_COMMAND"
+"""Environment variable: a folder that the processes of one command share."""
+
+_noted: int | None = None
+_urgent = False
+
+
+class Interrupted(BaseException):
+    """A signal has ended the run. No ``Exception``: nothing may take it for a failure."""
+
+    def __init__(self, signum: int) -> None:
+        super().__init__(signum)
+        self.signum = signum
+
+    def __str__(self) -> str:
+        return f"interrupted by {signal.Signals(self.signum).name}"
+
+
+def requested() -> int | None:
+    """The signal that asked this process, or the command that it works for, to stop."""
+    return _noted if _noted is not None else _told()
+
+
+def raise_if_requested() -> None:
+    """End here what need not be finished."""
+    signum = requested()
+    if signum is not None:
+        raise Interrupted(signum)
+
+
+@contextmanager
+def command() -> Iterator[None]:
+    """Around all jobs of a command: a first signal is noted, told to the jobs, and obeyed by
+    those who look at ``requested``."""
+    global _noted
+    folder = tempfile.mkdtemp(prefix="symo_exp-")
+    outer, os.environ[FOLDER] = os.environ.get(FOLDER), folder
+    _noted = None
+    before = {signum: signal.getsignal(signum) for signum in SIGNALS}
+    install()
+    try:
+        yield
+    finally:
+        if _in_main_thread():
+            for signum, handler in before.items():
+                signal.signal(signum, handler)
+        os.environ.pop(FOLDER)
+        if outer is not None:
+            os.environ[FOLDER] = outer
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def install() -> None:
+    """Put our handlers in place: in a worker, or where a library has put its own.
+
+    They stay: between two jobs a signal must not end a worker whose neighbours finish an epoch.
+    """
+    global _noted
+    if not os.path.isdir(os.environ.get(FOLDER, "")):
+        _noted = None  # what was noted was for a command that has ended
+    if _in_main_thread():
+        for signum in SIGNALS:
+            signal.signal(signum, _handle)
+
+
+@contextmanager
+def urgent(value: bool = True) -> Iterator[None]:
+    """Where nobody looks at ``requested``: the first signal ends the run at once.
+
+    ``urgent(False)`` inside is for an epoch, which is worth finishing.
+    """
+    global _urgent
+    before, _urgent = _urgent, value
+    try:
+        yield
+    finally:
+        _urgent = before
+
+
+def _handle(signum: int, frame: Any) -> None:
+    global _noted
+    second = _noted is not None
+    _noted = signum
+    _tell(signum)
+    if second or _urgent:
+        raise Interrupted(signum)
+
+
+def _tell(signum: int) -> None:
+    folder = os.environ.get(FOLDER)
+    if folder and os.path.isdir(folder):
+        Path(folder, f"stop.{int(signum)}").touch()
+
+
+def _told() -> int | None:
+    folder = os.environ.get(FOLDER)
+    if not folder:
+        return None
+    return next((s for s in SIGNALS if os.path.exists(f"{folder}/stop.{int(s)}")), None)
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
