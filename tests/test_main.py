@@ -12,21 +12,8 @@ from symo_exp.configuration import CONF, SWEEPS
 from symo_exp.configuration.command import jobs_of, parse
 from symo_exp.recipe import parameters, run
 from symo_exp.training.outcome import MEASURES, Outcome
+from tests.tiny import TINY
 
-TINY = [
-    "model.width=8",
-    "trainer.max_epochs=2",
-    "trainer.validate_every=1",
-    "data.n_traj=2",
-    "data.n_train_max=4",
-    "data.n_val=2",
-    "data.n_test=2",
-    "data.n_integration=2",
-    "data.integration_steps=20",
-    "data.monitor_trajectories=2",
-    "data.solver={method: RK45, rtol: 1e-4, atol: 1e-4}",
-    "data.cache_dir=cache",
-]
 QUIET = [*TINY, "logger=none"]
 
 # what is typed, and words that the one line of the answer must have
@@ -115,7 +102,7 @@ BAD = [
 @pytest.mark.parametrize(("typed", "given", "wanted"), BAD, ids=[typed for typed, *_ in BAD])
 def test_bad_input_is_refused_in_a_line(typed, given, wanted, workplace, capsys, monkeypatch):
     monkeypatch.setenv("HOME", str(workplace))  # where the cache would be
-    monkeypatch.setattr("symo_exp.launch._hydra", lambda argv: pytest.fail("it started"))
+    monkeypatch.setattr("symo_exp.launch.launch", lambda *_, **__: pytest.fail("it started"))
     code = main(typed.split())
     out, err = capsys.readouterr()
     assert code == 2, err
@@ -215,10 +202,46 @@ def test_a_run_ends_in_one_line(workplace, capsys):
 def test_the_same_command_gives_the_same_numbers(workplace, capsys):
     numbers = []
     for _ in range(2):
-        assert main([*QUIET, "model=e2e_symo"]) == 0
+        assert main([*QUIET, "model=e2e_symo", "resume=false"]) == 0
         (file,) = workplace.rglob("outcome.json")
         numbers.append(json.loads(file.read_text())["measures"])
     assert numbers[0] == numbers[1]
+
+
+def test_what_is_finished_is_not_done_again(workplace, capsys, monkeypatch):
+    words = [*QUIET, "model=node", "-m"]
+    assert main([*words, "seed=0"]) == 0
+    (first,) = workplace.rglob("outcome.json")
+    known = first.stat().st_mtime_ns
+    capsys.readouterr()
+    assert main([*words, "seed=0,1"]) == 0
+    out, _ = capsys.readouterr()
+    assert "1 of 2 jobs are finished already" in out
+    assert len([line for line in out.splitlines() if line.startswith("seed=")]) == 2
+    assert first.stat().st_mtime_ns == known
+    assert len([*workplace.rglob("outcome.json")]) == 2
+
+    with monkeypatch.context() as patch:
+        patch.setattr("symo_exp.launch.launch", lambda *_, **__: pytest.fail("it started"))
+        assert main([*words, "seed=0,1"]) == 0
+        assert main([*QUIET, "model=node"]) == 0  # the same run outside of the sweep
+    assert "finished already" in capsys.readouterr().out
+
+    assert main([*words, "seed=0", "resume=false"]) == 0
+    assert first.stat().st_mtime_ns != known
+
+
+def test_a_finished_command_ends_without_the_heavy_libraries(workplace):
+    assert main([*QUIET, "model=node"]) == 0
+    code = (
+        "import sys; from symo_exp.__main__ import main; code = main(sys.argv[1:]); "
+        "heavy = {'torch', 'lightning', 'mlflow', 'pandas', 'matplotlib'} & set(sys.modules); "
+        "sys.exit(f'{code} {heavy}' if code or heavy else 0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *QUIET, "model=node"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_failing_job_does_not_stop_the_others(workplace, capsys):

@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Sequence
 
 from symo_exp.errors import ConfigError
+from symo_exp.training.stopping import Interrupted
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -45,13 +46,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 1
-    except SystemExit as error:
-        if type(error).__name__ == "SIGTERMException":  # of Lightning, which need not be imported
-            return 143
-        raise
     except KeyboardInterrupt:
         print("symo_exp: interrupted", file=sys.stderr)
         return 130
+    except Interrupted as error:
+        print(f"symo_exp: {error}", file=sys.stderr)
+        return 128 + error.signum
 
 
 if __name__ == "__main__":

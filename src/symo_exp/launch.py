@@ -1,32 +1,35 @@
-"""From a command line to finished runs: check every job, hand them to Hydra, sum up."""
+"""From a command line to finished runs: check every job, have them done, sum up."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
+import shutil
 import sys
-import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from unittest import mock
 
-import hydra
-from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
-from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
-
-from symo_exp.configuration import CONF, SWEEPS
-from symo_exp.configuration.command import Command, is_run, jobs_of, one_line, parse
+from symo_exp.configuration import SWEEPS
+from symo_exp.configuration.command import Command, Job, is_run, jobs_of, parse
 from symo_exp.errors import ConfigError
-from symo_exp.training.outcome import Outcome, Status, table
+from symo_exp.handover import compose_and_run, launch
+from symo_exp.tracking import memory, spool
+from symo_exp.tracking.process import is_dead
+from symo_exp.training import stopping
+from symo_exp.training.outcome import Outcome, one_line, table
+from symo_exp.training.watch import Watch
 
 log = logging.getLogger(__name__)
 
+KILLED = "its process was killed, perhaps for want of memory"
+
 
 def execute(argv: Sequence[str]) -> int:
-    """Do what the command says; the exit code."""
+    """Do what the command says; the exit code.
+
+    What is finished already is not done again: the same command goes on where it was cut.
+    """
     args = parse(argv)
     # Hydra does not read overrides on both sides of an option
     argv = [*(word for word in argv if word not in args.overrides), *args.overrides]
@@ -34,37 +37,49 @@ def execute(argv: Sequence[str]) -> int:
         args.config_dir = str(SWEEPS)
         argv = ["--config-dir", args.config_dir, *argv]
     if not is_run(args):
-        _hydra(argv)
+        compose_and_run(argv)
         return 0
-    command = jobs_of(args)
-    check(command)
+    command = jobs_of(args, passed=_is_finished)
+    _refuse_twins(command)
+    finished = [job for job in command.jobs if _is_finished(job)]
+    there = {job.folder for job in finished}
+    jobs = [job for job in command.jobs if job.folder not in there]
+    check(jobs, labelled=command.multirun)
+    for job in jobs:
+        _clear(job)
+    for job in finished:
+        if spool.waits(job.folder):
+            _deliver(job)
+    done = len(finished)
+    if command.multirun and done:
+        print(f"{done} of {len(command.jobs)} jobs are finished already", flush=True)
+    if jobs:
+        with stopping.command():
+            _do(argv, command, jobs, " ".join(args.overrides) or args.config_name or "sweep")
+            return _sum_up(command, done)
+    return _sum_up(command, done)
+
+
+def _is_finished(job: Job) -> bool:
+    return job.config.get("resume", True) and Outcome.read(job.folder).status == "finished"
+
+
+def _refuse_twins(command: Command) -> None:
+    folders: dict[Path, str] = {}
     for job in command.jobs:
-        Outcome.forget(job.folder)
-    with _parent_run(command, " ".join(args.overrides) or args.config_name or "sweep"):
-        try:
-            _hydra(argv)
-        except Exception as error:  # a launcher that broke: what it finished still counts
-            if _debug() or not command.multirun:
-                raise
-            log.error("the launcher stopped: %s", one_line(error))
-    return _sum_up(command)
+        if job.folder in folders:
+            raise ConfigError(f"{job.label}: this is the same run as {folders[job.folder]}")
+        folders[job.folder] = job.label
 
 
-def _debug() -> bool:
-    return os.environ.get("SYMO_EXP_DEBUG") == "1"
-
-
-def check(command: Command) -> None:
+def check(jobs: Sequence[Job], *, labelled: bool) -> None:
     """Build all that every job names, so that nothing is found wrong when others have run."""
+    if not jobs:
+        return  # without the seconds of the import
     from symo_exp.recipe import build
 
-    folders: dict[Path, str] = {}
     stores = []
-    for job in command.jobs:
-        label = f"{job.label}: " if command.multirun else ""
-        if job.folder in folders:
-            raise ConfigError(f"{label}this is the same run as {folders[job.folder]}")
-        folders[job.folder] = job.label
+    for job in jobs:
         try:
             _check_folder(job.folder)
             parts = build(job.config, job.folder)
@@ -72,7 +87,7 @@ def check(command: Command) -> None:
                 parts.tracker.check()
                 stores.append(job.config.logger)
         except ConfigError as error:
-            raise ConfigError(f"{label}{error}") from error
+            raise ConfigError(f"{job.label}: {error}" if labelled else str(error)) from error
 
 
 def _check_folder(folder: Path) -> None:
@@ -90,49 +105,53 @@ def _check_folder(folder: Path) -> None:
         ) from error
 
 
-def _hydra(argv: Sequence[str]) -> None:
-    """Compose again and run, by Hydra's launcher or sweeper."""
-    entry = hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)
-    with (
-        mock.patch.object(sys, "argv", [sys.argv[0], *argv]),
-        # errors come here instead of being printed
-        mock.patch.dict(os.environ, HYDRA_FULL_ERROR="1"),
-    ):
-        try:
-            entry()
-        except (HydraException, OmegaConfBaseException) as error:
-            raise ConfigError(one_line(error)) from error
+def _clear(job: Job) -> None:
+    """Forget how an earlier start ended and, with ``resume=false``, all that could be continued."""
+    before = Outcome.read(job.folder)
+    if before.status == "running" and not is_dead(before.process):
+        return  # another command may be at it
+    Outcome.forget(job.folder)
+    if not job.config.get("resume", True):
+        from symo_exp.recipe import CHECKPOINTS
+
+        shutil.rmtree(job.folder / CHECKPOINTS, ignore_errors=True)
+        memory.forget(job.folder)
+        spool.remove(job.folder)
 
 
-def job(config: DictConfig) -> None:
-    """One run, in whichever process; how it ended is left in its folder, never raised."""
-    from symo_exp.recipe import run
+def _deliver(job: Job) -> None:
+    """Tell the tracker what it could not be told when the run was finished."""
+    from symo_exp.recipe import build
 
-    settings = HydraConfig.get()
-    folder = Path(settings.runtime.output_dir)
-    start = time.perf_counter()
-
-    def record(status: Status, reason: str = "", measures: dict[str, float] | None = None) -> None:
-        Outcome(status, reason, measures or {}, time.perf_counter() - start).write(folder)
-
-    try:
-        done = run(config, folder, dict(settings.runtime.choices))
-        record("finished", measures=done.evaluation.measures)
-    except ConfigError as error:
-        log.debug("refused", exc_info=True)
-        record("refused", one_line(error))
-    except Exception as error:
-        log.debug("failed", exc_info=True)  # to the log of the run, not to the terminal
-        record("failed", f"{type(error).__name__}: {one_line(error)}")
-        if _debug():
-            raise
-    except SystemExit as error:
-        if isinstance(error.__context__, KeyboardInterrupt):  # how Lightning passes Ctrl-C on
-            raise KeyboardInterrupt from error
-        raise
+    build(job.config, job.folder).tracker.deliver(job.folder)
 
 
-@contextlib.contextmanager
+def _do(argv: Sequence[str], command: Command, jobs: Sequence[Job], name: str) -> None:
+    watch = Watch([job.folder for job in command.jobs]) if command.multirun else nullcontext()
+    with _parent_run(command, name), watch:
+        launch(argv, jobs, multirun=command.multirun)
+        for job in jobs:
+            _settle(job)
+
+
+def _settle(job: Job) -> None:
+    """A run whose process has died without a word has failed, unless it was to stop."""
+    outcome = Outcome.read(job.folder)
+    if outcome.status != "running" or not is_dead(outcome.process):
+        return
+    if stopping.requested():
+        Outcome("interrupted", "its process was ended").write(job.folder)
+        return
+    Outcome("failed", KILLED).write(job.folder)
+    logger = job.config.logger
+    if "tracking_uri" in logger:
+        from symo_exp.tracking.runs import fail
+        from symo_exp.tracking.store import find
+
+        fail(job.folder, find(logger.tracking_uri, logger.directory), KILLED)
+
+
+@contextmanager
 def _parent_run(command: Command, name: str) -> Iterator[None]:
     """The run of the tracker under which the jobs of a sweep appear."""
     logger = command.jobs[0].config.logger
@@ -148,22 +167,32 @@ def _parent_run(command: Command, name: str) -> Iterator[None]:
     except BaseException as error:
         end_parent("FAILED" if isinstance(error, Exception) else "KILLED", repr(error))
         raise
+    signum = stopping.requested()
+    if signum is not None:
+        end_parent("KILLED", str(stopping.Interrupted(signum)))
     bad = sum(Outcome.read(job.folder).status != "finished" for job in command.jobs)
     if bad:
         end_parent("FAILED", f"{bad} of {len(command.jobs)} jobs failed")
     end_parent()
 
 
-def _sum_up(command: Command) -> int:
+def _sum_up(command: Command, done: int) -> int:
     outcomes = [Outcome.read(job.folder) for job in command.jobs]
-    if not command.multirun:
-        (outcome,) = outcomes
+    logs = [job.log for job in command.jobs]
+    if command.multirun:
+        print(table([job.label for job in command.jobs], outcomes, logs))
+    else:
+        ((outcome,), (job,)) = (outcomes, command.jobs)
         if outcome.status == "refused":
             raise ConfigError(outcome.reason)
-        if outcome.status == "failed":
+        if done:
+            where = os.path.relpath(job.folder)
             print(
-                f"symo_exp: failed: {outcome.reason} (log: {command.jobs[0].log})", file=sys.stderr
+                f"{one_line(outcome.measures)}  (finished already: {where}; resume=false repeats)"
             )
-    else:
-        print(table([j.label for j in command.jobs], outcomes, [j.log for j in command.jobs]))
+        elif outcome.status != "finished":
+            print(f"symo_exp: {outcome.status}: {outcome.reason} (log: {job.log})", file=sys.stderr)
+    signum = stopping.requested()
+    if signum is not None:
+        return 128 + signum
     return 0 if all(outcome.status == "finished" for outcome in outcomes) else 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import copy
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -30,12 +30,13 @@ assert folders  # registers the resolver that names the folder of a run
 
 
 class Job(NamedTuple):
-    """``label`` says what tells it from the other jobs of its sweep."""
+    """``label`` tells it from the other jobs of its sweep, ``overrides`` make it."""
 
     label: str
     config: DictConfig
     folder: Path
     log: Path
+    overrides: list[str]
 
 
 class Command(NamedTuple):
@@ -59,11 +60,14 @@ def is_run(args: argparse.Namespace) -> bool:
     return not (args.cfg or args.info or args.hydra_help or args.shell_completion or args.help)
 
 
-def jobs_of(args: argparse.Namespace) -> Command:
-    """Compose and check every job of the command; raise ``ConfigError`` for the first bad one."""
+def jobs_of(args: argparse.Namespace, passed: Callable[[Job], bool] = lambda job: False) -> Command:
+    """Compose and check every job of the command; raise ``ConfigError`` for the first bad one.
+
+    The check imports PyTorch, for seconds. It is left out for jobs that have ``passed``.
+    """
     hydra.version.setbase("1.3")
     try:
-        return _Composer(args).command()
+        return _Composer(args, passed).command()
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(one_line(error)) from error
     finally:
@@ -71,7 +75,7 @@ def jobs_of(args: argparse.Namespace) -> Command:
 
 
 class _Composer:
-    def __init__(self, args: argparse.Namespace) -> None:
+    def __init__(self, args: argparse.Namespace, passed: Callable[[Job], bool]) -> None:
         GlobalHydra.instance().clear()
         path = create_config_search_path(str(Path(args.config_path or CONF).absolute()))
         if args.config_dir is not None:
@@ -81,7 +85,7 @@ class _Composer:
             path.prepend(provider="command-line", path=f"file://{folder}")
         self.hydra = Hydra.create_main_hydra2("symo_exp", path)
         self.parser = OverridesParser.create(config_loader=self.hydra.config_loader)
-        self.args = args
+        self.args, self.passed = args, passed
         self.name: str = args.config_name or "config"
 
     def command(self) -> Command:
@@ -105,7 +109,7 @@ class _Composer:
         common = set.intersection(*map(set, combinations))
         labels = [" ".join([o for o in c if o not in common] or c) for c in combinations]
         jobs = [
-            self._job(kept + combination, number, label, "sweep")
+            self._job(kept + combination, number, label, "sweep")._replace(overrides=combination)
             for number, (combination, label) in enumerate(zip(combinations, labels, strict=True))
         ]
         return Command(jobs, multirun=True)
@@ -131,14 +135,17 @@ class _Composer:
             config = self._compose_and_check(parsed)
             config.hydra.job.num, config.hydra.job.id = number, str(number)
             own = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
-            self._check_pairs(config)
-            check_nodes(own, self._files(parsed))
             place = config.hydra.sweep if kind == "sweep" else config.hydra.run
             folder = Path(place.dir, place.get("subdir", "")).absolute()
+            log = folder / f"{config.hydra.job.name}.log"
+            job = Job(label, own, folder, log, overrides)
+            if not self.passed(job):
+                self._check_pairs(config)
+                check_nodes(own, self._files(parsed))
         except (ConfigError, HydraException, OmegaConfBaseException) as error:
             where = f"{label}: " if kind == "sweep" else ""
             raise ConfigError(where + one_line(error)) from error
-        return Job(label, own, folder, folder / f"{config.hydra.job.name}.log")
+        return job
 
     def _compose_and_check(self, overrides: Sequence[Override]) -> DictConfig:
         """What Hydra composes; values are set when all files are merged."""

@@ -1,0 +1,86 @@
+"""One job of a command, in whichever process."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from symo_exp.configuration.command import one_line
+from symo_exp.errors import ConfigError
+from symo_exp.tracking.process import identity
+from symo_exp.training import stopping
+from symo_exp.training.outcome import Outcome, Status
+
+log = logging.getLogger(__name__)
+
+
+def job(config: DictConfig) -> None:
+    """One run; how it ended is left in its folder, never raised.
+
+    Nothing happens when the command was asked to stop, or when another has finished the run.
+    """
+    settings = HydraConfig.get()
+    folder = Path(settings.runtime.output_dir)
+    start = time.perf_counter()
+
+    def record(status: Status, reason: str = "", measures: dict[str, float] | None = None) -> None:
+        outcome = Outcome(status, reason, measures or {}, time.perf_counter() - start)
+        try:
+            outcome.write(folder)
+        except OSError as error:  # a full disk
+            log.error("%s: how the run ended (%s) is not kept: %s", folder, status, error)
+            with suppress(OSError):
+                Outcome.forget(folder)
+
+    stopping.install()
+    if stopping.requested():
+        return
+    try:
+        with stopping.urgent(), _alone_in(folder):
+            if Outcome.read(folder).status == "finished":
+                return
+            Outcome("running", process=identity()).write(folder)
+            from symo_exp.recipe import run
+
+            done = run(config, folder, dict(settings.runtime.choices))
+            record("finished", measures=done.evaluation.measures)
+    except stopping.Interrupted as error:
+        record("interrupted", str(error))
+    except ConfigError as error:
+        log.debug("refused", exc_info=True)
+        record("refused", one_line(error))
+    except Exception as error:
+        log.debug("failed", exc_info=True)  # to the log of the run, not to the terminal
+        record("failed", f"{type(error).__name__}: {one_line(error)}")
+        if debugging():
+            raise
+
+
+def debugging() -> bool:
+    return os.environ.get("SYMO_EXP_DEBUG") == "1"
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Wait while another process works on the same run."""
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        log.info("%s: another process works on this run; waiting for it", os.path.relpath(folder))
+        lock.acquire(poll_interval=0.5)
+    except NotImplementedError:  # a file system without locks
+        yield
+        return
+    try:
+        yield
+    finally:
+        lock.release()
