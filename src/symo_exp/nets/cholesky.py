@@ -93,7 +93,7 @@ class CholeskyHead(nn.Module):
 
     def cotangent(self, at: HeadPoint) -> Float[Tensor, "batch outputs"]:
         """``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
-        lower = at.v[:, self.lower_row] * at.y[:, self.lower_column]
+        lower = _columns(at.v, self.lower_row) * _columns(at.y, self.lower_column)
         return torch.cat((at.v * at.y * at.slope, lower, -torch.ones_like(at.v[:, :1])), dim=1)
 
     def directional_cotangents(
@@ -112,7 +112,8 @@ class CholeskyHead(nn.Module):
         bend = at.v * at.y * at.slope * (1.0 - at.slope) * rates[:, : self.n]
         diagonal = (at.v * y_rate + b * at.y) * at.slope + bend
         row, column = self.lower_row, self.lower_column
-        lower = at.v[:, row] * y_rate[:, column] + b[:, row] * at.y[:, column]
+        lower = _columns(at.v, row) * _columns(y_rate, column)
+        lower = lower + _columns(b, row) * _columns(at.y, column)
         outputs = torch.cat((diagonal, lower, torch.zeros_like(at.v[:, :1])), dim=1)
         velocity = _apply(at.factor, y_rate) + _apply(factor_rate, at.y) + EPSILON * b
         return outputs, velocity
@@ -136,8 +137,12 @@ class CholeskyHead(nn.Module):
     def _fill(self, diagonal: Tensor, outputs: Tensor) -> Tensor:
         lower = outputs[..., self.n : -1]
         zero = torch.zeros_like(diagonal[..., :1])
-        flat = torch.cat((diagonal, lower, zero), dim=-1)[..., self.place]
+        flat = torch.cat((diagonal, lower, zero), dim=-1).index_select(-1, self.place)
         return flat.unflatten(-1, (self.n, self.n))
+
+
+def _columns(x: Tensor, index: Tensor) -> Tensor:
+    return x.index_select(1, index)
 
 
 def _row(vector: Tensor, matrix: Tensor) -> Tensor:

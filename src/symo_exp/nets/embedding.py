@@ -46,7 +46,7 @@ class Embedding(nn.Module):
         return self._straight + 2 * self._angles
 
     def forward(self, q: Float[Tensor, "batch n"]) -> Features:
-        owned = q[:, self.owner]
+        owned = q.index_select(1, self.owner)
         r = owned[:, : self._straight]
         phi = owned[:, self._straight : self._straight + self._angles]
         cos, sin = torch.cos(phi), torch.sin(phi)
@@ -60,7 +60,7 @@ class Embedding(nn.Module):
 
     def spread(self, direction: Float[Tensor, "batch n"]) -> Float[Tensor, "batch features"]:
         """The entry of its owner for each feature; ``dx`` times it is the features' rate."""
-        return direction[:, self.owner]
+        return direction.index_select(1, self.owner)
 
     def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
         """``s_q eᵢ`` for every coordinate ``i``."""

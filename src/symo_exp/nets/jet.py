@@ -16,7 +16,16 @@ def tanh_jet_layer(
     bias: Float[Tensor, " out"],
 ) -> Float[Tensor, "jet batch out"]:
     """``h = tanh(W x + b)`` in row 0 and ``h_i = (1 − h²) W x_i`` in row ``i`` of the jet."""
+    if not torch.is_grad_enabled():
+        return _value(x, weight, bias)[0]
     return _TanhJetLayer.apply(x, weight, bias)
+
+
+def _value(x: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The layer, and what its derivative needs: ``z`` without the bias, and ``h``."""
+    z = (x.flatten(0, 1) @ weight.T).view(*x.shape[:2], -1)
+    h = torch.tanh(z[0] + bias)
+    return torch.cat((h.unsqueeze(0), z[1:] * (1.0 - h * h))), z, h
 
 
 class _TanhJetLayer(torch.autograd.Function):
@@ -24,10 +33,9 @@ class _TanhJetLayer(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        z = (x.flatten(0, 1) @ weight.T).view(*x.shape[:2], -1)
-        h = torch.tanh(z[0] + bias)
+        y, z, h = _value(x, weight, bias)
         ctx.save_for_backward(x, weight, bias, z, h)
-        return torch.cat((h.unsqueeze(0), z[1:] * (1.0 - h * h)))
+        return y
 
     @staticmethod
     @once_differentiable
