@@ -47,8 +47,8 @@ class DynamicsModel(lightning.LightningModule, ABC):
 
     One Lightning batch is one epoch: a list of mini batches. Optimisation is by hand, so that an
     epoch costs little more than its optimiser steps. What it logs, once an epoch: ``train_loss``,
-    ``lr``, ``step_ms``, ``skipped_steps`` and, where roots are found, ``newton_iterations`` and
-    ``newton_failed``.
+    ``lr``, ``step_ms``, ``training_seconds``, ``skipped_steps`` and, where roots are found,
+    ``newton_iterations`` and ``newton_failed``.
     """
 
     reads_velocity: ClassVar[bool]
@@ -81,6 +81,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         self.scheduler_monitor = scheduler_monitor
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self._statistics: dict[str, Tensor] = {}
+        self._training_seconds = 0.0
         self._program: Callable[[Windows], Any] | None = None
 
     @property
@@ -240,7 +241,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
     def training_step(self, batches: list[Windows], _: int) -> None:
         """All optimiser steps of one epoch, then the learning rate schedule."""
         optimizer: Any = self.optimizers()
-        start = time.perf_counter()
+        start, processor = time.perf_counter(), time.process_time()
         self._statistics = {}
         method = _unwrapped(optimizer)
         rate = torch.tensor(optimizer.param_groups[0]["lr"])
@@ -254,6 +255,8 @@ class DynamicsModel(lightning.LightningModule, ABC):
         mean = metrics["train_loss"]
         if self.scheduler_monitor == "train_loss":
             self._schedule(mean)
+        self._training_seconds += time.process_time() - processor
+        metrics["training_seconds"] = torch.tensor(self._training_seconds)
         metrics["step_ms"] = torch.tensor(1e3 * (time.perf_counter() - start) / len(batches))
         self.log_dict(metrics, on_step=False, on_epoch=True, batch_size=1)
 
@@ -268,6 +271,12 @@ class DynamicsModel(lightning.LightningModule, ABC):
         if isinstance(method, EpochOptimizer):
             method.validated(loss)
             self.trainer.should_stop |= method.finished
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        checkpoint["training_seconds"] = self._training_seconds
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        self._training_seconds = checkpoint.get("training_seconds", 0.0)
 
     def on_train_end(self) -> None:
         method = _unwrapped(self.optimizers())
