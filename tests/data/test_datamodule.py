@@ -315,3 +315,9 @@ def test_held_out_trajectories_come_from_the_training_budget() -> None:
         torch.testing.assert_close(torch.cat((kept, held)), all_)
     with pytest.raises(ConfigError, match=r"data\.held_out"):
         small(held_out=0, monitor="held_out")
+
+
+@pytest.mark.parametrize(("n_traj", "share", "count"), [(8, 0.1, 1), (32, 0.1, 3), (4, 0.01, 1)])
+def test_a_share_is_held_out(n_traj: int, share: float, count: int) -> None:
+    data = small(n_traj=n_traj, n_train_max=n_traj, held_out=share, monitor="held_out")
+    assert data.held_out == data.monitor_trajectories == count

@@ -39,8 +39,9 @@ class DataModule(lightning.LightningDataModule, ABC):
     test data too; validation stays clean. An epoch has batches of ``batch_size`` samples,
     ``4 n_traj`` if none is given. ``monitor`` says whether the windows of the validation or of the
     test trajectories are watched during training, the first ``monitor_trajectories`` of them.
-    ``held_out`` takes that many trajectories out of the training set, its last ones;
-    ``monitor="held_out"`` watches them, so that a stopping rule costs no data beyond ``n_traj``.
+    ``held_out`` takes that many trajectories out of the training set, its last ones, or below 1
+    that share of them (at least one); ``monitor="held_out"`` watches them, so that a stopping rule
+    costs no data beyond ``n_traj``.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         dtype: str | torch.dtype,
         monitor: Literal["val", "test", "held_out"],
         monitor_trajectories: int | None,
-        held_out: int,
+        held_out: float,
     ) -> None:
         super().__init__()
         self.n_traj = whole("data.n_traj", n_traj, low=1, high=n_train_max)
@@ -74,9 +75,11 @@ class DataModule(lightning.LightningDataModule, ABC):
         name = one_of("data.dtype", str(dtype).removeprefix("torch."), ("float32", "float64"))
         self.dtype: torch.dtype = getattr(torch, name)
         self.monitor = one_of("data.monitor", monitor, ("val", "test", "held_out"))
+        if 0.0 < held_out < 1.0:
+            held_out = max(1, round(held_out * n_traj))
         low = 1 if monitor == "held_out" else 0
         self.held_out = whole("data.held_out", held_out, low=low, high=n_traj - 1)
-        watched = {"val": n_val, "test": n_test, "held_out": held_out}[monitor]
+        watched = {"val": n_val, "test": n_test, "held_out": self.held_out}[monitor]
         self.monitor_trajectories = (
             watched
             if monitor_trajectories is None

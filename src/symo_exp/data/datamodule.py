@@ -59,7 +59,7 @@ class TrajectoryData(DataModule):
         dtype: str | torch.dtype = "float32",
         monitor: Literal["val", "test", "held_out"] = "val",
         monitor_trajectories: int | None = None,
-        held_out: int = 0,
+        held_out: float = 0,
     ) -> None:
         self.system = system
         self.n_train_max = whole("data.n_train_max", n_train_max, low=1)

@@ -71,7 +71,7 @@ class RecordedData(DataModule):
         dtype: str | torch.dtype = "float32",
         monitor: Literal["val", "test", "held_out"] = "val",
         monitor_trajectories: int | None = None,
-        held_out: int = 0,
+        held_out: float = 0,
     ) -> None:
         self.system = system
         whole("data.n_val", n_val, low=1)
