@@ -22,11 +22,29 @@ METHODS = {
     "symo": Look("SyMo", "#0072B2"),
     "e2e_symo": Look("E2E-SyMo", "#D55E00"),
 }
-TRUE = ("true_ode", "true_variational")
-"""The methods that are not learned: drawn as the truth is, as floors under the others."""
+TRUE = {
+    "true_ode": Look("true system, explicit", "#8a8a8a"),
+    "true_variational": Look("true system, variational", "#222222"),
+}
+"""The models that are not learned: drawn as floors under the others."""
 SPARE = ("#CC79A7", "#56B4E9", "#F0E442")
-DASHES = {"midpoint": "-", "rk4": "--"}
-"""Line style of an integrator, where one figure shows both."""
+
+
+class Stroke(NamedTuple):
+    """How an integrator is named and drawn: ``dash`` is Matplotlib's, ``web`` Plotly's."""
+
+    label: str
+    dash: str
+    web: str
+
+
+INTEGRATORS = {
+    "midpoint": Stroke("midpoint", "-", "solid"),
+    "rk4": Stroke("RK4", "--", "dash"),
+    "dopri5": Stroke("Dormand-Prince 5", "-.", "dashdot"),
+    "galerkin4": Stroke("Galerkin 4", "--", "dash"),
+    "galerkin6": Stroke("Galerkin 6", "-.", "dashdot"),
+}
 
 RC: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -51,11 +69,15 @@ RC: dict[str, Any] = {
 
 def look(method: str) -> Look:
     """The look of a method; one that has no entry gets a spare colour by its name."""
-    if method in METHODS:
-        return METHODS[method]
-    if method in TRUE:
-        return TRUTH._replace(label="true system")
+    known = METHODS | TRUE
+    if method in known:
+        return known[method]
     return Look(method, SPARE[sum(method.encode()) % len(SPARE)])
+
+
+def stroke(integrator: str) -> Stroke:
+    """The stroke of an integrator; one that has no entry is dotted."""
+    return INTEGRATORS.get(integrator, Stroke(integrator, ":", "dot"))
 
 
 GREEK = "alpha|beta|gamma|delta|theta|phi|psi|omega"
