@@ -18,7 +18,7 @@ from typing import Any
 from symo_exp.tracking import artifacts, runs, spool
 from symo_exp.tracking.memory import recall, remember
 from symo_exp.tracking.spool import Letter
-from symo_exp.tracking.store import AwayError, check, connect, find
+from symo_exp.tracking.store import check, connect, find, is_away
 from symo_exp.tracking.tracker import Tracker
 
 log = logging.getLogger(__name__)
@@ -96,8 +96,10 @@ class MlflowTracker(Tracker):
         self._folder = folder
         try:
             self._open()
-        except AwayError as error:
-            log.warning("the run starts without its tracking store: %s", error)
+        except Exception as error:
+            if not is_away(error):
+                raise
+            log.warning("the run starts without its tracking store: %s", _reason(error))
         self._due = time.monotonic() + self._flush_seconds
         try:
             yield

@@ -22,6 +22,7 @@ from urllib.parse import urlsplit
 from filelock import FileLock, Timeout
 
 from symo_exp.errors import ConfigError
+from symo_exp.files import write_whole
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -34,6 +35,14 @@ LOCK_SECONDS = 300.0
 class AwayError(ConfigError):
     """Nobody answers where the store should be: a mistake at the start of a command, and later
     something to sit out."""
+
+
+def is_away(error: BaseException) -> bool:
+    """Whether an error says that the store does not work now, not that we ask it for nonsense."""
+    if isinstance(error, AwayError | ConnectionError):
+        return True
+    status = getattr(error, "get_http_status_code", None)  # of an MlflowException
+    return status is not None and status() >= 500
 
 
 @dataclass(frozen=True)
@@ -157,12 +166,27 @@ def connect(store: Store) -> MlflowClient:
 
     try:
         with store.lock():
+            _create(store)
             client = MlflowClient(store.uri, registry_uri=store.uri)
             client.search_experiments(max_results=1)
     except MlflowException as error:
         reason = str(error).strip().splitlines()[0]
-        raise ConfigError(f"tracking store {store} cannot be opened: {reason}") from error
+        kind = AwayError if store.database is None and is_away(error) else ConfigError
+        raise kind(f"tracking store {store} cannot be opened: {reason}") from error
     return client
+
+
+def _create(store: Store) -> None:
+    """Make a fresh SQLite database, dozens of tables, aside: whole or not at all, since MLflow can
+    do nothing with the half of one that a killed process would leave."""
+    if store.database is None or (store.database.exists() and store.database.stat().st_size):
+        return
+    from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
+
+    def create(file: Path) -> None:
+        SqlAlchemyStore(f"sqlite:///{file}", store.artifacts).engine.dispose()
+
+    write_whole(store.database, create)
 
 
 def experiment_id(store: Store, name: str) -> str:

@@ -63,7 +63,7 @@ class Checkpoint(lightning.Callback):
         self.last = folder / LAST
         self.seconds = seconds
         self.run = run
-        self._complete = False
+        self._complete, self._resumable = False, True
         self._written = 0.0
         self._random: dict[str, Any] | None = None
 
@@ -80,7 +80,7 @@ class Checkpoint(lightning.Callback):
         due = time.monotonic() - self._written >= self.seconds
         if trainer.current_epoch > 0 and (signum is not None or due):
             try:
-                trainer.save_checkpoint(self.last)
+                self.write(trainer)
             except OSError as error:  # a full disk, perhaps: there is a good one from before
                 log.warning("no checkpoint: %s", error)
             self._written = time.monotonic()
@@ -90,6 +90,11 @@ class Checkpoint(lightning.Callback):
     def on_fit_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         # After ``on_train_end``, where an optimiser may put the best weights in place.
         self._complete = True
+        self.write(trainer)
+
+    def write(self, trainer: lightning.Trainer, *, resumable: bool = True) -> None:
+        """Write the file now; weights alone, of which a training cannot go on, say so."""
+        self._resumable = resumable
         trainer.save_checkpoint(self.last)
 
     def on_save_checkpoint(
@@ -102,7 +107,11 @@ class Checkpoint(lightning.Callback):
             "python": random.getstate(),
             "numpy": numpy,
         }
-        checkpoint["run"], checkpoint["complete"] = self.run, self._complete
+        for counts in checkpoint["loops"]["fit_loop"]["epoch_progress"].values():
+            # the next epoch is announced: with that, Lightning would take it for half done
+            counts["ready"] = counts["started"]
+        checkpoint["run"] = self.run
+        checkpoint["complete"], checkpoint["resumable"] = self._complete, self._resumable
         if isinstance(trainer.logger, Stateful):
             checkpoint["logger"] = trainer.logger.state_dict()
 

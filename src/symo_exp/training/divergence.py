@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import lightning
 import torch
+
+from symo_exp.training.checkpoint import Checkpoint
+
+log = logging.getLogger(__name__)
 
 
 class DivergenceError(RuntimeError):
@@ -13,13 +18,39 @@ class DivergenceError(RuntimeError):
 
 
 class StopOnDivergence(lightning.Callback):
-    """Looks at ``train_loss`` after every epoch."""
+    """Looks at ``train_loss`` after every epoch; the last weights that were numbers are kept."""
+
+    def __init__(self, checkpoint: Checkpoint) -> None:
+        self._checkpoint = checkpoint
+        self._good: dict[str, torch.Tensor] | None = None
+
+    def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        self._remember(pl_module)
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         loss = trainer.callback_metrics.get("train_loss")
-        if loss is not None and not torch.isfinite(loss):
-            raise DivergenceError(
-                f"the loss of {type(pl_module).__name__} is {float(loss)} after epoch "
-                f"{trainer.current_epoch + 1} (optimiser step {trainer.global_step}); "
-                "try a smaller optimizer.lr, another seed or dtype=float64"
-            )
+        if loss is None:
+            return
+        if torch.isfinite(loss):
+            self._remember(pl_module)
+            return
+        self._keep(trainer, pl_module)
+        raise DivergenceError(
+            f"the loss of {type(pl_module).__name__} is {float(loss)} after epoch "
+            f"{trainer.current_epoch + 1} (optimiser step {trainer.global_step}); "
+            "try a smaller optimizer.lr, another seed or dtype=float64"
+        )
+
+    def _remember(self, model: Any) -> None:
+        weights = model.state_dict()
+        if all(bool(value.isfinite().all()) for value in weights.values()):
+            self._good = {name: value.clone() for name, value in weights.items()}
+
+    def _keep(self, trainer: lightning.Trainer, model: Any) -> None:
+        if self._good is None:
+            return
+        model.load_state_dict(self._good)
+        try:
+            self._checkpoint.write(trainer, resumable=False)
+        except OSError as error:
+            log.warning("the last good weights are not kept: %s", error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,6 +34,8 @@ def latest(folder: Path, run: str, model: torch.nn.Module) -> Saved | None:
             return Saved(path, _read(path, run, model))
         except _UnsoundError as error:
             log.warning("checkpoint %s is not used: %s", path, error)
+            with suppress(OSError):  # or it would take the place of the one before
+                path.replace(path.with_suffix(".unsound"))
     return None
 
 
@@ -56,11 +59,13 @@ def _read(path: Path, run: str, model: torch.nn.Module) -> dict[str, Any]:
             raise
         reason = next(iter(str(error).splitlines()), "") or type(error).__name__
         raise _UnsoundError(f"it cannot be read ({reason})") from None
-    wanted = {"state_dict", "run", "complete", "random", "loops", "optimizer_states"}
+    wanted = {"state_dict", "run", "complete", "resumable", "random", "loops", "optimizer_states"}
     if not isinstance(state, dict) or not wanted <= state.keys():
         raise _UnsoundError("it is no checkpoint of a run")
     if state["run"] != run:
         raise _UnsoundError("it belongs to another run")
+    if not state["resumable"]:
+        raise _UnsoundError("the training diverged there")
     if _shapes(state["state_dict"]) != _shapes(model.state_dict()):
         raise _UnsoundError("its weights are those of another model")
     return state

@@ -60,6 +60,7 @@ def command() -> Iterator[None]:
     try:
         yield
     finally:
+        _noted = None
         if _in_main_thread():
             for signum, handler in before.items():
                 signal.signal(signum, handler)

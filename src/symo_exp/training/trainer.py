@@ -54,9 +54,10 @@ def make_trainer(
     torch.set_num_threads(threads)
     keep_freed_memory()
     _silence()
+    checkpoint = Checkpoint(folder, checkpoint_every, run)
     callbacks: list[lightning.Callback] = [
-        StopOnDivergence(),
-        Checkpoint(folder, checkpoint_every, run),
+        StopOnDivergence(checkpoint),
+        checkpoint,
         FinishEpochs(),
         CompileTraining(compile),
     ]
