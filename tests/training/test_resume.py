@@ -1,18 +1,16 @@
 """A training that was cut ends with the bits of one that was not, whatever is left on disk."""
 
+import os
+import shutil
+
 import pytest
 import torch
 
-from symo_exp.configuration.command import jobs_of, parse
+import symo_exp
 from symo_exp.models.base import DynamicsModel
-from symo_exp.recipe import run
-from tests.tiny import TINY
+from symo_exp.training.divergence import DivergenceError
+from tests.training.runs import Cut, cut, go, same, state
 
-EPOCHS = 6
-WORDS = [
-    *TINY, f"trainer.max_epochs={EPOCHS}", "trainer.validate_every=2", "trainer.checkpoint_every=0",
-    "pictures=false", "logger=none",
-]  # fmt: skip
 METHODS = [
     "model=node integrator=rk4",
     "model=l_node",
@@ -24,57 +22,193 @@ METHODS = [
     "model=symo data.monitor=held_out data.held_out=1 data.monitor_trajectories=null"
     " optimizer=lbfgs scheduler=none optimizer.patience=1",
 ]
+SYMO = "model=symo"
 
 
-class Cut(BaseException):
-    """The power is gone."""
+@pytest.fixture(autouse=True)
+def _hear(caplog):
+    caplog.set_level("INFO", logger="symo_exp")
 
 
-def go(words, folder):
-    (job,) = jobs_of(parse([*WORDS, *words.split()])).jobs
-    choices = {"model": "a", "system": "b"}
-    done = run(job.config, folder, choices)
-    return {name: str(value) for name, value in done.evaluation.measures.items()}  # nan too
+def resumed(caplog):
+    found = [r.message for r in caplog.records if r.message.startswith("going on after epoch")]
+    return [int(message.split()[-1]) for message in found]
 
 
-def cut(words, folder, epoch, monkeypatch):
-    """The same, ending abruptly in the middle of an epoch."""
+def refused(caplog):
+    return [r.message for r in caplog.records if "is not used" in r.message]
+
+
+@pytest.mark.parametrize("words", METHODS, ids=lambda words: words.replace(" ", ","))
+def test_cut_again_and_again_it_ends_with_the_same_bits(words, workplace, monkeypatch, caplog):
+    whole = go(words, workplace / "whole")
+    for epoch in (1, 2, 4):
+        cut(words, workplace / "cut", epoch, monkeypatch)
+        torch.manual_seed(99)  # what another process would draw
+    assert go(words, workplace / "cut") == whole
+    assert resumed(caplog) == [1, 2, 4]
+    assert same(state(workplace / "cut"), state(workplace / "whole"))
+
+
+@pytest.mark.parametrize("epoch", range(1, 6))
+@pytest.mark.parametrize("validate_every", [2, 3])
+def test_cut_in_any_epoch(validate_every, epoch, whole, folder, monkeypatch):
+    shutil.rmtree(folder)
+    words = f"{SYMO} trainer.validate_every={validate_every}"
+    cut(words, folder, epoch, monkeypatch)
+    assert go(words, folder) == whole
+
+
+class Pickled:
+    def __reduce__(self):
+        return os.mkdir, ("harm",)
+
+
+def flipped(whole):
+    middle = len(whole) // 2
+    return whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :]
+
+
+def another(path, other, monkeypatch):
+    cut(other, path.parents[2] / "other", 1, monkeypatch)
+    shutil.copy(path.parents[2] / "other" / "checkpoints" / "last.ckpt", path)
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """A run that ended, with its measures, and the same run, cut."""
+    folder = tmp_path_factory.mktemp("example")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        whole = go(SYMO, folder / "whole")
+        cut(SYMO, folder / "cut", 3, patch)
+    return folder, whole
+
+
+@pytest.fixture
+def whole(example):
+    return example[1]
+
+
+@pytest.fixture
+def folder(example, workplace):
+    """The run that was cut, to be damaged and resumed; beside it the one that ended."""
+    shutil.copytree(example[0], workplace, dirs_exist_ok=True)
+    return workplace / "cut"
+
+
+DAMAGE = {
+    "empty": lambda path, _: path.write_bytes(b""),
+    "half": lambda path, _: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "flipped": lambda path, _: path.write_bytes(flipped(path.read_bytes())),
+    "text": lambda path, _: path.write_text("my diary"),
+    "code": lambda path, _: torch.save(Pickled(), path),
+    "other": lambda path, _: torch.save({"state_dict": {}}, path),
+    "another seed": lambda path, m: another(path, f"{SYMO} seed=1", m),
+    "another model": lambda path, m: another(path, f"{SYMO} model.width=6", m),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_bad_checkpoint_is_named_and_the_one_before_is_used(
+    damage, whole, folder, workplace, monkeypatch, caplog
+):
+    DAMAGE[damage](folder / "checkpoints" / "last.ckpt", monkeypatch)
+    caplog.clear()
+    assert go(SYMO, folder) == whole
+    (line,) = refused(caplog)
+    assert str(folder / "checkpoints" / "last.ckpt") in line
+    assert "\n" not in line
+    assert resumed(caplog) == [2]
+    assert same(state(folder), state(workplace / "whole"))
+    assert not (workplace / "harm").exists()
+
+
+def test_without_a_sound_checkpoint_it_starts_anew(whole, folder, caplog):
+    for name in ("last.ckpt", "previous.ckpt"):
+        (folder / "checkpoints" / name).write_bytes(b"")
+    assert go(SYMO, folder) == whole
+    assert len(refused(caplog)) == 2
+    assert resumed(caplog) == []
+
+
+def test_cut_after_the_training_only_the_evaluation_is_done_again(whole, folder, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("symo_exp.recipe.evaluate", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            go(SYMO, folder)
+    monkeypatch.setattr("lightning.Trainer.fit", lambda *_, **__: pytest.fail("it trains again"))
+    assert go(SYMO, folder) == whole
+
+
+def test_a_training_that_ended_before_its_time_is_over(workplace, monkeypatch):
+    words = METHODS[-1] + " optimizer.patience=1 trainer.max_epochs=500"
+    go(words, workplace / "run")
+    monkeypatch.setattr("lightning.Trainer.fit", lambda *_, **__: pytest.fail("it trains again"))
+    go(words, workplace / "run")
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_cut_at_every_moment_a_file_takes_its_place(when, whole, folder, monkeypatch, caplog):
+    shutil.rmtree(folder)
+    replace = os.replace
+    for moment in range(1000):
+        count = 0
+
+        def cut_replace(old, new):
+            nonlocal count
+            last, count = count == moment, count + 1  # noqa: B023
+            if last and when == "before":
+                raise Cut
+            replace(old, new)
+            if last:
+                raise Cut
+
+        with monkeypatch.context() as patch:
+            patch.setattr("os.replace", cut_replace)
+            try:
+                found = go(SYMO, folder)
+            except Cut:
+                continue
+            break
+    assert moment >= 6
+    assert found == whole
+    assert same(state(folder), state(folder.parent / "whole"))
+    assert refused(caplog) == []
+
+
+def test_a_full_disk_for_a_while_costs_a_checkpoint_not_the_training(
+    whole, workplace, monkeypatch, caplog
+):
+    replace, count = os.replace, 0
+
+    def full(old, new):
+        nonlocal count
+        count += "last.ckpt" in str(new)
+        if "last.ckpt" in str(new) and count in (2, 3):
+            raise OSError(28, "No space left on device")
+        replace(old, new)
+
+    monkeypatch.setattr("os.replace", full)
+    assert go(SYMO, workplace / "run") == whole
+    assert sum("No space left" in r.message for r in caplog.records) == 2
+
+
+def test_a_training_that_diverges_keeps_the_last_good_weights(workplace, monkeypatch, caplog):
     step = DynamicsModel.training_step
 
-    def last_step(model, batches, index):
+    def poisoned(model, batches, index):
+        if model.current_epoch == 3:
+            for parameter in model.parameters():
+                parameter.data.mul_(float("nan"))
         step(model, batches, index)
-        if model.current_epoch == epoch:
-            raise Cut
 
-    with monkeypatch.context() as patch:
-        patch.setattr(DynamicsModel, "training_step", last_step)
-        with pytest.raises(Cut):
-            go(words, folder)
-
-
-def state(folder):
-    found = torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)
-    return {k: found[k] for k in ("state_dict", "optimizer_states", "lr_schedulers", "random")}
-
-
-def same(a, b):
-    if isinstance(a, torch.Tensor):
-        return torch.equal(a, b)
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
-    if isinstance(a, list | tuple):
-        return len(a) == len(b) and all(map(same, a, b))
-    return a == b
-
-
-@pytest.mark.parametrize("words", METHODS)
-def test_cut_twice_and_resumed_it_ends_with_the_same_bits(words, workplace, monkeypatch, caplog):
-    caplog.set_level("INFO", logger="symo_exp")
-    whole = go(words, workplace / "whole")
-    for epoch in (2, 3):
-        cut(words, workplace / "cut", epoch, monkeypatch)
-    torch.manual_seed(99)  # what another process would draw
-    assert go(words, workplace / "cut") == whole
-    resumed = [r.message for r in caplog.records if r.message.startswith("going on")]
-    assert resumed == ["going on after epoch 2", "going on after epoch 3"]
-    assert same(state(workplace / "cut"), state(workplace / "whole"))
+    monkeypatch.setattr(DynamicsModel, "training_step", poisoned)
+    for attempt in range(3):
+        caplog.clear()
+        with pytest.raises(DivergenceError, match=r"after epoch 4 .* try a smaller optimizer.lr"):
+            go("model=node gradient_clip=null", workplace / "run")
+        weights = symo_exp.load(workplace / "run").state_dict().values()
+        assert all(bool(value.isfinite().all()) for value in weights)
+        assert resumed(caplog) == ([3] if attempt else [])
+        assert len(refused(caplog)) == (attempt > 0)

@@ -1,0 +1,84 @@
+"""Commands in processes of their own, started in no time: what is slow to import is there."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+# a server that has imported everything, used nothing of it, and forks
+_context = multiprocessing.get_context("forkserver")
+_context.set_forkserver_preload(["tests.faults.imports"])
+
+
+class Command:
+    """``python -m symo_exp`` with these words in a folder, in a session of its own."""
+
+    def __init__(self, folder: Path, *words: str, env: Mapping[str, str] | None = None) -> None:
+        self.folder, self.output = folder, folder / f"output.{time.monotonic_ns()}"
+        arguments = (str(folder), str(self.output), [*words], dict(env or {}))
+        self.process = _context.Process(target=_run, args=arguments)
+        self.process.start()
+
+    @property
+    def pid(self) -> int:
+        assert self.process.pid is not None
+        return self.process.pid
+
+    def signal(self, signum: int, *, group: bool = False) -> None:
+        (os.killpg if group else os.kill)(self.pid, signum)
+
+    def kill(self) -> None:
+        """At once, with all that it started."""
+        for group in (True, False):
+            with suppress(ProcessLookupError):  # not yet a session of its own, or over
+                self.signal(signal.SIGKILL, group=group)
+        self.process.join()
+
+    def wait(self, timeout: float = 240.0) -> int:
+        """The exit code; negative for the signal that ended it."""
+        self.process.join(timeout)
+        if self.process.exitcode is None:
+            self.kill()
+            raise TimeoutError(self.said)
+        return self.process.exitcode
+
+    def wait_for(self, what: Callable[[], object], timeout: float = 120.0) -> None:
+        """Until something is there, while the command runs."""
+        end = time.monotonic() + timeout
+        while not what():
+            if time.monotonic() > end or not self.process.is_alive():
+                raise TimeoutError(self.said)
+            time.sleep(0.01)
+
+    @property
+    def said(self) -> str:
+        return self.output.read_text() if self.output.exists() else ""
+
+
+def go(folder: Path, *words: str, env: Mapping[str, str] | None = None) -> tuple[int, str]:
+    """The exit code of a command, and what it said."""
+    command = Command(folder, *words, env=env)
+    return command.wait(), command.said
+
+
+def _run(folder: str, output: str, words: list[str], env: dict[str, str]) -> None:
+    os.setsid()
+    os.chdir(folder)
+    os.environ.update(env, HOME=folder)
+    handle = os.open(output, os.O_WRONLY | os.O_CREAT)
+    os.dup2(handle, 1)
+    os.dup2(handle, 2)
+    sys.stdout = os.fdopen(1, "w", buffering=1, closefd=False)
+    sys.stderr = os.fdopen(2, "w", buffering=1, closefd=False)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # the server ignores it
+    from symo_exp.__main__ import main
+
+    code = main(words)
+    sys.stdout.flush()
+    os._exit(code)

@@ -1,0 +1,88 @@
+"""SIGINT and SIGTERM: once, the epoch is finished and all is kept; twice, it ends now."""
+
+import json
+import signal
+import time
+
+import pytest
+
+from symo_exp.tracking.store import connect, find
+from tests.faults.commands import Command, go
+from tests.faults.test_kills import WORDS, left
+
+ENDLESS = [*WORDS, "model=node", "trainer.max_epochs=100000", "trainer.compile=false"]
+
+
+def started(folder, *words):
+    """A command that is training."""
+    command = Command(folder, *ENDLESS, *words)
+    command.wait_for(lambda: [*folder.rglob("last.ckpt")])
+    return command
+
+
+def status(folder):
+    client = connect(find(None, folder / "mlruns"))
+    experiment = client.get_experiment_by_name("default")
+    (run,) = client.search_runs([experiment.experiment_id])
+    return run.info.status, run.data.tags.get("reason")
+
+
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_one_signal(signum, tmp_path):
+    command = started(tmp_path)
+    command.signal(signum)
+    assert command.wait() == 128 + signum
+    assert f"interrupted by {signum.name}" in command.said
+    assert "Traceback" not in command.said
+    assert status(tmp_path) == ("KILLED", f"Interrupted: interrupted by {signum.name}")
+    (outcome,) = tmp_path.rglob("outcome.json")
+    assert json.loads(outcome.read_text())["status"] == "interrupted"
+
+    again = Command(tmp_path, *ENDLESS)  # it goes on from there
+    again.wait_for(lambda: "going on after epoch" in again.said)
+    again.signal(signum)
+    assert again.wait() == 128 + signum
+
+
+def test_a_stopped_run_ends_like_one_that_was_not(tmp_path):
+    words = [*WORDS, "model=symo", "trainer.max_epochs=40", "trainer.compile=false"]
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "cut").mkdir()
+    assert go(tmp_path / "whole", *words)[0] == 0
+    command = Command(tmp_path / "cut", *words)
+    command.wait_for(lambda: [*tmp_path.glob("cut/**/last.ckpt")])
+    command.signal(signal.SIGINT)
+    assert command.wait() == 130
+    assert go(tmp_path / "cut", *words)[0] == 0
+    assert left(tmp_path / "cut") == left(tmp_path / "whole")
+
+
+def test_two_signals_end_it_now(tmp_path):
+    # an epoch of 8192 steps
+    words = ["model=e2e_symo", "data.n_traj=512", "data.n_train_max=512", "data.n_steps=16",
+             "data.batch_size=1"]  # fmt: skip
+    command = Command(tmp_path, *ENDLESS, *words)
+    command.wait_for(lambda: [*tmp_path.rglob("*.npz")])
+    time.sleep(3.0)
+    command.signal(signal.SIGINT)
+    time.sleep(0.5)
+    assert command.process.is_alive(), command.said
+    before = time.monotonic()
+    command.signal(signal.SIGINT)
+    assert command.wait() == 130, command.said
+    assert time.monotonic() - before < 10.0
+    assert not [*tmp_path.rglob("last.ckpt")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("signum", "group"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+def test_a_sweep_side_by_side(signum, group, tmp_path):
+    """Ctrl-C reaches all processes, SIGTERM the first one only: all of them finish their epoch."""
+    command = Command(tmp_path, *ENDLESS, "-m", "seed=0,1,2,3", "hydra/launcher=joblib",
+                      "hydra.launcher.n_jobs=2")  # fmt: skip
+    command.wait_for(lambda: len([*tmp_path.rglob("last.ckpt")]) == 2)
+    command.signal(signum, group=group)
+    assert command.wait() == 128 + signum
+    found = [json.loads(path.read_text())["status"] for path in tmp_path.rglob("outcome.json")]
+    assert found == ["interrupted", "interrupted"]
+    assert command.said.count("waiting: seed=") == 2

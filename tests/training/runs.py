@@ -1,0 +1,66 @@
+"""Runs of no time that are cut in the middle of an epoch."""
+
+import functools
+
+import pytest
+import torch
+
+from symo_exp.configuration.command import jobs_of, parse
+from symo_exp.models.base import DynamicsModel
+from symo_exp.recipe import run
+from tests.tiny import TINY
+
+EPOCHS = 6
+WORDS = [
+    *TINY, f"trainer.max_epochs={EPOCHS}", "trainer.validate_every=2", "trainer.checkpoint_every=0",
+    "pictures=false", "logger=none",
+]  # fmt: skip
+
+
+class Cut(BaseException):
+    """The power is gone."""
+
+
+@functools.cache
+def configuration(words):
+    """Composing it takes longer than the run."""
+    (job,) = jobs_of(parse([*WORDS, *words.split()])).jobs
+    return job.config
+
+
+def go(words, folder):
+    """The measures of a run, as text, so that nan is nan."""
+    done = run(configuration(words), folder, {"model": "a", "system": "b"})
+    return {name: str(value) for name, value in done.evaluation.measures.items()}
+
+
+def cut(words, folder, epoch, monkeypatch):
+    """The same, ending abruptly at the end of an epoch, before it is over."""
+    step = DynamicsModel.training_step
+
+    def last_step(model, batches, index):
+        step(model, batches, index)
+        if model.current_epoch == epoch:
+            raise Cut
+
+    with monkeypatch.context() as patch:
+        patch.setattr(DynamicsModel, "training_step", last_step)
+        with pytest.raises(Cut):
+            go(words, folder)
+
+
+def state(folder):
+    """What a training leaves."""
+    found = torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)
+    return {k: found[k] for k in ("state_dict", "optimizer_states", "lr_schedulers", "random")}
+
+
+def same(a, b):
+    """Whether two such states are equal to the last bit."""
+    if isinstance(a, torch.Tensor):
+        return torch.equal(a, b)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    return a == b
