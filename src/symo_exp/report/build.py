@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from symo_exp.report import chapter, curves, tables
+from symo_exp.report import accuracy, chapter, curves, tables
 from symo_exp.report.cells import beside_published, cells, main_variant
 from symo_exp.report.charts import Chart
 from symo_exp.report.claims import judge
@@ -54,6 +54,9 @@ def report(runs: Runs, source: str) -> Report:
         Section("ranking", "Ranking", tables=list(chapter.ranks(mine))),
         Section("claims", "The statements of the thesis",
                 tables=[chapter.claims(judge(mine))]),
+        Section("accuracy", "Beyond the thesis: accuracy",
+                tables=_unless_empty(accuracy.table(found)),
+                charts=accuracy.over_order(found, floors)),
         Section("time", "Accuracy against time", charts=curves.speed(runs.measures)),
     ]  # fmt: skip
     title = "Symplectic momentum networks: the experiments"

@@ -18,6 +18,7 @@ MEASURES = {
     "integration_mse_state": "integration MSE of the state",
     "energy_mse_fd": "energy MSE [J²], finite differences",
     "inertia_mse_aligned": "inertia MSE at the true poses",
+    "training_seconds": "training [s]",
 }
 TABLE = ("train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse")
 """The columns of the tables of chapter 6."""
