@@ -22,7 +22,7 @@ RULES = {
         {"mechanics", "systems"},
         {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow"},
     ),
-    "evaluation": ({"mechanics", "systems"}, {"torch", "jaxtyping"}),
+    "evaluation": ({"mechanics", "systems"}, {"torch", "jaxtyping", "numpy"}),
     "tracking": ({"evaluation"}, {"torch", "lightning", "mlflow", "yaml", "pyarrow", "filelock"}),
     "training": (set(), {"torch", "lightning", "numpy", "tqdm"}),
     "configuration": (set(), {"hydra", "omegaconf"}),

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
+from symo_exp import studies
 from symo_exp.configuration.command import one_line
 from symo_exp.errors import ConfigError
 from symo_exp.tracking.process import identity
@@ -45,12 +46,18 @@ def job(config: DictConfig) -> None:
         return
     try:
         with stopping.urgent(), _alone_in(folder):
-            if Outcome.read(folder).status == "finished":
+            before = Outcome.read(folder)
+            choices = dict(settings.runtime.choices)
+            if before.status == "finished":
+                if studies.missing(asked_of(config), folder):
+                    from symo_exp.recipe import study_finished
+
+                    study_finished(config, folder, choices)
                 return
             Outcome("running", process=identity()).write(folder)
             from symo_exp.recipe import run
 
-            done = run(config, folder, dict(settings.runtime.choices))
+            done = run(config, folder, choices)
             record("finished", measures=done.evaluation.measures)
     except stopping.Interrupted as error:
         record("interrupted", str(error))
@@ -62,6 +69,12 @@ def job(config: DictConfig) -> None:
         record("failed", f"{type(error).__name__}: {one_line(error)}")
         if debugging():
             raise
+
+
+def asked_of(config: DictConfig) -> studies.Settings:
+    """The settings of the studies that a job asks for."""
+    asked: studies.Settings = OmegaConf.to_container(config.study, resolve=True)  # type: ignore[assignment]
+    return asked
 
 
 def debugging() -> bool:

@@ -10,10 +10,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
+from symo_exp import studies
 from symo_exp.configuration import SWEEPS
 from symo_exp.configuration.command import Command, Job, is_run, jobs_of, parse
 from symo_exp.errors import ConfigError
 from symo_exp.handover import compose_and_run, launch
+from symo_exp.job import asked_of
 from symo_exp.tracking import memory, spool
 from symo_exp.tracking.process import is_dead
 from symo_exp.training import stopping
@@ -61,7 +63,9 @@ def execute(argv: Sequence[str]) -> int:
 
 
 def _is_finished(job: Job) -> bool:
-    return job.config.get("resume", True) and Outcome.read(job.folder).status == "finished"
+    """Whether nothing is left to do for this job, not a study either."""
+    done = job.config.get("resume", True) and Outcome.read(job.folder).status == "finished"
+    return done and not studies.missing(asked_of(job.config), job.folder)
 
 
 def _refuse_twins(command: Command) -> None:
@@ -110,6 +114,8 @@ def _clear(job: Job) -> None:
     before = Outcome.read(job.folder)
     if before.status == "running" and not is_dead(before.process):
         return  # another command may be at it
+    if before.status == "finished" and job.config.get("resume", True):
+        return  # it is only studied further
     Outcome.forget(job.folder)
     if not job.config.get("resume", True):
         from symo_exp.recipe import CHECKPOINTS

@@ -16,14 +16,17 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from symo_exp import studies
 from symo_exp.configuration.folders import digest
 from symo_exp.data.datamodule import TrajectoryData
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
+from symo_exp.evaluation.study import afresh
 from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import System
 from symo_exp.tracking import artifacts
 from symo_exp.tracking.tracker import Tracker
+from symo_exp.trained import load
 from symo_exp.training import resuming, stopping
 from symo_exp.training.outcome import one_line
 
@@ -68,12 +71,43 @@ def run(config: DictConfig, folder: Path, choices: Mapping[str, str]) -> Run:
         artifacts.write_rollouts(folder, evaluation.rollouts)
         if config.pictures:
             draw(parts, evaluation, choices["model"], name, folder / artifacts.PICTURES)
-        parts.tracker.log_measures(evaluation.measures)
+        found = study(config, folder, parts.model, parts)
+        parts.tracker.log_measures(evaluation.measures | found)
         parts.tracker.log_run_folder(folder)
     seconds = time.perf_counter() - start
     where = "; ".join(filter(None, [os.path.relpath(folder), parts.tracker.address]))
     log.info("%s: %s  (%.0f s; %s)", name, one_line(evaluation.measures), seconds, where)
     return Run(parts, evaluation)
+
+
+def study_finished(config: DictConfig, folder: Path, choices: Mapping[str, str]) -> None:
+    """The studies that a finished run lacks, with the model that it left in ``folder``."""
+    start = time.perf_counter()
+    name = f"{choices['model']} {choices['system']}"
+    parts = build(config, folder)
+    with (
+        default_dtype(config.dtype),
+        parts.tracker.run(name=name, parameters=parameters(config, choices), folder=folder),
+    ):
+        found = study(config, folder, load(folder), parts)
+        parts.tracker.log_measures(found)
+        parts.tracker.log_run_folder(folder)
+    told = "  ".join(f"{key} {value:.3g}" for key, value in found.items())
+    seconds = time.perf_counter() - start
+    log.info("%s: %s  (%.0f s; %s)", name, told, seconds, os.path.relpath(folder))
+
+
+def study(config: DictConfig, folder: Path, model: DynamicsModel, parts: Parts) -> dict[str, float]:
+    """Do the studies that are asked for and not done; their measures."""
+    asked = plain(config)["study"]
+    found: dict[str, float] = {}
+    cache = getattr(parts.data, "cache", None)  # recorded data have none
+    remember = afresh if cache is None else cache.get
+    for name in studies.missing(asked, folder):
+        finding = _make(config.study, name)(model, parts.system, remember)
+        studies.keep(name, asked[name], finding, folder)
+        found |= finding.measures
+    return found
 
 
 def train(parts: Parts, folder: Path, run: str) -> None:
@@ -126,6 +160,8 @@ def build(config: DictConfig, folder: Path) -> Parts:
             input_matrix=system.input_matrix,
             time_step=system.time_step,
         )
+    for name in config.study:
+        _make(config.study, name)
     tracker = _make(config, "logger")
     where = {"folder": folder / CHECKPOINTS, "run": digest(config)}
     trainer = _make(config, "trainer", **where, logger=tracker)
@@ -170,7 +206,9 @@ def plain(config: DictConfig) -> dict[str, Any]:
 def parameters(config: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
     """A flat table: the choice of every group and every value, each under one name."""
     groups = {g: c for g, c in choices.items() if not g.startswith("hydra/")}
-    return groups | dict(_values(config))
+    values = groups | dict(_values(config))
+    # a finished run may be studied further: its parameters are what it was trained with
+    return {name: x for name, x in values.items() if name.partition(".")[0] != "study"}
 
 
 def _values(config: DictConfig, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -200,7 +200,11 @@ class _Composer:
 
 
 def _check_choice(group: str, value: object, options: Sequence[str]) -> None:
-    if isinstance(value, list) or value in options:
+    if isinstance(value, list):
+        for one in value:
+            _check_choice(group, one, options)
+        return
+    if value in options:
         return
     value = "null" if value is None else str(value)
     meant = closest(value, options)

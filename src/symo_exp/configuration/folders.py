@@ -13,7 +13,7 @@ from typing import Any
 from omegaconf import Container, DictConfig, OmegaConf
 
 _INCIDENTAL = {
-    "": {"hydra", "experiment", "output_dir", "logger", "resume"},
+    "": {"hydra", "experiment", "output_dir", "logger", "resume", "study"},
     "data": {"cache_dir"},
     "trainer": {"progress", "checkpoint_every"},
 }

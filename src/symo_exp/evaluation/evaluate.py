@@ -63,7 +63,7 @@ def evaluate(model: Model, system: Lagrangian, data: Data) -> Evaluation:
     if not model.reads_velocity:
         results["test_newton_failed"] = failed
 
-    rollouts = _rollouts(model, system, data.integration)
+    rollouts = roll_out(model, system, data.integration)
     unforced = not data.integration.u.any()
     results |= _rollout_measures(model, system, rollouts, unforced)
     return Evaluation(results, rollouts)
@@ -84,7 +84,8 @@ def _one_step(model: Model, samples: Windows) -> tuple[float, float, float]:
     return pose, 0.5 * (pose + speed), failed
 
 
-def _rollouts(model: Model, system: Lagrangian, true: Trajectories) -> Rollouts:
+@torch.no_grad()
+def roll_out(model: Model, system: Lagrangian, true: Trajectories) -> Rollouts:
     """All trajectories at once from their node 1, the first that has a predecessor."""
     true = Trajectories(*(field.to(model.input_matrix) for field in true))
     path = model.rollout(true.q[:, 1], model.initial_velocity(_first_window(true)), true.u[:, 1:])
@@ -94,10 +95,10 @@ def _rollouts(model: Model, system: Lagrangian, true: Trajectories) -> Rollouts:
         time_step=model.time_step,
         q=path.q.cpu(),
         v=path.v.cpu(),
-        energy=_along(system.energy, path.q, path.v).cpu(),
+        energy=along(system.energy, path.q, path.v).cpu(),
         q_true=q_true.cpu(),
         v_true=v_true.cpu(),
-        energy_true=_along(system.energy, q_true, v_true).cpu(),
+        energy_true=along(system.energy, q_true, v_true).cpu(),
         converged=path.converged.cpu(),
     )
 
@@ -128,13 +129,13 @@ def _rollout_measures(
         results["integration_newton_failed"] = 1.0 - motion.converged.double().mean().item()
     if not model.reads_velocity and unforced:
         v = measures.finite_difference_velocity(motion.q, motion.time_step)
-        energy = _along(system.energy, q, v)
+        energy = along(system.energy, q, v)
         results["energy_mse_fd"] = measures.rollout_energy_mse(energy, initial).mean().item()
     if model.lagrangian is not None:
-        learned, true = model.lagrangian.mass_matrix, _along(system.mass_matrix, q_true)
+        learned, true = model.lagrangian.mass_matrix, along(system.mass_matrix, q_true)
         device = model.input_matrix.device
-        record("inertia", measures.rollout_inertia_mse(_along(learned, q.to(device)).cpu(), true))
-        aligned = _along(learned, q_true.to(device)).cpu()
+        record("inertia", measures.rollout_inertia_mse(along(learned, q.to(device)).cpu(), true))
+        aligned = along(learned, q_true.to(device)).cpu()
         results["inertia_mse_aligned"] = measures.rollout_inertia_mse(aligned, true).mean().item()
     return results
 
@@ -148,7 +149,7 @@ def _first_window(trajectories: Trajectories) -> Windows:
     )  # fmt: skip
 
 
-def _along(function: Callable[..., Tensor], *paths: Float[Tensor, "b t n"]) -> Tensor:
+def along(function: Callable[..., Tensor], *paths: Float[Tensor, "b t n"]) -> Tensor:
     """A function of batched states at every node of every trajectory."""
     batch, nodes = paths[0].shape[:2]
     rows = [torch.split(path.flatten(0, 1), CHUNK) for path in paths]

@@ -67,6 +67,11 @@ class Model(Protocol):
     def predict(self, windows: Windows) -> Prediction:
         """The pose at node ``k + 1``."""
 
+    def step(
+        self, q: Tensor, v: Tensor, u: Tensor | None = None, u_next: Tensor | None = None
+    ) -> Prediction:
+        """One time step from a state, differentiable in it."""
+
     def rollout(
         self, q0: Tensor, v0: Tensor, u: Tensor | None = None, *, steps: int | None = None
     ) -> Path:

@@ -74,7 +74,10 @@ def _made(options: argparse.Namespace) -> list[Path]:
     source = "; ".join([f"experiment {experiments}", *narrowed])
     try:
         return write(
-            report(runs, source), options.out, formats=options.formats, web=not options.no_page
+            report(runs, source, store),
+            options.out,
+            formats=options.formats,
+            web=not options.no_page,
         )
     except OSError as error:
         reason = error.strerror or error

@@ -104,7 +104,7 @@ def _panel(mine: pd.DataFrame, floors: pd.DataFrame, title: str) -> Panel:
 
 
 def _line(method: object, rows: pd.DataFrame, source: str) -> Series:
-    by_order = rows.assign(order=[order_of(name) for name in rows.integrator])
+    by_order = rows.assign(order=rows.integrator.map(order_of))
     by_order = by_order.dropna(subset="order").sort_values("order")
     names = [pair_name(str(method), name) for name in by_order.integrator]
     return Series(

@@ -8,14 +8,16 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from symo_exp.report import accuracy, chapter, curves, tables
+from symo_exp.report import accuracy, chapter, curves, motions, tables
 from symo_exp.report.cells import beside_published, cells, main_variant
 from symo_exp.report.charts import Chart
 from symo_exp.report.claims import judge
 from symo_exp.report.labels import systems_in_order
 from symo_exp.report.page import Section, page
 from symo_exp.report.runs import Runs
+from symo_exp.report.studied import studied
 from symo_exp.report.style import TRUE
+from symo_exp.tracking.store import Store
 
 
 class Report(NamedTuple):
@@ -29,8 +31,16 @@ class Report(NamedTuple):
     compared: pd.DataFrame
 
 
-def report(runs: Runs, source: str) -> Report:
-    """Everything that can be said of the runs; ``source`` says where they are from."""
+STUDIES = (
+    "test_trajectory", "long_term", "forced", "forced_fast", "learned_quantities", "drift",
+)  # fmt: skip
+
+
+def report(runs: Runs, source: str, store: Store | None = None) -> Report:
+    """Everything that can be said of the runs; ``source`` says where they are from.
+
+    ``store`` has their files; without it there are no figures of studies.
+    """
     found = cells(runs.measures)
     compared = beside_published(found)
     variant = main_variant(found)
@@ -39,6 +49,13 @@ def report(runs: Runs, source: str) -> Report:
         (runs.measures.variant == variant) & ~runs.measures.method.isin(TRUE)
         & curves.at_usual_step(runs.measures)
     ]  # fmt: skip
+    at_32 = mine[(mine.n_traj == 32) & (mine.noise_std == 0)]
+    true = runs.measures[runs.measures.method.isin(TRUE)]
+    studies = [
+        one
+        for measures, names in ((at_32, STUDIES[:-1]), (true, STUDIES[-1:]))
+        for one in (studied(store, measures, names) if store else [])
+    ]
     sections = [
         Section("state", "What has been run", _state(runs, variant), tables=[
             *chapter.progress(runs), *_unless_empty(chapter.unfinished(runs)),
@@ -49,6 +66,7 @@ def report(runs: Runs, source: str) -> Report:
         Section("sizes", "Errors over the size of the training set",
                 charts=curves.data_size(learned, floors)),
         Section("noise", "Errors over noise", charts=curves.noise(learned, floors)),
+        Section("motions", "Motions, and what was learned", charts=motions.charts(studies)),
         Section("floors", "Floors: the integrators alone",
                 tables=_unless_empty(chapter.floors(floors)), charts=curves.steps(runs.measures)),
         Section("ranking", "Ranking", tables=list(chapter.ranks(mine))),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 Source = Literal["ours", "published", "floor", "truth"]
@@ -29,6 +29,8 @@ class Series:
     hover: list[str] = field(default_factory=list)
     points: bool = False
     """Points that no line joins."""
+    lined: bool = False
+    """A line without marks at its points."""
     name: str = ""
     """What the legend says; left out, the method and the integrator."""
 
@@ -50,9 +52,17 @@ class Panel:
     y_log: bool = True
     ticks: list[float] = field(default_factory=list)
     """Where the x axis has its ticks; empty: anywhere."""
+    y_range: tuple[float, float] | None = None
+    """What a linear y axis shows; none: everything."""
+
+    def within(self, low: float, high: float) -> Panel:
+        """The same with bounds."""
+        return replace(self, y_range=(low, high))
 
     def limits(self) -> tuple[float, float] | None:
-        """Of a logarithmic y axis: one diverged method must not squeeze the others."""
+        """What the y axis shows: one diverged method must not squeeze the others."""
+        if not self.y_log:
+            return self.y_range
         values = [y for s in self.series for y in (*s.y, *s.low, *s.high)]
         values = [y for y in values if math.isfinite(y) and y > 0]
         if not values:

@@ -97,8 +97,8 @@ def figure(panel: Panel) -> dict[str, Any]:
         x_axis |= {"tickvals": panel.ticks, "ticktext": [f"{x:g}" for x in panel.ticks]}
     y_axis = _axis(panel.y_label, panel.y_log) | {"exponentformat": "power"}
     limits = panel.limits()
-    if limits and panel.y_log:
-        y_axis |= {"range": [math.log10(x) for x in limits]}
+    if limits:
+        y_axis |= {"range": [math.log10(x) for x in limits] if panel.y_log else list(limits)}
     data = [trace for series in panel.series for trace in _traces(series)]
     layout = {
         "title": {"text": panel.title, "font": {"size": 13}, "x": 0.02, "y": 0.98},
@@ -142,7 +142,7 @@ def _traces(series: Series) -> Iterable[dict[str, Any]]:
         "dash": stroke(series.integrator).web,
         "width": {"ours": 2, "floor": 1.5, "published": 1, "truth": 2.5}[series.source],
     }
-    marked = series.points or (len(series.x) < 40 and not series.level)
+    marked = series.points or not (series.lined or series.level)
     yield common | {
         "y": _plain(series.y),
         "name": name,
@@ -151,12 +151,18 @@ def _traces(series: Series) -> Iterable[dict[str, Any]]:
         "opacity": 0.75 if series.source in ("floor", "truth") else 1,
         "marker": {
             "color": colour,
-            "size": 8 if series.points or series.source == "published" else 5,
+            "size": _size(series),
             "symbol": "circle-open" if _open(series) else "circle",
         },
         "hovertemplate": f"<b>{name}</b><br>{said}<extra></extra>",
         **({"text": list(series.hover)} if series.hover else {}),
     }
+
+
+def _size(series: Series) -> int:
+    if len(series.x) > 200:
+        return 2
+    return 8 if series.points or series.source == "published" else 5
 
 
 def _open(series: Series) -> bool:

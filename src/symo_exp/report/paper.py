@@ -69,7 +69,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     limits = panel.limits()
-    if panel.y_log and limits:
+    if limits:
         axes.set_ylim(*limits)
     if panel.ticks:
         axes.set_xticks(panel.ticks, [f"{x:g}" for x in panel.ticks])
@@ -81,7 +81,8 @@ def _draw(axes: Axes, series: Series) -> None:
     style = _style(series)
     x, y = np.array(series.x, dtype=float), _finite(series.y)
     if series.points:
-        axes.plot(x, y, "o", color=style["color"], ms=4, mfc=_filling(series), mew=1.0, alpha=0.8)
+        size = 4 if len(x) < 200 else 1
+        axes.plot(x, y, "o", color=style["color"], ms=size, mfc=_filling(series), alpha=0.8)
         return
     axes.plot(x, y, **style)
     if series.low and series.low != series.high:
@@ -98,8 +99,8 @@ def _style(series: Series) -> dict[str, Any]:
     if series.source == "floor":
         return common | {"lw": 1.1, "alpha": 0.7, "marker": "" if series.level else "."}
     if series.source == "truth":
-        return {"color": TRUTH.colour, "ls": "-", "lw": 1.8, "alpha": 0.6}
-    marker = "." if len(series.x) < 40 else ""
+        return {"color": TRUTH.colour, "ls": "-", "lw": 2.4, "alpha": 0.35}
+    marker = "" if series.lined else "."
     return common | {"lw": 1.5, "marker": marker, "ms": 6}
 
 

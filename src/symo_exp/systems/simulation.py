@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,20 +58,51 @@ def simulate(
     B·2n states; tolerances divided by √B make it bound every single trajectory as its tolerances
     would. The integrator stops at every node, which therefore has no interpolation error.
     """
-    batch, n = q0.shape
     u = u.double()
     controls = u if u.dim() == 3 else u.unsqueeze(1).expand(-1, steps + 1, -1)
+    q, v = _integrate(system, q0, v0, lambda k, _: controls[:, k], steps, solver)
+    return Trajectories(q, v, controls.contiguous())
+
+
+def simulate_driven(
+    system: System,
+    q0: Float[Tensor, "batch n"],
+    v0: Float[Tensor, "batch n"],
+    drive: Callable[[float], Float[Tensor, "batch m"]],
+    steps: int,
+    solver: Solver,
+) -> Trajectories:
+    """The same under an input that is a function of time [s], the first node being at zero.
+
+    The trajectories hold its values at the nodes.
+    """
+    h = system.time_step
+    controls = torch.stack([drive(k * h).double() for k in range(steps + 1)], dim=1)
+    q, v = _integrate(system, q0, v0, lambda k, t: drive(k * h + t).double(), steps, solver)
+    return Trajectories(q, v, controls)
+
+
+def _integrate(
+    system: System,
+    q0: Tensor,
+    v0: Tensor,
+    control: Callable[[int, float], Tensor],
+    steps: int,
+    solver: Solver,
+) -> tuple[Tensor, Tensor]:
+    """Poses and velocities at the nodes; ``control`` takes a node and the time [s] since it."""
+    batch, n = q0.shape
     scale = 1 / math.sqrt(max(batch, 1))
     state = torch.cat([q0, v0], dim=1).double().flatten().numpy()
     nodes = np.empty((steps + 1, state.size))
     nodes[0] = state
     h, first_step = system.time_step, None
     for k in range(steps):
-        force = generalised_force(system.input_matrix, controls[:, k])
 
         @torch.no_grad()
-        def slope(_: float, x: np.ndarray, force: Tensor = force) -> np.ndarray:
+        def slope(t: float, x: np.ndarray, k: int = k) -> np.ndarray:
             q, v = torch.from_numpy(x).view(batch, 2 * n).split(n, dim=1)
+            force = generalised_force(system.input_matrix, control(k, t))
             return torch.cat([v, acceleration(system, q, v, force)], dim=1).view(-1).numpy()
 
         stepper = METHODS[solver.method](
@@ -95,4 +127,4 @@ def simulate(
         first_step = min(stepper.h_abs, h) if solver.warm else None
     path = torch.from_numpy(nodes).view(steps + 1, batch, 2 * n).transpose(0, 1)
     q, v = path.split(n, dim=2)
-    return Trajectories(q.contiguous(), v.contiguous(), controls.contiguous())
+    return q.contiguous(), v.contiguous()

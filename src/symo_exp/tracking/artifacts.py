@@ -24,8 +24,9 @@ CHECKPOINT = "checkpoints/last.ckpt"
 MEASURES = "metrics.json"
 ROLLOUTS = "rollouts.parquet"
 PICTURES = "pictures"
+STUDIES = "studies"
 
-NAMES = (CONFIG, CHECKPOINT, MEASURES, ROLLOUTS, PICTURES)
+NAMES = (CONFIG, CHECKPOINT, MEASURES, ROLLOUTS, PICTURES, STUDIES)
 
 
 def present(folder: Path) -> list[Path]:

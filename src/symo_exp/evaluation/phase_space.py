@@ -1,0 +1,47 @@
+"""What a motion does to the volume of phase space, which a symplectic map keeps."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.evaluation.protocols import Model
+from symo_exp.mechanics.lagrangian import Lagrangian
+
+CHUNK = 1024
+
+
+def log_volume(
+    model: Model,
+    lagrangian: Lagrangian,
+    q: Float[Tensor, "trajectories nodes n"],
+    v: Float[Tensor, "trajectories nodes n"],
+    u: Float[Tensor, "trajectories nodes m"],
+) -> Float[Tensor, "trajectories nodes"]:
+    """``log det ∂(q_k, p_k)/∂(q_0, p_0)`` along motions of the model, with its ``p = H(q) v``.
+
+    It is the logarithm of how a small volume around the start, an area for one degree of freedom,
+    has grown until node ``k``: the sum over the steps of ``log |det|`` of their derivatives.
+    """
+    place = model.input_matrix
+    rows = [x.to(place) for x in (q[:, :-1], v[:, :-1], u[:, :-1], u[:, 1:])]
+    parts = [torch.split(x.flatten(0, 1), CHUNK) for x in rows]
+    grown = torch.cat([_one_step(model, *chunk) for chunk in zip(*parts, strict=True)])
+    log_mass = torch.logdet(lagrangian.mass_matrix(q.flatten(0, 1))).view(q.shape[:2])
+    steps = grown.cpu().view(len(q), -1) + log_mass.diff(dim=1)
+    return torch.cat((torch.zeros_like(log_mass[:, :1]), steps.cumsum(1)), dim=1)
+
+
+def _one_step(model: Model, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Tensor:
+    """``log |det ∂(q', v')/∂(q, v)|`` of one step."""
+    with torch.enable_grad():
+        state = torch.cat((q, v), dim=1).requires_grad_()
+        pose, velocity = state.split(q.shape[1], dim=1)
+        step = model.step(pose, velocity, u, u_next)
+        after = torch.cat((step.q, step.v), dim=1)
+        derivatives = [
+            torch.autograd.grad(after[:, i].sum(), state, retain_graph=True)[0]
+            for i in range(after.shape[1])
+        ]
+    return torch.linalg.slogdet(torch.stack(derivatives, dim=1)).logabsdet

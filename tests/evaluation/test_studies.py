@@ -1,0 +1,185 @@
+"""Studies of models whose behaviour is known: the true systems in integrators of known kind."""
+
+import math
+
+import pytest
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.evaluation.learned import LearnedQuantities
+from symo_exp.evaluation.motion import Motion
+from symo_exp.evaluation.phase_space import log_volume
+from symo_exp.evaluation.study import starts
+from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.variational import VariationalMidpoint
+from symo_exp.models.node import NODE
+from symo_exp.models.true import TrueOde, TrueVariational
+from tests.oscillator import oscillator
+from tests.tables import systems
+
+SYSTEMS = systems()
+ROOT = Newton(tolerance=1e-12, max_iterations=50)
+
+
+def given(system, lagrangian=None, **other):
+    return {
+        "lagrangian": lagrangian or system, "coordinates": system.coordinates,
+        "input_matrix": system.input_matrix, "time_step": system.time_step, **other,
+    }  # fmt: skip
+
+
+def variational(system, integrator=None, **other):
+    integrator = integrator or VariationalMidpoint()
+    return TrueVariational(integrator=integrator, root=ROOT, **given(system, **other))
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_precise_model_follows_the_truth_under_an_input(name):
+    """An input that came half a step late would be seen: the reference knows it at every time."""
+    system = SYSTEMS[name]
+    study = Motion(name="forced", steps=20, amplitude=1.0, period=10.0, count=2)
+    finding = study(variational(system, Galerkin(stages=2)), system)
+    assert finding.measures["forced_pose_mse"] < 1e-6
+    assert finding.measures["forced_valid_steps"] == 20
+    explicit = TrueOde(integrator=DormandPrince5(), **given(system))
+    assert study(explicit, system).measures["forced_pose_mse"] < 1e-6
+    columns = finding.columns
+    assert {len(x) for x in columns.values()} == {2 * 21}
+    wave = torch.sin(0.2 * math.pi * columns["t"][:21])
+    torch.testing.assert_close(columns["u_0"][:21], wave)
+
+
+def test_without_an_input_the_energy_is_the_start_s():
+    system = SYSTEMS["pendulum"]
+    finding = Motion(name="long", steps=30)(variational(system), system)
+    energy = finding.columns["energy_true"].view(4, 31)
+    assert (energy - energy[:, :1]).abs().max() < 1e-7
+    assert finding.columns["u_0"].abs().max() == 0.0
+    assert 0 < finding.measures["long_energy_mse"] < 1e-2
+
+
+def test_without_the_truth_what_is_left_agrees():
+    system = SYSTEMS["cartpole"]
+    model = TrueOde(integrator=RK4(), **given(system))
+    alone = Motion(name="drift", steps=50, truth=False)(model, system)
+    assert set(alone.measures) == {"drift_energy_mse", "drift_volume"}
+    assert not any("true_" in name for name in alone.columns)
+    assert 0 < alone.measures["drift_energy_mse"] < 1e-8
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_variational_integrator_keeps_the_volume_of_phase_space(name):
+    system = SYSTEMS[name]
+    study = Motion(name="drift", steps=40, truth=False)
+    kept = study(variational(system), system).columns["log_volume"]
+    assert kept.abs().max() < 1e-9
+    lost = study(TrueOde(integrator=Midpoint(), **given(system)), system).columns["log_volume"]
+    assert lost.abs().max() > 1e-4
+
+
+def test_the_volume_is_the_determinant_of_the_motion():
+    """Of an oscillator under the explicit midpoint rule: 1 + (hω)⁴/4 a coordinate and step."""
+    true, h = oscillator(2), 0.3
+    model = TrueOde(
+        lagrangian=true, coordinates=Coordinates(("a", "b"), (False, False)), time_step=h,
+        input_matrix=torch.zeros(2, 1, dtype=torch.float64), integrator=Midpoint(),
+    ).double()  # fmt: skip
+    q0 = torch.tensor([[0.3, -0.1]], dtype=torch.float64)
+    path = model.rollout(q0, 2 * q0, steps=7)
+    found = log_volume(model, true, path.q, path.v, torch.zeros(1, 8, 1, dtype=torch.float64))
+    frequency = (true.stiffness / true.mass).sqrt()
+    step = torch.log(1 + (h * frequency) ** 4 / 4).sum()
+    torch.testing.assert_close(found[0], step * torch.arange(8, dtype=torch.float64))
+
+
+def test_the_inertia_counts_in_the_volume():
+    """Momenta, not velocities: the cartpole's inertia varies along the motion."""
+    system = SYSTEMS["cartpole"]
+    model = variational(system).for_evaluation()
+    q, v = starts(system, 2, 0)
+    path = model.rollout(q, v, steps=20)
+    u = torch.zeros(2, 21, 1, dtype=torch.float64)
+    assert log_volume(model, system, path.q, path.v, u).abs().max() < 1e-9
+
+    class Constant(Lagrangian):
+        def mass_matrix(self, q):
+            return torch.eye(2, dtype=q.dtype).expand(len(q), 2, 2)
+
+        def potential(self, q):
+            return q.sum(1)
+
+    assert log_volume(model, Constant(), path.q, path.v, u).abs().max() > 1e-3
+
+
+def test_starts_are_the_same_for_all_and_in_the_box():
+    system = SYSTEMS["acrobot"]
+    q, v = starts(system, 50, 3)
+    assert torch.equal(q, starts(system, 50, 3)[0])
+    assert torch.equal(q[:4], starts(system, 4, 3)[0]) or q.shape == (50, 2)
+    assert not torch.equal(q, starts(system, 50, 4)[0])
+    for values, ranges in ((q, system.sampling_box.q), (v, system.sampling_box.v)):
+        for i, (low, high) in enumerate(ranges):
+            assert low <= values[:, i].min()
+            assert values[:, i].max() <= high
+
+
+def test_the_truth_is_asked_for_once_by_all_that_it_depends_on():
+    system, recipes = SYSTEMS["pendulum"], []
+
+    def remember(name, recipe, make):
+        recipes.append(recipe)
+        return make()
+
+    study = Motion(name="a", steps=3, count=1)
+    study(variational(system), system, remember)
+    study(TrueOde(integrator=RK4(), **given(system)), system, remember)
+    assert recipes[0] == recipes[1]
+    for other in (Motion(name="b", steps=4, count=1), Motion(name="c", steps=3, count=1, seed=1),
+                  Motion(name="d", steps=3, count=1, amplitude=2.0)):  # fmt: skip
+        other(variational(system), system, remember)
+        assert recipes[-1] != recipes[0]
+
+
+def test_what_was_learned_is_held_against_the_truth():
+    system = SYSTEMS["acrobot"]
+    study = LearnedQuantities(name="learned", steps=20, count=2)
+    right = study(variational(system), system)
+    assert set(right.measures.values()) == {0.0}
+
+    class Twice(Lagrangian):
+        def mass_matrix(self, q):
+            return 2 * system.mass_matrix(q)
+
+        def potential(self, q):
+            return system.potential(q) + 5.0
+
+    wrong = study(variational(system, lagrangian=Twice()), system)
+    kinetic = right.columns["kinetic_true"]
+    assert wrong.measures["learned_kinetic_mse"] == pytest.approx(kinetic.square().mean().item())
+    assert wrong.measures["learned_potential_mse"] < 1e-20  # a constant is no error
+    mass = right.columns["inertia_11_true"]
+    torch.testing.assert_close(wrong.columns["inertia_11"], 2 * mass)
+    assert {len(x) for x in wrong.columns.values()} == {2 * 21}
+
+
+def test_a_method_without_a_lagrangian_has_learned_none():
+    system = SYSTEMS["pendulum"]
+    node = NODE(
+        width=4, integrator=RK4(), coordinates=system.coordinates,
+        input_matrix=system.input_matrix, time_step=system.time_step,
+    )  # fmt: skip
+    assert LearnedQuantities(name="learned", steps=3)(node, system).columns == {}
+    moved = Motion(name="long", steps=3, count=1)(node, system)
+    assert moved.columns["log_volume"].isfinite().all()
+
+
+@pytest.mark.parametrize(
+    "settings", [{"steps": 0}, {"count": 0}, {"period": 0.0}, {"amplitude": math.inf}]
+)
+def test_settings_that_cannot_be_are_refused(settings):
+    with pytest.raises(ConfigError, match=r"study\.x"):
+        Motion(**{"name": "x", "steps": 3, **settings})
