@@ -25,7 +25,7 @@ RULES = {
     "evaluation": ({"mechanics", "systems"}, {"torch", "jaxtyping", "numpy"}),
     "tracking": ({"evaluation"}, {"torch", "lightning", "mlflow", "yaml", "pyarrow", "filelock"}),
     "training": (set(), {"torch", "lightning", "numpy", "tqdm"}),
-    "configuration": (set(), {"hydra", "omegaconf"}),
+    "configuration": (set(), {"hydra", "omegaconf", "yaml"}),
 }
 EVERYBODYS = {"errors", "files"}
 CONFIG_HOMES = {"configuration", "launch", "handover", "job", "recipe", "trained"}

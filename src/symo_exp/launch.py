@@ -13,6 +13,7 @@ from pathlib import Path
 from symo_exp import studies
 from symo_exp.configuration import SWEEPS
 from symo_exp.configuration.command import Command, Job, is_run, jobs_of, parse
+from symo_exp.configuration.several import sweeps_of
 from symo_exp.errors import ConfigError
 from symo_exp.handover import compose_and_run, launch
 from symo_exp.job import asked_of
@@ -33,6 +34,9 @@ def execute(argv: Sequence[str]) -> int:
     What is finished already is not done again: the same command goes on where it was cut.
     """
     args = parse(argv)
+    names = sweeps_of(args) if is_run(args) else []
+    if names:
+        return _one_after_another(argv, args.config_name, names)
     # Hydra does not read overrides on both sides of an option
     argv = [*(word for word in argv if word not in args.overrides), *args.overrides]
     if args.config_dir is None:  # the sweeps that ship are names for -cn
@@ -60,6 +64,22 @@ def execute(argv: Sequence[str]) -> int:
             _do(argv, command, jobs, " ".join(args.overrides) or args.config_name or "sweep")
             return _sum_up(command, done)
     return _sum_up(command, done)
+
+
+def _one_after_another(argv: Sequence[str], name: str, sweeps: Sequence[str]) -> int:
+    """The exit code of the first that did not end well; only a signal keeps the others away."""
+    commands = [[one if word == name else word for word in argv] for one in sweeps]
+    for command in commands:  # a word that one of them cannot take is found before anything runs
+        args = parse(command)
+        args.config_dir = args.config_dir or str(SWEEPS)
+        jobs_of(args, passed=_is_finished)
+    codes = []
+    for one, command in zip(sweeps, commands, strict=True):
+        print(f"== {one}", flush=True)
+        codes.append(execute(command))
+        if stopping.requested() is not None:
+            break
+    return next((code for code in codes if code), 0)
 
 
 def _is_finished(job: Job) -> bool:
