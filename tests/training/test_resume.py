@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import zipfile
 
 import pytest
 import torch
@@ -64,9 +65,13 @@ class Pickled:
         return os.mkdir, ("harm",)
 
 
-def flipped(whole):
-    middle = len(whole) // 2
-    return whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :]
+def flip(path):
+    """One bit of the largest part of the file."""
+    with zipfile.ZipFile(path) as archive:
+        part = max((archive.read(name) for name in archive.namelist()), key=len)
+    whole = bytearray(path.read_bytes())
+    whole[whole.index(part) + len(part) // 2] ^= 1
+    path.write_bytes(whole)
 
 
 def another(path, other, monkeypatch):
@@ -100,7 +105,7 @@ def folder(example, workplace):
 DAMAGE = {
     "empty": lambda path, _: path.write_bytes(b""),
     "half": lambda path, _: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
-    "flipped": lambda path, _: path.write_bytes(flipped(path.read_bytes())),
+    "flipped": lambda path, _: flip(path),
     "text": lambda path, _: path.write_text("my diary"),
     "code": lambda path, _: torch.save(Pickled(), path),
     "other": lambda path, _: torch.save({"state_dict": {}}, path),
