@@ -41,6 +41,7 @@ def job(config: DictConfig) -> None:
             with suppress(OSError):
                 Outcome.forget(folder)
 
+    logging.raiseExceptions = debugging()  # a log that cannot be written: no traceback of that
     stopping.install()
     if stopping.requested():
         return

@@ -149,8 +149,20 @@ def test_an_unwritable_directory_is_refused(
 ) -> None:
     monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere
     with pytest.raises(ConfigError, match=r"data\.cache_dir=.*not writable"):
-        Cache(tmp_path / "new")
+        Cache(tmp_path / "new").check("x", RECIPE)
     assert not (tmp_path / "new").exists()
+
+
+def test_an_unwritable_directory_will_do_where_the_data_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = Cache(tmp_path)
+    cache.get("x", RECIPE, arrays)
+    monkeypatch.setattr("os.access", lambda *_: False)
+    cache.check("x", RECIPE)
+    assert same(cache.get("x", RECIPE, refuse))
+    with pytest.raises(ConfigError, match="not writable"):
+        cache.check("y", RECIPE)
 
 
 def slow_and_counted(folder: str, log: str, queue) -> None:

@@ -19,8 +19,15 @@ _context.set_forkserver_preload(["tests.faults.imports"])
 class Command:
     """``python -m symo_exp`` with these words in a folder, in a session of its own."""
 
-    def __init__(self, folder: Path, *words: str, env: Mapping[str, str] | None = None) -> None:
-        self.folder, self.output = folder, folder / f"output.{time.monotonic_ns()}"
+    def __init__(
+        self,
+        folder: Path,
+        *words: str,
+        env: Mapping[str, str] | None = None,
+        output: Path | None = None,
+    ) -> None:
+        self.folder = folder
+        self.output = output or folder / f"output.{time.monotonic_ns()}"
         arguments = (str(folder), str(self.output), [*words], dict(env or {}))
         self.process = _context.Process(target=_run, args=arguments)
         self.process.start()

@@ -31,13 +31,19 @@ class Cache:
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
         self.directory = Path(directory).expanduser()
-        existing = next(
-            p for p in (self.directory, *self.directory.absolute().parents) if p.exists()
-        )
-        if not existing.is_dir():
-            raise self._refusal(f"{existing} is not a directory")
-        if not os.access(existing, os.W_OK | os.X_OK):
-            raise self._refusal(f"{existing} is not writable")
+        if not self._existing.is_dir():
+            raise self._refusal(f"{self._existing} is not a directory")
+
+    def check(self, name: str, recipe: Mapping[str, Any]) -> None:
+        """Refuse a place where the arrays of ``recipe`` neither are nor could be kept."""
+        writable = os.access(self._existing, os.W_OK | os.X_OK)
+        if not writable and _read(self.path(name, recipe), recipe) is None:
+            raise self._refusal(f"{self._existing} is not writable")
+
+    @property
+    def _existing(self) -> Path:
+        folders = (self.directory, *self.directory.absolute().parents)
+        return next(folder for folder in folders if folder.exists())
 
     def path(self, name: str, recipe: Mapping[str, Any]) -> Path:
         """Where the arrays of this recipe live."""

@@ -86,6 +86,12 @@ class TrajectoryData(DataModule):
             monitor_trajectories=monitor_trajectories,
             held_out=held_out,
         )
+        if self.cache is not None:
+            self.cache.check(self._name, self.recipe())
+
+    @property
+    def _name(self) -> str:
+        return type(self.system).__name__.lower()
 
     def recipe(self) -> dict[str, Any]:
         """Everything that decides the bytes of the trajectories, as plain values."""
@@ -127,7 +133,7 @@ class TrajectoryData(DataModule):
     def _arrays(self) -> Mapping[str, np.ndarray]:
         if self.cache is None:
             return self._generate()
-        return self.cache.get(type(self.system).__name__.lower(), self.recipe(), self._generate)
+        return self.cache.get(self._name, self.recipe(), self._generate)
 
     def _generate(self) -> dict[str, np.ndarray]:
         recipe = self.recipe()

@@ -158,8 +158,10 @@ def connect(store: Store) -> MlflowClient:
 
     import logging
 
-    for name in ("mlflow.store.db.utils", "alembic"):
-        logging.getLogger(name).setLevel(logging.WARNING)
+    logging.getLogger("alembic").setLevel(logging.WARNING)
+    for name in ("mlflow.store.db.utils", "sqlalchemy.pool"):
+        # they print the tracebacks of errors that they raise as well
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
     from mlflow import MlflowClient
     from mlflow.exceptions import MlflowException

@@ -1,0 +1,106 @@
+"""Disks that are full, read-only, or not ours."""
+
+import json
+import os
+import subprocess
+from contextlib import contextmanager
+
+import pytest
+
+from tests.faults.commands import Command, go
+from tests.faults.test_kills import WORDS as KEPT
+from tests.faults.test_kills import left
+from tests.tiny import TINY
+
+WORDS = [*KEPT, "model=symo", "trainer.max_epochs=12"]
+
+
+@contextmanager
+def mounted(folder, *options):
+    folder.mkdir(exist_ok=True)
+    done = subprocess.run(["mount", *options, str(folder)], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"no file system can be mounted here: {done.stderr.strip()}")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """What the run leaves where there is room."""
+    folder = tmp_path_factory.mktemp("whole")
+    code, said = go(folder, *WORDS)
+    assert code == 0, said
+    return left(folder)
+
+
+@pytest.fixture
+def disk(tmp_path):
+    with mounted(tmp_path / "disk", "-t", "tmpfs", "-o", "size=8m", "tmpfs") as folder:
+        yield folder
+
+
+def fill(disk, free=0):
+    """Leave so many bytes; returns the file to remove."""
+    there = os.statvfs(disk)
+    filler = disk / "filler"
+    filler.write_bytes(bytes(max(there.f_bavail * there.f_frsize - free, 0)))
+    return filler
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("free", [0, 16, 64, 256, 1024, 1536, 2048, 2560])
+def test_a_disk_that_gets_full(free, disk, whole):
+    filler = fill(disk, free * 1024)
+    command = Command(disk, *WORDS, output=disk.parent / "output")
+    code = command.wait()
+    assert "Traceback" not in command.said
+    if code:
+        assert code in (1, 2)
+        assert [line for line in command.said.splitlines() if "space" in line or "full" in line]
+    for path in disk.rglob("*"):  # what is there is whole
+        if path.suffix == ".json" and path.parent.name != "cache":
+            json.loads(path.read_text())
+    filler.unlink()
+    code, said = go(disk, *WORDS)
+    assert code == 0, said
+    assert left(disk) == whole
+
+
+@pytest.mark.slow
+def test_a_disk_that_is_full_for_a_while(disk, whole):
+    words = [*WORDS, "trainer.max_epochs=600", "trainer.compile=false"]
+    command = Command(disk, *words, output=disk.parent / "output")
+    command.wait_for(lambda: [*disk.rglob("last.ckpt")])
+    filler = fill(disk)
+    code = command.wait()
+    assert code == 1, command.said
+    assert "No space left" in command.said
+    filler.unlink()
+    code, said = go(disk, *words)
+    assert code == 0, said
+    assert "going on after epoch" in said
+
+
+def test_a_cache_that_can_only_be_read(tmp_path, disk):
+    words = [*TINY, "model=node", "logger=none", "pictures=false", f"data.cache_dir={disk}"]
+    assert go(tmp_path, *words)[0] == 0
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+    assert go(tmp_path, *words, "model=symo")[0] == 0  # all it wants is there
+    code, said = go(tmp_path, *words, "seed=1")
+    assert code == 2
+    (line,) = [line for line in said.splitlines() if line.startswith("symo_exp")]
+    assert "data.cache_dir" in line
+    assert str(disk) in line
+
+
+@pytest.mark.parametrize("what", ["output_dir", "logger.directory"])
+def test_a_place_that_can_only_be_read(what, tmp_path, disk):
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+    code, said = go(tmp_path, *WORDS, f"{what}={disk}")
+    assert code == 2
+    (line,) = [line for line in said.splitlines() if line.startswith("symo_exp")]
+    assert str(disk) in line
+    assert not [*tmp_path.rglob("*.ckpt")]

@@ -1,0 +1,95 @@
+"""A store that is damaged, away, or back again: what is finished is not lost."""
+
+import shutil
+import sqlite3
+
+import pytest
+
+from symo_exp.tracking.store import connect, find
+from tests.faults.commands import Command, go
+from tests.tiny import TINY
+
+WORDS = [*TINY, "model=node", "pictures=false"]
+LONG = [*WORDS, "trainer.max_epochs=400", "trainer.compile=false", "trainer.checkpoint_every=0"]
+
+
+def one_line(code, said, *, exit_code, words):
+    assert code == exit_code, said
+    lines = [line for line in said.splitlines() if line.startswith("symo_exp")]
+    assert len(lines) == 1, said
+    assert words in lines[0]
+    assert "Traceback" not in said
+
+
+@pytest.fixture
+def store(tmp_path):
+    found = find(None, tmp_path / "mlruns")
+    connect(found)
+    return found
+
+
+@pytest.mark.parametrize("sweep", [[], ["-m", "seed=0"]], ids=["run", "sweep"])
+def test_a_store_of_a_newer_mlflow(sweep, store, tmp_path):
+    with sqlite3.connect(store.database) as database:
+        database.execute("update alembic_version set version_num = 'from_the_future'")
+    one_line(*go(tmp_path, *WORDS, *sweep), exit_code=2, words="cannot be opened")
+    assert not [*tmp_path.rglob("*.ckpt")]
+
+
+def test_a_file_that_is_no_store(tmp_path):
+    (tmp_path / "mlruns").mkdir()
+    (tmp_path / "mlruns" / "mlflow.db").write_text("my diary")
+    one_line(*go(tmp_path, *WORDS), exit_code=2, words="not an SQLite database")
+
+
+def test_a_folder_of_artifacts_that_was_deleted(store, tmp_path):
+    words = [
+        *WORDS,
+        "trainer.max_epochs=400",
+        "trainer.compile=false",
+        "trainer.checkpoint_every=0",
+    ]
+    command = Command(tmp_path, *words)
+    command.wait_for(lambda: [*tmp_path.rglob("last.ckpt")])
+    shutil.rmtree(tmp_path / "mlruns" / "artifacts", ignore_errors=True)
+    assert command.wait() == 0, command.said
+    assert [*tmp_path.glob("mlruns/artifacts/**/config.yaml")]
+
+
+def test_a_store_that_is_lost_while_a_run_trains(store, tmp_path):
+    """The run is finished all the same, and told when the store is back."""
+    words = [
+        *WORDS,
+        "trainer.max_epochs=400",
+        "trainer.compile=false",
+        "trainer.checkpoint_every=0",
+    ]
+    command = Command(tmp_path, *words)
+    command.wait_for(lambda: [*tmp_path.rglob("last.ckpt")])
+    away = store.database.with_suffix(".away")
+    store.database.rename(away)
+    store.database.mkdir()
+    assert command.wait() == 0, command.said
+    assert "is sent when the command is given again" in command.said
+    (letter,) = tmp_path.rglob("undelivered.json")
+
+    code, said = go(tmp_path, *LONG)  # still away
+    assert code == 0, said
+    assert "is sent when the command is given again" in said
+    assert letter.exists()
+
+    store.database.rmdir()
+    away.rename(store.database)
+    code, said = go(tmp_path, *LONG)
+    assert code == 0, said
+    assert not letter.exists()
+    client = connect(store)
+    (run,) = client.search_runs([client.get_experiment_by_name("default").experiment_id])
+    assert run.info.status == "FINISHED"
+    steps = [row.step for row in client.get_metric_history(run.info.run_id, "train_loss")]
+    assert steps == sorted({*range(100), *range(100, 400, 5), 399})
+    assert "test_mse" in run.data.metrics
+    assert {f.path for f in client.list_artifacts(run.info.run_id)} >= {
+        "config.yaml",
+        "checkpoints",
+    }
