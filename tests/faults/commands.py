@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import resource
 import signal
 import sys
 import time
@@ -25,10 +26,11 @@ class Command:
         *words: str,
         env: Mapping[str, str] | None = None,
         output: Path | None = None,
+        memory: int | None = None,
     ) -> None:
         self.folder = folder
         self.output = output or folder / f"output.{time.monotonic_ns()}"
-        arguments = (str(folder), str(self.output), [*words], dict(env or {}))
+        arguments = (str(folder), str(self.output), [*words], dict(env or {}), memory)
         self.process = _context.Process(target=_run, args=arguments)
         self.process.start()
 
@@ -74,8 +76,12 @@ def go(folder: Path, *words: str, env: Mapping[str, str] | None = None) -> tuple
     return command.wait(), command.said
 
 
-def _run(folder: str, output: str, words: list[str], env: dict[str, str]) -> None:
+def _run(
+    folder: str, output: str, words: list[str], env: dict[str, str], memory: int | None
+) -> None:
     os.setsid()
+    if memory is not None:
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     os.chdir(folder)
     os.environ.update(env, HOME=folder)
     handle = os.open(output, os.O_WRONLY | os.O_CREAT)

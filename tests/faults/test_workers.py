@@ -1,0 +1,109 @@
+"""Jobs side by side, of which one is killed, runs out of memory or goes astray."""
+
+import json
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from symo_exp.tracking.store import connect, find
+from tests.faults.commands import Command, go
+from tests.tiny import TINY
+
+WORDS = [
+    *TINY, "model=node", "trainer.max_epochs=300", "trainer.compile=false",
+    "trainer.checkpoint_every=0", "pictures=false",
+]  # fmt: skip
+SWEEP = ["-m", "seed=0,1,2,3", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+
+pytestmark = pytest.mark.slow
+
+
+def outcomes(folder):
+    """By seed."""
+    found = {}
+    for path in folder.rglob("outcome.json"):
+        overrides = (path.parent / ".hydra" / "overrides.yaml").read_text()
+        seed = int(overrides.partition("seed=")[2].split()[0])
+        found[seed] = json.loads(path.read_text())
+    return found
+
+
+def tracked(folder):
+    """Status and reason of each job's run, by seed."""
+    client = connect(find(None, folder / "mlruns"))
+    experiment = client.get_experiment_by_name("default")
+    runs = client.search_runs([experiment.experiment_id])
+    return {
+        int(r.data.params["seed"]): (r.info.status, r.data.tags.get("reason"))
+        for r in runs
+        if "seed" in r.data.params
+    }
+
+
+class Assassin(threading.Thread):
+    """Kills the process of one job whenever it has written a new checkpoint, so many times."""
+
+    def __init__(self, folder, seed, times):
+        super().__init__(daemon=True)
+        self.folder, self.seed, self.times, self.killed = folder, seed, times, []
+
+    def run(self):
+        end = time.monotonic() + 400
+        while len(self.killed) < self.times and time.monotonic() < end:
+            time.sleep(0.02)
+            try:
+                outcome = outcomes(self.folder).get(self.seed, {})
+            except (OSError, ValueError):
+                continue
+            pid = int(outcome.get("process", {}).get("symo_exp.pid", 0))
+            trains = [*self.folder.rglob("last.ckpt")]
+            if outcome.get("status") == "running" and trains and pid not in self.killed:
+                os.kill(pid, signal.SIGKILL)
+                self.killed.append(pid)
+
+
+def test_a_worker_is_killed_once(tmp_path):
+    assassin = Assassin(tmp_path, seed=1, times=1)
+    assassin.start()
+    code, said = go(tmp_path, *WORDS, *SWEEP)
+    assert len(assassin.killed) == 1
+    assert code == 0, said
+    assert "a worker was killed" in said
+    assert {k: o["status"] for k, o in outcomes(tmp_path).items()} == dict.fromkeys(
+        range(4), "finished"
+    )
+    assert tracked(tmp_path) == dict.fromkeys(range(4), ("FINISHED", None))
+
+
+def test_a_job_whose_process_is_killed_each_time_has_failed(tmp_path):
+    assassin = Assassin(tmp_path, seed=1, times=2)
+    assassin.start()
+    code, said = go(tmp_path, *WORDS, *SWEEP)
+    assert len(assassin.killed) == 2
+    assert code == 1, said
+    reason = "its process was killed, perhaps for want of memory"
+    assert f"failed: seed=1: {reason} (log: " in said
+    found = {k: o["status"] for k, o in outcomes(tmp_path).items()}
+    assert found == {0: "finished", 1: "failed", 2: "finished", 3: "finished"}
+    assert tracked(tmp_path)[1] == ("FAILED", reason)
+    assert go(tmp_path, *WORDS, *SWEEP)[0] == 0  # rerunning tries it again
+    assert tracked(tmp_path)[1] == ("FINISHED", None)
+
+
+@pytest.mark.parametrize("launcher", ["basic", "joblib"])
+def test_a_job_that_runs_out_of_memory_does_not_stop_the_others(launcher, tmp_path):
+    # 400 million weights in four copies are more than the process may have
+    words = [*TINY, "model=node", "pictures=false", "-m", "model.width=8,20000,9"]
+    command = Command(tmp_path, *words, f"hydra/launcher={launcher}", memory=5 * 2**30)
+    assert command.wait() == 1, command.said
+    (line,) = [line for line in command.said.splitlines() if line.startswith("failed: ")]
+    assert "model.width=20000" in line
+    assert "memory" in line
+    log = Path(line.rpartition("(log: ")[2].rstrip(")"))
+    assert "Traceback" in log.read_text()
+    found = [json.loads(p.read_text())["status"] for p in tmp_path.rglob("outcome.json")]
+    assert sorted(found) == ["failed", "finished", "finished"]
