@@ -21,6 +21,18 @@ ALLOWED = ("symo_exp", "torch", "lightning")
 _INSTANTIATE_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 
 
+PARTS = ("system", "data", "model", "trainer", "logger")
+"""What every run is made of: each of them names a class."""
+
+
+def check_parts(config: DictConfig) -> None:
+    """Every part is there, with the class that makes it."""
+    for part in PARTS:
+        node = config.get(part)
+        if not isinstance(node, DictConfig) or "_target_" not in node:
+            raise ConfigError(f"{part} names no class: its file needs a _target_")
+
+
 def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") -> None:
     """Every key and the type of every value below ``config``.
 
@@ -28,12 +40,16 @@ def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") ->
     files of the configuration (``known``) hold at the same place.
     """
     target = config.get("_target_")
+    if "_target_" in config and not isinstance(target, str):
+        raise ConfigError(f"{path}._target_={target} is no name of a class")
     parameters = None if target is None else _parameters(target, path)
     for key in map(str, config):
         name = f"{path}.{key}" if path else key
         if parameters is None:
             if known is None or not has(known, key):
                 raise unknown_key(name, siblings=[] if known is None else map(str, known))
+            if isinstance(known.get(key), bool) and not isinstance(config[key], bool):
+                raise ConfigError(f"{name}={_spell(config[key])} has to be true or false")
         elif key not in _INSTANTIATE_KEYS:
             if key not in parameters:
                 raise unknown_key(name, siblings=parameters)

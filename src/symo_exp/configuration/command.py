@@ -21,9 +21,11 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from symo_exp.configuration import CONF, folders
-from symo_exp.configuration.checks import check_nodes, closest, has, unknown_key
+from symo_exp.configuration.checks import check_nodes, check_parts, closest, has, unknown_key
+from symo_exp.configuration.places import check_places
 from symo_exp.errors import ConfigError
 
 assert folders  # registers the resolver that names the folder of a run
@@ -68,7 +70,13 @@ def jobs_of(args: argparse.Namespace, passed: Callable[[Job], bool] = lambda job
     hydra.version.setbase("1.3")
     try:
         return _Composer(args, passed).command()
-    except (HydraException, OmegaConfBaseException) as error:
+    except ConfigError:
+        raise
+    except RecursionError as error:
+        raise ConfigError("a file of the configuration refers to itself") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"a file of the configuration is no UTF-8 text: {error}") from error
+    except (HydraException, OmegaConfBaseException, YAMLError, ValueError) as error:
         raise ConfigError(one_line(error)) from error
     finally:
         GlobalHydra.instance().clear()
@@ -139,7 +147,9 @@ class _Composer:
             folder = Path(place.dir, place.get("subdir", "")).absolute()
             log = folder / f"{config.hydra.job.name}.log"
             job = Job(label, own, folder, log, overrides)
+            check_places(own, place)
             if not self.passed(job):
+                check_parts(own)
                 self._check_pairs(config)
                 check_nodes(own, self._files(parsed))
         except (ConfigError, HydraException, OmegaConfBaseException) as error:

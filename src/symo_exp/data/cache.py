@@ -31,6 +31,8 @@ class Cache:
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
         self.directory = Path(directory).expanduser()
+        if not str(directory):
+            raise self._refusal("that is no name")
         if not self._existing.is_dir():
             raise self._refusal(f"{self._existing} is not a directory")
 

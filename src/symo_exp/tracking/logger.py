@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from symo_exp.errors import ConfigError
 from symo_exp.tracking import artifacts, runs, spool
 from symo_exp.tracking.memory import recall, remember
 from symo_exp.tracking.spool import Letter
@@ -50,6 +51,12 @@ class MlflowTracker(Tracker):
     ) -> None:
         """``run_id`` continues a run; the rest is explained in ``conf/logger/mlflow.yaml``."""
         super().__init__()
+        if every_n_epochs < 1:
+            raise ConfigError(f"logger.every_n_epochs={every_n_epochs} must be at least 1")
+        if not flush_seconds >= 0.0:
+            raise ConfigError(f"logger.flush_seconds={flush_seconds} must be 0 or more seconds")
+        if not timeout > 0.0:
+            raise ConfigError(f"logger.timeout={timeout} must be above 0 seconds")
         self.store = find(tracking_uri, directory)
         self.run_id = run_id
         self._experiment = experiment

@@ -96,7 +96,7 @@ def find(tracking_uri: str | None, directory: str | Path) -> Store:
         return Store(uri, str(database.parent / "artifacts"), database)
     if scheme in ("http", "https", "databricks") or uri == "databricks":
         return Store(uri.rstrip("/"), None, None)
-    if scheme in PORTS:
+    if scheme in PORTS and len(uri) > len(f"{urlsplit(uri).scheme}://"):
         return Store(uri, str(folder / "artifacts"), None)
     known = "sqlite:///, http://, https://, " + ", ".join(f"{name}://" for name in PORTS)
     raise ConfigError(f"tracking URI {uri!r} is of no kind MLflow keeps runs in ({known}): {MEND}")
