@@ -16,7 +16,7 @@ export OMP_NUM_THREADS := 1
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-browser ui lint smoke bench bench-quick clean
+.PHONY: help install demo test test-slow test-faults test-browser ui lint smoke bench bench-quick clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -43,6 +43,9 @@ test-slow: install ## run the long proofs
 test-browser: install ## open the report's page in Chromium (apt-get install chromium chromium-driver)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	$(PY) -m pytest -m browser tests/browser
+
+test-faults: install ## kill, interrupt and starve runs in every way: the long proof that nothing is lost
+	$(PY) -m pytest -m "slow or not slow" tests/faults tests/training/test_resume.py
 
 ui: install ## open MLflow on the local store (PORT=5000)
 	@mkdir -p $(STORE)

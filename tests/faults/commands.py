@@ -49,7 +49,7 @@ class Command:
                 self.signal(signal.SIGKILL, group=group)
         self.process.join()
 
-    def wait(self, timeout: float = 240.0) -> int:
+    def wait(self, timeout: float = 500.0) -> int:
         """The exit code; negative for the signal that ended it."""
         self.process.join(timeout)
         if self.process.exitcode is None:

@@ -29,6 +29,7 @@ def crowd(folder, choices):
     assert not [*folder.rglob("*.new"), *folder.rglob(".*.npz.*")]
 
 
+@pytest.mark.slow
 def test_eight_that_differ(tmp_path):
     """They share the data, too, which one of them makes."""
     folder = tmp_path / "new"

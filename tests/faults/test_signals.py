@@ -27,7 +27,9 @@ def status(folder):
     return run.info.status, run.data.tags.get("reason")
 
 
-@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "signum", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_one_signal(signum, tmp_path):
     command = started(tmp_path)
     command.signal(signum)
@@ -44,6 +46,7 @@ def test_one_signal(signum, tmp_path):
     assert again.wait() == 128 + signum
 
 
+@pytest.mark.slow
 def test_a_stopped_run_ends_like_one_that_was_not(tmp_path):
     words = [*WORDS, "model=symo", "trainer.max_epochs=40", "trainer.compile=false"]
     (tmp_path / "whole").mkdir()
@@ -57,6 +60,7 @@ def test_a_stopped_run_ends_like_one_that_was_not(tmp_path):
     assert left(tmp_path / "cut") == left(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_two_signals_end_it_now(tmp_path):
     # an epoch of 8192 steps
     words = ["model=e2e_symo", "data.n_traj=512", "data.n_train_max=512", "data.n_steps=16",

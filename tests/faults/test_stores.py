@@ -28,7 +28,9 @@ def store(tmp_path):
     return found
 
 
-@pytest.mark.parametrize("sweep", [[], ["-m", "seed=0"]], ids=["run", "sweep"])
+@pytest.mark.parametrize(
+    "sweep", [[], pytest.param(["-m", "seed=0"], marks=pytest.mark.slow)], ids=["run", "sweep"]
+)
 def test_a_store_of_a_newer_mlflow(sweep, store, tmp_path):
     with sqlite3.connect(store.database) as database:
         database.execute("update alembic_version set version_num = 'from_the_future'")
@@ -42,6 +44,7 @@ def test_a_file_that_is_no_store(tmp_path):
     one_line(*go(tmp_path, *WORDS), exit_code=2, words="not an SQLite database")
 
 
+@pytest.mark.slow
 def test_a_folder_of_artifacts_that_was_deleted(store, tmp_path):
     words = [
         *WORDS,
@@ -56,6 +59,7 @@ def test_a_folder_of_artifacts_that_was_deleted(store, tmp_path):
     assert [*tmp_path.glob("mlruns/artifacts/**/config.yaml")]
 
 
+@pytest.mark.slow
 def test_a_store_that_is_lost_while_a_run_trains(store, tmp_path):
     """The run is finished all the same, and told when the store is back."""
     words = [
