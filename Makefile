@@ -40,12 +40,12 @@ test: install ## run the tests, but for the long proofs
 test-slow: install ## run the long proofs
 	$(PY) -m pytest -m slow
 
+test-faults: install ## kill, interrupt and starve runs in every way: the long proof that nothing is lost
+	$(PY) -m pytest -m "slow or not slow" tests/faults tests/training/test_resume.py
+
 test-browser: install ## open the report's page in Chromium (apt-get install chromium chromium-driver)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	$(PY) -m pytest -m browser tests/browser
-
-test-faults: install ## kill, interrupt and starve runs in every way: the long proof that nothing is lost
-	$(PY) -m pytest -m "slow or not slow" tests/faults tests/training/test_resume.py
 
 ui: install ## open MLflow on the local store (PORT=5000)
 	@mkdir -p $(STORE)
