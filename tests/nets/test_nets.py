@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
 from symo_exp.nets.embedding import Embedding
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
@@ -109,9 +110,24 @@ def test_embedding_lists_translations_then_cosines_then_sines():
     torch.testing.assert_close(x[0], torch.tensor(expected))
 
 
-def test_initialisation_is_that_of_the_thesis():
+@pytest.mark.parametrize("initial_inertia", [0.2, 1.0, 30.0])
+@pytest.mark.parametrize("angular", [(True,), (False, True), (True,) * 5])
+def test_training_starts_near_the_given_inertia(angular, initial_inertia):
+    learned = StructuredLagrangian(angular=angular, width=64, initial_inertia=initial_inertia)
+    q = 2.0 * torch.pi * torch.rand(200, len(angular))
+    spectrum = torch.linalg.eigvalsh(learned.mass_matrix(q) / initial_inertia)
+    assert spectrum.min() > 0.1
+    assert spectrum.max() < 10.0
+
+
+def test_an_inertia_that_is_not_positive_is_refused():
+    with pytest.raises(ConfigError, match="initial_inertia=0"):
+        StructuredLagrangian(angular=(True,), width=4, initial_inertia=0.0)
+
+
+def test_initialisation_without_it_is_that_of_the_thesis():
     """Xavier-uniform weights with the gain of tanh, 5/3; zero biases."""
-    learned = StructuredLagrangian(angular=(True, True), width=256)
+    learned = StructuredLagrangian(angular=(True, True), width=256, initial_inertia=None)
     for weight, bias in zip(learned.net.weights, learned.net.biases, strict=True):
         bound = 5 / 3 * (6 / sum(weight.shape)) ** 0.5
         assert weight.abs().max() <= bound

@@ -12,10 +12,16 @@ from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 class LNODE(OdeModel):
     """``v̇ = H⁻¹ (B u − Ḣ v + ℒ_q)`` of a learned Lagrangian (thesis section 4.3.4)."""
 
-    def __init__(self, *, width: int, depth: int = 2, **base: Any) -> None:
+    def __init__(
+        self, *, width: int, depth: int = 2, initial_inertia: float | None = 1.0, **base: Any
+    ) -> None:
         super().__init__(**base)
-        angular = self.coordinates.angular
-        self._lagrangian = StructuredLagrangian(angular=angular, width=width, depth=depth)
+        self._lagrangian = StructuredLagrangian(
+            angular=self.coordinates.angular,
+            width=width,
+            depth=depth,
+            initial_inertia=initial_inertia,
+        )
 
     @property
     def lagrangian(self) -> StructuredLagrangian:

@@ -10,6 +10,7 @@ The closed forms below are those of ``ℒ`` as a function of ``o`` and ``v``.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -57,6 +58,12 @@ class CholeskyHead(nn.Module):
     def outputs(self) -> int:
         """Number of network outputs."""
         return self.n * (self.n + 1) // 2 + 1
+
+    def outputs_of(self, diagonal: float) -> Float[Tensor, " outputs"]:
+        """The outputs of ``L = diagonal · I`` and ``V = 0``."""
+        outputs = torch.zeros(self.outputs)
+        outputs[: self.n] = math.log(math.expm1(diagonal))
+        return outputs
 
     def factor(self, outputs: Float[Tensor, "*batch outputs"]) -> Float[Tensor, "*batch n n"]:
         """``L``, lower triangular with a positive diagonal."""

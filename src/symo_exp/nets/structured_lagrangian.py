@@ -17,6 +17,7 @@ Derivatives are closed forms instead of repeated automatic differentiation. With
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import torch
@@ -24,6 +25,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, Rates
 from symo_exp.nets.affine import bias_gradient, linear, shift, weight_gradient
 from symo_exp.nets.cholesky import CholeskyHead, HeadPoint
@@ -31,17 +33,41 @@ from symo_exp.nets.embedding import Embedding, Features
 from symo_exp.nets.jet import tanh_jet_layer
 from symo_exp.nets.mlp import MLP
 
+QUIET = 0.1
+"""Weights of the last layer at the start of training, relative to Xavier's."""
+
 
 class StructuredLagrangian(nn.Module, Lagrangian):
-    """``ℒ`` of ``n`` coordinates by one network; the inertia is positive definite by design."""
+    """``ℒ`` of ``n`` coordinates by one network; the inertia is positive definite by design.
 
-    def __init__(self, *, angular: tuple[bool, ...], width: int, depth: int = 2) -> None:
+    With ``initial_inertia`` [kg, kg m²] training starts near ``H = initial_inertia · I`` and a
+    weak potential. Without it, as in the thesis, it starts where the Xavier weights of the last
+    layer happen to lead, often to a nearly singular ``H`` whose accelerations fly off.
+    """
+
+    def __init__(
+        self,
+        *,
+        angular: tuple[bool, ...],
+        width: int,
+        depth: int = 2,
+        initial_inertia: float | None = 1.0,
+    ) -> None:
         super().__init__()
+        if initial_inertia is not None and not initial_inertia > 0.0:
+            raise ConfigError(
+                f"model.initial_inertia={initial_inertia}: expected a positive number, or null"
+            )
         self.embedding = Embedding(angular=angular)
         self.head = CholeskyHead(len(angular))
         self.net = MLP(
             inputs=self.embedding.size, outputs=self.head.outputs, width=width, depth=depth
         )
+        if initial_inertia is not None:
+            last, bias = self.net.weights[-1], self.net.biases[-1]
+            with torch.no_grad():
+                last.mul_(QUIET)
+                bias.copy_(self.head.outputs_of(math.sqrt(initial_inertia)))
 
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         return self.head.mass(self.head.factor(self.net(self.embedding(q).x)))
