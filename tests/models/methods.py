@@ -51,6 +51,8 @@ def make(method: str, integrator: str, n: int, **overrides: Any) -> Any:
     }
     if issubclass(cls, VariationalModel):
         arguments["root"] = Newton(tolerance=1e-12, max_iterations=50)
+    if "initial_inertia" in OmegaConf.load(CONF / "model" / f"{method}.yaml"):
+        arguments["initial_inertia"] = None  # large weights: derivatives that can be told from zero
     model = cls(**{**arguments, **overrides}).double()
     if model.lagrangian is not None:
         with torch.no_grad():
