@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import importlib
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import lightning
 import numpy as np
 import torch
 
 from benchmarks.cases import Case, Layer, system_windows
 from benchmarks.cases import Windows as SharedWindows
+from symo_exp.data.base import Once
 from symo_exp.mechanics.explicit import RK4, Midpoint
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
@@ -130,31 +132,27 @@ class Project:
             return int(self.model.predict(batch).iterations.max())
 
 
-class _Epochs:
-    """A "loader" with one item an epoch, the list of its mini batches (as `TrajectoryData`)."""
+class _Samples(lightning.LightningDataModule):
+    """Samples in memory, an item an epoch, as the project's own data."""
 
     def __init__(self, windows: Windows, batch: int):
+        super().__init__()
         self.windows, self.batch = windows, batch
 
-    def __len__(self) -> int:
-        return 1
-
-    def __iter__(self) -> Iterator[list[Windows]]:
+    def batches(self) -> list[Windows]:
         mixed = self.windows.rows(torch.randperm(len(self.windows.q)))
-        yield [mixed[i : i + self.batch] for i in range(0, len(mixed.q), self.batch)]
+        return [mixed.rows(slice(i, i + self.batch)) for i in range(0, len(mixed.q), self.batch)]
 
+    def train_dataloader(self) -> Once[list[Windows]]:
+        return Once(self.batches)
 
-class _Once:
-    """A "loader" with one item."""
+    def val_dataloader(self) -> Once[Windows]:
+        return Once(lambda: self.windows.rows(slice(512)))
 
-    def __init__(self, item: Windows):
-        self.item = item
-
-    def __len__(self) -> int:
-        return 1
-
-    def __iter__(self) -> Iterator[Windows]:
-        yield self.item
+    def transfer_batch_to_device(
+        self, batch: Any, device: torch.device, dataloader_idx: int
+    ) -> Any:
+        return batch
 
 
 def fit_call(
@@ -165,7 +163,7 @@ def fit_call(
     The learning rate is 0, so that both see the same weights throughout.
     """
     windows = Windows(*system_windows(case.name, 8 * batch).to(torch.float32))
-    validation = windows.rows(slice(512))
+    samples = _Samples(windows, batch)
     bare = Project(method, case, layers, lr=0.0)
 
     def fit() -> None:
@@ -188,11 +186,11 @@ def fit_call(
                 compile=False,
                 folder=Path(folder),
             )
-            trainer.fit(model, _Epochs(windows, batch), _Once(validation))
+            trainer.fit(model, samples)
 
     def steps() -> None:
         for _ in range(epochs):
-            for part in next(iter(_Epochs(windows, batch))):
+            for part in samples.batches():
                 bare.train_step(part)
 
     return fit, steps, 8 * epochs

@@ -7,7 +7,7 @@ import torch
 from benchmarks.baseline_autograd import CLASSES, LNODE, E2ESyMo, SyMo
 from benchmarks.cases import CASES, METHODS, calm_weights, chain, random_windows
 from benchmarks.contenders import Autograd, Jax, jax_is_installed
-from benchmarks.project import Project
+from benchmarks.project import Project, fit_call
 
 SMALL = [chain(1, 12), chain(2, 12), chain(3, 12)]
 EXACT = {"node": {"adjoint": False}, "l_node": {"adjoint": False}}
@@ -181,3 +181,12 @@ def test_project_computes_the_same_numbers(method, case):
 
 def test_every_method_has_a_baseline():
     assert set(CLASSES) == set(METHODS)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_whole_fit_takes_the_steps_that_it_is_compared_with(method):
+    case = CASES["pendulum"]
+    fit, bare, steps = fit_call(method, case, calm_weights(case, method), batch=8, epochs=2)
+    fit()
+    bare()
+    assert steps == 16

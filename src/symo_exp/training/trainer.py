@@ -81,8 +81,9 @@ def make_trainer(
 
 
 def _silence() -> None:
-    """Advice of Lightning that does not apply to data in memory and one item an epoch."""
+    """Advice of Lightning that does not apply: to data in memory, an item an epoch, one process."""
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    for message in ("does not have many workers", "number of training batches", "LeafSpec"):
+    advice = ("does not have many workers", "number of training batches", "LeafSpec", "`srun`")
+    for message in advice:
         warnings.filterwarnings("ignore", message=f".*{message}.*")
