@@ -10,13 +10,14 @@ BIN := $(VENV)/bin
 PY := $(BIN)/python
 INSTALLED := $(VENV)/.installed
 STORE := $(CURDIR)/mlruns
+SLURM := munged slurmctld slurmd sbatch
 
 # One thread a process: at these sizes more threads only get in each other's way.
 export OMP_NUM_THREADS := 1
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-faults test-browser ui lint smoke bench bench-quick clean
+.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server ui server lint audit smoke bench bench-quick clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -47,6 +48,16 @@ test-browser: install ## open the report's page in Chromium (apt-get install chr
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	$(PY) -m pytest -m browser tests/browser
 
+test-slurm: install ## send sweeps through a SLURM of one node (root; Debian's packages)
+	@which $(SLURM) >/dev/null || [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null || \
+		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends slurmctld slurmd slurm-client munge; }
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[cluster]'
+	$(PY) -m pytest -m slurm tests/clusters
+
+test-server: install ## eight jobs at once through MLflow to PostgreSQL (apt-get install postgresql)
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[server]'
+	$(PY) -m pytest -m server tests/clusters
+
 ui: install ## open MLflow on the local store (PORT=5000)
 	@mkdir -p $(STORE)
 	MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow server --workers 1 \
@@ -54,10 +65,18 @@ ui: install ## open MLflow on the local store (PORT=5000)
 		--backend-store-uri sqlite:///$(STORE)/mlflow.db \
 		--default-artifact-root $(STORE)/artifacts
 
+server: install ## start PostgreSQL and MLflow on it, for many writers (PORT=5000)
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[server]'
+	$(PY) -m symo_exp.tracking.server $(STORE)/server --port $(PORT)
+
 lint: install ## check style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+audit: install ## look up known vulnerabilities of the versions in constraints.txt, on the internet
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[audit]'
+	$(BIN)/pip-audit --strict --no-deps --disable-pip --requirement constraints.txt
 
 smoke: install ## a sweep of a few epochs: does everything run?
 	$(PY) -m symo_exp -cn smoke

@@ -27,8 +27,8 @@ RULES = {
     "training": (set(), {"torch", "lightning", "numpy", "tqdm"}),
     "configuration": (set(), {"hydra", "omegaconf", "yaml"}),
 }
-EVERYBODYS = {"errors", "files"}
-CONFIG_HOMES = {"configuration", "launch", "handover", "job", "recipe", "trained"}
+EVERYBODYS = {"errors", "files", "slurm"}
+CONFIG_HOMES = {"configuration", "launch", "handover", "submitted", "job", "recipe", "trained"}
 """Where objects of Hydra and OmegaConf may be seen; `trained` builds a model from its file."""
 
 

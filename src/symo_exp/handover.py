@@ -20,6 +20,7 @@ from symo_exp.configuration import CONF
 from symo_exp.configuration.command import Job, one_line
 from symo_exp.errors import ConfigError
 from symo_exp.job import debugging, job
+from symo_exp.submitted import waiting_for_all
 from symo_exp.training import stopping
 from symo_exp.training.outcome import Outcome
 
@@ -55,7 +56,7 @@ def launch(argv: Sequence[str], jobs: Sequence[Job], *, multirun: bool) -> None:
 def _attempt(argv: Sequence[str], jobs: Sequence[Job], multirun: bool) -> bool:
     """Whether the launcher worked to its end, well or not; else a process of it was killed."""
     try:
-        with _only(jobs) if multirun else nullcontext():
+        with _only(jobs) if multirun else nullcontext(), waiting_for_all():
             compose_and_run(argv)
     except BrokenExecutor:
         if debugging():

@@ -61,7 +61,14 @@ def job(config: DictConfig) -> None:
             done = run(config, folder, choices)
             record("finished", measures=done.evaluation.measures)
     except stopping.Interrupted as error:
-        record("interrupted", str(error))
+        if error.signum == stopping.TIME_IS_UP:
+            record("waiting", "its time was up; it is queued again")
+            try:
+                stopping.make_way()
+            except Exception as refused:
+                record("interrupted", f"its time was up: {one_line(refused)}")
+        else:
+            record("interrupted", str(error))
     except ConfigError as error:
         log.debug("refused", exc_info=True)
         record("refused", one_line(error))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import os
 import shutil
@@ -9,6 +10,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+
+from omegaconf import DictConfig
 
 from symo_exp import studies
 from symo_exp.configuration import SWEEPS
@@ -50,7 +53,7 @@ def execute(argv: Sequence[str]) -> int:
     finished = [job for job in command.jobs if _is_finished(job)]
     there = {job.folder for job in finished}
     jobs = [job for job in command.jobs if job.folder not in there]
-    check(jobs, labelled=command.multirun)
+    check(jobs, labelled=command.multirun, elsewhere=command.elsewhere)
     for job in jobs:
         _clear(job)
     for job in finished:
@@ -96,8 +99,11 @@ def _refuse_twins(command: Command) -> None:
         folders[job.folder] = job.label
 
 
-def check(jobs: Sequence[Job], *, labelled: bool) -> None:
-    """Build all that every job names, so that nothing is found wrong when others have run."""
+def check(jobs: Sequence[Job], *, labelled: bool, elsewhere: bool = False) -> None:
+    """Build all that every job names, so that nothing is found wrong when others have run.
+
+    What the jobs need ``elsewhere``, a graphics processor, is not asked for on this machine.
+    """
     if not jobs:
         return  # without the seconds of the import
     from symo_exp.recipe import build
@@ -106,12 +112,18 @@ def check(jobs: Sequence[Job], *, labelled: bool) -> None:
     for job in jobs:
         try:
             _check_folder(job.folder)
-            parts = build(job.config, job.folder)
+            parts = build(_as_here(job.config) if elsewhere else job.config, job.folder)
             if job.config.logger not in stores:
                 parts.tracker.check()
                 stores.append(job.config.logger)
         except ConfigError as error:
             raise ConfigError(f"{job.label}: {error}" if labelled else str(error)) from error
+
+
+def _as_here(config: DictConfig) -> DictConfig:
+    here = copy.deepcopy(config)
+    here.trainer.accelerator = "cpu"
+    return here
 
 
 def _check_folder(folder: Path) -> None:

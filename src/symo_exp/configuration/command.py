@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import copy
 import functools
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -42,8 +43,11 @@ class Job(NamedTuple):
 
 
 class Command(NamedTuple):
+    """``elsewhere``: other machines than this one do the jobs."""
+
     jobs: list[Job]
     multirun: bool
+    elsewhere: bool = False
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -106,11 +110,12 @@ class _Composer:
             if sweeps:
                 raise ConfigError(f"{sweeps[0]} is a sweep: add -m (--multirun) to run it")
             return Command([self._job(given, 0, "the run", "")], multirun=False)
+        elsewhere = _check_launcher(master)
         sweeper = master.hydra.sweeper
         if not str(sweeper.get("_target_", "")).endswith(".BasicSweeper"):
             # what another sweeper will choose is not known: check at least what is fixed
             fixed = [o for o in given if o not in sweeps]
-            return Command([self._job(fixed, 0, "the sweep", "")], multirun=True)
+            return Command([self._job(fixed, 0, "the sweep", "")], True, elsewhere)
         params = [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
         kept = [str(o.input_line) for o in own]
         combinations = self._expand(params + [o for o in given if o not in kept])
@@ -120,7 +125,7 @@ class _Composer:
             self._job(kept + combination, number, label, "sweep")._replace(overrides=combination)
             for number, (combination, label) in enumerate(zip(combinations, labels, strict=True))
         ]
-        return Command(jobs, multirun=True)
+        return Command(jobs, True, elsewhere)
 
     def _parse(self, overrides: Sequence[str]) -> list[Override]:
         for override in overrides:
@@ -170,7 +175,9 @@ class _Composer:
         """The configuration with the choices of files made, and no single value changed."""
         choices = [o for o in overrides if self._options(o.key_or_group)]
         for choice in choices:
-            _check_choice(choice.key_or_group, choice.value(), self._options(choice.key_or_group))
+            options = self._options(choice.key_or_group)
+            _check_choice(choice.key_or_group, choice.value(), options)
+            _check_installed(choice.key_or_group, choice.value(), options)
         return self._compose(tuple(str(o.input_line) for o in choices))
 
     @functools.cache  # noqa: B019 - it lives as long as the command is checked
@@ -209,6 +216,15 @@ class _Composer:
                 )
 
 
+def _check_launcher(config: DictConfig) -> bool:
+    """Whether the launcher has other machines do the jobs; refuse it where it cannot."""
+    elsewhere = str(config.hydra.launcher._target_).endswith(".SlurmLauncher")
+    if elsewhere and shutil.which("sbatch") is None:
+        name = config.hydra.runtime.choices["hydra/launcher"]
+        raise ConfigError(f"hydra/launcher={name}: there is no SLURM here (no command sbatch)")
+    return elsewhere
+
+
 def _check_choice(group: str, value: object, options: Sequence[str]) -> None:
     if isinstance(value, list):
         for one in value:
@@ -220,6 +236,13 @@ def _check_choice(group: str, value: object, options: Sequence[str]) -> None:
     meant = closest(value, options)
     hint = f"; did you mean {meant[0]}?" if meant else ""
     raise ConfigError(f"{group}={value} is not a choice; possible: {', '.join(options)}{hint}")
+
+
+def _check_installed(group: str, value: object, options: Sequence[str]) -> None:
+    """Refuse our presets of a launcher that is an extra."""
+    ours = group == "hydra/launcher" and str(value).startswith("submitit_")
+    if ours and "submitit_slurm" not in options:
+        raise ConfigError(f"{group}={value} needs submitit: pip install 'symo_exp[cluster]'")
 
 
 def _check_key(name: str, known: DictConfig, groups: Sequence[str]) -> None:

@@ -1,7 +1,8 @@
 """Which process a run belongs to, and whether that process still lives.
 
 A process that is killed leaves its run RUNNING for ever. The run's tags name the process, so that
-the next start can tell. A process id alone would not do: ids are used again.
+the next start can tell. A process id alone would not do: ids are used again. On a cluster the
+process may live on another machine: there the queue is asked.
 """
 
 from __future__ import annotations
@@ -10,20 +11,27 @@ import os
 import socket
 from pathlib import Path
 
+from symo_exp import slurm
+
 HOST, PID, STARTED = "symo_exp.host", "symo_exp.pid", "symo_exp.process_started"
+SLURM_JOB = "symo_exp.slurm_job"
 
 
 def identity(pid: int | None = None) -> dict[str, str]:
     """Tags that name a process (this one by default) on this machine."""
     pid = os.getpid() if pid is None else pid
-    return {HOST: socket.gethostname(), PID: str(pid), STARTED: _started(pid)}
+    tags = {HOST: socket.gethostname(), PID: str(pid), STARTED: _started(pid)}
+    job = slurm.own_job()
+    return tags | ({SLURM_JOB: job} if job else {})
 
 
 def is_dead(tags: dict[str, str]) -> bool:
     """Whether the process named by ``tags`` is known to have ended.
 
-    False where it cannot be known: another machine, another container, no tags.
+    False where it cannot be known: another machine outside of SLURM, another container, no tags.
     """
+    if tags.get(HOST) != socket.gethostname() and SLURM_JOB in tags:
+        return slurm.has_left(tags[SLURM_JOB])
     if tags.get(HOST) != socket.gethostname() or not tags.get(PID, "").isdigit():
         return False
     pid, started = int(tags[PID]), tags.get(STARTED, "")

@@ -2,6 +2,9 @@
 
 The command that started the jobs tells them through a file, since a signal reaches one process
 only, or all of a terminal's at different moments.
+
+A cluster tells a job by SIGUSR2 that its time is nearly up. This is obeyed like the others, and
+then the launcher that listens for it has its turn: it puts the job back into the queue.
 """
 
 from __future__ import annotations
@@ -11,17 +14,19 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+TIME_IS_UP = signal.SIGUSR2
 FOLDER = "SYMO_EXP_COMMAND"
 """Environment variable: a folder that the processes of one command share."""
 
 _noted: int | None = None
 _urgent = False
+_requeue: Callable[[int, Any], Any] | None = None
 
 
 class Interrupted(BaseException):
@@ -75,12 +80,27 @@ def install() -> None:
 
     They stay: between two jobs a signal must not end a worker whose neighbours finish an epoch.
     """
-    global _noted
+    global _noted, _requeue
+    if os.environ.get("SUBMITIT_EXECUTOR") == "slurm":
+        os.environ.pop(FOLDER, None)  # who cancels one job of a cluster means that one
     if not os.path.isdir(os.environ.get(FOLDER, "")):
         _noted = None  # what was noted was for a command that has ended
     if _in_main_thread():
         for signum in SIGNALS:
             signal.signal(signum, _handle)
+        launchers = signal.getsignal(TIME_IS_UP)
+        if callable(launchers) and launchers is not _handle:
+            _requeue = launchers
+            signal.signal(TIME_IS_UP, _handle)
+
+
+def make_way() -> None:
+    """Have the launcher queue this job again, which ends the process; raises what keeps it from
+    that, as when the job was queued too often."""
+    if _requeue is not None:
+        for signum in SIGNALS:  # the cluster sends them to what leaves the node
+            signal.signal(signum, signal.SIG_IGN)
+        _requeue(TIME_IS_UP, None)
 
 
 @contextmanager
@@ -101,7 +121,8 @@ def _handle(signum: int, frame: Any) -> None:
     global _noted
     second = _noted is not None
     _noted = signum
-    _tell(signum)
+    if signum != TIME_IS_UP:
+        _tell(signum)
     if second or _urgent:
         raise Interrupted(signum)
 

@@ -10,6 +10,7 @@ from typing import Literal
 import lightning
 import torch
 from lightning.pytorch.loggers import Logger
+from lightning.pytorch.plugins.environments import LightningEnvironment
 
 from symo_exp.errors import ConfigError
 from symo_exp.training.allocator import keep_freed_memory
@@ -72,7 +73,9 @@ def make_trainer(
         inference_mode=False,  # a Lagrangian is differentiated in validation, too
         logger=logger or False,
         callbacks=callbacks,
-        plugins=[WholeFiles()],
+        # on a cluster, too, a run is one process: Lightning's own ways of queueing it again and
+        # of choosing a checkpoint would get in the way of ours
+        plugins=[WholeFiles(), LightningEnvironment()],
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,

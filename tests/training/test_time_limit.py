@@ -1,0 +1,81 @@
+"""A cluster tells a job by a signal that its time is nearly up: it saves and makes way."""
+
+import json
+import os
+import signal
+
+import pytest
+
+from symo_exp.__main__ import main
+from symo_exp.models.base import DynamicsModel
+from symo_exp.training import stopping
+from tests.training.runs import WORDS, same, state
+
+COMMAND = [*WORDS, "model=symo", "trainer.compile=false"]
+
+
+class Requeued(BaseException):
+    """The launcher has ended the process."""
+
+
+@pytest.fixture(autouse=True)
+def _signals(monkeypatch):
+    monkeypatch.setattr(stopping, "_requeue", None)
+    kept = {signum: signal.getsignal(signum) for signum in (*stopping.SIGNALS, signal.SIGUSR2)}
+    yield
+    for signum, handler in kept.items():
+        signal.signal(signum, handler)
+
+
+def tell_in_epoch(epoch, monkeypatch):
+    """Send the signal in the middle of an epoch."""
+    step = DynamicsModel.training_step
+
+    def told(model, batches, index):
+        if model.current_epoch == epoch:
+            os.kill(os.getpid(), signal.SIGUSR2)
+        return step(model, batches, index)
+
+    monkeypatch.setattr(DynamicsModel, "training_step", told)
+
+
+def left(folder):
+    (run,) = folder.glob("outputs/default/*")
+    return run, json.loads((run / "outcome.json").read_text())
+
+
+def test_it_saves_before_the_launcher_has_its_turn(workplace, monkeypatch):
+    saved = []
+
+    def launchers(signum, frame):
+        saved.append(state(left(workplace)[0])["state_dict"])
+        raise Requeued
+
+    signal.signal(signal.SIGUSR2, launchers)
+    with monkeypatch.context() as patch:
+        tell_in_epoch(2, patch)
+        with pytest.raises(Requeued):
+            main(COMMAND)
+    assert len(saved) == 1
+    assert left(workplace)[1]["status"] == "waiting"
+    assert main(COMMAND) == 0
+    cut = state(left(workplace)[0])
+    assert main([*COMMAND, "resume=false"]) == 0
+    assert same(cut, state(left(workplace)[0]))
+
+
+def test_a_job_that_may_not_be_queued_again_says_why(workplace, monkeypatch, capsys):
+    def launchers(signum, frame):
+        raise RuntimeError("timed out too many times")
+
+    signal.signal(signal.SIGUSR2, launchers)
+    tell_in_epoch(2, monkeypatch)
+    assert main(COMMAND) == 128 + signal.SIGUSR2
+    assert "timed out too many times" in capsys.readouterr().err
+    assert left(workplace)[1]["status"] == "interrupted"
+
+
+def test_nothing_of_it_where_no_launcher_listens(workplace):
+    assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL
+    assert main(COMMAND) == 0
+    assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL
