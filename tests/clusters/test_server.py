@@ -1,0 +1,91 @@
+"""Many writers: eight runs at once, logged by an MLflow server to PostgreSQL."""
+
+import importlib.util
+import json
+import os
+import urllib.request
+
+import pytest
+
+from symo_exp.errors import ConfigError
+from symo_exp.tracking.server import Server, _free_port
+from symo_exp.tracking.store import connect, find
+from tests.faults.commands import Command, go
+from tests.tiny import TINY
+
+pytestmark = pytest.mark.server
+
+EPOCHS = 1500
+WORDS = [
+    *TINY, "model=node", f"trainer.max_epochs={EPOCHS}", "trainer.validate_every=20",
+    "trainer.compile=false", "pictures=false", "logger.flush_seconds=0.5",
+]  # fmt: skip
+
+
+@pytest.fixture
+def server(tmp_path_factory):
+    if importlib.util.find_spec("psycopg2") is None:
+        pytest.skip("psycopg2 is not installed: pip install 'symo_exp[server]'")
+    folder = tmp_path_factory.mktemp("server")
+    for path in (folder, *folder.parents[:2]):
+        os.chmod(path, 0o755)  # the user of PostgreSQL has to get there
+    there = Server(folder, host="127.0.0.1", port=_free_port(), workers=1)
+    try:
+        there.start()
+    except ConfigError as error:
+        if "PostgreSQL" in str(error):
+            pytest.skip(str(error))
+        raise
+    yield there
+    there.stop()
+
+
+def series(client, run):
+    """Steps of each series, as often as they were told."""
+    names = client.get_run(run).data.metrics
+    return {name: sorted(m.step for m in client.get_metric_history(run, name)) for name in names}
+
+
+def test_eight_jobs_and_a_restart(server, tmp_path):
+    """No value is lost, none is there twice, and every run is closed."""
+    words = [*WORDS, f"logger.tracking_uri={server.address}", "data.seed=0"]
+    commands = [Command(tmp_path, *words, f"seed={seed}") for seed in range(8)]
+    client = connect(find(server.address, tmp_path))
+
+    def told():
+        found = client.get_experiment_by_name("default")
+        runs = client.search_runs([found.experiment_id]) if found else []
+        return [run for run in runs if "train_loss" in run.data.metrics]
+
+    commands[0].wait_for(lambda: len(told()) == 8, timeout=300.0)
+    server.stop()
+    alive = sum(command.process.is_alive() for command in commands)
+    assert alive == 8
+    server.start()
+    for command in commands:
+        assert command.wait() == 0, command.said
+    for seed in range(8):  # what a run could not tell when it ended, it tells now
+        code, said = go(tmp_path, *words, f"seed={seed}")
+        assert code == 0, said
+        assert "finished already" in said
+    assert not [*tmp_path.rglob("undelivered.json")]
+
+    assert len(client.search_runs([client.get_experiment_by_name("default").experiment_id])) == 8
+    kept = [*range(100), *range(100, EPOCHS, 5), EPOCHS - 1]
+    for path in tmp_path.rglob("tracking.json"):
+        run = json.loads(path.read_text())["run_id"]
+        assert client.get_run(run).info.status == "FINISHED"
+        found = series(client, run)
+        assert found["train_loss"] == kept
+        assert all(len(steps) == len(set(steps)) for steps in found.values())
+        assert {f.path for f in client.list_artifacts(run)} >= {"config.yaml", "checkpoints"}
+
+
+def test_what_was_told_is_there_after_a_restart(server):
+    client = connect(find(server.address, "."))
+    experiment = client.create_experiment("one")
+    server.stop()
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(f"{server.address}/health")
+    server.start()
+    assert client.get_experiment(experiment).name == "one"
