@@ -25,6 +25,7 @@ from benchmarks.cases import CASES, METHODS, Case, calm_weights, chain, random_w
 from benchmarks.project import Project
 from benchmarks.tables import NAMES
 from benchmarks.timing import interleaved
+from symo_exp.report.style import METHODS as METHOD_LOOKS
 
 Point = tuple[int, Case, int]
 """(the abscissa, the case, the batch)."""
@@ -113,6 +114,7 @@ def draw(rows: list[dict[str, object]], path: Path) -> None:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.ticker import NullLocator, ScalarFormatter
 
     names = {"batch": "batch [rows]", "width": "hidden width", "coordinates": "coordinates n"}
     figure, panels = plt.subplots(1, len(names), figsize=(12, 4), sharey=True, layout="tight")
@@ -124,9 +126,13 @@ def draw(rows: list[dict[str, object]], path: Path) -> None:
                 [r["x"] for r in series],
                 [r["ms"] for r in series],
                 "o-",
+                color=METHOD_LOOKS[method].colour,
                 label=f"{NAMES[method]}, $x^{{{power:.2f}}}$",
             )
         panel.set_xlabel(label)
+        panel.set_xticks([r["x"] for r in series])
+        panel.xaxis.set_major_formatter(ScalarFormatter())
+        panel.xaxis.set_minor_locator(NullLocator())
         panel.legend(fontsize="small")
         panel.grid(alpha=0.3, which="both")
     panels[0].set_ylabel("optimiser step [ms]")
