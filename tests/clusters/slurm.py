@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import getpass
 import os
 import shutil
 import socket
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
@@ -119,6 +120,7 @@ def cluster(folder: Path) -> Iterator[Cluster]:
         _until(lambda: "idle" in there.ask("sinfo", "--noheader", "--format=%T"), daemons, folder)
         yield there
     finally:
+        _clear(there)  # slurmd leaves alone what runs
         for process in reversed(daemons):
             process.terminate()
         for process in reversed(daemons):
@@ -126,6 +128,14 @@ def cluster(folder: Path) -> Iterator[Cluster]:
                 process.wait(20)
             except subprocess.TimeoutExpired:
                 process.kill()
+
+
+def _clear(there: Cluster) -> None:
+    with suppress(subprocess.SubprocessError):
+        there.ask("scancel", f"--user={getpass.getuser()}")
+        end = time.monotonic() + 60.0
+        while there.queue() and time.monotonic() < end:
+            time.sleep(0.5)
 
 
 def _start(words: list[str], there: Cluster) -> subprocess.Popen[bytes]:

@@ -34,8 +34,8 @@ def slurm(tmp_path_factory):
 def runs(folder):
     """What each run of the sweep left in its folder, by its number of epochs and its seed."""
     found = {}
-    for path in folder.glob("outputs/sweep/*/.hydra/config.yaml"):
-        run = path.parent.parent
+    for path in folder.glob("outputs/sweep/*/outcome.json"):
+        run = path.parent
         outcome = json.loads((run / "outcome.json").read_text())
         overrides = (run / ".hydra" / "overrides.yaml").read_text()
         value = {
@@ -98,13 +98,13 @@ def test_a_time_limit(slurm, tmp_path):
 
     limited = []
     for length in (long, long + 1):
-        command.wait_for(lambda length=length: process(length), timeout=900.0)
+        command.wait_for(lambda length=length: process(length), timeout=1500.0)
         limited.append(process(length)["symo_exp.slurm_job"].partition("/")[2])
         slurm.limit(limited[-1], minutes=slurm.minutes(limited[-1]) + 2)
-    command.wait_for(lambda: min(map(slurm.restarts, limited)) >= 1, timeout=300.0)
+    command.wait_for(lambda: min(map(slurm.restarts, limited)) >= 1, timeout=600.0)
     for job in limited:
         slurm.limit(job, minutes=240)
-    code = command.wait(timeout=900.0)
+    code = command.wait(timeout=1500.0)
     assert code == 0, command.said
     found = runs(sweep)
     assert sorted(n for n, _ in found) == epochs

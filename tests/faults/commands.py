@@ -8,13 +8,31 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
+
+import pytest
 
 # a server that has imported everything, used nothing of it, and forks
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(["tests.faults.imports"])
+
+PATIENCE = 600.0
+"""Seconds until what does not end is taken to hang. A busy machine needs some for the imports."""
+
+_started: list[Command] = []
+
+
+@pytest.fixture(autouse=True)
+def nothing_goes_on() -> Iterator[None]:
+    """What a test has left running, as one that failed, is killed: it would keep the cores from
+    the next test, and at the end pytest from ending."""
+    yield
+    for command in _started:
+        if command.process.is_alive():
+            command.kill()
+    _started.clear()
 
 
 class Command:
@@ -33,6 +51,7 @@ class Command:
         arguments = (str(folder), str(self.output), [*words], dict(env or {}), memory)
         self.process = _context.Process(target=_run, args=arguments)
         self.process.start()
+        _started.append(self)
 
     @property
     def pid(self) -> int:
@@ -49,7 +68,7 @@ class Command:
                 self.signal(signal.SIGKILL, group=group)
         self.process.join()
 
-    def wait(self, timeout: float = 500.0) -> int:
+    def wait(self, timeout: float = PATIENCE) -> int:
         """The exit code; negative for the signal that ended it."""
         self.process.join(timeout)
         if self.process.exitcode is None:
@@ -57,7 +76,7 @@ class Command:
             raise TimeoutError(self.said)
         return self.process.exitcode
 
-    def wait_for(self, what: Callable[[], object], timeout: float = 120.0) -> None:
+    def wait_for(self, what: Callable[[], object], timeout: float = PATIENCE) -> None:
         """Until something is there, while the command runs."""
         end = time.monotonic() + timeout
         while not what():

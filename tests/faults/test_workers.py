@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from symo_exp.tracking.store import connect, find
-from tests.faults.commands import Command, go
+from tests.faults.commands import PATIENCE, Command, go
 from tests.tiny import TINY
 
 WORDS = [
@@ -52,7 +52,7 @@ class Assassin(threading.Thread):
         self.folder, self.seed, self.times, self.killed = folder, seed, times, []
 
     def run(self):
-        end = time.monotonic() + 400
+        end = time.monotonic() + PATIENCE
         while len(self.killed) < self.times and time.monotonic() < end:
             time.sleep(0.02)
             try:
