@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 from unittest import mock
@@ -29,6 +30,7 @@ def waiting_for_all() -> Iterator[None]:
     """
     try:
         import submitit
+        from submitit.local import local
     except ImportError:
         yield
         return
@@ -47,8 +49,24 @@ def waiting_for_all() -> Iterator[None]:
             log.error("job %s ended without a word: see %s", job.job_id, job.paths.stderr)
         return [JobReturn(status=JobStatus.COMPLETED)]
 
-    with mock.patch.object(submitit.Job, "results", results):
+    with (
+        mock.patch.object(submitit.Job, "results", results),
+        mock.patch.object(local, "start_controller", _deaf(local.start_controller)),
+    ):
         yield
+
+
+def _deaf(start: Callable[..., Any]) -> Callable[..., Any]:
+    """What it starts does not hear Ctrl-C, upon which submitit gives its job a second to end."""
+
+    def started(*args: Any, **kwargs: Any) -> Any:
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            return start(*args, **kwargs)
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+    return started
 
 
 def _wait_for_array(array: str) -> None:

@@ -1,0 +1,181 @@
+"""``python -m benchmarks.store``: what runs cost a tracking store, the figures of docs/scaling.md.
+
+Runs of 2000 epochs are made up: 480 points of five series, 100 parameters, 8 tags.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import multiprocessing
+import sqlite3
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from symo_exp.report.runs import read
+from symo_exp.tracking import runs
+from symo_exp.tracking.logger import BATCH, MlflowTracker
+from symo_exp.tracking.server import Server, _free_port
+from symo_exp.tracking.store import Store, connect, experiment_id, find
+
+POINTS, SERIES, PARAMETERS = 480, 5, 100
+BASICS = {"model": "symo", "system": "pendulum", "seed": 0, "integrator": "midpoint"}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--seconds", type=float, default=15.0, help="of each crowd of writers")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder, served(Path(folder) / "server") as server:
+        Path(folder).chmod(0o755)
+        stores = {"SQLite": find(None, Path(folder) / "file")}
+        if server:
+            stores["PostgreSQL"] = find(server, folder)
+            requests_of_a_run(stores["PostgreSQL"], Path(folder))
+        for name, store in stores.items():
+            for writers in (1, 8):
+                crowd(name, store, writers, given.seconds)
+        many_runs(find(None, Path(folder) / "many"), given.runs)
+
+
+@contextlib.contextmanager
+def served(folder: Path) -> Iterator[str | None]:
+    """The address of a server with PostgreSQL, if there can be one."""
+    folder.mkdir()
+    folder.parent.chmod(0o755)  # the user of PostgreSQL has to get there
+    server = Server(folder, host="127.0.0.1", port=_free_port(), workers=2)
+    try:
+        server.start()
+    except Exception as error:
+        print(f"no server: {error}")
+        yield None
+        return
+    try:
+        yield server.address
+    finally:
+        server.stop()
+
+
+def requests_of_a_run(store: Store, folder: Path) -> None:
+    """What the tracker asks of the server for a run without files, by kind."""
+    import requests
+
+    asked: Counter[str] = Counter()
+    send = requests.Session.request
+
+    def counted(session: Any, method: str, url: str, **options: Any) -> Any:
+        asked[f"{method} {url.partition('/api/')[2].partition('?')[0] or url}"] += 1
+        return send(session, method, url, **options)
+
+    tracker = MlflowTracker(tracking_uri=store.uri, flush_seconds=1.0, every_n_epochs=1)
+    with (
+        mock.patch.object(requests.Session, "request", counted),
+        tracker.run(name="one", parameters=parameters(), folder=folder),
+    ):
+        opened = sum(asked.values())
+        for epoch in range(POINTS):
+            row = {f"series_{i}": 1.0 / (1 + epoch) for i in range(SERIES)}
+            tracker.log_metrics(row, epoch)
+        tracker.finalize("success")
+        before = sum(asked.values())
+        tracker.log_measures({"test_mse": 1.0})
+    print(f"requests to open a run {opened}, to close it {sum(asked.values()) - before}")
+    for kind, count in asked.most_common():
+        print(f"  {count:3d} {kind}")
+
+
+def parameters() -> dict[str, Any]:
+    return BASICS | {f"group.name_{i}": 0.1 * i for i in range(PARAMETERS - len(BASICS))}
+
+
+def crowd(name: str, store: Store, writers: int, seconds: float) -> None:
+    """As many processes, each sending batch after batch."""
+    experiment = experiment_id(store, "crowd")
+    with multiprocessing.get_context("spawn").Pool(writers) as pool:
+        pool.starmap(write, [(store, experiment, 1.0)] * writers)  # all is imported
+        times = [t for found in pool.starmap(write, [(store, experiment, seconds)] * writers)
+                 for t in found]  # fmt: skip
+    times.sort()
+    print(
+        f"{name}, {writers} writers: {len(times) / seconds:.0f} batches of 50 rows a second, "
+        f"median {1e3 * times[len(times) // 2]:.0f} ms, "
+        f"95 % in {1e3 * times[int(0.95 * len(times))]:.0f} ms, slowest {times[-1]:.1f} s",
+        flush=True,
+    )
+
+
+def write(store: Store, experiment: str, seconds: float) -> list[float]:
+    """Seconds of each batch."""
+    from mlflow.entities import Metric
+
+    client = connect(store)
+    run = client.create_run(experiment).info.run_id
+    times = []
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        step = 10 * len(times)
+        rows = [Metric(f"s{i}", 0.5, 0, step + k) for i in range(5) for k in range(10)]
+        times.append(timed(lambda rows=rows: client.log_batch(run, metrics=rows)))
+    return times
+
+
+def many_runs(store: Store, count: int) -> None:
+    """A store with that many runs: how large, and how long what is asked of it takes."""
+    from mlflow.entities import Metric
+
+    first = runs.open_run(store, "thesis", name="made", folder="first")
+    runs.log_parameters(store, first, parameters())
+    rows = [Metric(f"series_{i}", 0.5, e, e) for e in range(POINTS) for i in range(SERIES)]
+    for start in range(0, len(rows), BATCH):
+        connect(store).log_batch(first, metrics=rows[start : start + BATCH])
+    runs.close_run(store, first, "FINISHED")
+    assert store.database is not None
+    multiply(store.database, first, count)
+    size = store.database.stat().st_size
+    print(f"{count} runs: {size / 1e6:.0f} MB, {size / count / 1e3:.0f} kB a run")
+    found = 0
+
+    def report() -> None:
+        nonlocal found
+        found = len(read(store, ["thesis"]).table)
+
+    asked = {
+        "all runs, for a report": report,
+        "begin a run": lambda: runs.open_run(store, "thesis", name="new", folder="new"),
+        "go on with a run": lambda: (runs.exists(store, first), runs.told(store, first)),
+        "send 50 rows": lambda: connect(store).log_batch(first, metrics=rows[:50]),
+    }
+    for name, what in asked.items():
+        print(f"  {name}: {timed(what):.2f} s")
+    assert found == count
+
+
+def multiply(database: Path, run: str, count: int) -> None:
+    """Copy all that a store has of a run, so that it has ``count`` of them."""
+    with sqlite3.connect(database) as db:
+        for table in ("runs", "metrics", "latest_metrics", "params", "tags"):
+            columns = [row[1] for row in db.execute(f"pragma table_info({table})")]
+            renamed = "substr(run_uuid, 1, 24) || printf('%08d', n)"
+            values = ", ".join(renamed if c == "run_uuid" else c for c in columns)
+            db.execute(
+                f"with recursive numbers(n) as (select 1 union all select n + 1 from numbers "
+                f"where n < {count - 1}) insert into {table} ({', '.join(columns)}) "
+                f"select {values} from {table}, numbers where run_uuid = ?",
+                (run,),
+            )
+
+
+def timed(call: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""Sweeps through submitit on this machine: what befalls one job does not stop the others."""
+
+import importlib.util
+import json
+import os
+import signal
+
+import pytest
+
+from tests.faults.commands import Command, go
+from tests.faults.test_workers import outcomes, tracked
+from tests.tiny import TINY
+
+pytestmark = [
+    pytest.mark.slurm,
+    pytest.mark.skipif(
+        importlib.util.find_spec("submitit") is None,
+        reason="submitit is not installed: pip install 'symo_exp[cluster]'",
+    ),
+]
+
+WORDS = [
+    *TINY, "model=node", "trainer.max_epochs=300", "trainer.compile=false",
+    "trainer.checkpoint_every=0", "pictures=false", "-m", "hydra/launcher=submitit_local",
+]  # fmt: skip
+
+
+def test_a_job_that_is_killed(tmp_path):
+    command = Command(tmp_path, *WORDS, "seed=0,1,2", "trainer.max_epochs=2000")
+    command.wait_for(lambda: outcomes(tmp_path).get(1, {}).get("status") == "running")
+    os.kill(int(outcomes(tmp_path)[1]["process"]["symo_exp.pid"]), signal.SIGKILL)
+    assert command.wait() == 1, command.said
+    found = {seed: outcome["status"] for seed, outcome in outcomes(tmp_path).items()}
+    assert found == {0: "finished", 1: "failed", 2: "finished"}
+    assert "failed: seed=1: its process was killed" in command.said
+    assert tracked(tmp_path)[1][0] == "FAILED"
+    code, said = go(tmp_path, *WORDS, "seed=0,1,2", "trainer.max_epochs=2000")
+    assert code == 0, said
+
+
+def test_a_job_that_diverges(tmp_path):
+    code, said = go(tmp_path, *WORDS, "optimizer.lr=1e-3,1e30", "gradient_clip=null")
+    assert code == 1
+    (line,) = [line for line in said.splitlines() if line.startswith("failed: ")]
+    assert "optimizer.lr=1e+30" in line or "optimizer.lr=1e30" in line
+    found = [json.loads(p.read_text())["status"] for p in tmp_path.rglob("outcome.json")]
+    assert sorted(found) == ["failed", "finished"]
+
+
+def test_a_sweep_that_is_interrupted(tmp_path):
+    """Ctrl-C reaches all processes of the terminal; every job finishes its epoch."""
+    command = Command(tmp_path, *WORDS, "seed=0,1", "trainer.max_epochs=1000000")
+    command.wait_for(lambda: len([*tmp_path.rglob("last.ckpt")]) == 2)
+    command.signal(signal.SIGINT, group=True)
+    assert command.wait() == 130, command.said
+    assert {o["status"] for o in outcomes(tmp_path).values()} == {"interrupted"}
+    assert {status for status, _ in tracked(tmp_path).values()} == {"KILLED"}
