@@ -20,7 +20,8 @@ python -m symo_exp -cn smoke                                           a sweep k
 
 NOTES = """\
 --cfg job              shows every setting and its value; set any of them: data.noise_std=1e-3
-hydra/launcher=joblib  runs the jobs of a sweep side by side, one process a core
+hydra/launcher=joblib  runs the jobs of a sweep side by side, one process a core;
+                       submitit_slurm_cpu, on a cluster (docs/clusters.md)
 --config-dir FOLDER    adds your own system/NAME.yaml, data/NAME.yaml and so on to these
 --hydra-help           the options of Hydra itself
 SYMO_EXP_DEBUG=1       in the environment shows where an error came from
