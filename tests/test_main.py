@@ -138,8 +138,9 @@ def test_help_and_settings_come_without_the_heavy_libraries(workplace):
 
 def test_overrides_may_stand_on_both_sides_of_an_option():
     words = ["model=e2e_symo", "system=acrobot", "-m", "data.n_traj=8,16,32,64,128"]
-    jobs, multirun = jobs_of(parse(words))
-    assert multirun
+    planned = jobs_of(parse(words))
+    jobs = planned.jobs
+    assert planned.multirun
     assert [job.config.data.n_traj for job in jobs] == [8, 16, 32, 64, 128]
     assert {job.config.model._target_ for job in jobs} == {"symo_exp.models.e2e_symo.E2ESyMo"}
     assert {job.config.system._target_ for job in jobs} == {"symo_exp.systems.acrobot.Acrobot"}
