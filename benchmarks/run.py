@@ -36,7 +36,7 @@ from symo_exp.training.allocator import keep_freed_memory
 BATCHES = (32, 128, 512)
 EVALUATION_ROWS = 4096
 ROLLOUTS, ROLLOUT_STEPS = 16, 500
-FIT_BATCH, FIT_EPOCHS = 128, 20
+FIT_BATCH = 128
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ class Plan:
     rounds: int
     turn_ms: float
     baseline_rollout_steps: int
+    fit_epochs: int
     process_clock: bool
     compiled: bool
 
@@ -138,7 +139,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
 def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
     """`Trainer.fit` per optimiser step beside the bare steps it takes, on the same batches."""
     fit, bare, steps = fit_call(
-        method, CASES[system], plausible_weights(system, method), FIT_BATCH, FIT_EPOCHS
+        method, CASES[system], plausible_weights(system, method), FIT_BATCH, plan.fit_epochs
     )
     clock = time.process_time if plan.process_clock else time.perf_counter
     rounds = max(3, plan.rounds // 3)
@@ -185,7 +186,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="the acrobot only, two minutes")
     parser.add_argument("--systems", nargs="+", choices=list(CASES))
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
-    parser.add_argument("--batches", nargs="+", type=int, default=list(BATCHES))
+    parser.add_argument("--batches", nargs="+", type=int)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument(
         "--process-clock", action="store_true", help="count processor time: for a shared machine"
@@ -198,6 +199,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     if given.compiled is None:
         given.compiled = not given.quick
+    given.batches = given.batches or ([32, 128] if given.quick else list(BATCHES))
     given.systems = given.systems or (["acrobot"] if given.quick else list(CASES))
     plan = Plan(
         tuple(given.systems),
@@ -206,6 +208,7 @@ def main(arguments: list[str] | None = None) -> None:
         rounds=5 if given.quick else 21,
         turn_ms=5.0 if given.quick else 60.0,
         baseline_rollout_steps=10 if given.quick else 100,
+        fit_epochs=5 if given.quick else 20,
         process_clock=given.process_clock,
         compiled=given.compiled and compiler_available(),
     )
