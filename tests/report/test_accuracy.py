@@ -45,6 +45,7 @@ def test_errors_are_drawn_over_the_order_beside_their_floors():
         ([2.0, 6.0], [1e-5, 1e-10], "ours"),
         ([2.0], [1e-6], "floor"),
     ]
+    assert [s.name for s in test.series] == ["SyMo", "true system, variational"]
 
 
 def test_the_table_has_a_row_for_each_cell_and_none_for_floors():

@@ -11,7 +11,7 @@ import yaml
 from symo_exp.configuration import CONF
 from symo_exp.report.charts import Chart, Panel, Series
 from symo_exp.report.labels import measure_name, pair_name, short, systems_in_order
-from symo_exp.report.style import TRUE
+from symo_exp.report.style import TRUE, look
 from symo_exp.report.tables import Table
 
 MEASURES = (
@@ -110,5 +110,5 @@ def _line(method: object, rows: pd.DataFrame, source: str) -> Series:
     return Series(
         str(method), "", [float(x) for x in by_order.order], list(by_order["median"]),
         low=list(by_order.low), high=list(by_order.high), hover=names,
-        source="ours" if source == "ours" else "floor",
+        source="ours" if source == "ours" else "floor", name=look(str(method)).label,
     )  # fmt: skip
