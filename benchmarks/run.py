@@ -62,6 +62,7 @@ class Plan:
     methods: tuple[str, ...]
     batches: tuple[int, ...]
     rounds: int
+    heavy_rounds: int
     turn_ms: float
     baseline_rollout_steps: int
     fit_epochs: int
@@ -101,7 +102,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
         heavy = name in ("evaluation", "rollout")
         times = interleaved(
             bound,
-            rounds=max(3, plan.rounds // 3) if heavy else plan.rounds,
+            rounds=plan.heavy_rounds if heavy else plan.rounds,
             turn_ms=plan.turn_ms,
             warm_up=1 if heavy else 2,
             clock=clock,
@@ -142,8 +143,8 @@ def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
         method, CASES[system], plausible_weights(system, method), FIT_BATCH, plan.fit_epochs
     )
     clock = time.process_time if plan.process_clock else time.perf_counter
-    rounds = max(3, plan.rounds // 3)
-    times = interleaved({"fit": fit, "bare": bare}, rounds=rounds, warm_up=1, clock=clock)
+    calls = {"fit": fit, "bare": bare}
+    times = interleaved(calls, rounds=plan.heavy_rounds, warm_up=1, clock=clock)
     for name, t in times.items():
         yield Measurement(
             name, system, method, FIT_BATCH, "project",
@@ -199,13 +200,14 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     if given.compiled is None:
         given.compiled = not given.quick
-    given.batches = given.batches or ([32, 128] if given.quick else list(BATCHES))
+    given.batches = given.batches or ([128] if given.quick else list(BATCHES))
     given.systems = given.systems or (["acrobot"] if given.quick else list(CASES))
     plan = Plan(
         tuple(given.systems),
         tuple(given.methods),
         tuple(given.batches),
         rounds=5 if given.quick else 21,
+        heavy_rounds=1 if given.quick else 7,
         turn_ms=5.0 if given.quick else 60.0,
         baseline_rollout_steps=10 if given.quick else 100,
         fit_epochs=5 if given.quick else 20,
