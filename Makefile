@@ -84,7 +84,7 @@ smoke: install ## a sweep of a few epochs: does everything run?
 bench: install ## measure speed, against other implementations where they are installed
 	$(PY) -m benchmarks
 
-bench-quick: install ## the same in two minutes
+bench-quick: install ## one system and one batch, in two minutes
 	$(PY) -m benchmarks --quick
 
 clean: ## remove what was built, trained and cached here, and the environment
