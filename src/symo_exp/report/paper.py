@@ -38,7 +38,8 @@ def draw(chart: Chart) -> Figure:
     columns = min(COLUMNS, len(chart.panels))
     rows = -(-len(chart.panels) // columns)
     legend = _legend(chart.panels)
-    lines = -(-len(legend) // (2 * columns))
+    beside = columns + 1  # entries of the longest names that fit side by side
+    lines = -(-len(legend) // beside)
     height = rows * HEIGHT + 0.45 + 0.19 * lines
     figure = Figure(figsize=(max(columns, 2) * WIDTH, height), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False).flatten()
@@ -49,7 +50,7 @@ def draw(chart: Chart) -> Figure:
     figure.suptitle(_title(chart), x=0.01, ha="left", fontsize=11)
     figure.legend(
         handles=list(legend.values()), labels=list(legend), loc="outside lower left",
-        ncols=2 * columns, fontsize=7.5, handlelength=2.6,
+        ncols=beside, fontsize=7.5, handlelength=2.6,
     )  # fmt: skip
     return figure
 
