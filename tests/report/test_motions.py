@@ -6,6 +6,7 @@ import pytest
 
 from symo_exp.report import motions, paper
 from symo_exp.report.build import report
+from symo_exp.report.charts import Panel, Series
 from symo_exp.report.page import figure
 from symo_exp.report.runs import read
 from symo_exp.report.studied import Studied, studied
@@ -115,3 +116,12 @@ def test_drift_is_shown_from_small_steps_to_large():
     explicit, variational = chart.panels[-1].series
     assert explicit.y[-1] < 1e-4
     assert set(variational.y) == {1.0}
+
+
+def test_a_constant_truth_leaves_room_to_see_the_others():
+    """The energy of an unforced motion has a spread of rounding errors only."""
+    truth = Series("truth", "", [0.0, 1.0], [0.64, 0.64 + 1e-15], source="truth")
+    ours = Series("symo", "midpoint", [0.0, 1.0], [0.63, 0.65])
+    low, high = motions._bounded(Panel("energy", "", "", [truth, ours], y_log=False)).y_range
+    assert low < 0.63
+    assert high > 0.65

@@ -171,7 +171,8 @@ def _bounded(panel: Panel) -> Panel:
     if not inside:
         return panel
     low, high = min(inside), max(inside)
-    room = 0.5 * (high - low) or 1.0
+    # A truth that is constant, an energy, has a spread of rounding errors only.
+    room = max(0.5 * (high - low), 0.1 * max(abs(low), abs(high))) or 1.0
     everything = [y for s in panel.series for y in s.y if np.isfinite(y)]
     bounds = (max(low - room, min(everything)), min(high + room, max(everything)))
     edge = 0.04 * (bounds[1] - bounds[0]) or 1.0
