@@ -46,13 +46,7 @@ def test_a_file_that_is_no_store(tmp_path):
 
 @pytest.mark.slow
 def test_a_folder_of_artifacts_that_was_deleted(store, tmp_path):
-    words = [
-        *WORDS,
-        "trainer.max_epochs=400",
-        "trainer.compile=false",
-        "trainer.checkpoint_every=0",
-    ]
-    command = Command(tmp_path, *words)
+    command = Command(tmp_path, *LONG)
     command.wait_for(lambda: [*tmp_path.rglob("last.ckpt")])
     shutil.rmtree(tmp_path / "mlruns" / "artifacts", ignore_errors=True)
     assert command.wait() == 0, command.said
@@ -62,13 +56,7 @@ def test_a_folder_of_artifacts_that_was_deleted(store, tmp_path):
 @pytest.mark.slow
 def test_a_store_that_is_lost_while_a_run_trains(store, tmp_path):
     """The run is finished all the same, and told when the store is back."""
-    words = [
-        *WORDS,
-        "trainer.max_epochs=400",
-        "trainer.compile=false",
-        "trainer.checkpoint_every=0",
-    ]
-    command = Command(tmp_path, *words)
+    command = Command(tmp_path, *LONG)
     command.wait_for(lambda: [*tmp_path.rglob("last.ckpt")])
     away = store.database.with_suffix(".away")
     store.database.rename(away)

@@ -40,6 +40,28 @@ class Rollouts:
     energy_true: Float[Tensor, "trajectories nodes"]
     converged: Bool[Tensor, "trajectories steps"]
 
+    def columns(self, *, truth: bool = True) -> dict[str, Tensor]:
+        """A table with a row for each node: ``trajectory, step, t`` [s], then for each coordinate
+        ``q_<name>``, ``v_<name>`` and, with ``truth``, ``q_true_<name>``, ``v_true_<name>``."""
+        table = node_columns(self.q.shape[0], self.q.shape[1], self.time_step)
+        fields = {"q": self.q, "v": self.v}
+        if truth:
+            fields |= {"q_true": self.q_true, "v_true": self.v_true}
+        for field, values in fields.items():
+            for i, name in enumerate(self.coordinates.names):
+                table[f"{field}_{name}"] = values[..., i].flatten()
+        return table
+
+
+def node_columns(trajectories: int, nodes: int, time_step: float) -> dict[str, Tensor]:
+    """Which trajectory and step a node is of, and its time [s], trajectory by trajectory."""
+    step = torch.arange(nodes).repeat(trajectories)
+    return {
+        "trajectory": torch.arange(trajectories).repeat_interleave(nodes),
+        "step": step,
+        "t": step.double() * time_step,
+    }
+
 
 @dataclass(frozen=True)
 class Evaluation:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation import measures
-from symo_exp.evaluation.evaluate import along
+from symo_exp.evaluation.evaluate import along, node_columns
 from symo_exp.evaluation.protocols import Model
 from symo_exp.evaluation.study import Finding, Remember, afresh, starts
 from symo_exp.systems.base import System
@@ -49,7 +48,7 @@ class LearnedQuantities:
         potential, potential_true = along(found.potential, q).cpu(), along(system.potential, true.q)
         potential = potential - (potential - potential_true).mean(1, keepdim=True)
         mass, mass_true = along(found.mass_matrix, q).cpu(), along(system.mass_matrix, true.q)
-        columns = self._axes(system)
+        columns = node_columns(self.count, self.steps + 1, system.time_step)
         columns |= {
             "kinetic": kinetic,
             "kinetic_true": kinetic_true,
@@ -73,11 +72,3 @@ class LearnedQuantities:
             for key, (learned, truth) in pairs.items()
         }
         return Finding({name: x.flatten() for name, x in columns.items()}, values)
-
-    def _axes(self, system: System) -> dict[str, Tensor]:
-        step = torch.arange(self.steps + 1).repeat(self.count)
-        return {
-            "trajectory": torch.arange(self.count).repeat_interleave(self.steps + 1),
-            "step": step,
-            "t": step.double() * system.time_step,
-        }

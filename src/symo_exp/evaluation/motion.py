@@ -104,19 +104,7 @@ class Motion:
         )
 
     def _columns(self, rollouts: Rollouts, u: Tensor, volume: Tensor) -> dict[str, Tensor]:
-        count, nodes, _ = rollouts.q.shape
-        step = torch.arange(nodes).repeat(count)
-        table = {
-            "trajectory": torch.arange(count).repeat_interleave(nodes),
-            "step": step,
-            "t": step.double() * rollouts.time_step,
-        }
-        fields = {"q": rollouts.q, "v": rollouts.v}
-        if self.truth:
-            fields |= {"q_true": rollouts.q_true, "v_true": rollouts.v_true}
-        for field, values in fields.items():
-            for i, name in enumerate(rollouts.coordinates.names):
-                table[f"{field}_{name}"] = values[..., i].flatten()
+        table = rollouts.columns(truth=self.truth)
         for i in range(u.shape[-1]):
             table[f"u_{i}"] = u[..., i].flatten()
         table["energy"] = rollouts.energy.flatten()

@@ -71,18 +71,7 @@ def rollout_table(rollouts: Rollouts) -> pyarrow.Table:
     import pyarrow
     import torch
 
-    trajectories, nodes, _ = rollouts.q.shape
-    step = torch.arange(nodes).repeat(trajectories)
-    columns = {
-        "trajectory": torch.arange(trajectories).repeat_interleave(nodes),
-        "step": step,
-        "t": step.double() * rollouts.time_step,
-    }
-    fields = {"q": rollouts.q, "v": rollouts.v}
-    fields |= {"q_true": rollouts.q_true, "v_true": rollouts.v_true}
-    for field, values in fields.items():
-        for i, coordinate in enumerate(rollouts.coordinates.names):
-            columns[f"{field}_{coordinate}"] = values[..., i]
+    columns = rollouts.columns()
     columns["energy"], columns["energy_true"] = rollouts.energy, rollouts.energy_true
     start = torch.ones_like(rollouts.converged[:, :1])
     columns["converged"] = torch.cat((start, rollouts.converged), dim=1)
