@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.variational import VariationalModel
+from symo_exp.tracking.logger import MlflowTracker
 from symo_exp.training.compiling import compiler_available as compiler_available
 from symo_exp.training.trainer import make_trainer
 
@@ -155,10 +157,13 @@ class _Samples(lightning.LightningDataModule):
         return batch
 
 
-def fit_call(
+@contextmanager
+def fit_calls(
     method: str, case: Case, layers: Sequence[Layer], batch: int, epochs: int
-) -> tuple[Callable[[], object], Callable[[], object], int]:
+) -> Iterator[tuple[Callable[[], object], Callable[[], object], int]]:
     """`Trainer.fit` for some epochs of 8 steps, the same steps bare, and how many they are.
+
+    The fit tracks and keeps checkpoints as a run does; the run is open before it and after it.
 
     The learning rate is 0, so that both see the same weights throughout.
     """
@@ -175,22 +180,26 @@ def fit_call(
             optimizer=lambda p: torch.optim.Adam(p, lr=0.0, fused=True),
             scheduler=lambda o: torch.optim.lr_scheduler.ReduceLROnPlateau(o, patience=50),
         )
-        with tempfile.TemporaryDirectory() as folder:
-            trainer = make_trainer(
-                accelerator="cpu",
-                max_epochs=epochs,
-                validate_every=10,
-                checkpoint_every=60.0,
-                progress=True,
-                threads=1,
-                compile=False,
-                folder=Path(folder),
-            )
-            trainer.fit(model, samples)
+        trainer = make_trainer(
+            accelerator="cpu",
+            max_epochs=epochs,
+            validate_every=10,
+            checkpoint_every=60.0,
+            progress=True,
+            threads=1,
+            compile=False,
+            folder=folder,
+            logger=tracker,
+        )
+        trainer.fit(model, samples)
 
     def steps() -> None:
         for _ in range(epochs):
             for part in samples.batches():
                 bare.train_step(part)
 
-    return fit, steps, 8 * epochs
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        tracker = MlflowTracker(directory=folder / "mlruns")
+        with tracker.run(name="fit", parameters={}):
+            yield fit, steps, 8 * epochs

@@ -29,7 +29,7 @@ from benchmarks.cases import (
     system_windows,
 )
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
-from benchmarks.project import Project, compiler_available, fit_call
+from benchmarks.project import Project, compiler_available, fit_calls
 from benchmarks.timing import interleaved
 from symo_exp.training.allocator import keep_freed_memory
 
@@ -139,12 +139,11 @@ def cells(plan: Plan) -> Iterator[Measurement]:
 
 def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
     """`Trainer.fit` per optimiser step beside the bare steps it takes, on the same batches."""
-    fit, bare, steps = fit_call(
-        method, CASES[system], plausible_weights(system, method), FIT_BATCH, plan.fit_epochs
-    )
+    layers = plausible_weights(system, method)
     clock = time.process_time if plan.process_clock else time.perf_counter
-    calls = {"fit": fit, "bare": bare}
-    times = interleaved(calls, rounds=plan.heavy_rounds, warm_up=1, clock=clock)
+    with fit_calls(method, CASES[system], layers, FIT_BATCH, plan.fit_epochs) as (fit, bare, steps):
+        calls = {"fit": fit, "bare": bare}
+        times = interleaved(calls, rounds=plan.heavy_rounds, warm_up=1, clock=clock)
     for name, t in times.items():
         yield Measurement(
             name, system, method, FIT_BATCH, "project",
@@ -210,7 +209,7 @@ def main(arguments: list[str] | None = None) -> None:
         heavy_rounds=1 if given.quick else 7,
         turn_ms=5.0 if given.quick else 60.0,
         baseline_rollout_steps=10 if given.quick else 100,
-        fit_epochs=5 if given.quick else 20,
+        fit_epochs=5 if given.quick else 50,
         process_clock=given.process_clock,
         compiled=given.compiled and compiler_available(),
     )

@@ -7,7 +7,7 @@ import torch
 from benchmarks.baseline_autograd import CLASSES, LNODE, E2ESyMo, SyMo
 from benchmarks.cases import CASES, METHODS, calm_weights, chain, random_windows
 from benchmarks.contenders import Autograd, Jax, jax_is_installed
-from benchmarks.project import Project, fit_call
+from benchmarks.project import Project, fit_calls
 
 SMALL = [chain(1, 12), chain(2, 12), chain(3, 12)]
 EXACT = {"node": {"adjoint": False}, "l_node": {"adjoint": False}}
@@ -186,7 +186,8 @@ def test_every_method_has_a_baseline():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_whole_fit_takes_the_steps_that_it_is_compared_with(method):
     case = CASES["pendulum"]
-    fit, bare, steps = fit_call(method, case, calm_weights(case, method), batch=8, epochs=2)
-    fit()
-    bare()
+    layers = calm_weights(case, method)
+    with fit_calls(method, case, layers, batch=8, epochs=2) as (fit, bare, steps):
+        fit()
+        bare()
     assert steps == 16

@@ -7,6 +7,7 @@ from typing import Any
 
 import lightning
 import torch
+from torch.nn.utils import get_total_norm
 
 from symo_exp.training.checkpoint import Checkpoint
 
@@ -43,7 +44,7 @@ class StopOnDivergence(lightning.Callback):
 
     def _remember(self, model: Any) -> None:
         weights = model.state_dict()
-        if all(bool(value.isfinite().all()) for value in weights.values()):
+        if bool(get_total_norm(weights.values()).isfinite()):
             self._good = {name: value.clone() for name, value in weights.items()}
 
     def _keep(self, trainer: lightning.Trainer, model: Any) -> None:
