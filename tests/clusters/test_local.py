@@ -20,14 +20,23 @@ pytestmark = [
 ]
 
 WORDS = [
-    *TINY, "model=node", "trainer.max_epochs=30", "trainer.compile=false",
+    *TINY, "model=node", "trainer.max_epochs=300", "trainer.compile=false",
     "trainer.checkpoint_every=0", "pictures=false", "-m", "hydra/launcher=submitit_local",
 ]  # fmt: skip
 
 
+def trains(folder, seed):
+    """Whether that job has opened its run and come through an epoch."""
+    checkpoints = [
+        path for path in folder.rglob("last.ckpt")
+        if f"seed={seed}" in (path.parent / ".hydra" / "overrides.yaml").read_text()
+    ]  # fmt: skip
+    return checkpoints and outcomes(folder).get(seed, {}).get("status") == "running"
+
+
 def test_a_job_that_is_killed(tmp_path):
     command = Command(tmp_path, *WORDS, "seed=0,1,2")
-    command.wait_for(lambda: outcomes(tmp_path).get(1, {}).get("status") == "running")
+    command.wait_for(lambda: trains(tmp_path, seed=1))
     os.kill(int(outcomes(tmp_path)[1]["process"]["symo_exp.pid"]), signal.SIGKILL)
     assert command.wait() == 1, command.said
     found = {seed: outcome["status"] for seed, outcome in outcomes(tmp_path).items()}

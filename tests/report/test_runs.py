@@ -29,7 +29,7 @@ def test_a_row_for_each_run_and_measure(store):
     assert (row.n_traj, row.noise_std, row.time_step) == (8, 1e-4, 0.05)
     assert row.value == MEASURES["test_mse"]
     assert row.variant == ""
-    assert row.seconds >= 0
+    assert row.seconds == MEASURES["training_seconds"]
 
 
 def test_what_diverged_is_infinite_again_and_what_is_undefined_stays_so(store):

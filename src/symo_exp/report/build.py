@@ -122,7 +122,7 @@ def _state(runs: Runs, variant: str) -> list[str]:
     told = ", ".join(f"{n} {str(status).lower()}" for status, n in counts.items())
     hours = runs.measures.drop_duplicates("run_id").seconds.sum() / 3600
     revisions = sorted({r[:10] for r in runs.measures.revision if r})
-    lines = [f"{len(runs.table)} runs: {told}. The finished ones took {hours:.1f} hours together."]
+    lines = [f"{len(runs.table)} runs: {told}. The finished ones trained for {hours:.1f} hours."]
     if revisions:
         lines.append(f"Revisions: {', '.join(revisions)}.")
     if variant:

@@ -14,7 +14,7 @@ SUMMARY = ["seeds", "median", "low", "high", "seconds"]
 
 def cells(measures: pd.DataFrame) -> pd.DataFrame:
     """A row for each cell and metric: how many ``seeds``, their ``median``, the ``low``est and
-    ``high``est value, and the median ``seconds`` that a run took."""
+    ``high``est value, and the median ``seconds`` that a run trained."""
     if measures.empty:
         return pd.DataFrame(columns=[*CELL, "metric", *SUMMARY])
     grouped = measures.groupby([*CELL, "metric"], sort=True)

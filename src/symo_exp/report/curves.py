@@ -82,13 +82,11 @@ def noise(found: pd.DataFrame, floors: pd.DataFrame, n_traj: int = 32) -> list[C
 def speed(measures: pd.DataFrame) -> list[Chart]:
     """Accuracy against the time of a run: every run a point, all variants together."""
     learned = measures[(measures.noise_std == 0) & ~measures.method.isin(TRUE)]
-    trained = learned[learned.metric == "training_seconds"].set_index("run_id").value
     charts = []
     for metric in ("test_mse", "integration_mse"):
         panels = []
         for system in systems_in_order(set(learned.system)):
             mine = learned[(learned.system == system) & (learned.metric == metric)]
-            mine = mine.assign(trained=mine.run_id.map(trained).fillna(mine.seconds))
             series = []
             for (method, integrator), runs in _pairs(mine):
                 said = [
@@ -98,7 +96,7 @@ def speed(measures: pd.DataFrame) -> list[Chart]:
                 ]
                 series.append(
                     Series(
-                        method, integrator, list(runs.trained), list(runs.value),
+                        method, integrator, list(runs.seconds), list(runs.value),
                         hover=said, points=True,
                     )
                 )  # fmt: skip

@@ -106,7 +106,8 @@ def _row(run: Run, experiment: str) -> dict[str, Any] | None:
     for axis, kind in NUMBERS.items():
         row[axis] = None if row[axis] in (None, "None") else kind(row[axis])
     info, tags = run.info, run.data.tags
-    seconds = (info.end_time - info.start_time) / 1e3 if info.end_time else math.nan
+    # not from start to end: a run may have been cut and continued, or studied much later
+    seconds = run.data.metrics.get("training_seconds", math.nan)
     return row | {
         "variant": variant(parameters),
         "optimizer": parameters.get("optimizer", ""),
