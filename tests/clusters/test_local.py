@@ -27,11 +27,11 @@ WORDS = [
 
 def trains(folder, seed):
     """Whether that job has opened its run and come through an epoch."""
-    checkpoints = [
-        path for path in folder.rglob("last.ckpt")
-        if f"seed={seed}" in (path.parent / ".hydra" / "overrides.yaml").read_text()
-    ]  # fmt: skip
-    return checkpoints and outcomes(folder).get(seed, {}).get("status") == "running"
+    running = outcomes(folder).get(seed, {}).get("status") == "running"
+    return running and any(
+        f"seed={seed}" in (path.parents[1] / ".hydra" / "overrides.yaml").read_text()
+        for path in folder.rglob("last.ckpt")
+    )
 
 
 def test_a_job_that_is_killed(tmp_path):
