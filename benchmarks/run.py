@@ -66,6 +66,7 @@ class Plan:
     turn_ms: float
     baseline_rollout_steps: int
     fit_epochs: int
+    fit_rounds: int
     process_clock: bool
     compiled: bool
 
@@ -143,7 +144,7 @@ def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
     clock = time.process_time if plan.process_clock else time.perf_counter
     with fit_calls(method, CASES[system], layers, FIT_BATCH, plan.fit_epochs) as (fit, bare, steps):
         calls = {"fit": fit, "bare": bare}
-        times = interleaved(calls, rounds=plan.heavy_rounds, warm_up=1, clock=clock)
+        times = interleaved(calls, rounds=plan.fit_rounds, warm_up=1, clock=clock)
     for name, t in times.items():
         yield Measurement(
             name, system, method, FIT_BATCH, "project",
@@ -210,6 +211,7 @@ def main(arguments: list[str] | None = None) -> None:
         turn_ms=5.0 if given.quick else 60.0,
         baseline_rollout_steps=10 if given.quick else 100,
         fit_epochs=5 if given.quick else 50,
+        fit_rounds=1 if given.quick else 3,
         process_clock=given.process_clock,
         compiled=given.compiled and compiler_available(),
     )

@@ -76,10 +76,11 @@ class E2ESyMo(LearnedVariationalModel):
 class CompiledRootLoss:
     """Loss and gradients of E2E-SyMo in three compiled pieces around the iteration.
 
-    Newton's method converges quadratically: where every row is within the square root of the
-    tolerance, one more step makes it a root, which the last piece checks. A batch with a row for
-    which this fails is left to the uncompiled path with its safeguards. The choice depends on the
-    numbers of the batch alone, so that a resumed run repeats it.
+    Newton's method converges quadratically, ``‖g⁺‖ ≈ C ‖g‖²`` with a ``C`` that the last step has
+    told (1 before there is one). Once one more step must make every row a root it is taken unseen,
+    and the last piece, which needs the residuals anyhow, checks them. A batch with a row for which
+    this goes on failing is left to the uncompiled path with its safeguards. The choice depends on
+    the numbers of the batch alone, so that a resumed run repeats it.
     """
 
     def __init__(self, model: E2ESyMo) -> None:
@@ -92,14 +93,17 @@ class CompiledRootLoss:
         model = self._model
         tolerance = model.root.tolerance
         impulse, x, worst = self._start(windows)
+        norm, contraction = worst.item(), 1.0
         for iteration in range(1, min(model.root.max_iterations, 5) + 1):
-            if worst.item() <= tolerance**0.5:
+            if contraction * norm**2 <= tolerance:
                 loss, converged, gradients = self._finish(windows, x)
                 if converged.item():
                     model._count("newton_iterations", loss.new_tensor(float(iteration)))
                     model._count("newton_failed", loss.new_tensor(0.0))
                     return loss, (), gradients
             x, worst = self._iterate(windows, impulse, x)
+            before, norm = norm, worst.item()
+            contraction = norm / max(before, tolerance) ** 2
         model.zero_grad()
         loss = model.loss(windows)
         return loss.detach(), (), torch.autograd.grad(loss, list(model.parameters()))
