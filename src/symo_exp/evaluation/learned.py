@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import torch
 
-from symo_exp.errors import ConfigError
 from symo_exp.evaluation import measures
 from symo_exp.evaluation.evaluate import along, node_columns
 from symo_exp.evaluation.protocols import Model
-from symo_exp.evaluation.study import Finding, Remember, afresh, starts
+from symo_exp.evaluation.study import Finding, Remember, afresh, check_size, starts
 from symo_exp.systems.base import System
 from symo_exp.systems.simulation import Solver, simulate
 
@@ -29,10 +28,7 @@ class LearnedQuantities:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.steps < 1 or self.count < 1:
-            raise ConfigError(
-                f"study.{self.name}: steps={self.steps} and count={self.count} must be at least 1"
-            )
+        check_size(self.name, self.steps, self.count)
 
     @torch.no_grad()
     def __call__(self, model: Model, system: System, remember: Remember = afresh) -> Finding:

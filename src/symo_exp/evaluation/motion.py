@@ -14,7 +14,7 @@ from symo_exp.evaluation import measures
 from symo_exp.evaluation.evaluate import Rollouts, along, roll_out
 from symo_exp.evaluation.phase_space import log_volume
 from symo_exp.evaluation.protocols import Model
-from symo_exp.evaluation.study import Finding, Remember, afresh, starts
+from symo_exp.evaluation.study import Finding, Remember, afresh, check_size, starts
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System
 from symo_exp.systems.simulation import Solver, simulate_driven
@@ -38,10 +38,7 @@ class Motion:
     truth: bool = True
 
     def __post_init__(self) -> None:
-        if self.steps < 1 or self.count < 1:
-            raise ConfigError(
-                f"study.{self.name}: steps={self.steps} and count={self.count} must be at least 1"
-            )
+        check_size(self.name, self.steps, self.count)
         if not self.period > 0 or not math.isfinite(self.amplitude):
             raise ConfigError(
                 f"study.{self.name}: period={self.period} must be positive, "

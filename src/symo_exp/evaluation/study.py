@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from symo_exp.errors import ConfigError
 from symo_exp.evaluation.protocols import Model
 from symo_exp.systems.base import System
 
@@ -49,6 +50,12 @@ class Study(Protocol):
 
     def __call__(self, model: Model, system: System, remember: Remember = afresh) -> Finding:
         """Study a model, given as it was trained."""
+
+
+def check_size(name: str, steps: int, count: int) -> None:
+    """Refuse a study of no motions, or of motions without a step."""
+    if steps < 1 or count < 1:
+        raise ConfigError(f"study.{name}: steps={steps} and count={count} must be at least 1")
 
 
 def starts(system: System, count: int, seed: int) -> tuple[Tensor, Tensor]:

@@ -12,10 +12,11 @@ from symo_exp.mechanics.roots import Newton, rounding, row_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import Forces, MomentumMatching, differentiable_pose
 from symo_exp.models.compiled import Program
-from symo_exp.models.variational import LearnedVariationalModel
+from symo_exp.models.learned import LearnsLagrangian
+from symo_exp.models.variational import VariationalModel
 
 
-class E2ESyMo(LearnedVariationalModel):
+class E2ESyMo(LearnsLagrangian, VariationalModel):
     """Trains on the error of the root, differentiated by the implicit function theorem.
 
     A row whose root is not found has no implicit gradient. With ``fallback`` its residual is the

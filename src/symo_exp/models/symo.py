@@ -5,10 +5,11 @@ from typing import Any, Literal
 from torch import Tensor
 
 from symo_exp.mechanics.types import Windows
-from symo_exp.models.variational import LearnedVariationalModel
+from symo_exp.models.learned import LearnsLagrangian
+from symo_exp.models.variational import VariationalModel
 
 
-class SyMo(LearnedVariationalModel):
+class SyMo(LearnsLagrangian, VariationalModel):
     """Trains on the violation of the discrete Euler-Lagrange equations; finds roots to predict.
 
     ``objective="plain"`` is the residual ``g`` itself [N s], as in the thesis. It scales with the

@@ -16,7 +16,6 @@ from symo_exp.mechanics.variational import (
     variational_step,
 )
 from symo_exp.models.base import DynamicsModel, Step
-from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
 class VariationalModel(DynamicsModel):
@@ -156,24 +155,3 @@ class VariationalModel(DynamicsModel):
 
     def _decode(self, q: Tensor, y: Tensor) -> Tensor:
         return self._lagrangian.velocity(q, y)
-
-
-class LearnedVariationalModel(VariationalModel):
-    """A variational method whose Lagrangian is a network."""
-
-    _lagrangian: StructuredLagrangian
-
-    def __init__(
-        self, *, width: int, depth: int = 2, initial_inertia: float | None = 1.0, **base: Any
-    ) -> None:
-        super().__init__(**base)
-        self._lagrangian = StructuredLagrangian(
-            angular=self.coordinates.angular,
-            width=width,
-            depth=depth,
-            initial_inertia=initial_inertia,
-        )
-
-    @property
-    def lagrangian(self) -> StructuredLagrangian:
-        return self._lagrangian

@@ -9,7 +9,7 @@ import pandas as pd
 import yaml
 
 from symo_exp.configuration import CONF
-from symo_exp.report.charts import Chart, Panel, Series
+from symo_exp.report.charts import Chart, Panel, Series, Source
 from symo_exp.report.labels import measure_name, pair_name, short, systems_in_order
 from symo_exp.report.style import TRUE, look
 from symo_exp.report.tables import Table
@@ -103,12 +103,12 @@ def _panel(mine: pd.DataFrame, floors: pd.DataFrame, title: str) -> Panel:
     return Panel(title, "order of the integrator", "", series, ticks=ticks)
 
 
-def _line(method: object, rows: pd.DataFrame, source: str) -> Series:
+def _line(method: object, rows: pd.DataFrame, source: Source) -> Series:
     by_order = rows.assign(order=rows.integrator.map(order_of))
     by_order = by_order.dropna(subset="order").sort_values("order")
     names = [pair_name(str(method), name) for name in by_order.integrator]
     return Series(
         str(method), "", [float(x) for x in by_order.order], list(by_order["median"]),
         low=list(by_order.low), high=list(by_order.high), hover=names,
-        source="ours" if source == "ours" else "floor", name=look(str(method)).label,
+        source=source, name=look(str(method)).label,
     )  # fmt: skip
