@@ -27,7 +27,7 @@ RULES = {
     "training": (set(), {"torch", "lightning", "numpy", "tqdm"}),
     "configuration": (set(), {"hydra", "omegaconf", "yaml"}),
 }
-EVERYBODYS = {"errors", "files", "slurm"}
+EVERYBODYS = {"errors", "files", "imports", "slurm"}
 CONFIG_HOMES = {"configuration", "launch", "handover", "submitted", "job", "recipe", "trained"}
 """Where objects of Hydra and OmegaConf may be seen; `trained` builds a model from its file."""
 

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from symo_exp import studies
 from symo_exp.configuration.command import one_line
 from symo_exp.errors import ConfigError
+from symo_exp.imports import first_import
 from symo_exp.tracking.process import identity
 from symo_exp.training import stopping
 from symo_exp.training.outcome import Outcome, Status
@@ -56,7 +57,8 @@ def job(config: DictConfig) -> None:
                     study_finished(config, folder, choices)
                 return
             Outcome("running", process=identity()).write(folder)
-            from symo_exp.recipe import run
+            with first_import("symo_exp.recipe"):
+                from symo_exp.recipe import run
 
             done = run(config, folder, choices)
             record("finished", measures=done.evaluation.measures)

@@ -19,6 +19,7 @@ from symo_exp.configuration.command import Command, Job, is_run, jobs_of, parse
 from symo_exp.configuration.several import sweeps_of
 from symo_exp.errors import ConfigError
 from symo_exp.handover import compose_and_run, launch
+from symo_exp.imports import first_import
 from symo_exp.job import asked_of
 from symo_exp.tracking import memory, spool
 from symo_exp.tracking.process import is_dead
@@ -106,7 +107,8 @@ def check(jobs: Sequence[Job], *, labelled: bool, elsewhere: bool = False) -> No
     """
     if not jobs:
         return  # without the seconds of the import
-    from symo_exp.recipe import build
+    with first_import("symo_exp.recipe"):
+        from symo_exp.recipe import build
 
     stores = []
     for job in jobs:

@@ -23,6 +23,7 @@ from filelock import FileLock, Timeout
 
 from symo_exp.errors import ConfigError
 from symo_exp.files import write_whole
+from symo_exp.imports import first_import
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -163,8 +164,9 @@ def connect(store: Store) -> MlflowClient:
         # they print the tracebacks of errors that they raise as well
         logging.getLogger(name).setLevel(logging.CRITICAL)
 
-    from mlflow import MlflowClient
-    from mlflow.exceptions import MlflowException
+    with first_import("mlflow"):
+        from mlflow import MlflowClient
+        from mlflow.exceptions import MlflowException
 
     try:
         with store.lock():

@@ -1,0 +1,47 @@
+"""The collector of garbage rests while something large is imported, and works again after."""
+
+import gc
+import sys
+
+import pytest
+
+from symo_exp.imports import first_import
+
+NEW = "a_module_that_was_not_imported"
+
+
+def test_nothing_that_was_imported_is_looked_at_again():
+    before = gc.get_freeze_count()
+    try:
+        with first_import(NEW):
+            assert not gc.isenabled()
+            kept = [[] for _ in range(1000)]
+        assert gc.isenabled()
+        assert gc.get_freeze_count() >= before + len(kept)
+    finally:
+        gc.unfreeze()
+
+
+def test_an_import_that_fails_leaves_the_collector_at_work():
+    try:
+        with pytest.raises(ImportError), first_import(NEW):
+            raise ImportError
+        assert gc.isenabled()
+    finally:
+        gc.unfreeze()
+
+
+def test_a_second_import_changes_nothing():
+    assert "pytest" in sys.modules
+    with first_import("pytest"):
+        assert gc.isenabled()
+
+
+def test_a_collector_that_somebody_has_stopped_stays_so():
+    gc.disable()
+    try:
+        with first_import(NEW):
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
