@@ -54,10 +54,14 @@ class Measurement:
     iterations: int | None
 
 
+MEASURES = ("step", "evaluation", "rollout", "fit", "hard")
+
+
 @dataclass(frozen=True)
 class Plan:
     """What is measured, and how long."""
 
+    measures: tuple[str, ...]
     systems: tuple[str, ...]
     methods: tuple[str, ...]
     batches: tuple[int, ...]
@@ -118,7 +122,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
     for system in plan.systems:
         for method in plan.methods:
             group = contenders(system, method)
-            for rows in plan.batches:
+            for rows in plan.batches if "step" in plan.measures else ():
                 step = dict.fromkeys(group, lambda c, b: c.train_step(b))
                 if plan.compiled:
                     # A compiled graph belongs to one shape.
@@ -127,15 +131,19 @@ def cells(plan: Plan) -> Iterator[Measurement]:
                     group["compiled"], step["compiled"] = compiled, step["project"]
                 yield from measure("step", system, method, rows, {}, step)
             group.pop("compiled", None)
-            predict = dict.fromkeys(group, lambda c, b: c.predict(b))
-            yield from measure("evaluation", system, method, EVALUATION_ROWS, {}, predict)
-            # One trajectory at a time: a few steps of one tell the cost of all.
-            roll = dict.fromkeys(group, lambda c, b: c.rollout(b, ROLLOUT_STEPS))
-            roll["autograd"] = lambda c, b: c.rollout(type(b)(*(x[:1] for x in b)), few)
-            scale = {"autograd": ROLLOUTS * ROLLOUT_STEPS / few}
-            yield from measure("rollout", system, method, ROLLOUTS, scale, roll)
-            yield from fit_cells(plan, system, method)
-        yield from hard_cells(plan, system)
+            if "evaluation" in plan.measures:
+                predict = dict.fromkeys(group, lambda c, b: c.predict(b))
+                yield from measure("evaluation", system, method, EVALUATION_ROWS, {}, predict)
+            if "rollout" in plan.measures:
+                # One trajectory at a time: a few steps of one tell the cost of all.
+                roll = dict.fromkeys(group, lambda c, b: c.rollout(b, ROLLOUT_STEPS))
+                roll["autograd"] = lambda c, b: c.rollout(type(b)(*(x[:1] for x in b)), few)
+                scale = {"autograd": ROLLOUTS * ROLLOUT_STEPS / few}
+                yield from measure("rollout", system, method, ROLLOUTS, scale, roll)
+            if "fit" in plan.measures:
+                yield from fit_cells(plan, system, method)
+        if "hard" in plan.measures:
+            yield from hard_cells(plan, system)
 
 
 def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
@@ -185,6 +193,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Check, measure, write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="the acrobot only, two minutes")
+    parser.add_argument("--measures", nargs="+", choices=MEASURES, default=list(MEASURES))
     parser.add_argument("--systems", nargs="+", choices=list(CASES))
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--batches", nargs="+", type=int)
@@ -203,6 +212,7 @@ def main(arguments: list[str] | None = None) -> None:
     given.batches = given.batches or ([128] if given.quick else list(BATCHES))
     given.systems = given.systems or (["acrobot"] if given.quick else list(CASES))
     plan = Plan(
+        tuple(given.measures),
         tuple(given.systems),
         tuple(given.methods),
         tuple(given.batches),

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from symo_exp.mechanics.roots import Broyden, Newton
+from symo_exp.models import compiled
 from symo_exp.training.compiling import compiler_available
 from tests.models.methods import make, windows
 
@@ -69,3 +70,12 @@ def test_only_what_is_a_fixed_sequence_of_operations_is_compiled(
     method, integrator, options, possible
 ):
     assert make(method, integrator, 1, **options).can_be_compiled == possible
+
+
+def test_the_compiled_tanh_is_right_to_single_precision():
+    x = torch.cat((torch.linspace(-12.0, 12.0, 200_001), torch.logspace(-30, 1, 10_001)))
+    exact = torch.tanh(x.double())
+    assert ((compiled.tanh(x) - exact).abs() / exact.abs().clamp(min=1e-37)).max() < 5e-7
+    ends = torch.tensor([torch.inf, -torch.inf, torch.nan])
+    torch.testing.assert_close(compiled.tanh(ends), torch.tanh(ends), equal_nan=True)
+    assert compiled.tanh(x.double()) is NotImplemented

@@ -7,7 +7,7 @@ removes that. Results agree with the uncompiled step to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -51,7 +51,7 @@ class Program:
             return result
 
         with torch.no_grad():
-            graph = make_fx(run)(*flat)
+            graph = make_fx(run, decomposition_table={torch.ops.aten.tanh.default: tanh})(*flat)
             kernel = standalone_compile(graph, [*flat], dynamic_shapes="from_example_inputs")
 
         def call(tensors: list[Tensor]) -> Any:
@@ -69,6 +69,40 @@ class Program:
             loss, rest = result
             gradients = torch.autograd.grad(loss, parameters, materialize_grads=True)
         return loss.detach(), rest, gradients
+
+
+def tanh(x: Tensor) -> Tensor:
+    """``tanh x ≈ x P(x²) / Q(x²)`` in single precision, to a few units in the last place.
+
+    The minimax approximation of degree 13 over 6 that Eigen and XLA use. Compiled into its
+    neighbours it costs a tenth of the library's function, which takes 3 ns a number: a fifth of
+    the step of a network whose products of matrices are as fast as the machine.
+    """
+    if x.dtype != torch.float32:
+        return NotImplemented  # to the tracer: leave it as it is
+    x = x.clamp(-7.9053111, 7.9053111)  # beyond that it is 1
+    square = x * x
+    return x * _polynomial(square, TANH_ABOVE) / _polynomial(square, TANH_BELOW)
+
+
+def _polynomial(x: Tensor, coefficients: Sequence[float]) -> Tensor:
+    """By Horner's rule, the highest power first."""
+    value = x * coefficients[0] + coefficients[1]
+    for coefficient in coefficients[2:]:
+        value = value * x + coefficient
+    return value
+
+
+TANH_ABOVE = (
+    -2.76076847742355e-16, 2.00018790482477e-13, -8.60467152213735e-11, 5.12229709037114e-08,
+    1.48572235717979e-05, 6.37261928875436e-04, 4.89352455891786e-03,
+)  # fmt: skip
+TANH_BELOW = (
+    1.19825839466702e-06,
+    1.18534705686654e-04,
+    2.26843463243900e-03,
+    4.89352518554385e-03,
+)
 
 
 class _Call(nn.Module):
