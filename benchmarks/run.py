@@ -225,6 +225,8 @@ def main(arguments: list[str] | None = None) -> None:
         process_clock=given.process_clock,
         compiled=given.compiled and compiler_available(),
     )
+    if hasattr(os, "sched_setaffinity"):  # XLA's threads, too, have to share one core
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     torch.set_num_threads(1)
     keep_freed_memory()  # for everybody
     if not jax_is_installed():
