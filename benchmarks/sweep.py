@@ -42,7 +42,7 @@ def seconds(processes: int, epochs: int, folder: Path, cache: Path) -> float:
 def main(arguments: list[str] | None = None) -> None:
     """Measure both and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--epochs", type=int, default=100)
+    parser.add_argument("--epochs", type=int, default=300)
     given = parser.parse_args(arguments)
     cores = os.cpu_count() or 1
     with tempfile.TemporaryDirectory() as name:
