@@ -40,6 +40,7 @@ class Stroke(NamedTuple):
 
 INTEGRATORS = {
     "midpoint": Stroke("midpoint", "-", "solid"),
+    "": Stroke("", "-", "solid"),  # a line through several integrators
     "rk4": Stroke("RK4", "--", "dash"),
     "dopri5": Stroke("Dormand-Prince 5", "-.", "dashdot"),
     "galerkin4": Stroke("Galerkin 4", "--", "dash"),
