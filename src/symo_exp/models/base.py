@@ -306,7 +306,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         return self.optimizers(use_pl_optimizer=False)
 
     def _count_steps(self, steps: int) -> None:
-        """Tell Lightning, whose ``global_step`` is counted by that wrapper."""
+        """Tell Lightning, whose ``global_step`` is counted by that wrapper; skipped ones count."""
         total = self.trainer.fit_loop.epoch_loop.manual_optimization.optim_step_progress.total
         total.ready += steps
         total.completed += steps

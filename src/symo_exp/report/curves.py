@@ -105,8 +105,7 @@ def speed(measures: pd.DataFrame) -> list[Chart]:
             Chart(
                 key=f"speed_{metric}",
                 title=f"{measure_name(metric)} against the time of training",
-                caption="Every run; hover says which. Processor time of all optimiser steps; of "
-                "runs that did not record it, the time from start to end.",
+                caption="Every run; hover says which. Processor time of all optimiser steps.",
                 panels=panels,
             )
         )
