@@ -52,7 +52,8 @@ def job(config: DictConfig) -> None:
             choices = dict(settings.runtime.choices)
             if before.status == "finished":
                 if studies.missing(asked_of(config), folder):
-                    from symo_exp.recipe import study_finished
+                    with first_import("symo_exp.recipe"):
+                        from symo_exp.recipe import study_finished
 
                     study_finished(config, folder, choices)
                 return

@@ -161,7 +161,8 @@ def _clear(job: Job) -> None:
 
 def _deliver(job: Job) -> None:
     """Tell the tracker what it could not be told when the run was finished."""
-    from symo_exp.recipe import build
+    with first_import("symo_exp.recipe"):
+        from symo_exp.recipe import build
 
     build(job.config, job.folder).tracker.deliver(job.folder)
 

@@ -243,21 +243,21 @@ class DynamicsModel(lightning.LightningModule, ABC):
         optimizer: Any = self._torch_optimizer()
         start, processor = time.perf_counter(), time.process_time()
         self._statistics = {}
-        rate = torch.tensor(optimizer.param_groups[0]["lr"])
+        rate = optimizer.param_groups[0]["lr"]
         if isinstance(optimizer, EpochOptimizer):
             results = optimizer.epoch(self, batches)
             self.trainer.should_stop |= optimizer.finished
         else:
             results = minibatches(optimizer, self, batches)
         self._count_steps(len(batches))
-        metrics = {name: value / len(batches) for name, value in self._statistics.items()}
-        metrics |= {"lr": rate, **results}
-        mean = metrics["train_loss"]
+        mean = results["train_loss"]
         if self.scheduler_monitor == "train_loss":
             self._schedule(mean)
         self._training_seconds += time.process_time() - processor
-        metrics["training_seconds"] = torch.tensor(self._training_seconds)
-        metrics["step_ms"] = torch.tensor(1e3 * (time.perf_counter() - start) / len(batches))
+        metrics: dict[str, Any] = {"lr": rate, **results}
+        metrics |= {name: value / len(batches) for name, value in self._statistics.items()}
+        metrics["training_seconds"] = self._training_seconds
+        metrics["step_ms"] = 1e3 * (time.perf_counter() - start) / len(batches)
         # straight to where they go: `log_dict` takes half a millisecond for each name
         self.trainer.callback_metrics["train_loss"] = mean
         for logger in self.loggers:
