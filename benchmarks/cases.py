@@ -77,6 +77,16 @@ CASES = {
 }
 
 
+TRAINING_ROWS = 1024
+"""32 trajectories, as the published tables have them."""
+
+
+def training_batch(name: str, count: int) -> Windows:
+    """Some of the windows that `project.trained_weights` has seen; fresh ones where more are asked
+    for."""
+    return system_windows(name, max(count, TRAINING_ROWS)).rows(slice(count))
+
+
 def chain(n: int, width: int = 256) -> Case:
     """The shape of a chain of n pendulums, driven at the first: cost against coordinates."""
     matrix = tuple((1.0 if i == 0 else 0.0,) for i in range(n))
@@ -189,7 +199,7 @@ def system_windows(name: str, count: int, seed: int = 0) -> Windows:
 
 @cache
 def plausible_weights(name: str, method: str, seed: int = 0, steps: int = 600) -> list[Layer]:
-    """What training passes through: a Lagrangian near the true one, but half as heavy again.
+    """What training passes through early: near the true Lagrangian, but half as heavy again.
 
     The network is fitted to 1.5 H and to V. Its roots exist, and its losses are large enough to
     be compared in float32. NODE keeps its initial weights, which decide nothing about its cost.

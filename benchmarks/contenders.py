@@ -35,7 +35,7 @@ class Contender(Protocol):
     def rollout(self, batch: Any, steps: int) -> np.ndarray:
         """Poses after 1..steps steps under the input held at u, (B, steps, n)."""
 
-    def iterations(self, batch: Any) -> int | None:
+    def iterations(self, batch: Any, *, training: bool = False) -> int | None:
         """The most Newton iterations that a row took, where roots are found."""
 
 
@@ -76,7 +76,7 @@ class Autograd:
     def rollout(self, batch: Windows, steps: int) -> np.ndarray:
         return self.model.rollout(batch, steps).numpy()
 
-    def iterations(self, batch: Windows) -> int | None:
+    def iterations(self, batch: Windows, *, training: bool = False) -> int | None:
         if not isinstance(self.model, baseline_autograd.SyMo):
             return None
         self.model.predict(batch)
@@ -120,7 +120,7 @@ class Jax:
     def rollout(self, batch: Any, steps: int) -> np.ndarray:
         return np.asarray(self.method.rollout(self.parameters, batch, steps))
 
-    def iterations(self, batch: Any) -> int | None:
+    def iterations(self, batch: Any, *, training: bool = False) -> int | None:
         if not self.finds_roots:
             return None
         return int(self.method.newton_iterations(self.parameters, batch))

@@ -26,10 +26,10 @@ from benchmarks.cases import (
     METHODS,
     initial_weights,
     plausible_weights,
-    system_windows,
+    training_batch,
 )
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
-from benchmarks.project import Project, compiler_available, fit_calls
+from benchmarks.project import Project, compiler_available, fit_calls, trained_weights
 from benchmarks.timing import interleaved
 from symo_exp.training.allocator import keep_freed_memory
 
@@ -75,14 +75,10 @@ class Plan:
     compiled: bool
 
 
-def contenders(
-    system: str, method: str, *, weights: str = "plausible", lr: float = 0.0
-) -> dict[str, Contender]:
+def contenders(system: str, method: str, *, lr: float = 0.0) -> dict[str, Contender]:
     """All implementations on the same weights. With lr = 0 a step costs what it costs, and the
     weights stay what they are, so that every round measures the same thing."""
-    case = CASES[system]
-    choose = {"plausible": plausible_weights, "initial": lambda s, m: initial_weights(CASES[s], m)}
-    layers = choose[weights](system, method)
+    case, layers = CASES[system], trained_weights(system, method)
     found: dict[str, Contender] = {"autograd": Autograd(method, case, layers, lr=lr)}
     if jax_is_installed():
         found["jax"] = Jax(method, case, layers, lr=lr)
@@ -98,7 +94,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
     def measure(
         name: str, system: str, method: str, rows: int, scale: dict[str, float], calls: dict
     ) -> Iterator[Measurement]:
-        windows = system_windows(system, rows)
+        windows = training_batch(system, rows)
         if name == "rollout":  # unforced, as the protocol's
             still = torch.zeros_like(windows.u)
             windows = windows._replace(u_prev=still, u=still, u_next=still)
@@ -114,7 +110,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
         )
         for k, t in times.items():
             s = scale.get(k, 1.0)
-            taken = group[k].iterations(batches[k])
+            taken = group[k].iterations(batches[k], training=name == "step")
             yield Measurement(
                 name, system, method, rows, k, s * t.median, s * t.low, s * t.high, taken
             )
@@ -126,7 +122,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
                 step = dict.fromkeys(group, lambda c, b: c.train_step(b))
                 if plan.compiled:
                     # A compiled graph belongs to one shape.
-                    layers = plausible_weights(system, method)
+                    layers = trained_weights(system, method)
                     compiled = Project(method, CASES[system], layers, lr=0.0, compiled=True)
                     group["compiled"], step["compiled"] = compiled, step["project"]
                 yield from measure("step", system, method, rows, {}, step)
@@ -148,7 +144,7 @@ def cells(plan: Plan) -> Iterator[Measurement]:
 
 def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
     """`Trainer.fit` per optimiser step beside the bare steps it takes, on the same batches."""
-    layers = plausible_weights(system, method)
+    layers = trained_weights(system, method)
     clock = time.process_time if plan.process_clock else time.perf_counter
     with fit_calls(method, CASES[system], layers, FIT_BATCH, plan.fit_epochs) as (fit, bare, steps):
         calls = {"fit": fit, "bare": bare}
@@ -161,19 +157,31 @@ def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
 
 
 def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
-    """An E2E-SyMo step at initial weights, where some rows have no root: 8 trajectories."""
-    case, layers = CASES[system], initial_weights(CASES[system], "e2e_symo")
-    group: dict[str, Contender] = {
-        "autograd": Autograd("e2e_symo", case, layers, lr=0.0),
-        "project": Project("e2e_symo", case, layers, lr=0.0),
-        "project, whole batch": Project("e2e_symo", case, layers, lr=0.0, stopping="batch"),
+    """E2E-SyMo steps where training starts: 8 trajectories.
+
+    At the Xavier weights of the thesis some rows have no root; where the inertia is half as large
+    again as it should be, all have.
+    """
+    case = CASES[system]
+    starts = {
+        "initial weights": initial_weights(case, "e2e_symo"),
+        "half as heavy again": plausible_weights(system, "e2e_symo"),
     }
-    windows = system_windows(system, 32)
+    group: dict[str, Contender] = {}
+    for start, layers in starts.items():
+        group |= {
+            f"autograd, {start}": Autograd("e2e_symo", case, layers, lr=0.0),
+            f"project, {start}": Project("e2e_symo", case, layers, lr=0.0),
+            f"project, whole batch, {start}": Project(
+                "e2e_symo", case, layers, lr=0.0, stopping="batch", guess="inertial"
+            ),
+        }
+    windows = training_batch(system, 32)
     batches = {k: c.prepare(windows) for k, c in group.items()}
     bound = {k: (lambda k=k: group[k].train_step(batches[k])) for k in group}
     clock = time.process_time if plan.process_clock else time.perf_counter
     for k, t in interleaved(bound, rounds=plan.rounds, turn_ms=plan.turn_ms, clock=clock).items():
-        taken = group[k].iterations(batches[k])
+        taken = group[k].iterations(batches[k], training=True)
         yield Measurement("hard rows", system, "e2e_symo", 32, k, t.median, t.low, t.high, taken)
 
 

@@ -48,7 +48,8 @@ def report(rows: Sequence[Row], *, machine: str, worst_gradient: float) -> str:
     parts = [
         "# Benchmark",
         machine + ". Medians of interleaved rounds; before timing, all implementations computed "
-        f"the same loss and gradient (to {worst_gradient:.0e} of float64).",
+        f"the same loss and gradient (to {worst_gradient:.0e} of float64). Weights are those of "
+        "E2E-SyMo after 2000 steps of a training.",
         "(a) double autograd in PyTorch, (b) the same maths in `jax.jit`.",
         "## Targets",
         targets(found, systems),
@@ -60,7 +61,7 @@ def report(rows: Sequence[Row], *, machine: str, worst_gradient: float) -> str:
     ):
         parts += [f"## {title}", comparison(found, measure)]
     parts += ["## Fit: the whole `Trainer.fit`, per optimiser step [ms]", overhead(found)]
-    parts += ["## E2E-SyMo step at initial weights, 32 rows [ms]", hard(rows)]
+    parts += ["## E2E-SyMo steps where training starts, 32 rows [ms]", hard(rows)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch.fx.experimental.proxy_tensor import make_fx
 
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.models import compiled
@@ -79,3 +80,17 @@ def test_the_compiled_tanh_is_right_to_single_precision():
     ends = torch.tensor([torch.inf, -torch.inf, torch.nan])
     torch.testing.assert_close(compiled.tanh(ends), torch.tanh(ends), equal_nan=True)
     assert compiled.tanh(x.double()) is NotImplemented
+
+
+@pytest.mark.parametrize("shape", [(64, 64, 4), (64, 64, 9), (5, 64, 4), (64, 3, 2), (1, 1, 1)])
+def test_a_narrow_product_is_the_product(shape):
+    rows, inner, columns = shape
+    a, b, x = torch.randn(rows, inner), torch.randn(inner, columns), torch.randn(columns)
+
+    def both(a, b, x):
+        return a @ b, torch.addmm(x, a, b)
+
+    traced = make_fx(both, decomposition_table=compiled.CHEAPER)(a, b, x)
+    torch.testing.assert_close(traced(a, b, x), both(a, b, x))
+    turned = "permute" in traced.code or ".t." in traced.code
+    assert turned == (shape == (64, 64, 4))

@@ -7,6 +7,7 @@ import torch
 
 from symo_exp.mechanics.roots import Newton
 from tests.models.methods import H, combinations, make, windows
+from tests.tables import variational_integrators
 
 ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
 DEGREES = pytest.mark.parametrize("n", [1, 2, 3])
@@ -165,6 +166,37 @@ def test_rows_without_a_root_are_counted_and_do_not_spoil_the_gradient():
     assert model._statistics["newton_failed"] == 1.0
     assert all(g.isfinite().all() for g in gradients)
     torch.testing.assert_close(model.residuals(data), model.preconditioned_residuals(data))
+
+
+@pytest.mark.parametrize("integrator", variational_integrators())
+def test_where_the_search_starts_does_not_change_what_is_learned(integrator):
+    data, seen = windows(2), []
+    for guess in ("datum", "inertial"):
+        model = make("e2e_symo", integrator, 2, guess=guess)
+        parameters = list(model.lagrangian.net.parameters())
+        loss = model.loss(data)
+        seen.append((loss.detach(), torch.autograd.grad(loss, parameters)))
+    torch.testing.assert_close(*seen, rtol=1e-7, atol=1e-12)
+
+
+def test_a_datum_that_passes_for_a_root_teaches_all_the_same():
+    """Else a model would stop learning once it is as good as the tolerance of its roots."""
+    exact, loose = (make("e2e_symo", "midpoint", 2, root=Newton(tolerance=t)) for t in (1e-12, 9.0))
+    data = windows(2)
+    data = data._replace(q_next=exact.predict(data).q.detach() + 1e-6)
+    torch.testing.assert_close(loose.residuals(data), exact.residuals(data), rtol=1e-3, atol=0)
+    gradients = [
+        torch.cat(
+            [g.flatten() for g in torch.autograd.grad(m.loss(data), [*m.lagrangian.net.weights])]
+        )
+        for m in (loose, exact)
+    ]
+    assert (gradients[0] - gradients[1]).norm() < 1e-2 * gradients[1].norm()
+
+
+def test_an_unknown_guess_is_refused():
+    with pytest.raises(ValueError, match="guess must be datum or inertial, got nearest"):
+        make("e2e_symo", "midpoint", 2, guess="nearest")
 
 
 def test_the_true_lagrangian_has_no_residual_where_the_discrete_motion_is_its_own():

@@ -207,7 +207,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         """The loss as a number; its gradients are left in the parameters."""
         if self._program is not None:
             try:
-                loss, _, gradients = self._program(windows)
+                loss, gradients = self._program(windows)
             except Exception as error:  # of a compiler, which may fail in any way
                 reason = str(error).strip().splitlines() or [type(error).__name__]
                 log.warning("the training step is not compiled: %s", reason[0])
@@ -217,7 +217,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
             loss = self.loss(windows)
             loss.backward()
             return loss.detach()
-        for parameter, gradient in zip(self.parameters(), gradients, strict=True):
+        for parameter, gradient in zip(self.parameters(), gradients.tensors, strict=True):
             parameter.grad = gradient
         return loss
 
@@ -228,7 +228,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
 
     def compile_training(self) -> None:
         """Compile ``loss_and_gradients`` at its next call; see ``models.compiled``."""
-        self._program = Program(self, lambda windows: (self.loss(windows), ()), gradients=True)
+        self._program = Program(self, self.loss, gradients=True)
 
     def configure_optimizers(self) -> Any:
         if self._optimizer is None:

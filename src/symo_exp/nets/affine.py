@@ -43,7 +43,7 @@ def weight_gradient(weight: Tensor, *pairs: Pair) -> Tensor | None:
     (cotangent, x), *others = pairs
     gradient = cotangent.T @ x
     for cotangent, x in others:
-        gradient.addmm_(cotangent.T, x)
+        gradient = torch.addmm(gradient, cotangent.T, x)
     return gradient
 
 

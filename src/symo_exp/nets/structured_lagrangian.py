@@ -158,6 +158,8 @@ class StructuredExpansion(Expansion):
 
     def __init__(self, lagrangian: StructuredLagrangian, passes: _Passes) -> None:
         self._lagrangian, self._passes = lagrangian, passes
+        self._rates: tuple[Tensor, ...] = ()
+        """``∂z_l/∂q`` and ``∂o/∂q``, (B, n, ·) each, once ``curvature`` has needed them."""
         self.values = Gradients(
             lagrangian.embedding.to_coordinates(passes.features.dx * passes.feature_cotangent),
             lagrangian.head.momentum(passes.head),
@@ -174,11 +176,15 @@ class StructuredExpansion(Expansion):
         tangents = embedding.basis_tangents(at.features)  # (B, n, ·) from here on
         own = embedding.second(at.features) * at.feature_cotangent
         qq = torch.diag_embed(embedding.to_coordinates(own))
+        rates = []
         for weight, h, slope, d in zip(weights, at.hidden, at.slopes, at.cotangents, strict=True):
             z = tangents @ weight.T
             qq = torch.baddbmm(qq, z * (h * d).unsqueeze(1), z.mT, alpha=-2.0)
             tangents = z * slope.unsqueeze(1)
-        outputs_qq, vq = head.curvature(at.head, tangents @ last.T)
+            rates.append(z)
+        rates.append(tangents @ last.T)
+        self._rates = tuple(rates)
+        outputs_qq, vq = head.curvature(at.head, rates[-1])
         return Curvature(qq + outputs_qq, vq)
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
@@ -205,13 +211,14 @@ class StructuredExpansion(Expansion):
         direction = embedding.spread(a)
         tangents = [at.features.dx * direction]
         bends: list[Tensor] = []  # −2 h_l z_l' d_l
+        along = [(a.unsqueeze(-1) * rates).sum(1) for rates in self._rates]  # Σ aᵢ ∂z_l/∂qᵢ
         for weight, h, slope, d in zip(
             weights[:-1], at.hidden, at.slopes, at.cotangents, strict=True
         ):
-            z = tangents[-1] @ weight.T
+            z = along.pop(0) if along else tangents[-1] @ weight.T
             bends.append(-2.0 * z * h * d)
             tangents.append(z * slope)
-        rates = tangents[-1] @ weights[-1].T
+        rates = along.pop(0) if along else tangents[-1] @ weights[-1].T
         back, velocity = self._lagrangian.head.directional_cotangents(at.head, rates, b)
         inputs = (at.features.x, *at.hidden)
         own = (*at.cotangents, at.output_cotangent)
