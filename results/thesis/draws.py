@@ -1,0 +1,94 @@
+"""What the choice of test trajectories decides.
+
+    python results/thesis/draws.py outputs/thesis pendulum > results/thesis/draws.md
+
+A published integration error is a mean over 16 trajectories. For every finished run of 32 exact
+trajectories it is made here over 256 others, and then over 16 of these drawn at random, ten
+thousand times: a published figure is one such draw.
+"""
+
+import sys
+from pathlib import Path
+
+import hydra.utils
+import numpy as np
+import torch
+import yaml
+
+import symo_exp
+from symo_exp.data.simulate import generate
+from symo_exp.evaluation.evaluate import roll_out
+from symo_exp.evaluation.measures import rollout_pose_mse
+from symo_exp.mechanics.types import Trajectories
+from symo_exp.report.published import TIME_STEPS, published
+from symo_exp.systems.base import System
+
+TRAJECTORIES, DRAWN, DRAWS = 256, 16, 10_000
+
+
+def trajectories(system: System, config: dict) -> Trajectories:
+    """Unforced, from other starts than those of any seed."""
+    return generate(
+        system,
+        count=TRAJECTORIES,
+        steps=config["integration_steps"] + 1,
+        forced=False,
+        solver=hydra.utils.instantiate(config["solver"]),
+        seed=(2026, 0),
+    )
+
+
+def errors(folder: Path, system: System, true: Trajectories, over: str) -> np.ndarray:
+    """The integration error of each of the trajectories, over the pose or over the state."""
+    motion = roll_out(symo_exp.load(folder).for_evaluation(), system, true)
+    error = rollout_pose_mse(motion.q[:, 1:], motion.q_true[:, 1:])
+    if over == "state":
+        error = 0.5 * (error + rollout_pose_mse(motion.v[:, 1:], motion.v_true[:, 1:]))
+    return error.numpy()
+
+
+def draws(runs: Path, name: str) -> str:
+    """A table of the runs of one system."""
+    table = published()
+    cells = table[
+        (table.system == name)
+        & (table.time_step == TIME_STEPS[name])
+        & (table.metric == "integration_mse")
+        & (table.n_traj == 32)
+        & (table.noise_std == 0.0)
+    ]
+    over = cells.over.iloc[0]
+    system = true = None
+    rows = []
+    for file in runs.glob(f"*-{name}-*/config.yaml"):
+        config = yaml.safe_load(file.read_text())
+        data, finished = config["data"], (file.parent / "outcome.json").exists()
+        if not finished or data["n_traj"] != 32 or data["noise_std"]:
+            continue
+        method = file.parent.name.split("-")[0]
+        kind = "variational" if "symo" in method or "variational" in method else "explicit"
+        chosen = config["integrator"][kind]
+        integrator = chosen["_target_"].rsplit(".", 1)[1].lower().removeprefix("variational")
+        integrator += f" of order {2 * chosen['stages']}" if "stages" in chosen else ""
+        like = cells[(cells.method == method) & (cells.integrator == integrator)].value
+        if true is None:  # the same for all of them
+            system = hydra.utils.instantiate(config["system"])
+            true = trajectories(system, data)
+        error = errors(file.parent, system, true, over)
+        drawn = np.random.default_rng(0).choice(error, (DRAWS, DRAWN)).mean(1)
+        figures = [np.median(error), error.mean(), *np.quantile(drawn, [0.05, 0.5, 0.95]), *like]
+        row = [f"{method} {integrator}", str(config["seed"]), *(f"{x:.2g}" for x in figures)]
+        # The true systems have nothing published.
+        row += [f"{100 * (drawn < x).mean():.0f} %" for x in like] or ["–", "–"]
+        rows.append(row)
+    head = ["run", "seed", "median", "mean", "16 drawn: 5 %", "50 %", "95 %"]
+    head += ["published", "of draws below"]
+    lines = [f"**{name}**, over the {over}", "", "| " + " | ".join(head) + " |"]
+    lines += ["| :-- |" + " --: |" * (len(head) - 1)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in sorted(rows)]) + "\n"
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    folder, *systems = sys.argv[1:]
+    print("\n".join(draws(Path(folder), name) for name in systems), end="")
