@@ -7,6 +7,7 @@ that all of them see the same weights and the same data.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -98,6 +99,12 @@ class Layer(NamedTuple):
 
     weight: Tensor
     bias: Tensor
+
+
+def layers_of(parameters: Iterable[Tensor]) -> list[Layer]:
+    """Copies of [weight, bias, weight, ...] as layers."""
+    flat = [p.detach().double() for p in parameters]
+    return [Layer(*pair) for pair in zip(flat[::2], flat[1::2], strict=True)]
 
 
 class Windows(NamedTuple):
@@ -225,5 +232,4 @@ def plausible_weights(name: str, method: str, seed: int = 0, steps: int = 600) -
         error.backward()
         optimizer.step()
         schedule.step()
-    flat = [p.detach().double() for p in model.parameters()]
-    return [Layer(*pair) for pair in zip(flat[::2], flat[1::2], strict=True)]
+    return layers_of(model.parameters())

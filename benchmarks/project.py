@@ -21,6 +21,7 @@ from benchmarks.cases import (
     Layer,
     calm_weights,
     initial_weights,
+    layers_of,
     system_windows,
     training_batch,
 )
@@ -166,8 +167,7 @@ def trained_weights(name: str, method: str, seed: int = 0, steps: int = 2000) ->
         start = 32 * step % TRAINING_ROWS
         contender.train_step(windows.rows(slice(start, start + 32)))
         schedule.step()
-    flat = [p.detach().double() for p in parameters(contender.model)]
-    return [Layer(*pair) for pair in zip(flat[::2], flat[1::2], strict=True)]
+    return layers_of(parameters(contender.model))
 
 
 class _Samples(lightning.LightningDataModule):

@@ -243,18 +243,20 @@ def next_pose(
     root = root_finder.solve(problem, guess.detach())
     if not torch.is_grad_enabled():
         return root.x, root
-    return differentiable_pose(root.x, root.evaluation, q, impulse, forces), root
+    at = root.evaluation
+    return differentiable_pose(root.x, at.expansion, at.jacobian(), q, impulse, forces), root
 
 
 def differentiable_pose(
     x: Float[Tensor, "batch n"],
-    at: MomentumMismatch,
+    at: DiscreteExpansion,
+    jacobian: Float[Tensor, "batch n n"],
     q: Float[Tensor, "batch n"],
     impulse: Float[Tensor, "batch n"],
     forces: Forces | None = None,
 ) -> Float[Tensor, "batch n"]:
-    """The root ``x``, at which the problem was evaluated, with its implicit derivatives."""
-    return attach_root(x, impulse + at.expansion.slots(q, x, forces).d1, at.jacobian())
+    """The root ``x``, around which ``L_d`` was expanded, with its implicit derivatives."""
+    return attach_root(x, impulse + at.slots(q, x, forces).d1, jacobian)
 
 
 def variational_step(
@@ -293,10 +295,17 @@ def momentum_before(
     force_prev: Float[Tensor, "batch n"],
     force: Float[Tensor, "batch n"],
     h: float,
+    at: DiscreteExpansion | None = None,
 ) -> Float[Tensor, "batch n"]:
-    """``p_k = p⁺(q_{k−1}, q_k)``, the discrete Legendre transform of two poses (3.41)."""
+    """``p_k = p⁺(q_{k−1}, q_k)``, the discrete Legendre transform of two poses (3.41).
+
+    ``at``: ``L_d`` around them, where it is known already.
+    """
     _, f1 = integrator.impulses(force_prev, force, h)
-    return integrator.slots(lagrangian, q_prev, q, h, Forces(force_prev, force)).d2 + f1
+    forces = Forces(force_prev, force)
+    if at is not None:
+        return at.slots(q_prev, q, forces).d2 + f1
+    return integrator.slots(lagrangian, q_prev, q, h, forces).d2 + f1
 
 
 def del_residual(

@@ -54,6 +54,7 @@ class Program:
 
     def __call__(self, *arguments: Any) -> Any:
         flat = _flatten(arguments)
+        # The first argument is the batch; shapes of what travels follow from its shapes.
         key = tuple((x.shape, x.dtype, x.device) for x in _flatten(arguments[:1]))
         if key not in self._compiled:
             self._compiled[key] = self._compile(arguments)

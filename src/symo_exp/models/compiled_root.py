@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
-from symo_exp.mechanics.implicit import attach_root
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.roots import rounding, row_norm
 from symo_exp.mechanics.types import Windows
-from symo_exp.mechanics.variational import DiscreteExpansion, MidpointExpansion
+from symo_exp.mechanics.variational import (
+    DiscreteExpansion,
+    MidpointExpansion,
+    differentiable_pose,
+)
 from symo_exp.models.compiled import Packed, Program, carry
 from symo_exp.nets.structured_lagrangian import StructuredExpansion
 
@@ -87,6 +90,5 @@ class CompiledRootLoss:
     def _loss_at(self, windows: Windows, before: Packed, at: Packed) -> Tensor:
         model, root = self._model, at.open()
         impulse, forces = model.impulse(windows, before.open()), model.forces(windows)
-        residual = impulse + root.after.slots(windows.q, root.x, forces).d1
-        pose = attach_root(root.x, residual, root.jacobian)
+        pose = differentiable_pose(root.x, root.after, root.jacobian, windows.q, impulse, forces)
         return (pose - windows.q_next).square().mean()

@@ -51,12 +51,15 @@ class E2ESyMo(LearnsLagrangian, VariationalModel):
         self._count("newton_iterations", root.iterations.float().mean())
         self._count("newton_failed", (~root.converged).float().mean())
         if not self.fallback or bool(root.converged.all()):
-            pose = differentiable_pose(root.x, root.evaluation, windows.q, impulse, forces)
+            after, jacobian = root.evaluation.expansion, root.evaluation.jacobian()
+            pose = differentiable_pose(root.x, after, jacobian, windows.q, impulse, forces)
             return pose - windows.q_next
         found, lost = (rows.nonzero().squeeze(-1) for rows in (root.converged, ~root.converged))
+        at = root.evaluation.rows(found)
         pose = differentiable_pose(
             root.x[found],
-            root.evaluation.rows(found),
+            at.expansion,
+            at.jacobian(),
             windows.q[found],
             impulse[found],
             forces.rows(found),
@@ -72,9 +75,6 @@ class E2ESyMo(LearnsLagrangian, VariationalModel):
         """The generalised forces at nodes ``k`` and ``k+1``."""
         return Forces(self._force(windows.u, windows.q), self._force(windows.u_next, windows.q))
 
-    def _forces_before(self, windows: Windows) -> Forces:
-        return Forces(self._force(windows.u_prev, windows.q), self._force(windows.u, windows.q))
-
     def before(self, windows: Windows) -> DiscreteExpansion:
         """``L_d`` around ``(q_{k−1}, q_k)``."""
         forces = self._forces_before(windows)
@@ -84,10 +84,8 @@ class E2ESyMo(LearnsLagrangian, VariationalModel):
 
     def impulse(self, windows: Windows, before: DiscreteExpansion) -> Tensor:
         """``p_k + f⁻``: what does not depend on the next pose."""
-        forces = self._forces_before(windows)
-        _, f_plus = self.integrator.impulses(*forces, self.time_step)
         f_minus, _ = self.integrator.impulses(*self.forces(windows), self.time_step)
-        return before.slots(windows.q_prev, windows.q, forces).d2 + f_plus + f_minus
+        return self._momentum_before(windows, before) + f_minus
 
     def problem(self, windows: Windows, impulse: Tensor) -> MomentumMatching:
         forces = self.forces(windows)

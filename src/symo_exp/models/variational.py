@@ -10,6 +10,8 @@ from symo_exp.mechanics.lagrangian import Lagrangian, solve
 from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
+    DiscreteExpansion,
+    Forces,
     VariationalIntegrator,
     del_residual,
     momentum_before,
@@ -118,20 +120,20 @@ class VariationalModel(DynamicsModel):
         v = self._lagrangian.velocity(step.q, step.p)
         return Step(step.q, v, step.root.converged, step.root.iterations)
 
-    def _momentum_before(self, windows: Windows) -> Tensor:
-        force_prev, force = (
-            self._force(windows.u_prev, windows.q),
-            self._force(windows.u, windows.q),
-        )
+    def _momentum_before(self, windows: Windows, at: DiscreteExpansion | None = None) -> Tensor:
         return momentum_before(
             self.integrator,
             self._lagrangian,
             windows.q_prev,
             windows.q,
-            force_prev,
-            force,
+            *self._forces_before(windows),
             self.time_step,
+            at,
         )
+
+    def _forces_before(self, windows: Windows) -> Forces:
+        """The generalised forces at nodes ``k−1`` and ``k``."""
+        return Forces(self._force(windows.u_prev, windows.q), self._force(windows.u, windows.q))
 
     def _encode(self, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
         return q, self._lagrangian.momentum(q, v)

@@ -212,13 +212,13 @@ class StructuredExpansion(Expansion):
         tangents = [at.features.dx * direction]
         bends: list[Tensor] = []  # −2 h_l z_l' d_l
         along = [(a.unsqueeze(-1) * rates).sum(1) for rates in self._rates]  # Σ aᵢ ∂z_l/∂qᵢ
-        for weight, h, slope, d in zip(
-            weights[:-1], at.hidden, at.slopes, at.cotangents, strict=True
+        for layer, (h, slope, d) in enumerate(
+            zip(at.hidden, at.slopes, at.cotangents, strict=True)
         ):
-            z = along.pop(0) if along else tangents[-1] @ weight.T
+            z = along[layer] if along else tangents[-1] @ weights[layer].T
             bends.append(-2.0 * z * h * d)
             tangents.append(z * slope)
-        rates = along.pop(0) if along else tangents[-1] @ weights[-1].T
+        rates = along[-1] if along else tangents[-1] @ weights[-1].T
         back, velocity = self._lagrangian.head.directional_cotangents(at.head, rates, b)
         inputs = (at.features.x, *at.hidden)
         own = (*at.cotangents, at.output_cotangent)
