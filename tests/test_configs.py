@@ -9,6 +9,7 @@ from symo_exp.configuration.command import jobs_of, parse
 from symo_exp.configuration.help import description
 from symo_exp.errors import ConfigError
 from symo_exp.recipe import build
+from symo_exp.report.published import published
 from tests.tables import choices, variational_integrators
 
 GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")})
@@ -116,3 +117,12 @@ def test_thesis_and_default_protocol(workplace):
     assert (thesis.data.solver.method, thesis.data.solver.rtol) == ("RK45", 1e-3)
     pendulum = jobs_of(parse(["system=pendulum"])).jobs[0].config
     assert (pendulum.model.width, pendulum.optimizer.lr) == (128, 1e-4)
+
+
+RATES = published()[["system", "noise_std", "learning_rate"]].drop_duplicates()
+
+
+@pytest.mark.parametrize(("system", "noise_std", "learning_rate"), RATES.to_numpy().tolist())
+def test_the_learning_rates_are_the_published_ones(system, noise_std, learning_rate, workplace):
+    (job,) = jobs_of(parse([f"system={system}", f"data.noise_std={noise_std}"])).jobs
+    assert job.config.optimizer.lr == learning_rate

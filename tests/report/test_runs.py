@@ -154,3 +154,12 @@ def test_whatever_else_is_set_is_the_variant(workplace):
     assert variant(told("preset=thesis", "learning_rate=1e-3")) == "thesis, learning_rate=0.001"
     assert variant(told("model.width=16")) == "model.width=16"
     assert variant(told("learning_rate=1.0e-4", "pictures=false", "experiment=x")) == ""
+
+
+def test_what_follows_from_another_setting_is_no_variant_unless_set_itself(workplace):
+    cartpole = ("model=symo", "system=cartpole")
+    assert variant(told(*cartpole)) == variant(told(*cartpole, "data.noise_std=1e-3")) == ""
+    noisy = told(*cartpole, "data.noise_std=1e-3", "learning_rate=1e-3")
+    assert variant(noisy) == "learning_rate=0.001"
+    assert variant(told("optimizer.lr=5e-4")) == "optimizer.lr=0.0005"
+    assert variant(told("learning_rate=5e-4")) == "learning_rate=0.0005"

@@ -12,6 +12,10 @@ from typing import Any
 
 from omegaconf import Container, DictConfig, OmegaConf
 
+from symo_exp.configuration import references
+
+assert references  # registers what files may say besides names
+
 _INCIDENTAL = {
     "": {"hydra", "experiment", "output_dir", "logger", "resume", "study"},
     "data": {"cache_dir"},

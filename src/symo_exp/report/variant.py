@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from symo_exp.configuration import CONF
+from symo_exp.configuration.references import followed, refers
 
 TOLD = {
     "model", "system", "integrator", "pair", "preset", "seed", "data.n_traj", "data.noise_std",
@@ -32,10 +33,15 @@ def variant(parameters: Mapping[str, str]) -> str:
     preset = parameters.get("preset", "default")
     groups = [name for name in parameters if name in _defaults("config")]
     expected = _expected(tuple(sorted((group, parameters[group]) for group in groups)))
+    expected = {name: value for name, value in expected.items() if name in parameters}
+    references = {name: value for name, value in expected.items() if refers(value)}
+    settings = {n: _number(x) for n, x in parameters.items() if n not in groups}
+    known = {n: x for n, x in expected.items() if n not in references}
+    known |= followed(references, settings)
     changed = [
-        f"{name}={value}"
-        for name, value in sorted(parameters.items())
-        if name in expected and not _same(value, expected[name])
+        f"{name}={parameters[name]}"
+        for name, value in sorted(known.items())
+        if not _same(parameters[name], value)
     ]
     return ", ".join([*([] if preset == "default" else [preset]), *changed])
 
@@ -78,21 +84,23 @@ def _defaults(path: str) -> dict[str, str]:
 
 
 def _flat(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted names and values, without references and what belongs to Hydra."""
+    """Dotted names and values, without what belongs to Hydra."""
     for key, value in node.items():
         if key in ("defaults", "hydra", "_partial_"):
             continue
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{key}.")
-        elif not (isinstance(value, str) and "${" in value):
+        else:
             yield f"{prefix}{key}", value
 
 
 def _same(told: str, expected: Any) -> bool:
     """MLflow keeps words: ``1e-4`` and ``0.0001``, ``null`` and ``None`` are the same."""
-    if told == str(expected):
-        return True
+    return told == str(expected) or _number(told) == _number(str(expected))
+
+
+def _number(word: str) -> float | str:
     try:
-        return float(told) == float(expected)
-    except (TypeError, ValueError):
-        return False
+        return float(word)
+    except ValueError:
+        return word

@@ -1,0 +1,36 @@
+"""What a value of a configuration file may refer to: a setting, or one of two values by a third.
+
+``${if:${data.noise_std},1e-4,1e-3}`` is 1e-4 where there is noise and 1e-3 where there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import InterpolationResolutionError
+
+OmegaConf.register_new_resolver(
+    "if", lambda condition, then, otherwise: then if condition else otherwise, replace=True
+)
+
+
+def refers(value: Any) -> bool:
+    return isinstance(value, str) and "${" in value
+
+
+def followed(references: Mapping[str, str], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of ``references``, by name, where ``settings`` (dotted names) has all it takes."""
+    config = OmegaConf.create()
+    for name, value in settings.items():
+        if any(name in reference for reference in references.values()):
+            OmegaConf.update(config, name, value)
+    config["references"] = dict(references)
+    values = {}
+    for name in references:
+        try:
+            values[name] = config["references"][name]
+        except InterpolationResolutionError:
+            continue
+    return values
