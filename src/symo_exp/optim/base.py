@@ -100,18 +100,33 @@ def minibatches(
     training has rows with a nearly singular inertia, from which explicit steps fly off.
     """
     losses: list[Tensor] = []
+    finite: list[Tensor] = []
     for windows in batches:
-        loss = model.loss_and_gradients(windows)
-        if model.gradient_clip is not None:
-            norm = torch.nn.utils.clip_grad_norm_(model.parameters(), model.gradient_clip)
-            if not bool(norm.isfinite()):
-                continue
+        losses.append(model.loss_and_gradients(windows))
+        if model.gradient_clip is None:
+            optimizer.step()
+            continue
+        norm = torch.nn.utils.clip_grad_norm_(model.parameters(), model.gradient_clip)
+        finite.append(norm.isfinite())
+        step_if(finite[-1], optimizer, wait=norm.device.type == "cpu")
+    loss = torch.stack(losses)
+    if model.gradient_clip is None:
+        return {"train_loss": loss.mean()}
+    taken = torch.stack(finite)
+    return {"train_loss": loss[taken].mean(), "skipped_steps": (~taken).sum().float()}
+
+
+def step_if(condition: Tensor, optimizer: Optimizer, *, wait: bool) -> None:
+    """A step if the condition holds, which may be known to a GPU alone so far.
+
+    Reading it makes the host wait for all that the device has been told to do. Unless it is to
+    ``wait``, an optimiser that can skip steps by itself, as for scaled gradients, is told when.
+    """
+    if not wait and getattr(optimizer, "_step_supports_amp_scaling", False):
+        optimizer.found_inf = (~condition).float()  # type: ignore[attr-defined]
         optimizer.step()
-        losses.append(loss)
-    results = {"train_loss": torch.stack(losses).mean() if losses else torch.tensor(math.nan)}
-    if model.gradient_clip is not None:
-        results["skipped_steps"] = torch.tensor(float(len(batches) - len(losses)))
-    return results
+    elif bool(condition):
+        optimizer.step()
 
 
 def whole(batches: Sequence[Windows]) -> Windows:
