@@ -1,10 +1,10 @@
 """What the choice of test trajectories decides.
 
-    python results/thesis/draws.py outputs/thesis pendulum > results/thesis/draws.md
+    python results/thesis/draws.py outputs/thesis SYSTEM ... > results/thesis/draws.md
 
-A published integration error is a mean over 16 trajectories. For every finished run of 32 exact
-trajectories it is made here over 256 others, and then over 16 of these drawn at random, ten
-thousand times: a published figure is one such draw.
+A published integration error is a mean over 16 trajectories. For every finished run of 32
+trajectories at the published learning rate it is made here over 256 others, and then over 16 of
+these drawn at random, ten thousand times: a published figure is one such draw.
 """
 
 import sys
@@ -55,7 +55,6 @@ def draws(runs: Path, name: str) -> str:
         & (table.time_step == TIME_STEPS[name])
         & (table.metric == "integration_mse")
         & (table.n_traj == 32)
-        & (table.noise_std == 0.0)
     ]
     over = cells.over.iloc[0]
     system = true = None
@@ -63,25 +62,30 @@ def draws(runs: Path, name: str) -> str:
     for file in runs.glob(f"*-{name}-*/config.yaml"):
         config = yaml.safe_load(file.read_text())
         data, finished = config["data"], (file.parent / "outcome.json").exists()
-        if not finished or data["n_traj"] != 32 or data["noise_std"]:
+        if not finished or data["n_traj"] != 32:
+            continue
+        noise = data["noise_std"]
+        alike = cells[cells.noise_std == noise]
+        if config["learning_rate"] not in alike.learning_rate.to_numpy():
             continue
         method = file.parent.name.split("-")[0]
         kind = "variational" if "symo" in method or "variational" in method else "explicit"
         chosen = config["integrator"][kind]
         integrator = chosen["_target_"].rsplit(".", 1)[1].lower().removeprefix("variational")
         integrator += f" of order {2 * chosen['stages']}" if "stages" in chosen else ""
-        like = cells[(cells.method == method) & (cells.integrator == integrator)].value
+        like = alike[(alike.method == method) & (alike.integrator == integrator)].value
         if true is None:  # the same for all of them
             system = hydra.utils.instantiate(config["system"])
             true = trajectories(system, data)
         error = errors(file.parent, system, true, over)
         drawn = np.random.default_rng(0).choice(error, (DRAWS, DRAWN)).mean(1)
         figures = [np.median(error), error.mean(), *np.quantile(drawn, [0.05, 0.5, 0.95]), *like]
-        row = [f"{method} {integrator}", str(config["seed"]), *(f"{x:.2g}" for x in figures)]
+        row = [f"{method} {integrator}", f"{noise:g}", str(config["seed"])]
+        row += [f"{x:.2g}" for x in figures]
         # The true systems have nothing published.
         row += [f"{100 * (drawn < x).mean():.0f} %" for x in like] or ["–", "–"]
         rows.append(row)
-    head = ["run", "seed", "median", "mean", "16 drawn: 5 %", "50 %", "95 %"]
+    head = ["run", "noise", "seed", "median", "mean", "16 drawn: 5 %", "50 %", "95 %"]
     head += ["published", "of draws below"]
     lines = [f"**{name}**, over the {over}", "", "| " + " | ".join(head) + " |"]
     lines += ["| :-- |" + " --: |" * (len(head) - 1)]

@@ -1,0 +1,82 @@
+"""What noise makes of SyMo's losses.
+
+    python results/thesis/noise.py outputs/thesis cartpole > results/thesis/noise.md
+
+For every finished run of SyMo and E2E-SyMo under noise, on the noisy windows that it was trained
+on: the mean squares of the residual g and of the preconditioned one h H⁻¹ g, for the true
+Lagrangian in the same integrator and for the learned one, and the share of the true inertia that
+was learned. Where the learned residual is below the true one, the loss leads away from the truth.
+"""
+
+import sys
+from pathlib import Path
+
+import hydra.utils
+import torch
+import yaml
+from torch import Tensor
+
+import symo_exp
+from symo_exp.data.base import DataModule
+from symo_exp.mechanics.types import Windows
+from symo_exp.models.true import TrueVariational
+from symo_exp.models.variational import VariationalModel
+
+HEAD = ["noise", "run", "learning rate", "g²: true", "learned", "(h H⁻¹ g)²: true", "learned"]
+
+
+def training_windows(config: dict, system: object) -> Windows:
+    """Those of a run, in float64."""
+    settings = config["data"] | {"dtype": "float64", "shuffle": False}
+    data: DataModule = hydra.utils.instantiate(settings, system=system)
+    data.setup()
+    return data.train
+
+
+def inertia(model: VariationalModel, windows: Windows) -> Tensor:
+    """The mean trace of H over the poses."""
+    return model.lagrangian.mass_matrix(windows.q).diagonal(dim1=1, dim2=2).sum(1).mean()
+
+
+def squares(model: VariationalModel, windows: Windows) -> list[float]:
+    residuals = model.del_residuals(windows), model.preconditioned_residuals(windows)
+    return [float(r.square().mean()) for r in residuals]
+
+
+@torch.no_grad()
+def table(runs: Path, name: str) -> str:
+    """The runs of one system."""
+    rows = []
+    for file in runs.glob(f"*symo-{name}-*/config.yaml"):
+        config = yaml.safe_load(file.read_text())
+        noise = config["data"]["noise_std"]
+        if not noise or not (file.parent / "outcome.json").exists():
+            continue
+        learned = symo_exp.load(file.parent).for_evaluation()
+        system = hydra.utils.instantiate(config["system"])
+        truth = TrueVariational(
+            lagrangian=system,
+            integrator=learned.integrator,
+            root=learned.root,
+            coordinates=system.coordinates,
+            input_matrix=system.input_matrix,
+            time_step=system.time_step,
+        ).double()
+        windows = training_windows(config, system)
+        pairs = zip(squares(truth, windows), squares(learned, windows), strict=True)
+        share = inertia(learned, windows) / inertia(truth, windows)
+        figures = [*(x for pair in pairs for x in pair), share]
+        method, rate = file.parent.name.split("-")[0], config["learning_rate"]
+        rows.append([noise, method, rate, *(f"{x:.2g}" for x in figures)])
+    head = [*HEAD, "inertia, learned / true"]
+    lines = [f"**{name}**", "", "| " + " | ".join(head) + " |", "| --: | :--" + " | --:" * 6 + " |"]
+    rows.sort(key=lambda row: (row[1] != "symo", row[0], row[2]))
+    cells = [[f"{x:g}" if isinstance(x, float) else x for x in row] for row in rows]
+    lines += ["| " + " | ".join(row) + " |" for row in cells]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    folder, *systems = sys.argv[1:]
+    print("\n".join(table(Path(folder), name) for name in systems), end="")
