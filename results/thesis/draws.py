@@ -22,6 +22,7 @@ from symo_exp.evaluation.measures import rollout_pose_mse
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.report.published import TIME_STEPS, published
 from symo_exp.systems.base import System
+from symo_exp.training.outcome import Outcome
 
 TRAJECTORIES, DRAWN, DRAWS = 256, 16, 10_000
 
@@ -61,8 +62,8 @@ def draws(runs: Path, name: str) -> str:
     rows = []
     for file in runs.glob(f"*-{name}-*/config.yaml"):
         config = yaml.safe_load(file.read_text())
-        data, finished = config["data"], (file.parent / "outcome.json").exists()
-        if not finished or data["n_traj"] != 32:
+        data, finished = config["data"], Outcome.read(file.parent).status == "finished"
+        if not finished or data["n_traj"] != 32 or config["objective"] != "plain":
             continue
         noise = data["noise_std"]
         alike = cells[cells.noise_std == noise]

@@ -21,6 +21,7 @@ from symo_exp.data.base import DataModule
 from symo_exp.mechanics.types import Windows
 from symo_exp.models.true import TrueVariational
 from symo_exp.models.variational import VariationalModel
+from symo_exp.training.outcome import Outcome
 
 HEAD = ["noise", "run", "learning rate", "g²: true", "learned", "(h H⁻¹ g)²: true", "learned"]
 
@@ -50,9 +51,9 @@ def table(runs: Path, name: str) -> str:
     for file in runs.glob(f"*symo-{name}-*/config.yaml"):
         config = yaml.safe_load(file.read_text())
         noise = config["data"]["noise_std"]
-        if not noise or not (file.parent / "outcome.json").exists():
+        if not noise or Outcome.read(file.parent).status != "finished":
             continue
-        learned = symo_exp.load(file.parent).for_evaluation()
+        learned = symo_exp.load(file.parent, dtype=torch.float64).for_evaluation().double()
         system = hydra.utils.instantiate(config["system"])
         truth = TrueVariational(
             lagrangian=system,
@@ -67,10 +68,12 @@ def table(runs: Path, name: str) -> str:
         share = inertia(learned, windows) / inertia(truth, windows)
         figures = [*(x for pair in pairs for x in pair), share]
         method, rate = file.parent.name.split("-")[0], config["learning_rate"]
+        if method == "symo" and config["objective"] != "plain":
+            method += f", {config['objective']}"
         rows.append([noise, method, rate, *(f"{x:.2g}" for x in figures)])
     head = [*HEAD, "inertia, learned / true"]
     lines = [f"**{name}**", "", "| " + " | ".join(head) + " |", "| --: | :--" + " | --:" * 6 + " |"]
-    rows.sort(key=lambda row: (row[1] != "symo", row[0], row[2]))
+    rows.sort(key=lambda row: (row[1], row[0], row[2]))
     cells = [[f"{x:g}" if isinstance(x, float) else x for x in row] for row in rows]
     lines += ["| " + " | ".join(row) + " |" for row in cells]
     return "\n".join(lines) + "\n"
