@@ -10,6 +10,7 @@ from PIL import Image
 from symo_exp.report import published
 from symo_exp.report.__main__ import main
 from symo_exp.report.build import report
+from symo_exp.report.chapter import progress
 from symo_exp.report.page import page
 from symo_exp.report.runs import read
 from symo_exp.report.style import METHODS
@@ -150,3 +151,14 @@ def test_latex_escapes_what_it_must():
     assert r"x$^2$ & $\sigma$ \\" in text
     assert r"\{1\} & $\div$2 $\pm$ 3 \\" in text
     assert text.isascii()
+
+
+def test_what_is_missing_is_told_of_the_main_variant_alone(store):
+    add_run(store, n_traj=8, parameters={"preset": "default"})
+    add_run(store, noise_std=0.01, parameters={"learning_rate": 1e-3})
+    tables = {table.key: table for table in progress(read(store, ["thesis"]))}
+    main_rows = {row[0] for row in tables["progress_sizes"].rows}
+    assert {"pendulum", "acrobot", "cartpole"} <= main_rows
+    others = [table for key, table in tables.items() if "learning_rate" in key]
+    assert all(any(cell != "–" for cell in row[2:]) for table in others for row in table.rows)
+    assert not any(key.startswith("progress_sizes_learning_rate") for key in tables)

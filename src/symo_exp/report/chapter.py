@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from symo_exp.report import published
+from symo_exp.report.cells import main_variant
 from symo_exp.report.claims import Verdict
 from symo_exp.report.labels import (
     PAIRS,
@@ -186,10 +187,14 @@ def claims(verdicts: Sequence[Verdict]) -> Table:
 
 
 def progress(runs: Runs) -> Iterable[Table]:
-    """Which cells of the chapter have been run, with how many seeds."""
+    """Which cells of the chapter have been run, with how many seeds.
+
+    What has not been run is told of the main variant alone: others were tried here and there.
+    """
     done = runs.measures.drop_duplicates("run_id")
     done = done[~done.method.isin(TRUE)]
-    for variant in sorted(set(done.variant)) or [""]:
+    main = main_variant(done)
+    for variant in sorted({*done.variant, main}):
         mine = done[done.variant == variant]
         systems = systems_in_order({*SYSTEMS, *mine.system})
         axes: list[tuple[str, str, Sequence[float], Callable[[pd.DataFrame, float], pd.Series]]]
@@ -208,7 +213,9 @@ def progress(runs: Runs) -> Iterable[Table]:
                 for pair in sorted({*PAIRS, *_pairs_of(here)}, key=in_order):
                     of = _of(here, pair)
                     counts = [of[at(of, x)].seed.nunique() for x in values]
-                    rows.append([system, pair_name(*pair), *(str(n) if n else "–" for n in counts)])
+                    if variant == main or any(counts):
+                        told = (str(n) if n else "–" for n in counts)
+                        rows.append([system, pair_name(*pair), *told])
             if rows:
                 yield Table(
                     key=f"progress_{key}{_suffix(variant)}",
