@@ -21,6 +21,7 @@ from symo_exp.evaluation.evaluate import roll_out
 from symo_exp.evaluation.measures import rollout_pose_mse
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.report.published import TIME_STEPS, published
+from symo_exp.report.tables import Table, markdown
 from symo_exp.systems.base import System
 from symo_exp.training.outcome import Outcome
 
@@ -88,9 +89,7 @@ def draws(runs: Path, name: str) -> str:
         rows.append(row)
     head = ["run", "noise", "seed", "median", "mean", "16 drawn: 5 %", "50 %", "95 %"]
     head += ["published", "of draws below"]
-    lines = [f"**{name}**, over the {over}", "", "| " + " | ".join(head) + " |"]
-    lines += ["| :-- |" + " --: |" * (len(head) - 1)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in sorted(rows)]) + "\n"
+    return markdown(Table(f"draws_{name}", f"{name}, over the {over}", head, sorted(rows)))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What noise makes of SyMo's losses.
 
-    python results/thesis/noise.py outputs/thesis cartpole > results/thesis/noise.md
+    python results/thesis/noise.py outputs/thesis SYSTEM ... > results/thesis/noise.md
 
 For every finished run of SyMo and E2E-SyMo under noise, on the noisy windows that it was trained
 on: the mean squares of the residual g and of the preconditioned one h H⁻¹ g, for the true
@@ -21,9 +21,13 @@ from symo_exp.data.base import DataModule
 from symo_exp.mechanics.types import Windows
 from symo_exp.models.true import TrueVariational
 from symo_exp.models.variational import VariationalModel
+from symo_exp.report.tables import Table, markdown
 from symo_exp.training.outcome import Outcome
 
-HEAD = ["noise", "run", "learning rate", "g²: true", "learned", "(h H⁻¹ g)²: true", "learned"]
+HEAD = [
+    "run", "noise", "learning rate", "seed", "g²: true", "learned", "(h H⁻¹ g)²: true", "learned",
+    "inertia, learned / true",
+]  # fmt: skip
 
 
 def training_windows(config: dict, system: object) -> Windows:
@@ -70,13 +74,9 @@ def table(runs: Path, name: str) -> str:
         method, rate = file.parent.name.split("-")[0], config["learning_rate"]
         if method == "symo" and config["objective"] != "plain":
             method += f", {config['objective']}"
-        rows.append([noise, method, rate, *(f"{x:.2g}" for x in figures)])
-    head = [*HEAD, "inertia, learned / true"]
-    lines = [f"**{name}**", "", "| " + " | ".join(head) + " |", "| --: | :--" + " | --:" * 6 + " |"]
-    rows.sort(key=lambda row: (row[1], row[0], row[2]))
-    cells = [[f"{x:g}" if isinstance(x, float) else x for x in row] for row in rows]
-    lines += ["| " + " | ".join(row) + " |" for row in cells]
-    return "\n".join(lines) + "\n"
+        rows.append((method, noise, rate, config["seed"], [f"{x:.2g}" for x in figures]))
+    told = [(run, *(f"{x:g}" for x in cell), *shown) for run, *cell, shown in sorted(rows)]
+    return markdown(Table(f"noise_{name}", name, HEAD, told))
 
 
 if __name__ == "__main__":

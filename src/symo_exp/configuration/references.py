@@ -16,21 +16,19 @@ OmegaConf.register_new_resolver(
 )
 
 
-def refers(value: Any) -> bool:
-    return isinstance(value, str) and "${" in value
-
-
-def followed(references: Mapping[str, str], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of ``references``, by name, where ``settings`` (dotted names) has all it takes."""
+def followed(values: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The values with their references followed; those that ``settings`` (dotted names) lacks
+    something for are left out."""
+    references = {n: x for n, x in values.items() if isinstance(x, str) and "${" in x}
     config = OmegaConf.create()
     for name, value in settings.items():
         if any(name in reference for reference in references.values()):
             OmegaConf.update(config, name, value)
-    config["references"] = dict(references)
-    values = {}
+    config["references"] = references
+    known = {name: value for name, value in values.items() if name not in references}
     for name in references:
         try:
-            values[name] = config["references"][name]
+            known[name] = config["references"][name]
         except InterpolationResolutionError:
             continue
-    return values
+    return known

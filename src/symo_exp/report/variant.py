@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from symo_exp.configuration import CONF
-from symo_exp.configuration.references import followed, refers
+from symo_exp.configuration.references import followed
 
 TOLD = {
     "model", "system", "integrator", "pair", "preset", "seed", "data.n_traj", "data.noise_std",
@@ -34,13 +34,10 @@ def variant(parameters: Mapping[str, str]) -> str:
     groups = [name for name in parameters if name in _defaults("config")]
     expected = _expected(tuple(sorted((group, parameters[group]) for group in groups)))
     expected = {name: value for name, value in expected.items() if name in parameters}
-    references = {name: value for name, value in expected.items() if refers(value)}
-    settings = {n: _number(x) for n, x in parameters.items() if n not in groups}
-    known = {n: x for n, x in expected.items() if n not in references}
-    known |= followed(references, settings)
+    settings = {name: _number(x) for name, x in parameters.items() if name not in groups}
     changed = [
         f"{name}={parameters[name]}"
-        for name, value in sorted(known.items())
+        for name, value in sorted(followed(expected, settings).items())
         if not _same(parameters[name], value)
     ]
     return ", ".join([*([] if preset == "default" else [preset]), *changed])
