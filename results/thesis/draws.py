@@ -16,6 +16,7 @@ import torch
 import yaml
 
 import symo_exp
+from symo_exp.data.draws import uniform
 from symo_exp.data.simulate import generate
 from symo_exp.evaluation.evaluate import roll_out
 from symo_exp.evaluation.measures import rollout_pose_mse
@@ -32,11 +33,10 @@ def trajectories(system: System, config: dict) -> Trajectories:
     """Unforced, from other starts than those of any seed."""
     return generate(
         system,
-        count=TRAJECTORIES,
+        uniform(system.sampling_box, TRAJECTORIES, (2026, 0)),
         steps=config["integration_steps"] + 1,
         forced=False,
         solver=hydra.utils.instantiate(config["solver"]),
-        seed=(2026, 0),
     )
 
 

@@ -8,6 +8,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from symo_exp.data.datamodule import TrajectoryData
+from symo_exp.data.draws import uniform
 from symo_exp.data.recorded import RecordedData, write
 from symo_exp.data.simulate import generate
 from symo_exp.systems.pendulum import Pendulum
@@ -32,7 +33,9 @@ def test_simulated(tmp_path: Path) -> None:
 def test_recorded(tmp_path: Path) -> None:
     system, path = Pendulum(), tmp_path / "mine.parquet"
     solver = Solver("RK45", 1e-4, 1e-4)
-    truth = generate(system, count=4, steps=6, forced=True, solver=solver, seed=0)
+    truth = generate(
+        system, uniform(system.sampling_box, 4, 0), steps=6, forced=True, solver=solver
+    )
     write(path, truth, system.coordinates, system.time_step)
     data = composed("recorded", path=str(path))
     assert isinstance(data, RecordedData)

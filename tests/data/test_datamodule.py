@@ -6,13 +6,11 @@ import dataclasses
 from pathlib import Path
 
 import lightning
-import numpy as np
 import pytest
 import torch
 
 from symo_exp.data import datamodule
 from symo_exp.data.cache import key
-from symo_exp.data.simulate import generate
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories, Windows
 from symo_exp.systems.acrobot import Acrobot
@@ -62,19 +60,6 @@ def test_the_sets_share_no_start_and_follow_the_seed() -> None:
     assert len(torch.unique(rows, dim=0)) == len(rows)
 
 
-def test_draws_are_uniform_in_the_box_and_inputs_constant() -> None:
-    box = SamplingBox(q=((1.0, 2.0), (-3.0, 0.0)), v=((0.0, 0.1), (5.0, 6.0)), u=((-7.0, -6.0),))
-    path = generate(
-        Cartpole(box=box), count=2000, steps=1, forced=True, solver=Solver("RK23", 0.1, 0.1), seed=0
-    )
-    draws = torch.cat([path.q[:, 0], path.v[:, 0], path.u[:, 0]], 1).numpy()
-    low, high = np.array([*box.q, *box.v, *box.u]).T
-    share = np.sort((draws - low) / (high - low), axis=0)
-    ideal = (np.arange(2000) + 0.5)[:, None] / 2000
-    assert np.abs(share - ideal).max() < 1.95 / np.sqrt(2000)  # Kolmogorov-Smirnov, p = 0.001
-    assert torch.equal(path.u[:, 0], path.u[:, 1])
-
-
 def test_only_training_data_are_noisy() -> None:
     clean, noisy = ready(), ready(noise_std=1e-2)
     assert not torch.equal(clean.train.q, noisy.train.q)
@@ -115,6 +100,8 @@ CHANGES = [
     {"solver": Solver("RK45", 1e-5, 1e-4)},
     {"solver": Solver("RK45", 1e-4, 1e-5)},
     {"solver": Solver("RK45", 1e-4, 1e-4, warm=False)},
+    {"draws": "published"},
+    {"draws": "published", "interleaved": True},
     {"seed": 1},
 ]
 KEPT = [

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import torch
 
+from symo_exp.data.draws import uniform
 from symo_exp.data.recorded import RecordedData, write
 from symo_exp.data.simulate import generate
 from symo_exp.errors import ConfigError
@@ -21,7 +22,8 @@ from tests.chain import ChainPendulum
 
 def trajectories(system: System, count: int = 6, steps: int = 9) -> Trajectories:
     solver = Solver("DOP853", 1e-9, 1e-9)
-    return generate(system, count=count, steps=steps, forced=True, solver=solver, seed=0)
+    starts = uniform(system.sampling_box, count, 0)
+    return generate(system, starts, steps=steps, forced=True, solver=solver)
 
 
 def recorded(system: System, path: Path, **arguments: object) -> RecordedData:

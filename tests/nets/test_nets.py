@@ -125,11 +125,16 @@ def test_an_inertia_that_is_not_positive_is_refused():
         StructuredLagrangian(angular=(True,), width=4, initial_inertia=0.0)
 
 
-def test_initialisation_without_it_is_that_of_the_thesis():
-    """Xavier-uniform weights with the gain of tanh, 5/3; zero biases."""
+def test_initialisation_without_it_is_that_of_the_published_code():
+    """Xavier-uniform hidden weights with the gain of tanh, 5/3, zero biases; PyTorch's own in the
+    last layer."""
     learned = StructuredLagrangian(angular=(True, True), width=256, initial_inertia=None)
-    for weight, bias in zip(learned.net.weights, learned.net.biases, strict=True):
+    *hidden, (last, last_bias) = learned.net.layers()
+    for weight, bias in hidden:
         bound = 5 / 3 * (6 / sum(weight.shape)) ** 0.5
         assert weight.abs().max() <= bound
         assert weight.std().item() == pytest.approx(bound / 3**0.5, rel=0.1)
         assert not bias.any()
+    assert last.abs().max() <= 1 / 16
+    assert last.std().item() == pytest.approx(1 / 16 / 3**0.5, rel=0.1)
+    assert 0 < last_bias.abs().max() <= 1 / 16

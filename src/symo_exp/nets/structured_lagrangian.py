@@ -41,8 +41,9 @@ class StructuredLagrangian(nn.Module, Lagrangian):
     """``ℒ`` of ``n`` coordinates by one network; the inertia is positive definite by design.
 
     With ``initial_inertia`` [kg, kg m²] training starts near ``H = initial_inertia · I`` and a
-    weak potential. Without it, as in the thesis, it starts where the Xavier weights of the last
-    layer happen to lead, often to a nearly singular ``H`` whose accelerations fly off.
+    weak potential. Without it the last layer starts uniform in ``±1/√width``, PyTorch's default,
+    as in the published code of the thesis, whose text has Xavier weights there too: these would
+    often lead to a nearly singular ``H`` whose accelerations fly off.
     """
 
     def __init__(
@@ -63,8 +64,12 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         self.net = MLP(
             inputs=self.embedding.size, outputs=self.head.outputs, width=width, depth=depth
         )
-        if initial_inertia is not None:
-            last, bias = self.net.weights[-1], self.net.biases[-1]
+        last, bias = self.net.weights[-1], self.net.biases[-1]
+        if initial_inertia is None:
+            bound = 1.0 / math.sqrt(width)
+            nn.init.uniform_(last, -bound, bound)
+            nn.init.uniform_(bias, -bound, bound)
+        else:
             with torch.no_grad():
                 last.mul_(QUIET)
                 bias.copy_(self.head.outputs_of(math.sqrt(initial_inertia)))
