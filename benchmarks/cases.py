@@ -129,7 +129,7 @@ class Windows(NamedTuple):
 
 
 def initial_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
-    """Xavier-uniform with tanh gain, zero biases: the weights that training starts with."""
+    """Xavier-uniform with tanh gain, zero biases: where the text of the thesis starts."""
     generator = torch.Generator().manual_seed(seed)
     sizes = case.layer_sizes(method)
     layers = []

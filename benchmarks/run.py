@@ -159,8 +159,8 @@ def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
 def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
     """E2E-SyMo steps where training starts: 8 trajectories.
 
-    At the Xavier weights of the thesis some rows have no root; where the inertia is half as large
-    again as it should be, all have.
+    At the Xavier weights of the thesis' text some rows have no root; where the inertia is half as
+    large again as it should be, all have.
     """
     case = CASES[system]
     starts = {

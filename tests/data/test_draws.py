@@ -45,18 +45,19 @@ def test_the_generator_is_that_of_old_gym() -> None:
     np.testing.assert_allclose(first, known, atol=5e-9)
 
 
-def test_published_states_are_drawn_one_after_another() -> None:
+@pytest.mark.parametrize(
+    ("split", "seed", "skipped"), [("train", 3, 0), ("test", 3, 2000), ("integration", 4, 0)]
+)
+def test_published_states_are_drawn_one_after_another(split, seed, skipped) -> None:
     """As a Gym environment does at every reset, and tests go on where training stopped."""
-    drawn = {order: DRAWS["published"](BOX, COUNTS, 3, interleaved=order) for order in (0, 1)}
-    for seed, split, skipped in ((3, "train", 0), (3, "test", 2000), (4, "integration", 0)):
-        flat, turns = gym_generator(seed), gym_generator(seed)
-        for _ in range(skipped + 1):
-            state = flat.uniform(*np.array([*BOX.q, *BOX.v]).T)
-            one_by_one = [turns.uniform(*BOX[kind][i]) for i in (0, 1) for kind in (0, 1)]
-        first = drawn[0][split]
-        assert [*first.q[0].tolist(), *first.v[0].tolist()] == state.tolist()
-        first = drawn[1][split]
-        assert [first.q[0, 0], first.v[0, 0], first.q[0, 1], first.v[0, 1]] == one_by_one
+    whole, turns = gym_generator(seed), gym_generator(seed)
+    for _ in range(skipped + 1):
+        state = whole.uniform(*np.array([*BOX.q, *BOX.v]).T)
+        in_turn = [turns.uniform(*BOX[kind][i]) for i in (0, 1) for kind in (0, 1)]
+    first = DRAWS["published"](BOX, COUNTS, 3, interleaved=False)[split]
+    assert [*first.q[0], *first.v[0]] == state.tolist()
+    first = DRAWS["published"](BOX, COUNTS, 3, interleaved=True)[split]
+    assert [first.q[0, 0], first.v[0, 0], first.q[0, 1], first.v[0, 1]] == in_turn
 
 
 def test_a_published_trajectory_begins_a_step_after_its_draw() -> None:
