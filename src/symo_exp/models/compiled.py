@@ -90,7 +90,8 @@ class Program:
             if not self._gradients:
                 return result
             gradients = torch.autograd.grad(result, parameters, materialize_grads=True)
-        return result.detach(), Packed(gradients)
+        # Laid out like the parameters: a fused optimiser reads memory, not strides.
+        return result.detach(), Packed([gradient.contiguous() for gradient in gradients])
 
 
 def _flatten(things: Iterable[Any]) -> list[Tensor]:
