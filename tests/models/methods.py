@@ -9,6 +9,7 @@ from omegaconf import OmegaConf
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.models.variational import VariationalModel
+from symo_exp.nets.structured_lagrangian import QUIET
 from tests.tables import CONF, choices, explicit_integrators, variational_integrators
 
 H = 0.05
@@ -51,12 +52,12 @@ def make(method: str, integrator: str, n: int, **overrides: Any) -> Any:
     }
     if issubclass(cls, VariationalModel):
         arguments["root"] = Newton(tolerance=1e-12, max_iterations=50)
-    if "initial_inertia" in OmegaConf.load(CONF / "model" / f"{method}.yaml"):
-        arguments["initial_inertia"] = None  # large weights: derivatives that can be told from zero
     model = cls(**{**arguments, **overrides}).double()
     if model.lagrangian is not None:
-        with torch.no_grad():
-            model.lagrangian.net.biases[-1][:n] += 1.5
+        net = model.lagrangian.net
+        with torch.no_grad():  # Xavier's weights again: derivatives that can be told from zero
+            net.weights[-1].div_(QUIET)
+            net.biases[-1].zero_()[:n] += 1.5
     return model
 
 
