@@ -71,9 +71,11 @@ def test_a_published_trajectory_begins_a_step_after_its_draw() -> None:
         torch.testing.assert_close(field, whole[:, 1:], rtol=1e-12, atol=1e-12)
 
 
-def test_inputs_are_constant() -> None:
-    solver = Solver("RK23", 0.1, 0.1)
-    path = generate(Cartpole(), uniform(BOX, 3, 0), steps=1, forced=True, solver=solver)
+def test_trajectories_begin_at_their_starts_and_inputs_are_constant() -> None:
+    solver, starts = Solver("RK23", 0.1, 0.1), uniform(BOX, 3, 0)
+    path = generate(Cartpole(), starts, steps=1, forced=True, solver=solver)
+    for field, start in zip(path, starts, strict=True):
+        assert torch.equal(field[:, 0], start)
     assert torch.equal(path.u[:, 0], path.u[:, 1])
     assert path.u.any()
 
