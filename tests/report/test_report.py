@@ -87,12 +87,19 @@ def test_a_half_empty_store_says_what_is_missing(store, tmp_path):
 def test_bad_input_is_a_line_and_code_2(store, tmp_path, capsys):
     add_run(store)
     (tmp_path / "file").write_text("")
+    (tmp_path / "torn.parquet").write_text("PAR1")
+    (tmp_path / "other.csv").write_text("run_id,value\n1,2\n")
     for words, wanted in [
         (["--experiment", "nothing"], "no experiment 'nothing'"),
         (["--tracking-uri", "carrier://pigeon"], "carrier"),
         (["--tracking-uri", "http://127.0.0.1:9"], "127.0.0.1:9"),
         (["--directory", str(tmp_path / "none")], "no tracking store"),
         (["--out", str(tmp_path / "file")], "cannot be written"),
+        (["--runs", str(tmp_path / "none.csv")], "cannot be read (No such file"),
+        (["--runs", str(tmp_path / "file")], "cannot be read (No columns"),
+        (["--runs", str(tmp_path / "none.parquet")], "none.parquet cannot be read ("),
+        (["--runs", str(tmp_path / "torn.parquet")], "torn.parquet cannot be read ("),
+        (["--runs", str(tmp_path / "other.csv")], "no column 'variant'"),
     ]:
         assert made(store, *words) == 2, words
         (line,) = capsys.readouterr().err.strip().splitlines()

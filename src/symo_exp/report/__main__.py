@@ -10,8 +10,13 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from symo_exp.errors import ConfigError
+
+if TYPE_CHECKING:
+    from symo_exp.report.runs import Runs
+    from symo_exp.tracking.store import Store
 
 FORMATS = ("png", "pdf", "svg")
 
@@ -24,7 +29,8 @@ def parser() -> argparse.ArgumentParser:
         "published figures of the thesis.",
     )
     add = made.add_argument
-    add("--experiment", nargs="+", default=["thesis"], metavar="NAME", help="default: thesis")
+    add("--experiment", nargs="+", default=[], metavar="NAME",
+        help="default: thesis, and of saved runs all")  # fmt: skip
     add("--system", nargs="+", default=[], metavar="NAME", help="only these systems")
     add("--seed", nargs="+", default=[], type=int, metavar="N", help="only these seeds")
     add(
@@ -38,6 +44,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="of the SQLite store; default: mlruns",
     )
+    add("--runs", nargs="+", default=[], type=Path, metavar="FILE",
+        help="runs.csv or runs.parquet of earlier reports, in place of a store")  # fmt: skip
     add("--out", default="report", type=Path, metavar="FOLDER", help="default: report")
     add("--formats", nargs="*", default=["png", "pdf"], choices=FORMATS, metavar="FORMAT",
         help="of the figures: png, pdf, svg, or none of them; default: png pdf")  # fmt: skip
@@ -63,18 +71,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _made(options: argparse.Namespace) -> list[Path]:
     from symo_exp.report.build import report, write
-    from symo_exp.report.runs import read
-    from symo_exp.tracking.store import find
 
-    store = find(options.tracking_uri, options.directory)
-    runs = read(store, options.experiment, systems=options.system, seeds=options.seed)
-    experiments = ", ".join(options.experiment)
-    narrowed = [f"systems {', '.join(options.system)}"] if options.system else []
-    narrowed += [f"seeds {', '.join(map(str, options.seed))}"] if options.seed else []
-    source = "; ".join([f"experiment {experiments}", *narrowed])
+    experiments = options.experiment or ([] if options.runs else ["thesis"])
+    runs, store = _read(options, experiments)
+    source = [f"experiment {', '.join(experiments)}"] if experiments else []
+    source += [f"saved runs {', '.join(map(str, options.runs))}"] if options.runs else []
+    source += [f"systems {', '.join(options.system)}"] if options.system else []
+    source += [f"seeds {', '.join(map(str, options.seed))}"] if options.seed else []
     try:
         return write(
-            report(runs, source, store),
+            report(runs, "; ".join(source), store),
             options.out,
             formats=options.formats,
             web=not options.no_page,
@@ -82,6 +88,19 @@ def _made(options: argparse.Namespace) -> list[Path]:
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(f"--out {options.out} cannot be written ({reason})") from error
+
+
+def _read(options: argparse.Namespace, experiments: list[str]) -> tuple[Runs, Store | None]:
+    """The runs that were asked for, and the store they are in, if it is one."""
+    from symo_exp.report.runs import read
+    from symo_exp.report.saved import load
+    from symo_exp.tracking.store import find
+
+    asked = {"systems": options.system, "seeds": options.seed}
+    if options.runs:
+        return load(options.runs, experiments, **asked), None
+    store = find(options.tracking_uri, options.directory)
+    return read(store, experiments, **asked), store
 
 
 if __name__ == "__main__":

@@ -66,14 +66,19 @@ def read(
         rows.append(row)
         values.append(run.data.metrics)
     table = pd.DataFrame(rows, columns=COLUMNS)
-    done = table[table.status == "FINISHED"].sort_values("started", kind="stable")
-    done = done.drop_duplicates([*CELL, "seed"], keep="last")
+    done = last_of_each(table[table.status == "FINISHED"])
     long = [
         {**row, "metric": name, "value": _number(value)}
         for row, index in zip(done.to_dict("records"), done.index, strict=True)
         for name, value in values[index].items()
     ]
     return Runs(table, pd.DataFrame(long, columns=[*COLUMNS, "metric", "value"]))
+
+
+def last_of_each(runs: pd.DataFrame) -> pd.DataFrame:
+    """Of runs that are the same, the one that started last."""
+    ordered = runs.sort_values("started", kind="stable")
+    return ordered.drop_duplicates([*CELL, "seed"], keep="last")
 
 
 def _found(store: Store, experiments: Sequence[str]) -> Iterator[tuple[Run, str]]:
