@@ -1,0 +1,54 @@
+"""Training steps leave the numbers where they are: on a GPU the host need not wait for one."""
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from symo_exp.optim import base
+from symo_exp.optim.base import minibatches, step_if
+from tests.models.methods import combinations, make, windows
+
+
+class Reads(TorchDispatchMode):
+    """Counts the operations whose result, or its shape, the host has to know."""
+
+    names = ("_local_scalar_dense", "nonzero", "equal", "masked_select")
+
+    def __init__(self):
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        name = function.overloadpacket.__name__
+        masks = args[1] if name == "index" else ()
+        masked = any(mask is not None and mask.dtype == torch.bool for mask in masks)
+        self.count += name in self.names or masked
+        return function(*args, **(kwargs or {}))
+
+
+def reads(model, steps):
+    """In an epoch, after the first, in which optimisers make room."""
+    optimizer = torch.optim.Adam(model.parameters(), fused=True)
+    batches = [windows(2, 12)] * steps
+    minibatches(optimizer, model, batches)
+    with Reads() as counted:
+        minibatches(optimizer, model, batches)
+    return counted.count
+
+
+@pytest.mark.parametrize("clip", [None, 10.0])
+@pytest.mark.parametrize(("method", "integrator"), combinations())
+def test_a_step_reads_nothing_back_unless_it_finds_roots(method, integrator, clip, monkeypatch):
+    monkeypatch.setattr(
+        base,
+        "step_if",
+        lambda condition, optimizer, wait: step_if(condition, optimizer, wait=False),
+    )
+    model = make(method, integrator, 2)
+    model.gradient_clip = clip
+    once = clip is not None  # at the end of the epoch: which losses count
+    counted = [reads(model, steps) for steps in (1, 4)]
+    if model.can_be_compiled and "newton_iterations" not in model._statistics:
+        assert counted == [once, once]
+    else:
+        assert counted[1] > counted[0] > once
