@@ -34,6 +34,7 @@ from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.variational import VariationalModel
+from symo_exp.optim.direct import direct_step
 from symo_exp.tracking.logger import MlflowTracker
 from symo_exp.training.compiling import compiler_available as compiler_available
 from symo_exp.training.trainer import make_trainer
@@ -111,6 +112,7 @@ class Project:
         if compiled:
             self.model.compile_training()
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr, fused=True)
+        self._step: Callable[[], object] | None = None
 
     def prepare(self, windows: SharedWindows) -> Windows:
         return Windows(*windows.to(self.dtype))
@@ -122,7 +124,11 @@ class Project:
 
     def train_step(self, batch: Windows) -> None:
         self.model.loss_and_gradients(batch)
-        self.optimizer.step()
+        if self._step is None:  # as in an epoch after the first
+            self.optimizer.step()
+            self._step = direct_step(self.optimizer)
+        else:
+            self._step()
 
     @torch.no_grad()
     def predict(self, batch: Windows) -> np.ndarray:

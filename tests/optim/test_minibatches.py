@@ -1,12 +1,13 @@
 """Steps on mini batches: those whose gradient is not finite change nothing and are counted."""
 
 import copy
+from functools import partial
 
 import pytest
 import torch
 
 from symo_exp.optim import base
-from symo_exp.optim.base import minibatches, step_if
+from symo_exp.optim.base import minibatches, step_bounded
 from tests.models.methods import make, windows
 
 OPTIMIZERS = {
@@ -20,11 +21,8 @@ OPTIMIZERS = {
 @pytest.fixture(params=[True, False], ids=["on a CPU", "as on a GPU"])
 def waiting(request, monkeypatch):
     """Whether the host may read the gradient's norm."""
-    monkeypatch.setattr(
-        base,
-        "step_if",
-        lambda condition, optimizer, wait: step_if(condition, optimizer, wait=request.param),
-    )
+    told = partial(step_bounded, wait=request.param)
+    monkeypatch.setattr(base, "step_bounded", lambda *it, wait: told(*it))
 
 
 @pytest.mark.parametrize("kind", OPTIMIZERS)

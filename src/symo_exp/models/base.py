@@ -7,7 +7,7 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import lightning
 import torch
@@ -19,10 +19,18 @@ from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
-from symo_exp.models.compiled import Program
+from symo_exp.models.compiled import Packed, Program
 from symo_exp.optim.base import EpochOptimizer, minibatches
 
 log = logging.getLogger(__name__)
+
+
+class Compiled(Protocol):
+    """Loss and gradients, the latter in the order of ``parameters``."""
+
+    parameters: list[Tensor]
+
+    def __call__(self, windows: Windows, /) -> tuple[Tensor, Packed]: ...
 
 
 class Step(NamedTuple):
@@ -82,7 +90,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self._statistics: dict[str, Tensor] = {}
         self._training_seconds = 0.0
-        self._program: Callable[[Windows], Any] | None = None
+        self._program: Compiled | None = None
 
     @property
     def learns(self) -> bool:
@@ -217,7 +225,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
             loss = self.loss(windows)
             loss.backward()
             return loss.detach()
-        for parameter, gradient in zip(self.parameters(), gradients.tensors, strict=True):
+        for parameter, gradient in zip(self._program.parameters, gradients.tensors, strict=True):
             parameter.grad = gradient
         return loss
 

@@ -7,6 +7,7 @@ removes that. Results agree with the uncompiled step to rounding.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -15,6 +16,10 @@ from torch import Tensor, nn
 from torch._inductor import standalone_compile
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils import _pytree as pytree
+
+OPTIONS = {"config_patches": {"cpp_wrapper": True}}
+"""What calls the kernels is compiled, too: a fifth of a step on few rows was Python doing that."""
+logging.getLogger("torch._inductor.ir").setLevel(logging.ERROR)  # which solver is called how
 
 
 class Packed:
@@ -48,7 +53,7 @@ class Program:
         self._call = _Call(model, function)
         names, parameters = zip(*self._call.named_parameters(), strict=True)
         self._names: tuple[str, ...] = names
-        self._parameters: list[Tensor] = list(parameters)
+        self.parameters: list[Tensor] = list(parameters)
         self._gradients = gradients
         self._compiled: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
@@ -58,15 +63,15 @@ class Program:
         key = tuple((x.shape, x.dtype, x.device) for x in _flatten(arguments[:1]))
         if key not in self._compiled:
             self._compiled[key] = self._compile(arguments)
-        return self._compiled[key]([*self._parameters, *flat])
+        return self._compiled[key]([*self.parameters, *flat])
 
     def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         """The graph goes to the compiler as it is: its only inputs are tensors of fixed shapes,
         so nothing has to be checked at every call. The next process that comes with the same
         graph finds its kernels on disk, and spends seconds here instead of a minute."""
         results: list[tuple[Any, ...]] = []
-        example = [*self._parameters, *_flatten(arguments)]
-        count = len(self._parameters)
+        example = [*self.parameters, *_flatten(arguments)]
+        count = len(self.parameters)
 
         def run(*tensors: Tensor) -> list[Tensor]:
             parameters, rest = list(tensors[:count]), list(tensors[count:])
@@ -75,7 +80,9 @@ class Program:
 
         with torch.no_grad():
             graph = make_fx(run, decomposition_table=CHEAPER)(*example)
-            kernel = standalone_compile(graph, [*example], dynamic_shapes="from_example_inputs")
+            kernel = standalone_compile(
+                graph, [*example], dynamic_shapes="from_example_inputs", options=OPTIONS
+            )
 
         def call(tensors: list[Tensor]) -> Any:
             with torch.no_grad():

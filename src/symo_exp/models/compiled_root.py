@@ -51,6 +51,7 @@ class CompiledRootLoss:
         self._start = Program(model, self._first_step, gradients=False)
         self._iterate = Program(model, self._next_step, gradients=False)
         self._finish = Program(model, self._loss_at, gradients=True)
+        self.parameters = self._finish.parameters
 
     def __call__(self, windows: Windows) -> tuple[Tensor, Packed]:
         model = self._model
@@ -59,7 +60,7 @@ class CompiledRootLoss:
         while not converged.item():
             if iterations == min(model.root.max_iterations, self.most_iterations):
                 loss = model.loss(windows)
-                return loss.detach(), Packed(torch.autograd.grad(loss, list(model.parameters())))
+                return loss.detach(), Packed(torch.autograd.grad(loss, self.parameters))
             at, converged = self._iterate(windows, impulse, at)
             iterations += 1
         model._count("newton_iterations", impulse.new_tensor(float(iterations)))

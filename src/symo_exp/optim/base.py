@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Protocol
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.utils import clip_grads_with_norm_, get_total_norm
 from torch.optim import Optimizer
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
+from symo_exp.optim.direct import direct_step
 
 
 class Learner(Protocol):
@@ -101,14 +103,16 @@ def minibatches(
     """
     losses: list[Tensor] = []
     finite: list[Tensor] = []
+    parameters, step = list(model.parameters()), direct_step(optimizer)
     for windows in batches:
         losses.append(model.loss_and_gradients(windows))
         if model.gradient_clip is None:
-            optimizer.step()
+            step()
             continue
-        norm = torch.nn.utils.clip_grad_norm_(model.parameters(), model.gradient_clip)
+        norm = get_total_norm([p.grad for p in parameters if p.grad is not None])
         finite.append(norm.isfinite())
-        step_if(finite[-1], optimizer, wait=norm.device.type == "cpu")
+        wait = norm.device.type == "cpu"
+        step_bounded(optimizer, step, parameters, norm, model.gradient_clip, wait=wait)
     loss = torch.stack(losses)
     if model.gradient_clip is None:
         return {"train_loss": loss.mean()}
@@ -116,17 +120,30 @@ def minibatches(
     return {"train_loss": loss[taken].mean(), "skipped_steps": (~taken).sum().float()}
 
 
-def step_if(condition: Tensor, optimizer: Optimizer, *, wait: bool) -> None:
-    """A step if the condition holds, which may be known to a GPU alone so far.
+def step_bounded(
+    optimizer: Optimizer,
+    step: Callable[[], object],
+    parameters: Sequence[Tensor],
+    norm: Tensor,
+    largest: float,
+    *,
+    wait: bool,
+) -> None:
+    """A ``step`` with the ``norm`` of the gradient bounded; none where it is not finite.
 
-    Reading it makes the host wait for all that the device has been told to do. Unless it is to
+    Reading the norm makes the host wait for all that a GPU has been told to do. Unless it is to
     ``wait``, an optimiser that can skip steps by itself, as for scaled gradients, is told when.
     """
     if not wait and getattr(optimizer, "_step_supports_amp_scaling", False):
-        optimizer.found_inf = (~condition).float()  # type: ignore[attr-defined]
+        clip_grads_with_norm_(parameters, largest, norm)
+        optimizer.found_inf = (~norm.isfinite()).float()  # type: ignore[attr-defined]
         optimizer.step()
-    elif bool(condition):
-        optimizer.step()
+        return
+    read = float(norm)
+    if read > largest:
+        clip_grads_with_norm_(parameters, largest, norm)
+    if math.isfinite(read):
+        step()
 
 
 def whole(batches: Sequence[Windows]) -> Windows:
