@@ -104,3 +104,15 @@ def test_a_narrow_product_is_the_product(shape):
     torch.testing.assert_close(traced(a, b, x), both(a, b, x))
     turned = "permute" in traced.code or ".t." in traced.code
     assert turned == (shape == (64, 64, 4))
+
+
+def test_sums_of_columns_are_the_sums():
+    x, whole = torch.randn(64, 5), torch.arange(12).view(3, 4)
+
+    def sums(x, whole):
+        plain = x.sum(0), x.sum(0, keepdim=True), x.view(8, 8, 5).sum(0)
+        return *plain, x.sum(1), x.sum((0, 1)), x.sum(0, dtype=torch.float64), whole.sum(0)
+
+    traced = make_fx(sums, decomposition_table=compiled.CHEAPER)(x, whole)
+    torch.testing.assert_close(traced(x, whole), sums(x, whole))
+    assert traced.code.count("aten.mm") == 2

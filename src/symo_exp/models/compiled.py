@@ -17,8 +17,9 @@ from torch._inductor import standalone_compile
 from torch.fx.experimental.proxy_tensor import make_fx
 from torch.utils import _pytree as pytree
 
-OPTIONS = {"config_patches": {"cpp_wrapper": True}}
-"""What calls the kernels is compiled, too: a fifth of a step on few rows was Python doing that."""
+OPTIONS = {"config_patches": {"cpp_wrapper": True, "pattern_matcher": False}}
+"""What calls the kernels is compiled, too: with few rows a fifth of a step was Python doing that.
+Sums are not put back into products of matrices (``addmm``)."""
 logging.getLogger("torch._inductor.ir").setLevel(logging.ERROR)  # which solver is called how
 
 
@@ -145,17 +146,29 @@ def carry(kind: type, *constants: str) -> None:
 
 def mm(a: Tensor, b: Tensor) -> Tensor:
     """``A B``; a tall and narrow product as ``(Bᵀ Aᵀ)ᵀ``, which the library does in a fifth of the
-    time. A network has such products wherever a layer has few inputs or outputs."""
+    time, if only ``Bᵀ`` lies row by row in memory: else it takes seven times as long as ``A B``. A
+    network has such products wherever a layer has few inputs or outputs."""
     if not 8 * b.shape[1] <= min(a.shape):
         return NotImplemented  # to the tracer: leave it as it is
-    return (b.T @ a.T).T
+    return (b.T.contiguous() @ a.T).T
 
 
 def addmm(x: Tensor, a: Tensor, b: Tensor, *, beta: float = 1.0, alpha: float = 1.0) -> Tensor:
-    """``X + A B`` likewise."""
-    if beta != 1 or alpha != 1 or not 8 * b.shape[1] <= min(a.shape):
+    """``X + A B`` as two: the sum is compiled into what follows, where the library copies ``X`` to
+    its place first."""
+    if beta != 1 or alpha != 1:
         return NotImplemented
-    return x + (b.T @ a.T).T
+    return x + a @ b
+
+
+def column_sums(
+    x: Tensor, dim: list[int], keepdim: bool = False, *, dtype: torch.dtype | None = None
+) -> Tensor:
+    """``Σᵢ xᵢⱼ`` as ``1ᵀ X``, which goes along the rows; the compiler would go down the columns."""
+    if x.ndim != 2 or dim != [0] or dtype is not None or not x.is_floating_point():
+        return NotImplemented
+    total = x.new_ones(1, len(x)) @ x
+    return total if keepdim else total.squeeze(0)
 
 
 def tanh(x: Tensor) -> Tensor:
@@ -196,6 +209,7 @@ CHEAPER: dict[Any, Callable[..., Any]] = {
     torch.ops.aten.mm.default: mm,
     torch.ops.aten.addmm.default: addmm,
     torch.ops.aten.tanh.default: tanh,
+    torch.ops.aten.sum.dim_IntList: column_sums,
 }
 
 
