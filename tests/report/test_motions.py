@@ -10,6 +10,7 @@ from symo_exp.report.charts import Panel, Series
 from symo_exp.report.page import figure
 from symo_exp.report.runs import read
 from symo_exp.report.studied import Studied, studied
+from symo_exp.report.style import TRUTH, look
 from symo_exp.tracking.store import connect
 from tests.report.stores import add_run
 
@@ -125,3 +126,12 @@ def test_a_constant_truth_leaves_room_to_see_the_others():
     low, high = motions._bounded(Panel("energy", "", "", [truth, ours], y_log=False)).y_range
     assert low < 0.63
     assert high > 0.65
+
+
+@pytest.mark.parametrize("points", [True, False])
+def test_the_legend_has_the_colours_of_the_figure(points):
+    truth = Series(*motions.TRUTH, [0.0], [0.0], source="truth", points=points, name="truth")
+    ours = Series("symo", "midpoint", [0.0], [0.0], points=points)
+    legend = paper._legend([Panel("", "", "", [truth, ours])])
+    colours = {name: handle.get_color() for name, handle in legend.items()}
+    assert colours == {"truth": TRUTH.colour, "SyMo, midpoint": look("symo").colour}

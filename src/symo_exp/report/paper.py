@@ -125,7 +125,7 @@ def _legend(panels: Sequence[Panel]) -> dict[str, object]:
                 ring: dict[str, Any] = {"marker": "o", "mfc": "none", "lw": 0.7, "color": "#777777"}
                 entries.setdefault("published", Line2D([], [], **ring))
             elif series.points:
-                colour = look(series.method).colour
+                colour = _style(series)["color"]
                 entries.setdefault(
                     _name(series),
                     Line2D([], [], marker="o", ls="", color=colour, mfc=_filling(series)),
