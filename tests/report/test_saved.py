@@ -70,3 +70,12 @@ def test_they_are_narrowed_as_a_store_is(reported):
     assert set(found.system) == {"pendulum"}
     with pytest.raises(ConfigError, match=r"no experiment 'nothing'.*they have: other, thesis"):
         saved.load(files, ["nothing"])
+
+
+@pytest.mark.parametrize(("column", "written"), [("value", "much"), ("started", "once")])
+def test_what_is_no_number_or_no_time_is_said_in_a_line(reported, column, written):
+    table = pd.read_csv(reported / "runs.csv").astype({column: object})
+    table.loc[0, column] = written
+    table.to_csv(reported / "edited.csv", index=False)
+    with pytest.raises(ConfigError, match=rf"edited.csv cannot be read \(.*{written}"):
+        saved.load([reported / "edited.csv"])

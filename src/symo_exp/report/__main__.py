@@ -74,10 +74,13 @@ def _made(options: argparse.Namespace) -> list[Path]:
 
     experiments = options.experiment or ([] if options.runs else ["thesis"])
     runs, store = _read(options, experiments)
-    source = [f"experiment {', '.join(experiments)}"] if experiments else []
-    source += [f"saved runs {', '.join(map(str, options.runs))}"] if options.runs else []
-    source += [f"systems {', '.join(options.system)}"] if options.system else []
-    source += [f"seeds {', '.join(map(str, options.seed))}"] if options.seed else []
+    asked = {
+        "experiment": experiments,
+        "saved runs": options.runs,
+        "systems": options.system,
+        "seeds": options.seed,
+    }
+    source = [f"{name} {', '.join(map(str, words))}" for name, words in asked.items() if words]
     try:
         return write(
             report(runs, "; ".join(source), store),

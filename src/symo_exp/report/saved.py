@@ -45,16 +45,23 @@ def _load(path: Path) -> pd.DataFrame:
         if path.suffix == ".parquet":
             table = pd.read_parquet(path)
         else:
-            text = dict.fromkeys(TEXTS, str)
-            table = pd.read_csv(path, dtype=text, low_memory=False)
+            table = pd.read_csv(path, dtype=dict.fromkeys(TEXTS, str), low_memory=False)
+        absent = [column for column in SAVED if column not in table]
+        typed = table if absent else _typed(table)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
         raise ConfigError(f"--runs {path} cannot be read ({reason})") from error
-    if absent := [column for column in SAVED if column not in table]:
+    if absent:
         raise ConfigError(
             f"--runs {path} has no column {absent[0]!r}: "
             "give the runs.csv or runs.parquet of a report"
         )
+    return typed.assign(files="")[[*COLUMNS, "metric", "value"]]
+
+
+def _typed(table: pd.DataFrame) -> pd.DataFrame:
+    """What CSV does not keep: empty words, numbers, times."""
     table = table[SAVED].fillna(dict.fromkeys(TEXTS, ""))
+    table[VALUES] = table[VALUES].apply(pd.to_numeric)
     table["started"] = pd.to_datetime(table.started, utc=True, format="ISO8601")
-    return table.assign(files="")[[*COLUMNS, "metric", "value"]]
+    return table
