@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -112,7 +113,7 @@ class Project:
         if compiled:
             self.model.compile_training()
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr, fused=True)
-        self._step: Callable[[], object] | None = None
+        self._step = direct_step(self.optimizer)
 
     def prepare(self, windows: SharedWindows) -> Windows:
         return Windows(*windows.to(self.dtype))
@@ -124,11 +125,7 @@ class Project:
 
     def train_step(self, batch: Windows) -> None:
         self.model.loss_and_gradients(batch)
-        if self._step is None:  # as in an epoch after the first
-            self.optimizer.step()
-            self._step = direct_step(self.optimizer)
-        else:
-            self._step()
+        self._step()
 
     @torch.no_grad()
     def predict(self, batch: Windows) -> np.ndarray:
@@ -201,17 +198,24 @@ class _Samples(lightning.LightningDataModule):
 
 @contextmanager
 def fit_calls(
-    method: str, case: Case, layers: Sequence[Layer], batch: int, epochs: int
+    method: str, case: Case, layers: Sequence[Layer], batch: int, *, epochs: int, seconds: float
 ) -> Iterator[tuple[Callable[[], object], Callable[[], object], int]]:
     """`Trainer.fit` for some epochs of 8 steps, the same steps bare, and how many they are.
 
-    The fit tracks and keeps checkpoints as a run does; the run is open before it and after it.
+    The fit tracks and keeps checkpoints as a run does; the run is open before it and after it. It
+    lasts at least so many `epochs` and `seconds`: a short one pays for its start and for the first
+    hundred epochs, every one of which is told to MLflow.
 
     The learning rate is 0, so that both see the same weights throughout.
     """
     windows = Windows(*training_batch(case.name, 8 * batch).to(torch.float32))
     samples = _Samples(windows, batch)
     bare = Project(method, case, layers, lr=0.0)
+    for _ in range(2):  # the first makes room
+        began = time.perf_counter()
+        for part in samples.batches():
+            bare.train_step(part)
+    epochs = max(epochs, round(seconds / (time.perf_counter() - began)))
 
     def fit() -> None:
         model = build(

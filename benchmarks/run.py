@@ -70,6 +70,7 @@ class Plan:
     turn_ms: float
     baseline_rollout_steps: int
     fit_epochs: int
+    fit_seconds: float
     fit_rounds: int
     process_clock: bool
     compiled: bool
@@ -146,9 +147,11 @@ def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
     """`Trainer.fit` per optimiser step beside the bare steps it takes, on the same batches."""
     layers = trained_weights(system, method)
     clock = time.process_time if plan.process_clock else time.perf_counter
-    with fit_calls(method, CASES[system], layers, FIT_BATCH, plan.fit_epochs) as (fit, bare, steps):
+    with fit_calls(
+        method, CASES[system], layers, FIT_BATCH, epochs=plan.fit_epochs, seconds=plan.fit_seconds
+    ) as (fit, bare, steps):
         calls = {"fit": fit, "bare": bare}
-        times = interleaved(calls, rounds=plan.fit_rounds, warm_up=1, clock=clock)
+        times = interleaved(calls, rounds=plan.fit_rounds, warm_up=0, clock=clock)
     for name, t in times.items():
         yield Measurement(
             name, system, method, FIT_BATCH, "project",
@@ -229,6 +232,7 @@ def main(arguments: list[str] | None = None) -> None:
         turn_ms=5.0 if given.quick else 60.0,
         baseline_rollout_steps=10 if given.quick else 100,
         fit_epochs=5 if given.quick else 50,
+        fit_seconds=0.0 if given.quick else 6.0,
         fit_rounds=1 if given.quick else 3,
         process_clock=given.process_clock,
         compiled=given.compiled and compiler_available(),

@@ -12,26 +12,29 @@ def direct_step(optimizer: Optimizer) -> Callable[[], object]:
     """What does the same as ``optimizer.step``, to the bit.
 
     Collecting parameters and moments and sorting them by device takes PyTorch as long as updating
-    these networks. For a fused Adam that has taken a step before they are collected here, once;
-    for all else it is ``optimizer.step``. To be asked for again when the state is replaced.
+    these networks. For a fused Adam they are collected here, once, when its first step has made
+    the moments; for all else it is ``optimizer.step``. To be asked for again when the state is
+    replaced.
     """
     if type(optimizer) is not Adam or len(optimizer.param_groups) != 1 or _hooked(optimizer):
         return optimizer.step
     (group,) = optimizer.param_groups
     unlike = ("amsgrad", "capturable", "differentiable", "decoupled_weight_decay")
-    parameters = group["params"]
-    begun = all(optimizer.state.get(p) for p in parameters)
-    if not group["fused"] or any(group.get(name) for name in unlike) or not begun:
+    if not group["fused"] or any(group.get(name) for name in unlike):
         return optimizer.step
-    names = ("exp_avg", "exp_avg_sq", "step")
-    first, second, steps = ([optimizer.state[p][name] for p in parameters] for name in names)
+    parameters = group["params"]
+    moments: list[list[torch.Tensor]] = []
 
     @torch.no_grad()
     def step() -> None:
         gradients = [p.grad for p in parameters]
-        if any(gradient is None for gradient in gradients):
+        if not moments and all(optimizer.state.get(p) for p in parameters):
+            names = ("exp_avg", "exp_avg_sq", "step")
+            moments.extend([optimizer.state[p][name] for p in parameters] for name in names)
+        if not moments or any(gradient is None for gradient in gradients):
             optimizer.step()
             return
+        first, second, steps = moments
         torch._foreach_add_(steps, 1)
         beta1, beta2 = group["betas"]
         torch._fused_adam_(
