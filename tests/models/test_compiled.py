@@ -13,18 +13,25 @@ from tests.models.methods import make, windows
 
 needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ compiler")
 SLOW = [
-    pytest.param(*pair, marks=pytest.mark.slow)
-    for pair in [("node", "rk4"), ("l_node", "rk4"), ("e2e_symo", "midpoint")]
+    pytest.param(*case, marks=pytest.mark.slow)
+    for case in [
+        ("node", "rk4", "row"),
+        ("l_node", "rk4", "row"),
+        ("e2e_symo", "midpoint", "row"),
+        ("e2e_symo", "midpoint", "batch"),
+    ]
 ]
 
 
 @needs_compiler
-@pytest.mark.parametrize(("method", "integrator"), [("symo", "midpoint"), *SLOW])
-def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(method, integrator):
+@pytest.mark.parametrize(("method", "integrator", "stopping"), [("symo", "midpoint", "row"), *SLOW])
+def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
+    method, integrator, stopping
+):
     """At sizes where narrow products are turned, and by an optimiser that reads memory."""
     model, data = make(method, integrator, 2, width=64), windows(2, samples=64)
     if not model.reads_velocity:
-        model.root = Newton(tolerance=1e-8)
+        model.root = Newton(tolerance=1e-8, stopping=stopping)
     before = copy.deepcopy(model.state_dict())
 
     def step():
@@ -73,7 +80,7 @@ def test_a_compiler_that_fails_is_said_and_done_without(caplog):
         ("symo", "midpoint", {}, True),
         ("symo", "galerkin4", {}, False),
         ("e2e_symo", "midpoint", {}, True),
-        ("e2e_symo", "midpoint", {"root": Newton(stopping="batch")}, False),
+        ("e2e_symo", "midpoint", {"root": Newton(stopping="batch")}, True),
         ("e2e_symo", "midpoint", {"root": Broyden()}, False),
     ],
 )

@@ -140,16 +140,14 @@ class Newton(RootFinder):
     def _by_batch(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
         at = problem.at(x)
         iterations = 0
-        # The mean square over rows of ‖g‖²/n against tolerance² is the Frobenius rule.
         while iterations < self.max_iterations:
             x = x + solve(at.jacobian(), -at.residual)
             at = problem.at(x)
             iterations += 1
-            if bool(row_norm(at.residual).square().mean().sqrt() <= self.tolerance):
+            if bool(batch_norm(at.residual) <= self.tolerance):
                 break
-        norm = row_norm(at.residual)
-        done = bool(norm.square().mean().sqrt() <= self.tolerance)
-        converged = torch.full_like(norm, done, dtype=torch.bool) | (norm <= self.tolerance)
+        converged = row_norm(at.residual) <= self.tolerance
+        converged |= batch_norm(at.residual) <= self.tolerance
         count = torch.full((len(x),), iterations, dtype=torch.int64, device=x.device)
         return Root(x, converged, count, at)
 
@@ -201,3 +199,8 @@ def _put(x: Tensor, index: Tensor | None, rows: Tensor) -> Tensor:
 def row_norm(residual: Tensor) -> Tensor:
     """``‖g‖₂ / √n`` of each row."""
     return residual.square().mean(-1).sqrt()
+
+
+def batch_norm(residual: Tensor) -> Tensor:
+    """``‖g‖_F / √(B n)`` of all rows together."""
+    return residual.square().mean().sqrt()

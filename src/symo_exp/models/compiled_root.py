@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import rounding, row_norm
+from symo_exp.mechanics.roots import Newton, batch_norm, rounding, row_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -80,13 +80,19 @@ class CompiledRootLoss:
         return Packed(following), converged
 
     def _evaluate(self, windows: Windows, impulse: Tensor, x: Tensor) -> tuple[Iterate, Tensor]:
-        """An iterate, and whether each of its rows is a root or as near as rounding lets it be."""
+        """An iterate, and whether it ends the iteration: each row is a root or as near as rounding
+        lets it be; by the rule of the thesis, all together are."""
         at = self._model.problem(windows, impulse).at(x)
         jacobian = at.jacobian()
         step = solve(jacobian, -at.residual)
-        small = row_norm(at.residual) <= self._model.root.tolerance
-        settled = (step.abs() <= rounding(x)).all(-1)
-        return Iterate(x, at.expansion, jacobian, step), (small | settled).all()
+        root = self._model.root
+        assert isinstance(root, Newton)
+        if root.stopping == "batch":
+            converged = batch_norm(at.residual) <= root.tolerance
+        else:
+            settled = (step.abs() <= rounding(x)).all(-1)
+            converged = ((row_norm(at.residual) <= root.tolerance) | settled).all()
+        return Iterate(x, at.expansion, jacobian, step), converged
 
     def _loss_at(self, windows: Windows, before: Packed, at: Packed) -> Tensor:
         model, root = self._model, at.open()

@@ -95,9 +95,8 @@ class E2ESyMo(LearnsLagrangian, VariationalModel):
 
     @property
     def can_be_compiled(self) -> bool:
-        """Where roots are found by Newton's method row by row, as the compiled iteration does."""
-        by_row = isinstance(self.root, Newton) and self.root.stopping == "row"
-        return by_row and super().can_be_compiled
+        """Where roots are found by Newton's method, as the compiled iteration does."""
+        return isinstance(self.root, Newton) and super().can_be_compiled
 
     def compile_training(self) -> None:
         self._program = CompiledRootLoss(self)
