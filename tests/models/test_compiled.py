@@ -41,9 +41,12 @@ def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
         return loss, gradients, copy.deepcopy(model.state_dict())
 
     expected = step()
-    model.compile_training()
+    model.compile_training(validation=True)
     for _ in range(2):
         model.load_state_dict(before)
+        with torch.no_grad():
+            validated = model.validation_loss(data)
+        torch.testing.assert_close(validated, expected[0], atol=0, rtol=1e-9)
         found = step()
         torch.testing.assert_close(found[0], expected[0], atol=0, rtol=1e-9)
         torch.testing.assert_close(found[1:], expected[1:], atol=1e-10, rtol=1e-7)
@@ -55,8 +58,11 @@ def test_a_batch_that_newton_cannot_finish_is_left_to_the_safeguards():
     model, data = make("e2e_symo", "midpoint", 2), windows(2, samples=8)
     model.root = Newton(tolerance=1e-300, max_iterations=2)
     expected = model.loss_and_gradients(data)
-    model.compile_training()
+    model.compile_training(validation=True)
     torch.testing.assert_close(model.loss_and_gradients(data), expected)
+    with torch.no_grad():
+        torch.testing.assert_close(model.validation_loss(data), expected)
+    assert model._program is not None
 
 
 def test_a_compiler_that_fails_is_said_and_done_without(caplog):
@@ -66,10 +72,12 @@ def test_a_compiler_that_fails_is_said_and_done_without(caplog):
     def broken(windows):
         raise RuntimeError("no such compiler\nand a long tail")
 
-    model._program = broken
-    torch.testing.assert_close(model.loss_and_gradients(data), expected)
-    assert caplog.messages == ["the training step is not compiled: no such compiler"]
-    assert model._program is None
+    for computed in (model.loss_and_gradients, model.validation_loss):
+        model._program = model._validation_program = broken
+        torch.testing.assert_close(computed(data).detach(), expected)
+        assert caplog.messages == ["the training step is not compiled: no such compiler"]
+        assert model._program is model._validation_program is None
+        caplog.clear()
 
 
 @pytest.mark.parametrize(

@@ -19,18 +19,18 @@ from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
-from symo_exp.models.compiled import Packed, Program
+from symo_exp.models.compiled import Program
 from symo_exp.optim.base import EpochOptimizer, minibatches
 
 log = logging.getLogger(__name__)
 
 
 class Compiled(Protocol):
-    """Loss and gradients, the latter in the order of ``parameters``."""
+    """A loss, and if it was asked for them its gradients in the order of ``parameters``."""
 
     parameters: list[Tensor]
 
-    def __call__(self, windows: Windows, /) -> tuple[Tensor, Packed]: ...
+    def __call__(self, windows: Windows, /) -> tuple[Any, ...]: ...
 
 
 class Step(NamedTuple):
@@ -91,6 +91,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         self._statistics: dict[str, Tensor] = {}
         self._training_seconds = 0.0
         self._program: Compiled | None = None
+        self._validation_program: Compiled | None = None
 
     @property
     def learns(self) -> bool:
@@ -172,12 +173,12 @@ class DynamicsModel(lightning.LightningModule, ABC):
 
     def for_evaluation(self) -> DynamicsModel:
         """A copy for measuring: double precision, roots found to convergence."""
-        attached = self._trainer, self._program
-        self._trainer = self._program = None
+        attached = self._trainer, self._program, self._validation_program
+        self._trainer = self._program = self._validation_program = None
         try:
             twin = copy.deepcopy(self)
         finally:
-            self._trainer, self._program = attached
+            self._trainer, self._program, self._validation_program = attached
         return twin.to(self._evaluation_dtype).eval().requires_grad_(False)
 
     def energy(self, q: Tensor, v: Tensor) -> Tensor:
@@ -217,9 +218,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
             try:
                 loss, gradients = self._program(windows)
             except Exception as error:  # of a compiler, which may fail in any way
-                reason = str(error).strip().splitlines() or [type(error).__name__]
-                log.warning("the training step is not compiled: %s", reason[0])
-                self._program = None
+                self._do_without_compiler(error)
         if self._program is None:
             self.zero_grad()
             loss = self.loss(windows)
@@ -229,14 +228,34 @@ class DynamicsModel(lightning.LightningModule, ABC):
             parameter.grad = gradient
         return loss
 
+    def validation_loss(self, windows: Windows) -> Float[Tensor, ""]:
+        """The loss, without gradients."""
+        if self._validation_program is not None:
+            try:
+                loss: Tensor = self._validation_program(windows)[0]
+                return loss
+            except Exception as error:
+                self._do_without_compiler(error)
+        return self.loss(windows)
+
     @property
     def can_be_compiled(self) -> bool:
         """Whether the loss is a fixed sequence of operations, whatever the numbers."""
         return True
 
-    def compile_training(self) -> None:
-        """Compile ``loss_and_gradients`` at its next call; see ``models.compiled``."""
-        self._program = Program(self, self.loss, gradients=True)
+    def compile_training(self, *, validation: bool = False) -> None:
+        """Compile ``loss_and_gradients`` at its next call, and ``validation_loss`` if wanted; see
+        ``models.compiled``."""
+        self._program = self._compiled_loss(gradients=True)
+        self._validation_program = self._compiled_loss(gradients=False) if validation else None
+
+    def _compiled_loss(self, *, gradients: bool) -> Compiled:
+        return Program(self, self.loss, gradients=gradients)
+
+    def _do_without_compiler(self, error: Exception) -> None:
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        log.warning("the training step is not compiled: %s", reason[0])
+        self._program = self._validation_program = None
 
     def configure_optimizers(self) -> Any:
         if self._optimizer is None:
@@ -273,7 +292,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
             logger.log_metrics(told | {"epoch": self.current_epoch}, self.global_step)
 
     def validation_step(self, windows: Windows, _: int) -> None:
-        loss = self.loss(windows)
+        loss = self.validation_loss(windows)
         self.log("val_loss", loss, batch_size=1)
         if self.trainer.sanity_checking:
             return

@@ -50,7 +50,7 @@ class Program:
 
     def __init__(self, model: nn.Module, function: Callable[..., Any], *, gradients: bool) -> None:
         """With ``gradients`` the function returns a loss, and a call the loss and its gradients in
-        the parameters."""
+        the parameters. A call returns a tuple, of whatever the function does."""
         self._call = _Call(model, function)
         names, parameters = zip(*self._call.named_parameters(), strict=True)
         self._names: tuple[str, ...] = names
@@ -96,7 +96,7 @@ class Program:
         with torch.set_grad_enabled(self._gradients):
             result = torch.func.functional_call(self._call, named, arguments)
             if not self._gradients:
-                return result
+                return (result,) if isinstance(result, Tensor) else result
             gradients = torch.autograd.grad(result, parameters, materialize_grads=True)
         # Laid out like the parameters: a fused optimiser reads memory, not strides.
         return result.detach(), Packed([gradient.contiguous() for gradient in gradients])

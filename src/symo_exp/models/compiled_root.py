@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -36,7 +36,7 @@ class Iterate(NamedTuple):
 
 
 class CompiledRootLoss:
-    """Loss and gradients of E2E-SyMo in compiled pieces around the iteration.
+    """Loss, and gradients if wanted, of E2E-SyMo in compiled pieces around the iteration.
 
     The first takes the one step of Newton's method that is always needed, others further steps
     where a row needs them, the last differentiates. What a pass computed travels on, so that
@@ -46,20 +46,22 @@ class CompiledRootLoss:
 
     most_iterations = 5
 
-    def __init__(self, model: E2ESyMo) -> None:
-        self._model = model
+    def __init__(self, model: E2ESyMo, *, gradients: bool) -> None:
+        self._model, self._gradients = model, gradients
         self._start = Program(model, self._first_step, gradients=False)
         self._iterate = Program(model, self._next_step, gradients=False)
-        self._finish = Program(model, self._loss_at, gradients=True)
+        self._finish = Program(model, self._loss_at, gradients=gradients)
         self.parameters = self._finish.parameters
 
-    def __call__(self, windows: Windows) -> tuple[Tensor, Packed]:
+    def __call__(self, windows: Windows) -> tuple[Any, ...]:
         model = self._model
         before, impulse, at, converged = self._start(windows)
         iterations = 1
         while not converged.item():
             if iterations == min(model.root.max_iterations, self.most_iterations):
                 loss = model.loss(windows)
+                if not self._gradients:
+                    return (loss,)
                 return loss.detach(), Packed(torch.autograd.grad(loss, self.parameters))
             at, converged = self._iterate(windows, impulse, at)
             iterations += 1

@@ -98,5 +98,5 @@ class E2ESyMo(LearnsLagrangian, VariationalModel):
         """Where roots are found by Newton's method, as the compiled iteration does."""
         return isinstance(self.root, Newton) and super().can_be_compiled
 
-    def compile_training(self) -> None:
-        self._program = CompiledRootLoss(self)
+    def _compiled_loss(self, *, gradients: bool) -> CompiledRootLoss:
+        return CompiledRootLoss(self, gradients=gradients)

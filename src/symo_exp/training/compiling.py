@@ -39,7 +39,7 @@ class CompileTraining(lightning.Callback):
         cache = Path.home() / ".cache" / "symo_exp" / "kernels"
         os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache))
         os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")
-        pl_module.compile_training()
+        pl_module.compile_training(validation=watches_much(trainer))
 
     def wanted(self, trainer: lightning.Trainer, pl_module: Any) -> bool:
         if not pl_module.can_be_compiled:
@@ -51,6 +51,16 @@ class CompileTraining(lightning.Callback):
             return False
         steps = trainer.max_epochs * len(datamodule.batches(0))
         return steps >= WORTHWHILE and compiler_available()
+
+
+def watches_much(trainer: lightning.Trainer) -> bool:
+    """Whether validation sees as many samples as training does, as in the thesis' protocol."""
+    datamodule: Any = getattr(trainer, "datamodule", None)
+    if datamodule is None:
+        return False
+    watched = sum(len(windows.q) for windows in datamodule.val_dataloader())
+    trained = sum(len(windows.q) for windows in datamodule.batches(0))
+    return watched >= trained * (trainer.check_val_every_n_epoch or 1)
 
 
 def compiler_available() -> bool:
