@@ -144,10 +144,10 @@ class Newton(RootFinder):
             x = x + solve(at.jacobian(), -at.residual)
             at = problem.at(x)
             iterations += 1
-            if bool(batch_norm(at.residual) <= self.tolerance):
+            if bool(joint_norm(at.residual) <= self.tolerance):
                 break
         converged = row_norm(at.residual) <= self.tolerance
-        converged |= batch_norm(at.residual) <= self.tolerance
+        converged |= joint_norm(at.residual) <= self.tolerance
         count = torch.full((len(x),), iterations, dtype=torch.int64, device=x.device)
         return Root(x, converged, count, at)
 
@@ -201,6 +201,6 @@ def row_norm(residual: Tensor) -> Tensor:
     return residual.square().mean(-1).sqrt()
 
 
-def batch_norm(residual: Tensor) -> Tensor:
+def joint_norm(residual: Tensor) -> Tensor:
     """``‖g‖_F / √(B n)`` of all rows together."""
     return residual.square().mean().sqrt()

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import Newton, batch_norm, rounding, row_norm
+from symo_exp.mechanics.roots import Newton, joint_norm, rounding, row_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -90,7 +90,7 @@ class CompiledRootLoss:
         root = self._model.root
         assert isinstance(root, Newton)
         if root.stopping == "batch":
-            converged = batch_norm(at.residual) <= root.tolerance
+            converged = joint_norm(at.residual) <= root.tolerance
         else:
             settled = (step.abs() <= rounding(x)).all(-1)
             converged = ((row_norm(at.residual) <= root.tolerance) | settled).all()
