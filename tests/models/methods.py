@@ -69,3 +69,9 @@ def windows(n: int, samples: int = 5) -> Windows:
     v = 0.3 * v  # slow enough for every random inertia to have its roots
     poses = [q + t * v + 0.5 * t * t * a for t in (-H, 0.0, H)]
     return Windows(*poses, v, v + H * a, *u)
+
+
+def reads_back(model: Any) -> bool:
+    """Whether its loss looks at a number to know how to go on, as a search for roots does."""
+    model.loss(windows(model.coordinates.n))
+    return not model.can_be_compiled or "newton_iterations" in model._statistics
