@@ -1,5 +1,7 @@
 """The true Lagrangian in an integrator: what is left is that integrator's own error."""
 
+import functools
+
 import pytest
 import torch
 
@@ -23,9 +25,10 @@ FLOORS = {
 ROOT = Newton(tolerance=1e-10, max_iterations=20)
 
 
-def data(system: System) -> TrajectoryData:
+@functools.cache
+def data(name: str) -> TrajectoryData:
     sets = TrajectoryData(
-        system=system, n_traj=1, n_val=1, n_test=96, n_train_max=1, n_integration=2,
+        system=systems()[name], n_traj=1, n_val=1, n_test=96, n_train_max=1, n_integration=2,
         integration_steps=100, dtype="float64",
     )  # fmt: skip
     sets.setup("test")
@@ -42,7 +45,7 @@ def given(system: System) -> dict:
 @pytest.mark.parametrize("name", FLOORS)
 def test_the_one_step_error_of_the_truth_is_the_known_floor_of_the_integrator(name: str):
     system = systems()[name]
-    sets = data(system)
+    sets = data(name)
     symo = TrueVariational(integrator=VariationalMidpoint(), root=ROOT, **given(system))
     l_node = TrueOde(integrator=RK4(), **given(system))
     midpoint, rk4 = evaluate(symo, system, sets).measures, evaluate(l_node, system, sets).measures
@@ -63,7 +66,7 @@ def test_the_floor_falls_with_the_order(name: str):
     system = systems()[name]
     model = TrueVariational(integrator=Galerkin(stages=2), root=ROOT, **given(system))
     assert not model.learns
-    samples = data(system).test
+    samples = data(name).test
     predicted = model.for_evaluation().predict(samples)
     assert predicted.converged.all()
     assert pose_mse(predicted.q, samples.q_next).item() == pytest.approx(FLOORS[name][1], rel=0.5)
