@@ -126,7 +126,6 @@ def test_energy_stays_bounded_over_long_times(name, steps):
 
 
 @torch.no_grad()
-@torch.no_grad()
 def test_energy_drifts_under_the_explicit_midpoint_rule():
     chain, h, drift = ChainPendulum(1), 0.1, []
     q, v = start(1)
