@@ -170,10 +170,20 @@ class AutodiffExpansion(Expansion):
 
 
 def matvec(
-    matrix: Float[Tensor, "batch n k"], vector: Float[Tensor, "batch k"]
-) -> Float[Tensor, "batch n"]:
-    """``A x`` for a batch of matrices and vectors."""
-    return (matrix @ vector.unsqueeze(-1)).squeeze(-1)
+    matrix: Float[Tensor, "*#batch n k"], vector: Float[Tensor, "*#batch k"]
+) -> Float[Tensor, "*batch n"]:
+    """``A x`` for a batch of matrices and vectors.
+
+    For so small ones a sum is faster than the library's product, and can be compiled away.
+    """
+    return (matrix * vector.unsqueeze(-2)).sum(-1)
+
+
+def vecmat(
+    vector: Float[Tensor, "*#batch n"], matrix: Float[Tensor, "*#batch n k"]
+) -> Float[Tensor, "*batch k"]:
+    """``xᵀ A``, likewise."""
+    return (vector.unsqueeze(-1) * matrix).sum(-2)
 
 
 def solve(

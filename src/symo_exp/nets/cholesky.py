@@ -17,6 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from symo_exp.mechanics.lagrangian import matvec, vecmat
+
 EPSILON = 1e-9
 """``ε`` in ``H = L Lᵀ + ε I``."""
 
@@ -92,11 +94,11 @@ class CholeskyHead(nn.Module):
     ) -> HeadPoint:
         """``ℒ`` at ``(o, v)``."""
         factor = self.factor(outputs)
-        return HeadPoint(v, factor, self.slope(outputs), _row(v, factor))
+        return HeadPoint(v, factor, self.slope(outputs), vecmat(v, factor))
 
     def momentum(self, at: HeadPoint) -> Float[Tensor, "batch n"]:
         """``∂ℒ/∂v = L y + ε v``."""
-        return _apply(at.factor, at.y) + EPSILON * at.v
+        return matvec(at.factor, at.y) + EPSILON * at.v
 
     def cotangent(self, at: HeadPoint) -> Float[Tensor, "batch outputs"]:
         """``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
@@ -114,7 +116,7 @@ class CholeskyHead(nn.Module):
         ``φ = y · y' − V' + ε v · b`` with ``y' = L'ᵀ v + Lᵀ b``.
         """
         factor_rate = self.factor_tangent(at.slope, rates)
-        y_rate = _row(at.v, factor_rate) + _row(b, at.factor)
+        y_rate = vecmat(at.v, factor_rate) + vecmat(b, at.factor)
         # The last factor of the diagonal is the second derivative of the softplus.
         bend = at.v * at.y * at.slope * (1.0 - at.slope) * rates[:, : self.n]
         diagonal = (at.v * y_rate + b * at.y) * at.slope + bend
@@ -122,7 +124,7 @@ class CholeskyHead(nn.Module):
         lower = _columns(at.v, row) * _columns(y_rate, column)
         lower = lower + _columns(b, row) * _columns(at.y, column)
         outputs = torch.cat((diagonal, lower, torch.zeros_like(at.v[:, :1])), dim=1)
-        velocity = _apply(at.factor, y_rate) + _apply(factor_rate, at.y) + EPSILON * b
+        velocity = matvec(at.factor, y_rate) + matvec(factor_rate, at.y) + EPSILON * b
         return outputs, velocity
 
     def curvature(
@@ -134,11 +136,11 @@ class CholeskyHead(nn.Module):
         ``L_j y + L y_j``.
         """
         factors = self.factor_tangent(at.slope.unsqueeze(1), rates)  # L_i: (B, k, n, n)
-        ys = _row(at.v.unsqueeze(1), factors)
+        ys = vecmat(at.v.unsqueeze(1), factors)
         bend = at.v * at.y * at.slope * (1.0 - at.slope)
         diagonal = rates[..., : self.n]
         second = ys @ ys.mT + (diagonal * bend.unsqueeze(1)) @ diagonal.mT
-        momenta = _apply(factors, at.y.unsqueeze(1)) + ys @ at.factor.mT
+        momenta = matvec(factors, at.y.unsqueeze(1)) + ys @ at.factor.mT
         return second, momenta.mT
 
     def _fill(self, diagonal: Tensor, outputs: Tensor) -> Tensor:
@@ -150,13 +152,3 @@ class CholeskyHead(nn.Module):
 
 def _columns(x: Tensor, index: Tensor) -> Tensor:
     return x.index_select(1, index)
-
-
-def _row(vector: Tensor, matrix: Tensor) -> Tensor:
-    """``Aᵀ x``; for so small matrices a sum is as fast as a product, and can be compiled away."""
-    return (vector.unsqueeze(-1) * matrix).sum(-2)
-
-
-def _apply(matrix: Tensor, vector: Tensor) -> Tensor:
-    """``A x``, likewise."""
-    return (matrix * vector.unsqueeze(-2)).sum(-1)

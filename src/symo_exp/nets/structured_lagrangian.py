@@ -26,7 +26,15 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, Rates
+from symo_exp.mechanics.lagrangian import (
+    Curvature,
+    Expansion,
+    Gradients,
+    Lagrangian,
+    Rates,
+    matvec,
+    vecmat,
+)
 from symo_exp.nets.affine import bias_gradient, linear, shift, weight_gradient
 from symo_exp.nets.cholesky import CholeskyHead, HeadPoint
 from symo_exp.nets.embedding import Embedding, Features
@@ -131,13 +139,13 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         outputs, partials = shift(jet[0], bias), jet[1:]
         factor = head.factor(outputs)
         partial_factors = head.factor_tangent(head.slope(outputs), partials)  # (n, B, n, n)
-        y = (v.unsqueeze(-2) @ factor).squeeze(-2)
-        partial_y = (v.unsqueeze(-2) @ partial_factors).squeeze(-2)  # L_iᵀ v, (n, B, n)
+        y = vecmat(v, factor)
+        partial_y = vecmat(v, partial_factors)  # L_iᵀ v, (n, B, n)
         dq = ((y * partial_y).sum(-1) - partials[..., -1]).T
         along = v.T.reshape(n, -1, 1)
         factor_rate = (along.unsqueeze(-1) * partial_factors).sum(0)
         y_rate = (along * partial_y).sum(0)
-        mass_rate_v = (factor_rate @ y.unsqueeze(-1) + factor @ y_rate.unsqueeze(-1)).squeeze(-1)
+        mass_rate_v = matvec(factor_rate, y) + matvec(factor, y_rate)
         return Rates(head.mass(factor), mass_rate_v, dq)
 
 
@@ -176,13 +184,15 @@ class StructuredExpansion(Expansion):
     @torch.no_grad()
     def curvature(self) -> Curvature:
         embedding, head = self._lagrangian.embedding, self._lagrangian.head
-        *weights, last = tuple(self._lagrangian.net.weights)
+        *layers, (last, _) = self._lagrangian.net.layers()
         at = self._passes
         tangents = embedding.basis_tangents(at.features)  # (B, n, ·) from here on
         own = embedding.second(at.features) * at.feature_cotangent
         qq = torch.diag_embed(embedding.to_coordinates(own))
         rates = []
-        for weight, h, slope, d in zip(weights, at.hidden, at.slopes, at.cotangents, strict=True):
+        for (weight, _), h, slope, d in zip(
+            layers, at.hidden, at.slopes, at.cotangents, strict=True
+        ):
             z = tangents @ weight.T
             qq = torch.baddbmm(qq, z * (h * d).unsqueeze(1), z.mT, alpha=-2.0)
             tangents = z * slope.unsqueeze(1)
@@ -193,8 +203,8 @@ class StructuredExpansion(Expansion):
         return Curvature(qq + outputs_qq, vq)
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        net = self._lagrangian.net
-        return Gradients(*_DifferentiableGradients.apply(self, q, v, *net.weights, *net.biases))
+        weights, biases = zip(*self._lagrangian.net.layers(), strict=True)
+        return Gradients(*_DifferentiableGradients.apply(self, q, v, *weights, *biases))
 
     def rows(self, index: Tensor) -> StructuredExpansion:
         return StructuredExpansion(self._lagrangian, _map(lambda x: x[index], self._passes))
@@ -211,8 +221,8 @@ class StructuredExpansion(Expansion):
 
         Those in ``q`` and ``v`` are left out unless asked for by ``to_point``.
         """
-        embedding, net = self._lagrangian.embedding, self._lagrangian.net
-        weights, biases, at = tuple(net.weights), tuple(net.biases), self._passes
+        embedding, at = self._lagrangian.embedding, self._passes
+        weights, biases = zip(*self._lagrangian.net.layers(), strict=True)
         direction = embedding.spread(a)
         tangents = [at.features.dx * direction]
         bends: list[Tensor] = []  # −2 h_l z_l' d_l
