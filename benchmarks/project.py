@@ -112,6 +112,7 @@ class Project:
         self.model = build(method, case, layers, dtype, **options)
         if compiled:
             self.model.compile_training()
+            self.model.compile_rollout()
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr, fused=True)
         self._step = direct_step(self.optimizer)
 

@@ -116,16 +116,18 @@ def cells(plan: Plan) -> Iterator[Measurement]:
                 name, system, method, rows, k, s * t.median, s * t.low, s * t.high, taken
             )
 
+    def compiled(system: str, method: str) -> Project:
+        return Project(
+            method, CASES[system], trained_weights(system, method), lr=0.0, compiled=True
+        )
+
     for system in plan.systems:
         for method in plan.methods:
             group = contenders(system, method)
             for rows in plan.batches if "step" in plan.measures else ():
                 step = dict.fromkeys(group, lambda c, b: c.train_step(b))
-                if plan.compiled:
-                    # A compiled graph belongs to one shape.
-                    layers = trained_weights(system, method)
-                    compiled = Project(method, CASES[system], layers, lr=0.0, compiled=True)
-                    group["compiled"], step["compiled"] = compiled, step["project"]
+                if plan.compiled:  # a compiled graph belongs to one shape
+                    group["compiled"], step["compiled"] = compiled(system, method), step["project"]
                 yield from measure("step", system, method, rows, {}, step)
             group.pop("compiled", None)
             if "evaluation" in plan.measures:
@@ -134,6 +136,8 @@ def cells(plan: Plan) -> Iterator[Measurement]:
             if "rollout" in plan.measures:
                 # One trajectory at a time: a few steps of one tell the cost of all.
                 roll = dict.fromkeys(group, lambda c, b: c.rollout(b, ROLLOUT_STEPS))
+                if plan.compiled:
+                    group["compiled"], roll["compiled"] = compiled(system, method), roll["project"]
                 roll["autograd"] = lambda c, b: c.rollout(type(b)(*(x[:1] for x in b)), few)
                 scale = {"autograd": ROLLOUTS * ROLLOUT_STEPS / few}
                 yield from measure("rollout", system, method, ROLLOUTS, scale, roll)
@@ -215,7 +219,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--compiled",
         action=argparse.BooleanOptionalAction,
-        help="measure compiled training steps too (default: unless --quick; compiling takes long)",
+        help="measure what is compiled too (default: unless --quick; compiling takes long)",
     )
     given = parser.parse_args(arguments)
     if given.compiled is None:

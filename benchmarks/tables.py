@@ -57,7 +57,11 @@ def report(rows: Sequence[Row], *, machine: str, worst_gradient: float) -> str:
     for measure, title in (
         ("step", "Optimiser step [ms]"),
         ("evaluation", "One-step prediction of the rows [ms]"),
-        ("rollout", "Rollouts of 500 steps, all rows [ms] ((a) extrapolated from one)"),
+        (
+            "rollout",
+            f"Rollouts of 500 steps, all rows [ms] (≤ {ROLLOUT_TARGET:g} wanted; (a) extrapolated "
+            "from one row)",
+        ),
     ):
         parts += [f"## {title}", comparison(found, measure)]
     parts += ["## Fit: the whole `Trainer.fit`, per optimiser step [ms]", overhead(found)]

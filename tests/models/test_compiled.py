@@ -1,4 +1,4 @@
-"""Compiled training follows the uncompiled step."""
+"""What is compiled follows what is not."""
 
 import copy
 
@@ -9,7 +9,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.models import compiled
 from symo_exp.training.compiling import compiler_available
-from tests.models.methods import make, windows
+from tests.models.methods import combinations, make, windows
 
 needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ compiler")
 SLOW = [
@@ -65,6 +65,63 @@ def test_a_batch_that_newton_cannot_finish_is_left_to_the_safeguards():
     assert model._program is not None
 
 
+@pytest.fixture
+def traced_only(monkeypatch):
+    """Graphs are run as they are traced: all that is ours without the minutes of a compiler."""
+    monkeypatch.setattr(compiled, "standalone_compile", lambda graph, *_, **__: graph)
+
+
+@pytest.mark.usefixtures("traced_only")
+@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize(("method", "integrator"), combinations())
+def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator, n):
+    model, data = make(method, integrator, n), windows(n)
+    u = torch.randn(len(data.q), 7, 1, dtype=torch.float64)
+    expected = model.rollout(data.q, data.v, u)
+    model.compile_rollout()
+    assert (model._rollout_program is not None) == model.rollout_can_be_compiled
+    found = model.rollout(data.q, data.v, u)
+    torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)
+    assert model.for_evaluation()._rollout_program is None
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["l_node", "symo"])
+def test_a_rollout_by_compiled_kernels_is_the_uncompiled_one(method):
+    integrator = "midpoint" if method == "symo" else "rk4"
+    model, data = make(method, integrator, 2), windows(2)
+    expected = model.rollout(data.q, data.v, steps=20)
+    model.compile_rollout()
+    torch.testing.assert_close(
+        model.rollout(data.q, data.v, steps=20), expected, atol=1e-8, rtol=1e-8
+    )
+    assert model._rollout_program is not None
+
+
+@pytest.mark.usefixtures("traced_only")
+def test_rows_that_a_compiled_rollout_cannot_finish_are_as_uncompiled():
+    """One row is lost from the start, one is too fast for a root: its neighbours keep theirs."""
+    model, data = make("symo", "midpoint", 2), windows(2)
+    v = data.v.clone()
+    v[0], v[1] = torch.nan, 80.0
+    one, three = (model.rollout(data.q, v, steps=steps) for steps in (1, 3))
+    assert not one.converged[:2].any()
+    assert three.converged[2:].all()
+    model.compile_rollout()
+    torch.testing.assert_close(model.rollout(data.q, v, steps=1), one, equal_nan=True)
+    for found, expected in zip(model.rollout(data.q, v, steps=3), three, strict=True):
+        torch.testing.assert_close(found[2:], expected[2:])
+
+
+def test_what_cannot_be_compiled_is_said(caplog):
+    model, data = make("symo", "midpoint", 2, root=Broyden(tolerance=1e-12)), windows(2)
+    model.compile_rollout()
+    (said,) = caplog.messages
+    assert said.endswith("not compiled")
+    assert model.rollout(data.q, data.v, steps=2).converged.all()
+
+
 def test_a_compiler_that_fails_is_said_and_done_without(caplog):
     model, data = make("symo", "midpoint", 2), windows(2)
     expected = model.loss_and_gradients(data)
@@ -78,6 +135,18 @@ def test_a_compiler_that_fails_is_said_and_done_without(caplog):
         assert caplog.messages == ["the training step is not compiled: no such compiler"]
         assert model._program is model._validation_program is None
         caplog.clear()
+
+
+def test_a_rollout_that_the_compiler_fails_is_done_without(caplog, monkeypatch):
+    def broken(*_, **__):
+        raise RuntimeError("no such compiler")
+
+    model, data = make("symo", "midpoint", 2), windows(2)
+    expected = model.rollout(data.q, data.v, steps=3)
+    monkeypatch.setattr(compiled, "standalone_compile", broken)
+    model.compile_rollout()
+    torch.testing.assert_close(model.rollout(data.q, data.v, steps=3), expected)
+    assert caplog.messages == ["the rollout is not compiled: no such compiler"]
 
 
 @pytest.mark.parametrize(

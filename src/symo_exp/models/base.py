@@ -24,6 +24,9 @@ from symo_exp.optim.base import EpochOptimizer, minibatches
 
 log = logging.getLogger(__name__)
 
+PROGRAMS = "_program", "_validation_program", "_rollout_program"
+"""What is compiled of a model: it belongs to that model, a copy goes without."""
+
 
 class Compiled(Protocol):
     """A loss, and if it was asked for them its gradients in the order of ``parameters``."""
@@ -31,6 +34,11 @@ class Compiled(Protocol):
     parameters: list[Tensor]
 
     def __call__(self, windows: Windows, /) -> tuple[Any, ...]: ...
+
+
+Advance = Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
+"""A step of a rollout: what it carries, with the controls at both ends, to what it carries next,
+and whether roots were found."""
 
 
 class Step(NamedTuple):
@@ -92,6 +100,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         self._training_seconds = 0.0
         self._program: Compiled | None = None
         self._validation_program: Compiled | None = None
+        self._rollout_program: Advance | None = None
 
     @property
     def learns(self) -> bool:
@@ -149,7 +158,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         x, y = self._encode(q0, v0)
         poses, inner, converged = [x], [y], []
         for k in range(u.shape[1] - 1):
-            x, y, ok = self._advance(x, y, u[:, k], u[:, k + 1])
+            x, y, ok = self._advance_compiled(x, y, u[:, k], u[:, k + 1])
             poses.append(x)
             inner.append(y)
             converged.append(ok)
@@ -168,17 +177,28 @@ class DynamicsModel(lightning.LightningModule, ABC):
         step = self.step(q, y, u, u_next)
         return step.q, step.v, step.converged
 
+    def _advance_compiled(
+        self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """The same, compiled if so wanted and possible."""
+        if self._rollout_program is not None:
+            try:
+                return self._rollout_program(q, y, u, u_next)
+            except Exception as error:  # of a compiler, which may fail in any way
+                self._do_without_compiler(error, "rollout")
+        return self._advance(q, y, u, u_next)
+
     def _decode(self, q: Tensor, y: Tensor) -> Tensor:
         return y
 
     def for_evaluation(self) -> DynamicsModel:
         """A copy for measuring: double precision, roots found to convergence."""
-        attached = self._trainer, self._program, self._validation_program
-        self._trainer = self._program = self._validation_program = None
+        attached = {name: vars(self)[name] for name in ("_trainer", *PROGRAMS)}
+        vars(self).update(dict.fromkeys(attached))
         try:
             twin = copy.deepcopy(self)
         finally:
-            self._trainer, self._program, self._validation_program = attached
+            vars(self).update(attached)
         return twin.to(self._evaluation_dtype).eval().requires_grad_(False)
 
     def energy(self, q: Tensor, v: Tensor) -> Tensor:
@@ -252,10 +272,30 @@ class DynamicsModel(lightning.LightningModule, ABC):
     def _compiled_loss(self, *, gradients: bool) -> Compiled:
         return Program(self, self.loss, gradients=gradients)
 
-    def _do_without_compiler(self, error: Exception) -> None:
+    @property
+    def rollout_can_be_compiled(self) -> bool:
+        """Whether a step of a rollout consists of fixed sequences of operations."""
+        return self.learns
+
+    def compile_rollout(self) -> None:
+        """Compile the steps of ``rollout`` at its next call: for those who need many.
+
+        That takes up to a minute for each new number of trajectories and precision, in later
+        processes some seconds; then steps take a fraction of their time. The motion is the same to
+        the tolerance of the roots. Where it is not possible a line says so and nothing changes.
+        """
+        if self.rollout_can_be_compiled:
+            self._rollout_program = self._compiled_advance()
+        else:
+            log.warning("a step of this rollout is no fixed sequence of operations: not compiled")
+
+    def _compiled_advance(self) -> Advance:
+        return Program(self, self._advance, gradients=False)
+
+    def _do_without_compiler(self, error: Exception, what: str = "training step") -> None:
         reason = str(error).strip().splitlines() or [type(error).__name__]
-        log.warning("the training step is not compiled: %s", reason[0])
-        self._program = self._validation_program = None
+        log.warning("the %s is not compiled: %s", what, reason[0])
+        vars(self).update(dict.fromkeys(PROGRAMS))
 
     def configure_optimizers(self) -> Any:
         if self._optimizer is None:

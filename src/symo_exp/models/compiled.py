@@ -8,7 +8,9 @@ removes that. Results agree with the uncompiled step to rounding.
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -21,6 +23,13 @@ OPTIONS = {"config_patches": {"cpp_wrapper": True, "pattern_matcher": False}}
 """What calls the kernels is compiled, too: with few rows a fifth of a step was Python doing that.
 Sums are not put back into products of matrices (``addmm``)."""
 logging.getLogger("torch._inductor.ir").setLevel(logging.ERROR)  # which solver is called how
+
+
+def keep_kernels() -> None:
+    """Keep kernels in the cache of the user, where the jobs of a sweep share them."""
+    cache = Path.home() / ".cache" / "symo_exp" / "kernels"
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache))
+    os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")
 
 
 class Packed:
@@ -70,6 +79,7 @@ class Program:
         """The graph goes to the compiler as it is: its only inputs are tensors of fixed shapes,
         so nothing has to be checked at every call. The next process that comes with the same
         graph finds its kernels on disk, and spends seconds here instead of a minute."""
+        keep_kernels()
         results: list[tuple[Any, ...]] = []
         example = [*self.parameters, *_flatten(arguments)]
         count = len(self.parameters)

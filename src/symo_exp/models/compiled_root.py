@@ -8,11 +8,12 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import Newton, joint_norm, rounding, row_norm
+from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding, row_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
     MidpointExpansion,
+    MomentumMatching,
     differentiable_pose,
 )
 from symo_exp.models.compiled import Packed, Program, carry
@@ -33,6 +34,21 @@ class Iterate(NamedTuple):
     """``L_d`` around ``(q_k, x)``."""
     jacobian: Tensor
     step: Tensor
+
+
+def iterate(problem: MomentumMatching, root: RootFinder, x: Tensor) -> tuple[Iterate, Tensor]:
+    """An iterate, and which rows end the iteration there: roots, or as near as rounding lets them
+    be; by the rule of the thesis, all together or none."""
+    assert isinstance(root, Newton)
+    at = problem.at(x)
+    jacobian = at.jacobian()
+    step = solve(jacobian, -at.residual)
+    if root.stopping == "batch":
+        found = (joint_norm(at.residual) <= root.tolerance).expand(len(x))
+    else:
+        settled = (step.abs() <= rounding(x)).all(-1)
+        found = (row_norm(at.residual) <= root.tolerance) | settled
+    return Iterate(x, at.expansion, jacobian, step), found
 
 
 class CompiledRootLoss:
@@ -82,19 +98,9 @@ class CompiledRootLoss:
         return Packed(following), converged
 
     def _evaluate(self, windows: Windows, impulse: Tensor, x: Tensor) -> tuple[Iterate, Tensor]:
-        """An iterate, and whether it ends the iteration: each row is a root or as near as rounding
-        lets it be; by the rule of the thesis, all together are."""
-        at = self._model.problem(windows, impulse).at(x)
-        jacobian = at.jacobian()
-        step = solve(jacobian, -at.residual)
-        root = self._model.root
-        assert isinstance(root, Newton)
-        if root.stopping == "batch":
-            converged = joint_norm(at.residual) <= root.tolerance
-        else:
-            settled = (step.abs() <= rounding(x)).all(-1)
-            converged = ((row_norm(at.residual) <= root.tolerance) | settled).all()
-        return Iterate(x, at.expansion, jacobian, step), converged
+        model = self._model
+        at, found = iterate(model.problem(windows, impulse), model.root, x)
+        return at, found.all()
 
     def _loss_at(self, windows: Windows, before: Packed, at: Packed) -> Tensor:
         model, root = self._model, at.open()

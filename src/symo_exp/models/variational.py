@@ -7,7 +7,7 @@ from typing import Any
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import Lagrangian, solve
-from symo_exp.mechanics.roots import RootFinder
+from symo_exp.mechanics.roots import Newton, RootFinder
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -17,7 +17,8 @@ from symo_exp.mechanics.variational import (
     momentum_before,
     variational_step,
 )
-from symo_exp.models.base import DynamicsModel, Step
+from symo_exp.models.base import Advance, DynamicsModel, Step
+from symo_exp.models.compiled_step import CompiledStep
 
 
 class VariationalModel(DynamicsModel):
@@ -62,6 +63,12 @@ class VariationalModel(DynamicsModel):
     @property
     def can_be_compiled(self) -> bool:
         return not self.integrator.iterates
+
+    @property
+    def rollout_can_be_compiled(self) -> bool:
+        """Where roots are found by Newton's method, as the compiled iteration does."""
+        newton = isinstance(self.rollout_root, Newton)
+        return newton and not self.integrator.iterates and super().rollout_can_be_compiled
 
     def initial_velocity(self, windows: Windows) -> Tensor:
         """``v_k = H(q_k)⁻¹ p⁺(q_{k−1}, q_k)``."""
@@ -157,3 +164,6 @@ class VariationalModel(DynamicsModel):
 
     def _decode(self, q: Tensor, y: Tensor) -> Tensor:
         return self._lagrangian.velocity(q, y)
+
+    def _compiled_advance(self) -> Advance:
+        return CompiledStep(self)

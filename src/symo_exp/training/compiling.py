@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import logging
-import os
 import shutil
-from pathlib import Path
 from typing import Any
 
 import lightning
@@ -21,8 +19,7 @@ class CompileTraining(lightning.Callback):
     """``True``, ``False`` or ``"auto"``: compile the training step of a run on a CPU.
 
     ``auto`` decides by the length of the whole run and by whether a C++ compiler is there, never
-    by a clock: a resumed run must take the same way to the same bits. Kernels are kept in the
-    cache of the user, so that the jobs of a sweep share them.
+    by a clock: a resumed run must take the same way to the same bits.
     """
 
     def __init__(self, mode: bool | str) -> None:
@@ -36,9 +33,6 @@ class CompileTraining(lightning.Callback):
         if not compiler_available():
             log.warning("no C++ compiler here: the training step is not compiled")
             return
-        cache = Path.home() / ".cache" / "symo_exp" / "kernels"
-        os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache))
-        os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")
         pl_module.compile_training(validation=watches_much(trainer))
 
     def wanted(self, trainer: lightning.Trainer, pl_module: Any) -> bool:
