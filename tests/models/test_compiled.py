@@ -72,11 +72,10 @@ def traced_only(monkeypatch):
 
 
 @pytest.mark.usefixtures("traced_only")
-@pytest.mark.parametrize("n", [1, 3])
 @pytest.mark.parametrize(("method", "integrator"), combinations())
-def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator, n):
-    model, data = make(method, integrator, n), windows(n)
-    u = torch.randn(len(data.q), 7, 1, dtype=torch.float64)
+def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator):
+    model, data = make(method, integrator, 3), windows(3)
+    u = torch.randn(len(data.q), 4, 1, dtype=torch.float64)
     expected = model.rollout(data.q, data.v, u)
     model.compile_rollout()
     assert (model._rollout_program is not None) == model.rollout_can_be_compiled
