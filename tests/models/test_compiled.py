@@ -1,6 +1,7 @@
 """What is compiled follows what is not."""
 
 import copy
+import pickle
 
 import pytest
 import torch
@@ -81,7 +82,9 @@ def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator):
     assert (model._rollout_program is not None) == model.rollout_can_be_compiled
     found = model.rollout(data.q, data.v, u)
     torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)
-    assert model.for_evaluation()._rollout_program is None
+    for other in (model.for_evaluation(), pickle.loads(pickle.dumps(model))):
+        assert other._rollout_program is None
+        torch.testing.assert_close(other.rollout(data.q, data.v, u), expected)
 
 
 @needs_compiler

@@ -25,7 +25,7 @@ from symo_exp.optim.base import EpochOptimizer, minibatches
 log = logging.getLogger(__name__)
 
 PROGRAMS = "_program", "_validation_program", "_rollout_program"
-"""What is compiled of a model: it belongs to that model, a copy goes without."""
+"""What is compiled of a model."""
 
 
 class Compiled(Protocol):
@@ -191,14 +191,14 @@ class DynamicsModel(lightning.LightningModule, ABC):
     def _decode(self, q: Tensor, y: Tensor) -> Tensor:
         return y
 
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy goes without what was compiled for this model, and can be pickled."""
+        state: dict[str, Any] = super().__getstate__()
+        return state | dict.fromkeys(PROGRAMS)
+
     def for_evaluation(self) -> DynamicsModel:
         """A copy for measuring: double precision, roots found to convergence."""
-        attached = {name: vars(self)[name] for name in ("_trainer", *PROGRAMS)}
-        vars(self).update(dict.fromkeys(attached))
-        try:
-            twin = copy.deepcopy(self)
-        finally:
-            vars(self).update(attached)
+        twin = copy.deepcopy(self)
         return twin.to(self._evaluation_dtype).eval().requires_grad_(False)
 
     def energy(self, q: Tensor, v: Tensor) -> Tensor:
