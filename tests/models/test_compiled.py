@@ -68,23 +68,41 @@ def test_a_batch_that_newton_cannot_finish_is_left_to_the_safeguards():
 
 @pytest.fixture
 def traced_only(monkeypatch):
-    """Graphs are run as they are traced: all that is ours without the minutes of a compiler."""
-    monkeypatch.setattr(compiled, "standalone_compile", lambda graph, *_, **__: graph)
+    """Graphs are run as they are traced: all that is ours without the minutes of a compiler.
+
+    As kernels are, they are for one layout of each tensor.
+    """
+
+    def layouts(tensors):
+        return [
+            [step for step, n in zip(x.stride(), x.shape, strict=True) if n > 1] for x in tensors
+        ]
+
+    def compile(graph, example, **_):
+        def kernel(*tensors):
+            assert layouts(tensors) == layouts(example)
+            return graph(*tensors)
+
+        return kernel
+
+    monkeypatch.setattr(compiled, "standalone_compile", compile)
 
 
 @pytest.mark.usefixtures("traced_only")
 @pytest.mark.parametrize(("method", "integrator"), combinations())
 def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator):
+    """Whatever the lengths of the rollouts and the layouts of what they start from."""
     model, data = make(method, integrator, 3), windows(3)
     u = torch.randn(len(data.q), 4, 1, dtype=torch.float64)
-    expected = model.rollout(data.q, data.v, u)
+    starts = (data.q, data.v, u), (data.q.T.contiguous().T, data.v, u[:, 1:])
+    expected = [model.rollout(*start) for start in starts]
     model.compile_rollout()
+    found = [model.rollout(*start) for start in starts]
     assert (model._rollout_program is not None) == model.rollout_can_be_compiled
-    found = model.rollout(data.q, data.v, u)
     torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)
     for other in (model.for_evaluation(), pickle.loads(pickle.dumps(model))):
         assert other._rollout_program is None
-        torch.testing.assert_close(other.rollout(data.q, data.v, u), expected)
+        torch.testing.assert_close(other.rollout(*starts[0]), expected[0])
 
 
 @needs_compiler
@@ -93,12 +111,12 @@ def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator):
 def test_a_rollout_by_compiled_kernels_is_the_uncompiled_one(method):
     integrator = "midpoint" if method == "symo" else "rk4"
     model, data = make(method, integrator, 2), windows(2)
-    expected = model.rollout(data.q, data.v, steps=20)
+    u = torch.randn(len(data.q), 30, 1, dtype=torch.float64)
+    expected = [model.rollout(data.q, data.v, x) for x in (u, u[:, :20])]
     model.compile_rollout()
-    torch.testing.assert_close(
-        model.rollout(data.q, data.v, steps=20), expected, atol=1e-8, rtol=1e-8
-    )
+    found = [model.rollout(data.q, data.v, x) for x in (u, u[:, :20])]
     assert model._rollout_program is not None
+    torch.testing.assert_close(found, expected, atol=1e-8, rtol=1e-8)
 
 
 @pytest.mark.usefixtures("traced_only")

@@ -38,7 +38,7 @@ class Compiled(Protocol):
 
 Advance = Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
 """A step of a rollout: what it carries, with the controls at both ends, to what it carries next,
-and whether roots were found."""
+and whether roots were found. Compiled ones want all tensors contiguous, always the same way."""
 
 
 class Step(NamedTuple):
@@ -183,7 +183,7 @@ class DynamicsModel(lightning.LightningModule, ABC):
         """The same, compiled if so wanted and possible."""
         if self._rollout_program is not None:
             try:
-                return self._rollout_program(q, y, u, u_next)
+                return self._rollout_program(*(x.contiguous() for x in (q, y, u, u_next)))
             except Exception as error:  # of a compiler, which may fail in any way
                 self._do_without_compiler(error, "rollout")
         return self._advance(q, y, u, u_next)

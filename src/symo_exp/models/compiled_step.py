@@ -50,7 +50,7 @@ class CompiledStep:
         for _ in range(most - 1):
             if at.over.item():
                 break
-            at = Reached(*self._iterate(q, p, u, u_next, at.q + at.step))
+            at = Reached(*self._iterate(q, p, u, u_next, (at.q + at.step).contiguous()))
         if at.over.item():
             return at.q, at.p, at.converged
         return self._model._advance(q, p, u, u_next)
