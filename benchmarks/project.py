@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import lightning
 import numpy as np
@@ -32,9 +33,11 @@ from symo_exp.mechanics.explicit import RK4, Midpoint
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalMidpoint
+from symo_exp.models import base
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.variational import VariationalModel
+from symo_exp.optim.base import minibatches
 from symo_exp.optim.direct import direct_step
 from symo_exp.tracking.logger import MlflowTracker
 from symo_exp.training.compiling import compiler_available as compiler_available
@@ -198,16 +201,23 @@ class _Samples(lightning.LightningDataModule):
 
 
 @contextmanager
-def fit_calls(
-    method: str, case: Case, layers: Sequence[Layer], batch: int, *, epochs: int, seconds: float
-) -> Iterator[tuple[Callable[[], object], Callable[[], object], int]]:
-    """`Trainer.fit` for some epochs of 8 steps, the same steps bare, and how many they are.
+def whole_fit(
+    method: str,
+    case: Case,
+    layers: Sequence[Layer],
+    batch: int,
+    *,
+    epochs: int,
+    seconds: float,
+    clock: Callable[[], float],
+) -> Iterator[Callable[[], tuple[float, float]]]:
+    """`Trainer.fit` for some epochs of 8 steps: a call returns the seconds that one of its steps
+    took, and all it took divided by their number.
 
-    The fit tracks and keeps checkpoints as a run does; the run is open before it and after it. It
-    lasts at least so many `epochs` and `seconds`: a short one pays for its start and for the first
-    hundred epochs, every one of which is told to MLflow.
-
-    The learning rate is 0, so that both see the same weights throughout.
+    Both are of the same minute: on a busy machine the next one may be a quarter slower. The fit
+    tracks and keeps checkpoints as a run does; the run is open before it and after it. It lasts at
+    least so many `epochs` and `seconds`: a short one pays for its start and for the first hundred
+    epochs, every one of which is told to MLflow. The learning rate is 0: every fit is the same.
     """
     windows = Windows(*training_batch(case.name, 8 * batch).to(torch.float32))
     samples = _Samples(windows, batch)
@@ -218,7 +228,7 @@ def fit_calls(
             bare.train_step(part)
     epochs = max(epochs, round(seconds / (time.perf_counter() - began)))
 
-    def fit() -> None:
+    def fit() -> tuple[float, float]:
         model = build(
             method,
             case,
@@ -238,15 +248,23 @@ def fit_calls(
             folder=folder,
             logger=tracker,
         )
-        trainer.fit(model, samples)
+        in_steps = 0.0
 
-    def steps() -> None:
-        for _ in range(epochs):
-            for part in samples.batches():
-                bare.train_step(part)
+        def timed(*arguments: Any) -> Any:
+            nonlocal in_steps
+            began = clock()
+            results = minibatches(*arguments)
+            in_steps += clock() - began
+            return results
+
+        with mock.patch.object(base, "minibatches", timed):
+            began = clock()
+            trainer.fit(model, samples)
+            whole = clock() - began
+        return in_steps / (8 * epochs), whole / (8 * epochs)
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         tracker = MlflowTracker(directory=folder / "mlruns")
         with tracker.run(name="fit", parameters={}):
-            yield fit, steps, 8 * epochs
+            yield fit

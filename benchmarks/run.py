@@ -29,7 +29,7 @@ from benchmarks.cases import (
     training_batch,
 )
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
-from benchmarks.project import Project, compiler_available, fit_calls, trained_weights
+from benchmarks.project import Project, compiler_available, trained_weights, whole_fit
 from benchmarks.timing import interleaved
 from symo_exp.training.allocator import keep_freed_memory
 
@@ -148,19 +148,23 @@ def cells(plan: Plan) -> Iterator[Measurement]:
 
 
 def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
-    """`Trainer.fit` per optimiser step beside the bare steps it takes, on the same batches."""
+    """`Trainer.fit` per optimiser step beside the steps in it: the round of the median ratio."""
     layers = trained_weights(system, method)
     clock = time.process_time if plan.process_clock else time.perf_counter
-    with fit_calls(
-        method, CASES[system], layers, FIT_BATCH, epochs=plan.fit_epochs, seconds=plan.fit_seconds
-    ) as (fit, bare, steps):
-        calls = {"fit": fit, "bare": bare}
-        times = interleaved(calls, rounds=plan.fit_rounds, warm_up=0, clock=clock)
-    for name, t in times.items():
-        yield Measurement(
-            name, system, method, FIT_BATCH, "project",
-            t.median / steps, t.low / steps, t.high / steps, None,
-        )  # fmt: skip
+    with whole_fit(
+        method,
+        CASES[system],
+        layers,
+        FIT_BATCH,
+        epochs=plan.fit_epochs,
+        seconds=plan.fit_seconds,
+        clock=clock,
+    ) as fit:
+        rounds = sorted((fit() for _ in range(plan.fit_rounds)), key=lambda t: t[1] / t[0])
+    middle = rounds[len(rounds) // 2]
+    for name, ms, all_ms in zip(("bare", "fit"), middle, zip(*rounds, strict=True), strict=True):
+        low, high = 1e3 * min(all_ms), 1e3 * max(all_ms)
+        yield Measurement(name, system, method, FIT_BATCH, "project", 1e3 * ms, low, high, None)
 
 
 def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
