@@ -186,11 +186,12 @@ def test_every_method_has_a_baseline():
     assert set(CLASSES) == set(METHODS)
 
 
-def test_the_time_of_a_fit_is_split_into_its_steps_and_the_rest():
+@pytest.mark.parametrize("method", METHODS)
+def test_the_time_of_a_fit_is_split_into_its_steps_and_the_rest(method):
     """By a clock that ticks once whenever it is read: twice around each epoch and around all."""
     case, clock = CASES["pendulum"], itertools.count()
-    layers = calm_weights(case, "node")
+    layers = calm_weights(case, method)
     tick = functools.partial(next, clock)
-    with whole_fit("node", case, layers, 8, epochs=3, seconds=0.0, clock=tick) as fit:
+    with whole_fit(method, case, layers, 8, epochs=3, seconds=0.0, clock=tick) as fit:
         in_steps, whole = fit()
     assert (24 * in_steps, 24 * whole) == (3, 7)
