@@ -17,7 +17,7 @@ export OMP_NUM_THREADS := 1
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server ui server lint audit smoke bench bench-quick clean
+.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-lowest ui lint audit smoke bench bench-quick clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -42,7 +42,7 @@ test-slow: install ## run the long proofs
 	$(PY) -m pytest -m slow
 
 test-faults: install ## kill, interrupt and starve runs in every way: the long proof that nothing is lost
-	$(PY) -m pytest -m "slow or not slow" tests/faults tests/training/test_resume.py
+	$(PY) -m pytest -m "slow or not slow" tests/faults tests/training tests/runs
 
 test-browser: install ## open the report's page in Chromium (apt-get install chromium chromium-driver)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
@@ -58,16 +58,18 @@ test-server: install ## eight jobs at once through MLflow to PostgreSQL (apt-get
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[server]'
 	$(PY) -m pytest -m server tests/clusters
 
+test-lowest: ## run the tests with the lowest versions that pyproject.toml allows, in .venv-lowest
+	$(PYTHON) -m venv .venv-lowest
+	.venv-lowest/bin/python -m pip install --quiet uv
+	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct --editable '.[dev]'
+	.venv-lowest/bin/python -m pytest -n 2
+
 ui: install ## open MLflow on the local store (PORT=5000)
 	@mkdir -p $(STORE)
 	MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow server --workers 1 \
 		--host 127.0.0.1 --port $(PORT) \
 		--backend-store-uri sqlite:///$(STORE)/mlflow.db \
 		--default-artifact-root $(STORE)/artifacts
-
-server: install ## start PostgreSQL and MLflow on it, for many writers (PORT=5000)
-	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[server]'
-	$(PY) -m symo_exp.tracking.server $(STORE)/server --port $(PORT)
 
 lint: install ## check style and types
 	$(BIN)/ruff check .
@@ -88,5 +90,5 @@ bench-quick: install ## one system and one batch, in two minutes
 	$(PY) -m benchmarks --quick
 
 clean: ## remove what was built, trained and cached here, and the environment
-	rm -rf $(VENV) build dist outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-lowest build dist outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -20,8 +20,9 @@ from benchmarks.project import Project
 LOSS_TOLERANCE = 1e-3
 GRADIENT_TOLERANCE = 2e-3
 PREDICTION_TOLERANCE = 1e-4
-"""Relative error of the loss, of the gradient (Euclidean norm), and largest error of a pose [m or
-rad], all in float32: the discrete Euler-Lagrange residual divides differences of poses by h."""
+"""Relative error of the loss, of the gradient (Euclidean norm), and largest error of a
+configuration [m or rad], all in float32: the discrete Euler-Lagrange residual divides differences
+of configurations by h."""
 
 
 @dataclass(frozen=True)
@@ -76,14 +77,14 @@ def compare(
     """Every contender beside the reference."""
     batch = reference.prepare(windows)  # type: ignore[arg-type]
     true_loss, true_slope = reference.loss_and_gradient(batch)
-    true_pose = reference.predict(batch)
+    true_configuration = reference.predict(batch)
     rows = []
     for name, contender in contenders.items():
         batch = contender.prepare(windows)  # type: ignore[arg-type]
         loss, slope = contender.loss_and_gradient(batch)
         error = sum(np.sum((a - b) ** 2) for a, b in zip(slope, true_slope, strict=True))
         size = sum(np.sum(b**2) for b in true_slope)
-        pose = np.abs(contender.predict(batch) - true_pose).max()
+        configuration = np.abs(contender.predict(batch) - true_configuration).max()
         rows.append(
             Difference(
                 system,
@@ -91,7 +92,7 @@ def compare(
                 name,
                 abs(loss - true_loss) / true_loss,
                 float(np.sqrt(error / size)),
-                float(pose),
+                float(configuration),
             )
         )
     return rows

@@ -82,7 +82,7 @@ class Method(nn.Module):
         raise NotImplementedError
 
     def rollout(self, windows: Windows, steps: int) -> Tensor:
-        """Poses after 1..steps steps under the input held at u, (B, steps, n), row after row."""
+        """Configurations after 1..steps steps with u held, (B, steps, n), row by row."""
         raise NotImplementedError
 
 
@@ -161,13 +161,13 @@ class SyMo(LagrangianMethod):
     def rollout(self, windows: Windows, steps: int) -> Tensor:
         trajectories = []
         for row in range(len(windows.q)):
-            w, poses = windows.rows(slice(row, row + 1)), []
+            w, configurations = windows.rows(slice(row, row + 1)), []
             w = w._replace(u_prev=w.u, u_next=w.u)
             for _ in range(steps):
                 q_next = self.newton(w)
                 w = w._replace(q_prev=w.q, q=q_next)
-                poses.append(q_next)
-            trajectories.append(torch.stack(poses, dim=1))
+                configurations.append(q_next)
+            trajectories.append(torch.stack(configurations, dim=1))
         return torch.cat(trajectories)
 
 
@@ -227,12 +227,12 @@ class OdeMethod(Method):
     def rollout(self, windows: Windows, steps: int) -> Tensor:
         trajectories = []
         for row in range(len(windows.q)):
-            w, poses = windows.rows(slice(row, row + 1)), []
+            w, configurations = windows.rows(slice(row, row + 1)), []
             q, v = w.q, w.v
             for _ in range(steps):
                 q, v = self.step(q, v, w.u)
-                poses.append(q)
-            trajectories.append(torch.stack(poses, dim=1))
+                configurations.append(q)
+            trajectories.append(torch.stack(configurations, dim=1))
         return torch.cat(trajectories)
 
 

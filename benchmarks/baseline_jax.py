@@ -111,8 +111,8 @@ class Method:
         residuals, predict, rollout = {
             "symo": (self.del_residuals, self.root, self.variational_rollout),
             "e2e_symo": (self.root_residuals, self.root, self.variational_rollout),
-            "l_node": (self.state_residuals, self.next_pose, self.explicit_rollout),
-            "node": (self.state_residuals, self.next_pose, self.explicit_rollout),
+            "l_node": (self.state_residuals, self.next_configuration, self.explicit_rollout),
+            "node": (self.state_residuals, self.next_configuration, self.explicit_rollout),
         }[name]
         self.acceleration = self.network_acceleration if name == "node" else self.euler_lagrange
         self._residuals = residuals
@@ -247,23 +247,23 @@ class Method:
         q, v = jax.vmap(partial(self.explicit_step, parameters))(s.q, s.v, s.u)
         return jnp.concatenate([q - s.q_next, v - s.v_next], axis=1)
 
-    def next_pose(self, parameters: Parameters, s: Samples) -> Array:
+    def next_configuration(self, parameters: Parameters, s: Samples) -> Array:
         """One-step prediction of q_{k+1}."""
         return jax.vmap(partial(self.explicit_step, parameters))(s.q, s.v, s.u)[0]
 
     def variational_rollout(self, parameters: Parameters, s: Samples, steps: int) -> Array:
-        """Poses after 1..steps steps under the input held at u, (B, steps, n)."""
+        """Configurations after 1..steps steps under the input held at u, (B, steps, n)."""
         s = s._replace(u_prev=s.u, u_next=s.u)
 
-        def advance(poses: tuple, _: None) -> tuple[tuple, Array]:
-            q_prev, q = poses
+        def advance(configurations: tuple, _: None) -> tuple[tuple, Array]:
+            q_prev, q = configurations
             q_next = self.root(parameters, s._replace(q_prev=q_prev, q=q))
             return (q, q_next), q_next
 
         return lax.scan(advance, (s.q_prev, s.q), None, length=steps)[1].swapaxes(0, 1)
 
     def explicit_rollout(self, parameters: Parameters, s: Samples, steps: int) -> Array:
-        """Poses after 1..steps steps under the input held at u, (B, steps, n)."""
+        """Configurations after 1..steps steps under the input held at u, (B, steps, n)."""
         step = jax.vmap(partial(self.explicit_step, parameters))
 
         def advance(state: tuple, _: None) -> tuple[tuple, Array]:

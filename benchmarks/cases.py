@@ -17,10 +17,8 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.explicit import RK4
-from symo_exp.systems.acrobot import Acrobot
-from symo_exp.systems.base import System
-from symo_exp.systems.cartpole import Cartpole
-from symo_exp.systems.pendulum import Pendulum
+from symo_exp.systems.base import LagrangianSystem
+from symo_exp.systems.table import system
 
 METHODS = ("e2e_symo", "l_node", "symo", "node")
 
@@ -62,14 +60,16 @@ class Case:
         return self.n_features, self.width, self.width, self.n * (self.n + 1) // 2 + 1
 
 
-def _case(system: System, width: int, speed: float) -> Case:
+def _case(system: LagrangianSystem, width: int, speed: float) -> Case:
     """The shape of one of the project's systems."""
     name = type(system).__name__.lower()
     matrix = tuple(tuple(row) for row in system.input_matrix.tolist())
     return Case(name, system.coordinates.angular, matrix, system.time_step, width, speed)
 
 
-SYSTEMS: dict[str, System] = {"pendulum": Pendulum(), "acrobot": Acrobot(), "cartpole": Cartpole()}
+SYSTEMS: dict[str, LagrangianSystem] = {
+    name: system(name) for name in ("pendulum", "acrobot", "cartpole")
+}
 
 CASES = {
     "pendulum": _case(SYSTEMS["pendulum"], 128, 2 * math.pi),
@@ -188,16 +188,16 @@ def system_windows(name: str, count: int, seed: int = 0) -> Windows:
         unit = torch.rand(trajectories, len(low), generator=generator, dtype=torch.float64)
         return low + (high - low) * unit
 
-    box, fine = system.sampling_box, 20
+    box, fine = system.box, 20
     h = system.time_step / fine
     q, v, u = start(box.q), start(box.v), start(box.u)
-    poses, velocities = [q], [v]
+    configurations, velocities = [q], [v]
     for _ in range(33):
         for _ in range(fine):
             q, v = RK4().step(system.acceleration, q.detach(), v.detach(), u, u, h)
-        poses.append(q)
+        configurations.append(q)
         velocities.append(v)
-    q, v = torch.stack(poses, 1), torch.stack(velocities, 1)
+    q, v = torch.stack(configurations, 1), torch.stack(velocities, 1)
     held = u.unsqueeze(1).expand(-1, 32, -1)
     fields = (q[:, :-2], q[:, 1:-1], q[:, 2:], v[:, 1:-1], v[:, 2:], held, held, held)
     order = torch.randperm(trajectories * 32, generator=generator)[:count]

@@ -33,7 +33,7 @@ class Contender(Protocol):
         """One-step prediction of q_{k+1}."""
 
     def rollout(self, batch: Any, steps: int) -> np.ndarray:
-        """Poses after 1..steps steps under the input held at u, (B, steps, n)."""
+        """Configurations after 1..steps steps under the input held at u, (B, steps, n)."""
 
     def iterations(self, batch: Any, *, training: bool = False) -> int | None:
         """The most Newton iterations that a row took, where roots are found."""

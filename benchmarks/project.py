@@ -28,19 +28,22 @@ from benchmarks.cases import (
     training_batch,
 )
 from benchmarks.cases import Windows as SharedWindows
+from symo_exp.compile import compile_rollout, compile_training
+from symo_exp.compile import compiler_available as compiler_available
 from symo_exp.data.base import Once
 from symo_exp.mechanics.explicit import RK4, Midpoint
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalMidpoint
-from symo_exp.models import base
-from symo_exp.models.base import DynamicsModel
-from symo_exp.models.e2e_symo import E2ESyMo
-from symo_exp.models.variational import VariationalModel
+from symo_exp.models import learner
+from symo_exp.models.learner import Learner
+from symo_exp.models.objectives import RootError
 from symo_exp.optim.base import minibatches
 from symo_exp.optim.direct import direct_step
-from symo_exp.tracking.logger import MlflowTracker
-from symo_exp.training.compiling import compiler_available as compiler_available
+from symo_exp.runs.folder import About, RunFolder
+from symo_exp.runs.series import Series
+from symo_exp.tracking.publish import MlflowView
+from symo_exp.training.recording import Recording
 from symo_exp.training.trainer import make_trainer
 
 CLASSES = {"e2e_symo": "E2ESyMo", "l_node": "LNODE", "symo": "SyMo", "node": "NODE"}
@@ -59,7 +62,7 @@ def build(
     max_iterations: int = 10,
     stopping: str = "row",
     **training: Any,
-) -> DynamicsModel:
+) -> Learner:
     """A model of the project with the given weights."""
     options: dict[str, Any] = {
         "coordinates": Coordinates(tuple(f"q{i}" for i in range(case.n)), case.angular),
@@ -78,7 +81,7 @@ def build(
     else:
         options["integrator"] = {"rk4": RK4, "midpoint": Midpoint}[integrator]()
     module = importlib.import_module(f"symo_exp.models.{method}")
-    model: DynamicsModel = getattr(module, CLASSES[method])(**options).to(dtype)
+    model: Learner = getattr(module, CLASSES[method])(**options).to(dtype)
     with torch.no_grad():
         for parameter, value in zip(parameters(model), flatten(layers), strict=True):
             parameter.copy_(value)
@@ -90,10 +93,10 @@ def flatten(layers: Sequence[Layer]) -> list[torch.Tensor]:
     return [x for layer in layers for x in layer]
 
 
-def parameters(model: DynamicsModel) -> list[torch.nn.Parameter]:
+def parameters(model: Learner) -> list[torch.nn.Parameter]:
     """The model's parameters in that order (it keeps weights and biases apart)."""
-    lagrangian: Any = model.lagrangian
-    net = model.net if lagrangian is None else lagrangian.net
+    holder: Any = model.lagrangian or model.flow.field
+    net = holder.net
     return [p for pair in zip(net.weights, net.biases, strict=True) for p in pair]
 
 
@@ -114,8 +117,8 @@ class Project:
         self.dtype = dtype
         self.model = build(method, case, layers, dtype, **options)
         if compiled:
-            self.model.compile_training()
-            self.model.compile_rollout()
+            compile_training(self.model)
+            compile_rollout(self.model)
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr, fused=True)
         self._step = direct_step(self.optimizer)
 
@@ -148,13 +151,14 @@ class Project:
     @torch.no_grad()
     def iterations(self, batch: Windows, *, training: bool = False) -> int | None:
         """The most Newton iterations that a row took, where roots are found."""
-        model = self.model
-        if training and isinstance(model, E2ESyMo):
-            problem = model.problem(batch, model.impulse(batch, model.before(batch)))
-            return int(model.root.solve(problem, model.initial_guess(batch)).iterations.max())
-        if not isinstance(model, VariationalModel):
+        objective, flow = self.model.objective, self.model.flow
+        if flow.reads_velocity:
             return None
-        return int(model.predict(batch).iterations.max())
+        if not training or not isinstance(objective, RootError):
+            return int(flow.predict(batch).iterations.max())
+        impulse = objective.impulse(flow, batch, flow.expand_before(batch))
+        problem = flow.matching(batch.q, impulse, flow.forces(batch.u, batch.u_next))
+        return int(flow.root.solve(problem, objective.initial_guess(batch)).iterations.max())
 
 
 @cache
@@ -245,8 +249,8 @@ def whole_fit(
             progress=True,
             threads=1,
             compile=False,
-            folder=folder,
-            logger=tracker,
+            folder=run.path,
+            callbacks=[Recording(Series(run / "series.csv"), lambda: view.publish(run), 10.0)],
         )
         in_steps = 0.0
 
@@ -257,14 +261,15 @@ def whole_fit(
             in_steps += clock() - began
             return results
 
-        with mock.patch.object(base, "minibatches", timed):
+        with mock.patch.object(learner, "minibatches", timed):
             began = clock()
             trainer.fit(model, samples)
             whole = clock() - began
         return in_steps / (8 * epochs), whole / (8 * epochs)
 
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        tracker = MlflowTracker(directory=folder / "mlruns")
-        with tracker.run(name="fit", parameters={}):
-            yield fit
+        run, view = RunFolder(Path(name) / "run"), MlflowView(directory=Path(name) / "mlruns")
+        run.describe(About("fit", {}))
+        run.record("running")
+        view.publish(run)
+        yield fit

@@ -25,7 +25,7 @@ from benchmarks.cases import CASES, METHODS, Case, calm_weights, chain, random_w
 from benchmarks.project import Project
 from benchmarks.tables import NAMES
 from benchmarks.timing import interleaved
-from symo_exp.report.style import METHODS as METHOD_LOOKS
+from symo_exp.report.looks import METHODS as METHOD_LOOKS
 
 Point = tuple[int, Case, int]
 """(the abscissa, the case, the batch)."""

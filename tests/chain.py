@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import cached_property
 from math import pi
-from typing import final
+from typing import Annotated, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import SamplingBox, Skeleton, System
+from symo_exp.systems.base import LagrangianSystem, SamplingBox, Skeleton
 
 
 @final
-class ChainPendulum(System):
+@dataclass(frozen=True)
+class ChainPendulum(LagrangianSystem):
     """``links`` point masses ``m`` on massless rods of length ``l``, hanging one below the other.
 
     ``θᵢ`` is the absolute angle of rod i, 0 hanging. With ``μᵢⱼ = m (links − max(i, j))``,
@@ -25,35 +28,33 @@ class ChainPendulum(System):
     Motors sit in the joints: ``uⱼ`` turns rod j against rod j−1, so ``B = I − shift``.
     """
 
-    def __init__(
-        self,
-        links: int = 3,
-        *,
-        time_step: float = 0.05,
-        gravity: float = 9.81,
-        mass: float = 1.0,
-        length: float = 1.0,
-    ) -> None:
-        names = tuple(f"theta_{i + 1}" for i in range(links))
-        eye = torch.eye(links)
-        super().__init__(
-            coordinates=Coordinates(names=names, angular=(True,) * links),
-            input_matrix=(eye - torch.diag(torch.ones(links - 1), 1)).tolist(),
-            time_step=time_step,
-            parameters={
-                "gravity": (gravity, "m/s^2"),
-                "mass": (mass, "kg"),
-                "length": (length, "m"),
-            },
-            box=SamplingBox(
-                q=((-pi / 2, pi / 2),) * links,
-                v=((-1.0, 1.0),) * links,
-                u=((-1.0, 1.0),) * links,
-            ),
-        )
-        self.gravity, self.mass, self.length = gravity, mass, length
-        index = torch.arange(links, dtype=torch.float64)
-        self._carried = mass * (links - torch.maximum(index[:, None], index[None, :]))
+    links: int = 3
+    gravity: Annotated[float, "m/s^2"] = 9.81
+    mass: Annotated[float, "kg"] = 1.0
+    length: Annotated[float, "m"] = 1.0
+    time_step: float = field(default=0.05, kw_only=True)
+    box: SamplingBox = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        sides = {"q": (-pi / 2, pi / 2), "v": (-1.0, 1.0), "u": (-1.0, 1.0)}
+        box = SamplingBox(**{name: (side,) * self.links for name, side in sides.items()})
+        vars(self)["box"] = self.box or box
+        super().__post_init__()
+
+    @property
+    def coordinates(self) -> Coordinates:
+        names = tuple(f"theta_{i + 1}" for i in range(self.links))
+        return Coordinates(names=names, angular=(True,) * self.links)
+
+    @cached_property
+    def input_matrix(self) -> Tensor:
+        eye = torch.eye(self.links, dtype=torch.float64)
+        return eye - torch.diag(torch.ones(self.links - 1, dtype=torch.float64), 1)
+
+    @cached_property
+    def _carried(self) -> Tensor:
+        index = torch.arange(self.links, dtype=torch.float64)
+        return self.mass * (self.links - torch.maximum(index[:, None], index[None, :]))
 
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         angle = q.unsqueeze(-1) - q.unsqueeze(-2)

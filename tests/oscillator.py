@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from symo_exp.data.windows import windows
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
 
@@ -18,6 +19,10 @@ class Oscillator(Lagrangian):
 
     mass: Tensor
     stiffness: Tensor
+
+    @property
+    def lagrangian(self) -> Oscillator:
+        return self
 
     def mass_matrix(self, q: Tensor) -> Tensor:
         return torch.diag(self.mass).to(q).expand(len(q), -1, -1) + 0.0 * q[:, :1, None]
@@ -47,18 +52,10 @@ def data(system: Oscillator, h: float, steps: int = 30, batch: int = 3) -> Data:
     generator = torch.Generator().manual_seed(n)
     q, v = torch.randn(2, batch, n, dtype=torch.float64, generator=generator)
     nodes = [system.flow(q, v, h * k) for k in range(steps + 2)]
-    poses, velocities = (torch.stack(x, dim=1) for x in zip(*nodes, strict=True))
-    trajectories = Trajectories(poses, velocities, torch.zeros_like(poses[..., :1]))
+    q, v = (torch.stack(x, dim=1) for x in zip(*nodes, strict=True))
+    trajectories = Trajectories(q, v, torch.zeros_like(q[..., :1]))
     samples = windows(trajectories)
     return Data(samples, samples, trajectories)
-
-
-def windows(trajectories: Trajectories) -> Windows:
-    q, v, u = trajectories
-    poses = (q[:, :-2], q[:, 1:-1], q[:, 2:])
-    velocities = (v[:, 1:-1], v[:, 2:])
-    controls = (u[:, :-2], u[:, 1:-1], u[:, 2:])
-    return Windows(*(field.flatten(0, 1) for field in (*poses, *velocities, *controls)))
 
 
 class Step(NamedTuple):

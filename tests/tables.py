@@ -33,9 +33,12 @@ def variational_integrators() -> dict[str, Any]:
     return {name: found.converged() for name, found in _integrators("variational").items()}
 
 
+def stated(name: str) -> dict[str, Any]:
+    """What the file of a system says of it."""
+    settings: Any = OmegaConf.to_container(OmegaConf.load(CONF / "system" / f"{name}.yaml").system)
+    return settings
+
+
 def systems() -> dict[str, Any]:
     """Name to system."""
-    return {
-        name: instantiate(OmegaConf.load(CONF / "system" / f"{name}.yaml").system)
-        for name in choices("system")
-    }
+    return {name: instantiate(stated(name)) for name in choices("system")}

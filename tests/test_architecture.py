@@ -1,6 +1,7 @@
 """Who may import whom (the house rules), read from the sources."""
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,22 +15,41 @@ ROOT = Path(symo_exp.__file__).parent
 # package: (packages of ours it may import, third parties it may import)
 RULES = {
     "mechanics": (set(), {"torch", "jaxtyping"}),
-    "systems": ({"mechanics"}, {"torch", "jaxtyping", "numpy", "scipy", "gymnasium", "pygame"}),
+    "systems": (
+        {"mechanics"},
+        {"torch", "jaxtyping", "numpy", "scipy", "gymnasium", "pygame", "PIL", "yaml"},
+    ),
     "nets": ({"mechanics"}, {"torch", "jaxtyping"}),
     "optim": ({"mechanics", "nets"}, {"torch", "jaxtyping"}),
-    "models": ({"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "lightning", "torchdiffeq"}),
+    "models": (
+        {"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "lightning", "torchdiffeq", "numpy"},
+    ),
+    "compile": ({"mechanics", "nets", "models"}, {"torch", "jaxtyping"}),
     "data": (
         {"mechanics", "systems"},
-        {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow"},
+        {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow", "filelock"},
     ),
     "evaluation": ({"mechanics", "systems"}, {"torch", "jaxtyping", "numpy"}),
-    "tracking": ({"evaluation"}, {"torch", "lightning", "mlflow", "yaml", "pyarrow", "filelock"}),
-    "training": (set(), {"torch", "lightning", "numpy", "tqdm"}),
-    "configuration": (set(), {"hydra", "omegaconf", "yaml"}),
-}
-EVERYBODYS = {"errors", "files", "imports", "slurm"}
-CONFIG_HOMES = {"configuration", "launch", "handover", "submitted", "job", "recipe", "trained"}
-"""Where objects of Hydra and OmegaConf may be seen; `trained` builds a model from its file."""
+    "runs": ({"models"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
+    "training": ({"runs", "compile"}, {"torch", "lightning", "numpy", "tqdm"}),
+    "tracking": ({"runs", "models"}, {"torch", "mlflow", "filelock"}),
+    "report": (
+        {"runs", "tracking", "systems", "evaluation", "mechanics"},
+        {"torch", "numpy", "pandas", "matplotlib", "plotly", "jinja2", "PIL", "yaml",
+         "mlflow", "pyarrow"},
+    ),
+    "thesis": (
+        {"report", "data", "systems", "tracking"}, {"torch", "numpy", "pandas", "jaxtyping"},
+    ),
+    "sweep": (
+        {"runs", "tracking", "training", "evaluation", "report"},
+        {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
+    ),
+}  # fmt: skip
+LONGEST_FILE, LONGEST_FUNCTION = 260, 60
+EVERYBODYS = {"errors", "files", "imports", "shipped", "code"}
+CONFIG_HOMES = {"sweep", "__main__", "runs"}
+"""Where objects of Hydra and OmegaConf may be seen; `runs` builds a model from its file."""
 
 
 def imports(file: Path) -> Iterator[str]:
@@ -64,9 +84,46 @@ def test_a_package_imports_only_what_it_may(package):
                 assert first in theirs, f"{file} imports {name}"
 
 
+def test_nothing_imports_the_thesis():
+    for file in ROOT.rglob("*.py"):
+        if file.relative_to(ROOT).parts[0] != "thesis":
+            assert not [n for n in imports(file) if n.startswith("symo_exp.thesis")], file
+
+
 def test_every_package_has_its_rule():
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
-    assert packages - {"report"} == set(RULES)
+    assert packages == set(RULES)
+
+
+def test_no_circle():
+    """A package that imports another, at any remove, is not imported by it."""
+    graph = {
+        package: {name.split(".")[1] for file in files(package) for name in imports(file)
+                  if name.startswith("symo_exp.")} - {package}
+        for package in RULES
+    }  # fmt: skip
+    order = []
+    while graph:
+        free = [package for package, needs in graph.items() if not needs & set(graph)]
+        assert free, f"a circle among {sorted(graph)}"
+        order += free
+        graph = {package: needs for package, needs in graph.items() if package not in free}
+    assert len(order) == len(RULES)
+
+
+PRIVATE = re.compile(r"(?:hydra|submitit|lightning|mlflow|omegaconf|loky|joblib)(?:\.\w+)*\._\w+")
+
+
+def test_libraries_are_used_by_their_public_interface():
+    """No mock in the sources, no private module but of torch's compiler, and that in one file."""
+    compilers = set()
+    for file in [*ROOT.rglob("*.py"), *ROOT.parent.glob("hydra_plugins/*.py")]:
+        for name in imports(file):
+            assert not PRIVATE.match(name), f"{file} imports {name}"
+            if name.startswith(("torch._inductor", "torch._dynamo", "torch.fx.experimental")):
+                compilers.add(file)
+        assert "unittest" not in file.read_text(encoding="utf-8"), file
+    assert len(compilers) <= 1, compilers
 
 
 def test_configuration_objects_stay_at_the_entrance():
@@ -74,6 +131,16 @@ def test_configuration_objects_stay_at_the_entrance():
         home = file.relative_to(ROOT).parts[0].removesuffix(".py")
         found = {name.partition(".")[0] for name in imports(file)} & {"hydra", "omegaconf"}
         assert home in CONFIG_HOMES or not found, f"{file} imports {found}"
+
+
+def test_files_and_functions_are_short():
+    """But for the mathematics, where a file is an idea."""
+    for file in (f for package in set(RULES) - {"mechanics", "nets"} for f in files(package)):
+        text = file.read_text(encoding="utf-8")
+        assert len(text.splitlines()) <= LONGEST_FILE, file
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                assert node.end_lineno - node.lineno < LONGEST_FUNCTION, f"{file}: {node.name}"
 
 
 def test_only_tracking_and_report_know_mlflow():

@@ -10,7 +10,9 @@ INERTIA = 1.0 / 3.0
 """Of the pendulum, a rod of 1 kg and 1 m about its end [kg m^2]."""
 
 
-@pytest.mark.parametrize("model", ["symo", "e2e_symo", "l_node"])
+@pytest.mark.parametrize(
+    "model", ["symo", *(pytest.param(m, marks=pytest.mark.slow) for m in ("e2e_symo", "l_node"))]
+)
 def test_the_inertia_of_the_pendulum_is_recovered_within_five_per_cent(model, tmp_path):
     integrator = "rk4" if model == "l_node" else "midpoint"
     command = [

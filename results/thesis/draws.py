@@ -12,6 +12,7 @@ from pathlib import Path
 
 import hydra.utils
 import numpy as np
+import pandas as pd
 import torch
 import yaml
 
@@ -19,12 +20,12 @@ import symo_exp
 from symo_exp.data.draws import uniform
 from symo_exp.data.simulate import generate
 from symo_exp.evaluation.evaluate import roll_out
-from symo_exp.evaluation.measures import rollout_pose_mse
+from symo_exp.evaluation.measures import rollout_mse
 from symo_exp.mechanics.types import Trajectories
-from symo_exp.report.published import TIME_STEPS, published
 from symo_exp.report.tables import Table, markdown
+from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.base import System
-from symo_exp.training.outcome import Outcome
+from symo_exp.thesis.published import TIME_STEPS, published
 
 TRAJECTORIES, DRAWN, DRAWS = 256, 16, 10_000
 
@@ -33,7 +34,7 @@ def trajectories(system: System, config: dict) -> Trajectories:
     """Unforced, from other starts than those of any seed."""
     return generate(
         system,
-        uniform(system.sampling_box, TRAJECTORIES, (2026, 0)),
+        uniform(system.box, TRAJECTORIES, (2026, 0)),
         steps=config["integration_steps"] + 1,
         forced=False,
         solver=hydra.utils.instantiate(config["solver"]),
@@ -43,9 +44,9 @@ def trajectories(system: System, config: dict) -> Trajectories:
 def errors(folder: Path, system: System, true: Trajectories, over: str) -> np.ndarray:
     """The integration error of each of the trajectories, over the pose or over the state."""
     motion = roll_out(symo_exp.load(folder).for_evaluation(), system, true)
-    error = rollout_pose_mse(motion.q[:, 1:], motion.q_true[:, 1:])
+    error = rollout_mse(motion.q[:, 1:], motion.q_true[:, 1:])
     if over == "state":
-        error = 0.5 * (error + rollout_pose_mse(motion.v[:, 1:], motion.v_true[:, 1:]))
+        error = 0.5 * (error + rollout_mse(motion.v[:, 1:], motion.v_true[:, 1:]))
     return error.numpy()
 
 
@@ -63,7 +64,7 @@ def draws(runs: Path, name: str) -> str:
     rows = []
     for file in runs.glob(f"*-{name}-*/config.yaml"):
         config = yaml.safe_load(file.read_text())
-        data, finished = config["data"], Outcome.read(file.parent).status == "finished"
+        data, finished = config["data"], RunFolder(file.parent).outcome().status == "finished"
         if not finished or data["n_traj"] != 32 or config["objective"] != "plain":
             continue
         noise = data["noise_std"]
@@ -89,7 +90,8 @@ def draws(runs: Path, name: str) -> str:
         rows.append(row)
     head = ["run", "noise", "seed", "median", "mean", "16 drawn: 5 %", "50 %", "95 %"]
     head += ["published", "of draws below"]
-    return markdown(Table(f"draws_{name}", f"{name}, over the {over}", head, sorted(rows)))
+    table = pd.DataFrame(sorted(rows), columns=head)
+    return markdown(Table(f"draws_{name}", f"{name}, over the {over}", table))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import hydra.utils
+import pandas as pd
 import torch
 import yaml
 from torch import Tensor
@@ -19,10 +20,11 @@ from torch import Tensor
 import symo_exp
 from symo_exp.data.base import DataModule
 from symo_exp.mechanics.types import Windows
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.models.true import TrueVariational
-from symo_exp.models.variational import VariationalModel
 from symo_exp.report.tables import Table, markdown
-from symo_exp.training.outcome import Outcome
+from symo_exp.runs.folder import RunFolder
 
 HEAD = [
     "run", "noise", "learning rate", "seed", "g²: true", "learned", "(h H⁻¹ g)²: true", "learned",
@@ -38,14 +40,13 @@ def training_windows(config: dict, system: object) -> Windows:
     return data.train
 
 
-def inertia(model: VariationalModel, windows: Windows) -> Tensor:
-    """The mean trace of H over the poses."""
+def inertia(model: DynamicsModel, windows: Windows) -> Tensor:
+    """The mean trace of H over the configurations."""
     return model.lagrangian.mass_matrix(windows.q).diagonal(dim1=1, dim2=2).sum(1).mean()
 
 
-def squares(model: VariationalModel, windows: Windows) -> list[float]:
-    residuals = model.del_residuals(windows), model.preconditioned_residuals(windows)
-    return [float(r.square().mean()) for r in residuals]
+def squares(model: DynamicsModel, windows: Windows) -> list[float]:
+    return [float(it(model.flow, windows).loss) for it in (Residual(), PreconditionedResidual())]
 
 
 @torch.no_grad()
@@ -55,14 +56,14 @@ def table(runs: Path, name: str) -> str:
     for file in runs.glob(f"*symo-{name}-*/config.yaml"):
         config = yaml.safe_load(file.read_text())
         noise = config["data"]["noise_std"]
-        if not noise or Outcome.read(file.parent).status != "finished":
+        if not noise or RunFolder(file.parent).outcome().status != "finished":
             continue
         learned = symo_exp.load(file.parent, dtype=torch.float64).for_evaluation().double()
         system = hydra.utils.instantiate(config["system"])
         truth = TrueVariational(
             lagrangian=system,
-            integrator=learned.integrator,
-            root=learned.root,
+            integrator=learned.flow.integrator,
+            root=learned.flow.root,
             coordinates=system.coordinates,
             input_matrix=system.input_matrix,
             time_step=system.time_step,
@@ -72,11 +73,12 @@ def table(runs: Path, name: str) -> str:
         share = inertia(learned, windows) / inertia(truth, windows)
         figures = [*(x for pair in pairs for x in pair), share]
         method, rate = file.parent.name.split("-")[0], config["learning_rate"]
-        if method == "symo" and config["objective"] != "plain":
-            method += f", {config['objective']}"
+        objective = config["model"].get("objective", {}).get("_target_", "")
+        if objective.endswith("PreconditionedResidual"):
+            method += ", preconditioned"
         rows.append((method, noise, rate, config["seed"], [f"{x:.2g}" for x in figures]))
     told = [(run, *(f"{x:g}" for x in cell), *shown) for run, *cell, shown in sorted(rows)]
-    return markdown(Table(f"noise_{name}", name, HEAD, told))
+    return markdown(Table(f"noise_{name}", name, pd.DataFrame(told, columns=HEAD)))
 
 
 if __name__ == "__main__":

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from symo_exp.trained import load
+    from symo_exp.compile import compile_rollout
+    from symo_exp.tracking.load import load
 
-__all__ = ["load"]
+_HOMES = {"compile_rollout": "symo_exp.compile", "load": "symo_exp.tracking.load"}
+__all__ = ["__version__", "compile_rollout", "load"]
 
 
 def __getattr__(name: str) -> Any:
-    """``symo_exp.load`` on demand: importing the package must not import PyTorch."""
-    if name == "load":
-        from symo_exp.trained import load
+    """What needs PyTorch, on demand: importing the package must not import it."""
+    if name == "__version__":
+        from importlib.metadata import version
 
-        return load
+        return version("symo_exp")
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -10,29 +10,21 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from symo_exp.errors import ConfigError
-from symo_exp.training.stopping import Interrupted
+from symo_exp.training import stopping
+
+if TYPE_CHECKING:
+    from symo_exp.sweep.command import Command
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command line. Returns the exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
-    if {"-h", "--help"} & set(argv):
-        from symo_exp.configuration.help import help_text
-
-        print(help_text(), end="")
-        return 0
-    if "--version" in argv:
-        from importlib.metadata import version
-
-        print(f"symo_exp {version('symo_exp')}")
-        return 0
     debug = os.environ.get("SYMO_EXP_DEBUG") == "1"
     try:
-        from symo_exp.launch import execute
-
-        return execute(argv)
+        return _execute(argv)
     except ConfigError as error:
         if debug:
             traceback.print_exc()
@@ -41,17 +33,54 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             raise
-        print(
-            f"symo_exp: {type(error).__name__}: {error} (SYMO_EXP_DEBUG=1 shows where)",
-            file=sys.stderr,
-        )
+        kind = type(error).__name__
+        print(f"symo_exp: {kind}: {error} (SYMO_EXP_DEBUG=1 shows where)", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("symo_exp: interrupted", file=sys.stderr)
         return 130
-    except Interrupted as error:
+    except stopping.Interrupted as error:
         print(f"symo_exp: {error}", file=sys.stderr)
         return 128 + error.signum
+
+
+def _execute(argv: list[str]) -> int:
+    if "--version" in argv:
+        from importlib.metadata import version
+
+        print(f"symo_exp {version('symo_exp')}")
+        return 0
+    from symo_exp.sweep.command import CHECK_ONLY, Command
+
+    command = Command([word for word in argv if word not in ("-h", "--help")])
+    if len(command.options) + len(command.overrides) < len(argv):
+        from symo_exp.sweep.help import help_text
+
+        print(help_text([command.folder] if command.folder else []), end="")
+        return 0
+    several = command.several()
+    for one in several:  # a word that one of them cannot take is found before anything runs
+        _run(one, CHECK_ONLY)
+    codes = []
+    for one in several:
+        print(f"== {one.name}", flush=True)
+        codes.append(_run(one))
+        if codes[-1] > 128:  # a signal keeps the others away
+            break
+    return next((code for code in codes if code), 0) if several else _run(command)
+
+
+def _run(command: Command, *extra: str) -> int:
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
+
+    from symo_exp.sweep.explain import explained
+
+    try:
+        return command.execute(*extra)
+    except (HydraException, OmegaConfBaseException, YAMLError, RecursionError, ValueError) as error:
+        raise explained(error, command) from error
 
 
 if __name__ == "__main__":

@@ -1,15 +1,14 @@
 """Many writers: eight runs at once, logged by an MLflow server to PostgreSQL."""
 
 import importlib.util
-import json
 import os
 import urllib.request
 
 import pytest
 
-from symo_exp.errors import ConfigError
-from symo_exp.tracking.server import Server, _free_port
+from symo_exp.runs.folder import RunFolder
 from symo_exp.tracking.store import connect, find
+from tests.clusters.server import Server, UnavailableError, _free_port
 from tests.faults.commands import Command, go
 from tests.tiny import TINY
 
@@ -32,7 +31,7 @@ def server(tmp_path_factory):
     there = Server(folder, host="127.0.0.1", port=_free_port(), workers=1)
     try:
         there.start()
-    except ConfigError as error:
+    except UnavailableError as error:
         if "PostgreSQL" in str(error):
             pytest.skip(str(error))
         raise
@@ -68,12 +67,13 @@ def test_eight_jobs_and_a_restart(server, tmp_path):
         code, said = go(tmp_path, *words, f"seed={seed}")
         assert code == 0, said
         assert "finished already" in said
-    assert not [*tmp_path.rglob("undelivered.json")]
+    folders = [*map(RunFolder, tmp_path.glob("outputs/default/node-*"))]
+    assert len(folders) == 8
 
     assert len(client.search_runs([client.get_experiment_by_name("default").experiment_id])) == 8
     kept = [*range(100), *range(100, EPOCHS, 5), EPOCHS - 1]
-    for path in tmp_path.rglob("tracking.json"):
-        run = json.loads(path.read_text())["run_id"]
+    for folder in folders:
+        run = folder.published()["run_id"]
         assert client.get_run(run).info.status == "FINISHED"
         found = series(client, run)
         assert found["train_loss"] == kept

@@ -34,23 +34,20 @@ def slurm(tmp_path_factory):
 def runs(folder):
     """What each run of the sweep left in its folder, by its number of epochs and its seed."""
     found = {}
-    for path in folder.glob("outputs/sweep/*/outcome.json"):
+    for path in folder.glob("outputs/sweep/*-*/outcome.json"):
         run = path.parent
         outcome = json.loads((run / "outcome.json").read_text())
-        overrides = (run / ".hydra" / "overrides.yaml").read_text()
-        value = {
-            key: int(overrides.rpartition(f"{key}=")[2].split()[0])
-            for key in ("trainer.max_epochs", "seed")
-            if f"{key}=" in overrides
-        }
-        found[value["trainer.max_epochs"], value.get("seed", 0)] = run, outcome
+        if not (run / "run.json").exists():
+            continue
+        value = json.loads((run / "run.json").read_text())["parameters"]
+        found[value["trainer.max_epochs"], value["seed"]] = run, outcome
     return found
 
 
 def tracked(folder, run):
     """The store, and the run in it."""
     client = connect(find(None, folder / "mlruns"))
-    return client, client.get_run(json.loads((run / "tracking.json").read_text())["run_id"])
+    return client, client.get_run(json.loads((run / "published.json").read_text())["run_id"])
 
 
 def told(folder, run):
@@ -92,14 +89,17 @@ def test_a_time_limit(slurm, tmp_path):
     def process(length):
         """Of a job that is training."""
         for run, outcome in runs(sweep).values():
-            if f"max_epochs={length}\n" in (run / ".hydra" / "overrides.yaml").read_text():
+            if (
+                json.loads((run / "run.json").read_text())["parameters"]["trainer.max_epochs"]
+                == length
+            ):
                 return (run / "checkpoints" / "last.ckpt").exists() and outcome["process"]
         return None
 
     limited = []
     for length in (long, long + 1):
         command.wait_for(lambda length=length: process(length), timeout=1500.0)
-        limited.append(process(length)["symo_exp.slurm_job"].partition("/")[2])
+        limited.append(process(length)["slurm_job"])
         slurm.limit(limited[-1], minutes=slurm.minutes(limited[-1]) + 2)
     command.wait_for(lambda: min(map(slurm.restarts, limited)) >= 1, timeout=600.0)
     for job in limited:
@@ -126,25 +126,22 @@ ENDLESS = [*WORDS, *SLURM, "trainer.max_epochs=1000000", "trainer.checkpoint_eve
 
 
 def test_a_job_that_is_killed(slurm, tmp_path):
-    """The others finish, and rerunning tries it again."""
+    """The others finish; it is sent again once, and goes on from its checkpoint."""
     words = [*WORDS, *SLURM, "-m", "trainer.max_epochs=30,1000000", "trainer.checkpoint_every=0"]
     command = Command(tmp_path, *words, env=slurm.env)
     command.wait_for(lambda: len([*tmp_path.rglob("last.ckpt")]) == 2)
-    process = runs(tmp_path)[1000000, 0][1]["process"]
-    assert process["symo_exp.slurm_job"].endswith("_1")
-    os.kill(int(process["symo_exp.pid"]), signal.SIGKILL)
-    assert command.wait() == 1, command.said
+    run, outcome = runs(tmp_path)[1000000, 0]
+    assert outcome["process"]["slurm_job"].endswith("_1")
+    os.kill(int(outcome["process"]["pid"]), signal.SIGKILL)
+    log = run / "symo_exp.log"
+    command.wait_for(lambda: log.exists() and "going on after epoch" in log.read_text())
+    assert "a worker was killed" in command.said
+    command.signal(signal.SIGINT)
+    assert command.wait() == 130, command.said
     found = runs(tmp_path)
     assert found[30, 0][1]["status"] == "finished"
-    assert found[1000000, 0][1]["status"] == "failed"
-    assert "failed: trainer.max_epochs=1000000: its process was killed" in command.said
-    assert told(tmp_path, found[1000000, 0][0])[0] == "FAILED"
-
-    again = Command(tmp_path, *words, env=slurm.env)
-    run = found[1000000, 0][0]
-    again.wait_for(lambda: "going on after epoch" in (run / "symo_exp.log").read_text())
-    again.signal(signal.SIGINT)
-    assert again.wait() == 130, again.said
+    assert found[1000000, 0][1]["status"] == "interrupted"
+    assert told(tmp_path, run)[0] == "KILLED"
 
 
 def test_a_sweep_that_is_interrupted(slurm, tmp_path):
@@ -168,6 +165,6 @@ def test_a_graphics_processor_is_asked_for_on_the_node(slurm, tmp_path):
     assert "gpu:1" in slurm.ask("scontrol", "show", "job", job)
     if not torch.cuda.is_available():
         code, said = go(tmp_path, *words, "trainer=gpu", env=slurm.env)
-        assert code == 1
-        (line,) = [line for line in said.splitlines() if line.startswith("refused: ")]
+        assert code == 2
+        (line,) = [line for line in said.splitlines() if line.startswith("symo_exp: error: ")]
         assert "trainer.accelerator=gpu, but PyTorch finds no GPU here" in line

@@ -15,14 +15,14 @@ from symo_exp.data.simulate import generate
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System
-from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.simulation import Solver
+from symo_exp.systems.table import system as stated
 from tests.chain import ChainPendulum
 
 
 def trajectories(system: System, count: int = 6, steps: int = 9) -> Trajectories:
     solver = Solver("DOP853", 1e-9, 1e-9)
-    starts = uniform(system.sampling_box, count, 0)
+    starts = uniform(system.box, count, 0)
     return generate(system, starts, steps=steps, forced=True, solver=solver)
 
 
@@ -34,7 +34,7 @@ def recorded(system: System, path: Path, **arguments: object) -> RecordedData:
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])
-@pytest.mark.parametrize("system", [Cartpole(), ChainPendulum(3)])
+@pytest.mark.parametrize("system", [stated("cartpole"), ChainPendulum(3)])
 def test_round_trip(system: System, suffix: str, tmp_path: Path) -> None:
     truth, path = trajectories(system), tmp_path / f"mine{suffix}"
     write(path, truth, system.coordinates, system.time_step)
@@ -53,7 +53,7 @@ def test_round_trip(system: System, suffix: str, tmp_path: Path) -> None:
 
 @pytest.fixture
 def table(tmp_path: Path) -> pd.DataFrame:
-    system = Cartpole()
+    system = stated("cartpole")
     write(tmp_path / "x.parquet", trajectories(system), system.coordinates, system.time_step)
     return pd.read_parquet(tmp_path / "x.parquet")
 
@@ -65,11 +65,11 @@ def save(table: pd.DataFrame, tmp_path: Path) -> Path:
 
 
 def test_names_order_and_extra_columns_do_not_matter(table: pd.DataFrame, tmp_path: Path) -> None:
-    plain = recorded(Cartpole(), save(table, tmp_path))
+    plain = recorded(stated("cartpole"), save(table, tmp_path))
     table["comment"] = "spare"
     table["trajectory"] = table["trajectory"].map(lambda k: f"run {9 - k}")
     shuffled = table.sample(frac=1, random_state=0).sort_values("trajectory", ascending=False)
-    again = recorded(Cartpole(), save(shuffled[shuffled.columns[::-1]], tmp_path))
+    again = recorded(stated("cartpole"), save(shuffled[shuffled.columns[::-1]], tmp_path))
     for a, b in zip(plain.train, again.train, strict=True):
         torch.testing.assert_close(a, b)
 
@@ -88,21 +88,21 @@ def test_without_velocities_central_differences(tmp_path: Path) -> None:
 
 
 def test_without_inputs_they_are_zero(table: pd.DataFrame, tmp_path: Path) -> None:
-    data = recorded(Cartpole(), save(table.drop(columns="u_0"), tmp_path))
+    data = recorded(stated("cartpole"), save(table.drop(columns="u_0"), tmp_path))
     assert (data.train.u == 0).all()
 
 
 def test_unequal_lengths_are_cut_into_pieces(table: pd.DataFrame, tmp_path: Path) -> None:
     short = table.drop(index=range(12, 20))  # the second trajectory keeps two nodes
     with pytest.raises(ConfigError, match="trajectory 1 has 2 node"):
-        recorded(Cartpole(), save(short, tmp_path))
+        recorded(stated("cartpole"), save(short, tmp_path))
     short = table.drop(index=range(17, 20))
     with pytest.raises(ConfigError, match=r"data\.segment=null.*7 to 10 nodes"):
-        recorded(Cartpole(), save(short, tmp_path))
-    data = recorded(Cartpole(), save(short, tmp_path), segment=4, n_traj=2, dtype="float64")
+        recorded(stated("cartpole"), save(short, tmp_path))
+    data = recorded(stated("cartpole"), save(short, tmp_path), segment=4, n_traj=2, dtype="float64")
     # 10 nodes give pieces at 0, 2, 4, 6; 7 nodes give them at 0, 2.
     assert data.train_trajectories.q.shape == (6, 4, 2)
-    whole = recorded(Cartpole(), save(table, tmp_path), n_traj=1, dtype="float64")
+    whole = recorded(stated("cartpole"), save(table, tmp_path), n_traj=1, dtype="float64")
     for piece, window in zip(data.train, whole.train, strict=True):
         assert torch.equal(piece[:8], window)  # no window is lost
     assert data.integration.q.shape == (1, 10, 2)
@@ -134,7 +134,7 @@ def test_malformed_tables_are_refused_in_one_line(
 ) -> None:
     path = save(change(table), tmp_path)
     with pytest.raises(ConfigError) as error:
-        RecordedData(system=Cartpole(), path=path)
+        RecordedData(system=stated("cartpole"), path=path)
     assert message in str(error.value)
     assert str(error.value).startswith(f"data.path={path}")
     assert "\n" not in str(error.value)
@@ -157,12 +157,12 @@ def test_unreadable_files_are_refused_in_one_line(
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ConfigError, match=message) as error:
-        RecordedData(system=Cartpole(), path=path)
+        RecordedData(system=stated("cartpole"), path=path)
     assert "\n" not in str(error.value)
 
 
 def test_too_many_training_trajectories_are_refused(table: pd.DataFrame, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"data\.n_traj=5: expected a whole number from 1 to 4"):
-        RecordedData(system=Cartpole(), path=save(table, tmp_path), n_traj=5)
+        RecordedData(system=stated("cartpole"), path=save(table, tmp_path), n_traj=5)
     with pytest.raises(ConfigError, match=r"data\.segment=11: no training trajectory"):
-        RecordedData(system=Cartpole(), path=save(table, tmp_path), segment=11)
+        RecordedData(system=stated("cartpole"), path=save(table, tmp_path), segment=11)

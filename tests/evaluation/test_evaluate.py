@@ -1,13 +1,27 @@
 """The evaluation against models whose errors are known."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 import torch
 
-from symo_exp.evaluation.evaluate import CHUNK, Evaluation, evaluate
+from symo_exp.data.draws import uniform
+from symo_exp.data.recorded import RecordedData, write
+from symo_exp.data.simulate import generate
+from symo_exp.evaluation.evaluate import Evaluation, evaluate
+from symo_exp.evaluation.learned import LearnedQuantities
+from symo_exp.evaluation.motion import Motion
+from symo_exp.evaluation.rollouts import CHUNK, roll_out
+from symo_exp.evaluation.study import Finding, afresh
+from symo_exp.mechanics.explicit import RK4
+from symo_exp.models.l_node import LNODE
+from symo_exp.models.node import NODE
+from symo_exp.systems.simulation import Solver
+from tests.chain import ChainPendulum
 from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
+from tests.unknown import Unknown
 
 H = 0.1
 NAMES = {
@@ -44,7 +58,7 @@ def test_a_constant_bias_is_the_one_step_error(n: int):
     assert found["energy_mse"] > 1e-9
 
 
-def test_the_error_of_the_state_is_that_of_poses_and_velocities_together():
+def test_the_error_of_the_state_is_that_of_configurations_and_velocities_together():
     system = oscillator(2)
     evaluation = result(Midpoint(system, system, H))
     motion = evaluation.rollouts
@@ -111,7 +125,8 @@ def test_chunks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch):
     model = Exact(oscillator(2), oscillator(2), H, bias=1e-2)
     whole = result(model).measures
     assert len(data(model.system, H).test.q) < CHUNK
-    monkeypatch.setattr("symo_exp.evaluation.evaluate.CHUNK", 7)
+    for module in ("evaluate", "rollouts"):
+        monkeypatch.setattr(f"symo_exp.evaluation.{module}.CHUNK", 7)
     assert result(model).measures == pytest.approx(whole, rel=1e-12)
 
 
@@ -139,3 +154,50 @@ def test_a_driven_motion_conserves_nothing_and_is_not_asked_to():
     found = evaluate(model, model.system, sets._replace(integration=driven)).measures
     energy = {"energy_mse", "energy_std", "energy_mse_fd"}
     assert set(found) == (NAMES | INERTIA | VARIATIONAL) - energy
+
+
+@pytest.mark.parametrize("model", [LNODE, NODE])
+def test_without_a_truth_its_measures_are_absent(model: type, tmp_path: Path):
+    """A recording is enough: nothing but coordinates, inputs and a time step is known."""
+    chain, system = ChainPendulum(2), Unknown(time_step=0.05)
+    starts = uniform(chain.box, 4, 0)
+    path = tmp_path / "mine.parquet"
+    truth = generate(chain, starts, steps=9, forced=True, solver=Solver())
+    write(path, truth, chain.coordinates, chain.time_step)
+    sets = RecordedData(system=system, path=path)
+    sets.setup()
+    learned = model(
+        width=4, integrator=RK4(), coordinates=system.coordinates,
+        input_matrix=system.input_matrix, time_step=system.time_step,
+    )  # fmt: skip
+    found = evaluate(learned, system, sets)
+    assert set(found.measures) == NAMES - {"energy_mse", "energy_std"}
+    assert all(math.isfinite(value) for value in found.measures.values())
+    assert found.rollouts.energy is found.rollouts.energy_true is None
+    assert not [name for name in found.rollouts.columns() if "energy" in name]
+    assert LearnedQuantities(name="x", steps=3)(learned, system, sets) == Finding()
+    study = Motion(name="x", steps=3)
+    assert study(learned, system, sets) == Finding()
+    alone = study(learned, Unknown(time_step=0.05, box=chain.box), sets)
+    volume = {"x_volume"} if learned.lagrangian else set()
+    assert set(alone.measures) == volume
+    assert not [name for name in alone.columns if "energy" in name or "true" in name]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worst:
+    """A measure of one's own."""
+
+    name: str
+
+    def __call__(self, model, system, data, *, remember=afresh):
+        motion = roll_out(model.for_evaluation(), system.lagrangian, data.integration)
+        worst = (motion.q - motion.q_true).abs().max().item()
+        return Finding(measures={f"{self.name}_error": worst})
+
+
+def test_a_measure_of_one_s_own_is_a_study():
+    model = Exact(oscillator(2), oscillator(2), H, bias=1e-2)
+    found = Worst(name="worst")(model, model.system, data(model.system, H)).measures
+    expected = result(model).rollouts
+    assert found == {"worst_error": (expected.q - expected.q_true).abs().max().item()}

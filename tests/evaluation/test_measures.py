@@ -10,20 +10,20 @@ from symo_exp.evaluation import measures
 NAN, INF = math.nan, math.inf
 
 
-def test_pose_error_is_the_mean_square_over_samples_and_coordinates():
+def test_one_step_error_is_the_mean_square_over_samples_and_coordinates():
     predicted = torch.tensor([[1.0, 2.0], [3.0, 4.0]])
     true = torch.tensor([[1.0, 0.0], [0.0, 3.0]])
-    assert measures.pose_mse(predicted, true).item() == (0 + 4 + 9 + 1) / 4
+    assert measures.one_step_mse(predicted, true).item() == (0 + 4 + 9 + 1) / 4
 
 
 def test_angles_are_not_wrapped():
     turn = torch.tensor([[2 * math.pi]])
-    assert measures.pose_mse(turn, torch.zeros(1, 1)).item() == pytest.approx(4 * math.pi**2)
+    assert measures.one_step_mse(turn, torch.zeros(1, 1)).item() == pytest.approx(4 * math.pi**2)
 
 
 def test_rollout_errors_keep_trajectories_apart():
     predicted = torch.tensor([[[1.0], [3.0]], [[0.0], [2.0]]])
-    assert measures.rollout_pose_mse(predicted, torch.zeros(2, 2, 1)).tolist() == [5.0, 2.0]
+    assert measures.rollout_mse(predicted, torch.zeros(2, 2, 1)).tolist() == [5.0, 2.0]
     energy = torch.tensor([[2.0, 4.0], [1.0, 1.0]])
     assert measures.rollout_energy_mse(energy, torch.tensor([1.0, 1.0])).tolist() == [5.0, 0.0]
 
@@ -45,14 +45,15 @@ def test_finite_difference_velocity():
 
 
 def test_mean_and_population_deviation():
-    assert measures.mean_and_std(torch.tensor([1.0, 3.0])) == (2.0, 1.0)
-    assert measures.mean_and_std(torch.tensor([4.0])) == (4.0, 0.0)
+    found = measures.mean_and_std("x", torch.tensor([1.0, 3.0]))
+    assert found == {"x_mse": 2.0, "x_std": 1.0}
+    assert measures.mean_and_std("x", torch.tensor([4.0])) == {"x_mse": 4.0, "x_std": 0.0}
 
 
 @pytest.mark.parametrize("lost", [NAN, INF, -INF, 1e200])
 def test_a_lost_prediction_has_an_infinite_error(lost: float):
     predicted = torch.tensor([[0.0], [lost]], dtype=torch.float64)
-    assert measures.pose_mse(predicted, torch.zeros(2, 1, dtype=torch.float64)).item() == INF
-    mean, deviation = measures.mean_and_std(torch.tensor([1.0, INF]))
-    assert mean == INF
-    assert math.isnan(deviation)
+    assert measures.one_step_mse(predicted, torch.zeros(2, 1, dtype=torch.float64)).item() == INF
+    found = measures.mean_and_std("x", torch.tensor([1.0, INF]))
+    assert found["x_mse"] == INF
+    assert math.isnan(found["x_std"])

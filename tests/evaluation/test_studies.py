@@ -9,7 +9,6 @@ from symo_exp.errors import ConfigError
 from symo_exp.evaluation.learned import LearnedQuantities
 from symo_exp.evaluation.motion import Motion
 from symo_exp.evaluation.phase_space import log_volume
-from symo_exp.evaluation.study import starts
 from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.lagrangian import Lagrangian
@@ -42,11 +41,11 @@ def test_a_precise_model_follows_the_truth_under_an_input(name):
     """An input that came half a step late would be seen: the reference knows it at every time."""
     system = SYSTEMS[name]
     study = Motion(name="forced", steps=20, amplitude=1.0, period=10.0, count=2)
-    finding = study(variational(system, Galerkin(stages=2)), system)
-    assert finding.measures["forced_pose_mse"] < 1e-6
+    finding = study(variational(system, Galerkin(stages=2)), system, None)
+    assert finding.measures["forced_configuration_mse"] < 1e-6
     assert finding.measures["forced_valid_steps"] == 20
     explicit = TrueOde(integrator=DormandPrince5(), **given(system))
-    assert study(explicit, system).measures["forced_pose_mse"] < 1e-6
+    assert study(explicit, system, None).measures["forced_configuration_mse"] < 1e-6
     columns = finding.columns
     assert {len(x) for x in columns.values()} == {2 * 21}
     wave = torch.sin(0.2 * math.pi * columns["t"][:21])
@@ -55,7 +54,7 @@ def test_a_precise_model_follows_the_truth_under_an_input(name):
 
 def test_without_an_input_the_energy_is_the_start_s():
     system = SYSTEMS["pendulum"]
-    finding = Motion(name="long", steps=30)(variational(system), system)
+    finding = Motion(name="long", steps=30)(variational(system), system, None)
     energy = finding.columns["energy_true"].view(4, 31)
     assert (energy - energy[:, :1]).abs().max() < 1e-7
     assert finding.columns["u_0"].abs().max() == 0.0
@@ -65,7 +64,7 @@ def test_without_an_input_the_energy_is_the_start_s():
 def test_without_the_truth_what_is_left_agrees():
     system = SYSTEMS["cartpole"]
     model = TrueOde(integrator=RK4(), **given(system))
-    alone = Motion(name="drift", steps=50, truth=False)(model, system)
+    alone = Motion(name="drift", steps=50, truth=False)(model, system, None)
     assert set(alone.measures) == {"drift_energy_mse", "drift_volume"}
     assert not any("true_" in name for name in alone.columns)
     assert 0 < alone.measures["drift_energy_mse"] < 1e-8
@@ -75,9 +74,11 @@ def test_without_the_truth_what_is_left_agrees():
 def test_a_variational_integrator_keeps_the_volume_of_phase_space(name):
     system = SYSTEMS[name]
     study = Motion(name="drift", steps=40, truth=False)
-    kept = study(variational(system), system).columns["log_volume"]
+    kept = study(variational(system), system, None).columns["log_volume"]
     assert kept.abs().max() < 1e-9
-    lost = study(TrueOde(integrator=Midpoint(), **given(system)), system).columns["log_volume"]
+    lost = study(TrueOde(integrator=Midpoint(), **given(system)), system, None).columns[
+        "log_volume"
+    ]
     assert lost.abs().max() > 1e-4
 
 
@@ -100,7 +101,7 @@ def test_the_inertia_counts_in_the_volume():
     """Momenta, not velocities: the cartpole's inertia varies along the motion."""
     system = SYSTEMS["cartpole"]
     model = variational(system).for_evaluation()
-    q, v = starts(system, 2, 0)
+    q, v, _ = system.box.points(2, 0)
     path = model.rollout(q, v, steps=20)
     u = torch.zeros(2, 21, 1, dtype=torch.float64)
     assert log_volume(model, system, path.q, path.v, u).abs().max() < 1e-9
@@ -116,15 +117,13 @@ def test_the_inertia_counts_in_the_volume():
 
 
 def test_starts_are_the_same_for_all_and_in_the_box():
-    system = SYSTEMS["acrobot"]
-    q, v = starts(system, 50, 3)
-    assert torch.equal(q, starts(system, 50, 3)[0])
-    assert torch.equal(q[:4], starts(system, 4, 3)[0]) or q.shape == (50, 2)
-    assert not torch.equal(q, starts(system, 50, 4)[0])
-    for values, ranges in ((q, system.sampling_box.q), (v, system.sampling_box.v)):
-        for i, (low, high) in enumerate(ranges):
-            assert low <= values[:, i].min()
-            assert values[:, i].max() <= high
+    box = SYSTEMS["acrobot"].box
+    points = box.points(50, 3)
+    assert all(map(torch.equal, points, box.points(50, 3)))
+    assert not torch.equal(points[0], box.points(50, 4)[0])
+    for values, ranges in zip(points, box, strict=True):
+        low, high = torch.tensor(ranges, dtype=torch.float64).T
+        assert ((low <= values) & (values <= high)).all()
 
 
 def test_the_truth_is_asked_for_once_by_all_that_it_depends_on():
@@ -135,19 +134,19 @@ def test_the_truth_is_asked_for_once_by_all_that_it_depends_on():
         return make()
 
     study = Motion(name="a", steps=3, count=1)
-    study(variational(system), system, remember)
-    study(TrueOde(integrator=RK4(), **given(system)), system, remember)
+    study(variational(system), system, None, remember=remember)
+    study(TrueOde(integrator=RK4(), **given(system)), system, None, remember=remember)
     assert recipes[0] == recipes[1]
     for other in (Motion(name="b", steps=4, count=1), Motion(name="c", steps=3, count=1, seed=1),
                   Motion(name="d", steps=3, count=1, amplitude=2.0)):  # fmt: skip
-        other(variational(system), system, remember)
+        other(variational(system), system, None, remember=remember)
         assert recipes[-1] != recipes[0]
 
 
 def test_what_was_learned_is_held_against_the_truth():
     system = SYSTEMS["acrobot"]
     study = LearnedQuantities(name="learned", steps=20, count=2)
-    right = study(variational(system), system)
+    right = study(variational(system), system, None)
     assert set(right.measures.values()) == {0.0}
 
     class Twice(Lagrangian):
@@ -157,7 +156,7 @@ def test_what_was_learned_is_held_against_the_truth():
         def potential(self, q):
             return system.potential(q) + 5.0
 
-    wrong = study(variational(system, lagrangian=Twice()), system)
+    wrong = study(variational(system, lagrangian=Twice()), system, None)
     kinetic = right.columns["kinetic_true"]
     assert wrong.measures["learned_kinetic_mse"] == pytest.approx(kinetic.square().mean().item())
     assert wrong.measures["learned_potential_mse"] < 1e-20  # a constant is no error
@@ -172,8 +171,8 @@ def test_a_method_without_a_lagrangian_has_learned_none():
         width=4, integrator=RK4(), coordinates=system.coordinates,
         input_matrix=system.input_matrix, time_step=system.time_step,
     )  # fmt: skip
-    assert LearnedQuantities(name="learned", steps=3)(node, system).columns == {}
-    moved = Motion(name="long", steps=3, count=1)(node, system)
+    assert LearnedQuantities(name="learned", steps=3)(node, system, None).columns == {}
+    moved = Motion(name="long", steps=3, count=1)(node, system, None)
     assert moved.columns["log_volume"].isfinite().all()
 
 

@@ -23,7 +23,7 @@ def crowd(folder, choices):
     commands = [Command(folder, *WORDS, *words) for words in choices]
     ends = [(command.wait(), command.said) for command in commands]
     assert [code for code, _ in ends] == [0] * len(ends), ends
-    for path in folder.rglob("outcome.json"):
+    for path in folder.glob("outputs/*/*-*/outcome.json"):
         assert json.loads(path.read_text())["status"] == "finished"
     assert {run.info.status for run in runs(folder)} == {"FINISHED"}
     assert not [*folder.rglob("*.new"), *folder.rglob(".*.npz.*")]
@@ -36,7 +36,7 @@ def test_eight_that_differ(tmp_path):
     crowd(folder, [[f"seed={i}", "data.seed=0"] for i in range(8)])
     assert len(runs(folder)) == 8
     assert len([*folder.rglob("*.npz")]) == 1
-    assert len([*folder.rglob("outcome.json")]) == 8
+    assert len([*folder.glob("outputs/*/*-*/outcome.json")]) == 8
 
 
 def test_four_that_are_the_same(tmp_path):
@@ -44,7 +44,7 @@ def test_four_that_are_the_same(tmp_path):
     folder = tmp_path / "new"
     crowd(folder, [["seed=0"]] * 4)
     assert len(runs(folder)) == 1
-    assert len([*folder.rglob("outcome.json")]) == 1
+    assert len([*folder.glob("outputs/*/*-*/outcome.json")]) == 1
 
 
 @pytest.mark.slow

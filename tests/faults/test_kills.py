@@ -1,12 +1,13 @@
 """A command that is killed again and again, then given once more, ends as if nothing had been."""
 
-import json
 import random
 import time
 
 import pytest
 import torch
 
+from symo_exp.runs.folder import RunFolder
+from symo_exp.runs.series import TIME, read
 from symo_exp.tracking.store import connect, find
 from tests.faults.commands import Command, go
 from tests.tiny import TINY
@@ -15,7 +16,7 @@ WORDS = [
     *TINY, "trainer.max_epochs=12", "trainer.validate_every=2", "trainer.checkpoint_every=0",
     "pictures=false", "logger.flush_seconds=0.2",
 ]  # fmt: skip
-CLOCKS = {"step_ms", "training_seconds"}
+CLOCKS = {TIME, "step_ms", "training_seconds"}
 METHODS = [
     "model=node integrator=rk4",
     "model=l_node",
@@ -48,30 +49,30 @@ def kill_until_it_ends(folder, words, *, kills, span, rng):
 
 def left(folder):
     """All that a run leaves, but for times and names."""
-    (run,) = (folder / "outputs" / "default").glob("*-pendulum-*")
+    (run,) = map(RunFolder, (folder / "outputs" / "default").glob("*-pendulum-*"))
     checkpoint = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)
-    outcome = json.loads((run / "outcome.json").read_text())
-    store = find(None, folder / "mlruns")
-    client = connect(store)
+    client = connect(find(None, folder / "mlruns"))
     experiment = client.get_experiment_by_name("default")
-    runs = client.search_runs([experiment.experiment_id], "attributes.status = 'FINISHED'")
-    kept = json.loads((run / "tracking.json").read_text())["run_id"]
-    (row,) = [r for r in runs if r.info.run_id == kept]
-    series = {
-        name: [(m.step, m.value) for m in client.get_metric_history(kept, name)]
+    wanted = f"tags.`symo_exp.run` = '{run.about().identity}'"
+    (row,) = client.search_runs([experiment.experiment_id], wanted)
+    assert row.info.status == "FINISHED"
+    assert run.published()["run_id"] == row.info.run_id
+    told = {
+        name: sorted((m.step, m.value) for m in client.get_metric_history(row.info.run_id, name))
         for name in row.data.metrics
         if name not in CLOCKS
     }
+    rows = [{k: v for k, v in r.items() if k not in CLOCKS} for r in read(run / "series.csv")]
     return {
-        "status": outcome["status"],
-        "measures": {name: str(value) for name, value in outcome["measures"].items()},
+        "status": run.outcome().status,
         "files": {name: (run / name).read_bytes() for name in ("metrics.json", "rollouts.parquet")},
         "weights": {name: value.tolist() for name, value in checkpoint["state_dict"].items()},
-        "series": {name: sorted(rows) for name, rows in series.items()},
+        "series": rows,
+        "told": told,
         "parameters": {k: v for k, v in row.data.params.items() if k != "resume"},
-        "artifacts": sorted(f.path for f in client.list_artifacts(kept)),
+        "artifacts": sorted(f.path for f in client.list_artifacts(row.info.run_id)),
         "open": [r.info.run_id for r in client.search_runs([experiment.experiment_id])
-                 if r.info.status == "RUNNING"],
+                 if r.info.status in ("RUNNING", "SCHEDULED")],
     }  # fmt: skip
 
 
@@ -89,7 +90,7 @@ def compare(tmp_path, words, kills, seed):
     for name, value in whole.items():
         assert killed[name] == value, (name, seed)
     assert whole["open"] == []
-    assert len(whole["series"]["train_loss"]) == 12
+    assert len(whole["series"]) == len(whole["told"]["train_loss"]) == 12
 
 
 def test_two_kills(tmp_path):

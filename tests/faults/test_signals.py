@@ -35,9 +35,10 @@ def test_one_signal(signum, tmp_path):
     command.signal(signum)
     assert command.wait() == 128 + signum
     assert f"interrupted by {signum.name}" in command.said
+    assert command.said.count("the same command goes on from there") == 1
     assert "Traceback" not in command.said
-    assert status(tmp_path) == ("KILLED", f"Interrupted: interrupted by {signum.name}")
-    (outcome,) = tmp_path.rglob("outcome.json")
+    assert status(tmp_path) == ("KILLED", f"interrupted by {signum.name}")
+    (outcome,) = tmp_path.glob("outputs/*/*-*/outcome.json")
     assert json.loads(outcome.read_text())["status"] == "interrupted"
 
     again = Command(tmp_path, *ENDLESS)  # it goes on from there
@@ -87,6 +88,9 @@ def test_a_sweep_side_by_side(signum, group, tmp_path):
     command.wait_for(lambda: len([*tmp_path.rglob("last.ckpt")]) == 2)
     command.signal(signum, group=group)
     assert command.wait() == 128 + signum
-    found = [json.loads(path.read_text())["status"] for path in tmp_path.rglob("outcome.json")]
+    found = [
+        json.loads(path.read_text())["status"]
+        for path in tmp_path.glob("outputs/*/*-*/outcome.json")
+    ]
     assert found == ["interrupted", "interrupted"]
     assert command.said.count("waiting: seed=") == 2

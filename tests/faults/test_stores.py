@@ -5,6 +5,7 @@ import sqlite3
 
 import pytest
 
+from symo_exp.runs.folder import RunFolder
 from symo_exp.tracking.store import connect, find
 from tests.faults.commands import Command, go
 from tests.tiny import TINY
@@ -62,19 +63,20 @@ def test_a_store_that_is_lost_while_a_run_trains(store, tmp_path):
     store.database.rename(away)
     store.database.mkdir()
     assert command.wait() == 0, command.said
-    assert "is sent when the command is given again" in command.said
-    (letter,) = tmp_path.rglob("undelivered.json")
+    assert "is uploaded when the command is given again" in command.said
+    (run,) = map(RunFolder, tmp_path.glob("outputs/default/node-*"))
+    assert not run.published()
 
     code, said = go(tmp_path, *LONG)  # still away
     assert code == 0, said
-    assert "is sent when the command is given again" in said
-    assert letter.exists()
+    assert "is uploaded when the command is given again" in said
+    assert not run.published()
 
     store.database.rmdir()
     away.rename(store.database)
     code, said = go(tmp_path, *LONG)
     assert code == 0, said
-    assert not letter.exists()
+    assert run.published()
     client = connect(store)
     (run,) = client.search_runs([client.get_experiment_by_name("default").experiment_id])
     assert run.info.status == "FINISHED"

@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -26,9 +27,10 @@ def outcomes(folder):
     """By seed."""
     found = {}
     for path in folder.rglob("outcome.json"):
-        overrides = (path.parent / ".hydra" / "overrides.yaml").read_text()
-        seed = int(overrides.partition("seed=")[2].split()[0])
-        found[seed] = json.loads(path.read_text())
+        with suppress(OSError, ValueError):  # it is being written
+            about = json.loads((path.parent / "run.json").read_text())
+            found[int(about["parameters"].get("seed", -1))] = json.loads(path.read_text())
+    found.pop(-1, None)  # the sweep itself
     return found
 
 
@@ -59,7 +61,7 @@ class Assassin(threading.Thread):
                 outcome = outcomes(self.folder).get(self.seed, {})
             except (OSError, ValueError):
                 continue
-            pid = int(outcome.get("process", {}).get("symo_exp.pid", 0))
+            pid = int(outcome.get("process", {}).get("pid", 0))
             trains = [*self.folder.rglob("last.ckpt")]
             if outcome.get("status") == "running" and trains and pid not in self.killed:
                 os.kill(pid, signal.SIGKILL)
@@ -105,5 +107,6 @@ def test_a_job_that_runs_out_of_memory_does_not_stop_the_others(launcher, tmp_pa
     assert "memory" in line
     log = Path(line.rpartition("(log: ")[2].rstrip(")"))
     assert "Traceback" in log.read_text()
-    found = [json.loads(p.read_text())["status"] for p in tmp_path.rglob("outcome.json")]
+    files = tmp_path.glob("outputs/default/node-*/outcome.json")
+    found = [json.loads(p.read_text())["status"] for p in files]
     assert sorted(found) == ["failed", "finished", "finished"]

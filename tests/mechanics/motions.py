@@ -27,7 +27,7 @@ def start(n: int) -> tuple[Tensor, Tensor]:
 
 
 def reference(lagrangian: Lagrangian, n: int, *, forced: bool) -> Tensor:
-    """The pose after ``DURATION`` by SciPy's DOP853 at tight tolerances, an independent method."""
+    """The configuration after ``DURATION`` by SciPy's DOP853, an independent method."""
 
     def field(t: float, x: Tensor) -> Tensor:
         q, v = torch.as_tensor(x).reshape(2, 1, n)

@@ -12,7 +12,7 @@ from symo_exp.mechanics.variational import (
     VariationalMidpoint,
     del_residual,
     momentum_before,
-    next_pose,
+    next_configuration,
 )
 from tests.chain import ChainPendulum
 from tests.learned import learned_lagrangian
@@ -59,7 +59,7 @@ def test_inner_coefficients_are_stationary(stages: int, n: int) -> None:
 
 @pytest.mark.parametrize("n", DEGREES)
 @pytest.mark.parametrize("stages", STAGES)
-def test_jacobian_in_the_next_pose(stages: int, n: int) -> None:
+def test_jacobian_in_the_next_configuration(stages: int, n: int) -> None:
     h, integrator, (q0, v), f = 0.1, Galerkin(stages=stages), state(n), Forces(*state(n))
     q1 = q0 + h * v
     for lagrangian in lagrangians(n):
@@ -84,11 +84,11 @@ def test_jacobian_in_the_next_pose(stages: int, n: int) -> None:
 @pytest.mark.parametrize("n", DEGREES)
 @pytest.mark.parametrize("stages", STAGES)
 def test_derivatives_of_residual_root_and_momentum(stages: int, n: int) -> None:
-    """In poses, forces and parameters, for a true and a learned Lagrangian."""
+    """In configurations, forces and parameters, for a true and a learned Lagrangian."""
     h, integrator = 0.1, Galerkin(stages=stages)
     q0, v = state(n)
     forces = torch.stack((*state(n), 0.3 * v))
-    poses = torch.stack((q0, q0 + h * v, q0 + 2.1 * h * v))
+    configurations = torch.stack((q0, q0 + h * v, q0 + 2.1 * h * v))
     weight = torch.randn(3, *q0.shape, dtype=torch.float64)
     for lagrangian in lagrangians(n):
         parameters = (
@@ -96,18 +96,18 @@ def test_derivatives_of_residual_root_and_momentum(stages: int, n: int) -> None:
         )
 
         def value(
-            poses: Tensor, forces: Tensor, *_: Tensor, lagrangian: Lagrangian = lagrangian
+            configurations: Tensor, forces: Tensor, *_: Tensor, lagrangian: Lagrangian = lagrangian
         ) -> Tensor:
-            (a, b, c), (f, g, k) = poses, forces
+            (a, b, c), (f, g, k) = configurations, forces
             residual = del_residual(integrator, lagrangian, a, b, c, f, g, k, h)
             p = momentum_before(integrator, lagrangian, a, b, f, g, h)
             impulse = p + integrator.impulses(g, k, h)[0]
-            root, _ = next_pose(
+            root, _ = next_configuration(
                 integrator, lagrangian, ROOT, b, impulse, h, 2 * b - a, forces=Forces(g, k)
             )
             return (weight * torch.stack((residual, p, root))).sum()
 
-        inputs = [x.clone().requires_grad_() for x in (poses, forces)]
+        inputs = [x.clone().requires_grad_() for x in (configurations, forces)]
         gradients = torch.autograd.grad(value(*inputs), [*inputs, *parameters], allow_unused=True)
         for x, gradient in zip([*inputs, *parameters], gradients, strict=True):
             assert gradient is not None

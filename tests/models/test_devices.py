@@ -14,8 +14,8 @@ gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
 
 def small(method, integrator):
     model = make(method, integrator, N)
-    if hasattr(model, "root"):
-        model.root = Newton(tolerance=1e-5)
+    if not model.reads_velocity:
+        model.flow.root = Newton(tolerance=1e-5)
     model.gradient_clip = 10.0
     return model
 

@@ -5,16 +5,17 @@ import copy
 import pytest
 import torch
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Newton
-from tests.models.methods import H, combinations, make, windows
+from symo_exp.models.objectives import PreconditionedResidual
+from tests.models.methods import combinations, make, pairwise, windows
 from tests.tables import variational_integrators
 
 ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
-DEGREES = pytest.mark.parametrize("n", [1, 2, 3])
+PAIRWISE = pytest.mark.parametrize(("method", "integrator", "n"), pairwise())
 
 
-@ALL
-@DEGREES
+@PAIRWISE
 def test_gradient_of_the_loss_against_finite_differences(method, integrator, n):
     model, data, eps = make(method, integrator, n), windows(n), 1e-6
     parameters = [p for p in model.parameters() if p.requires_grad]
@@ -32,8 +33,7 @@ def test_gradient_of_the_loss_against_finite_differences(method, integrator, n):
         torch.testing.assert_close(computed.to(slope), slope.detach(), atol=1e-7, rtol=1e-5)
 
 
-@ALL
-@DEGREES
+@PAIRWISE
 def test_step_is_differentiable_in_its_inputs(method, integrator, n):
     """What a controller needs: derivatives in state and control, through the roots too."""
     model, data = make(method, integrator, n), windows(n, samples=2)
@@ -46,8 +46,7 @@ def test_step_is_differentiable_in_its_inputs(method, integrator, n):
     assert torch.autograd.gradcheck(outcome, inputs, eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
-@ALL
-@DEGREES
+@PAIRWISE
 @torch.no_grad()
 def test_rollout_is_repeated_steps(method, integrator, n):
     model, data = make(method, integrator, n), windows(n)
@@ -66,14 +65,17 @@ def test_rollout_is_repeated_steps(method, integrator, n):
 @ALL
 @torch.no_grad()
 def test_prediction_is_a_step_from_the_initial_velocity(method, integrator):
+    """Which is the measured one where the method reads it; else nothing depends on that."""
     model, data = make(method, integrator, 2), windows(2)
     predicted = model.predict(data)
     stepped = model.step(data.q, model.initial_velocity(data), data.u, data.u_next)
     torch.testing.assert_close(predicted.q, stepped.q)
     torch.testing.assert_close(predicted.v, stepped.v)
+    moved = data._replace(v=data.v + 1.0)
+    assert torch.equal(predicted.q, model.predict(moved).q) != model.reads_velocity
 
 
-@ALL
+@pytest.mark.parametrize(("method", "integrator"), [("l_node", "rk4"), ("symo", "midpoint")])
 @torch.no_grad()
 def test_without_a_control_the_motion_is_unforced_and_one_control_is_held(method, integrator):
     model, data = make(method, integrator, 2), windows(2)
@@ -89,16 +91,7 @@ def test_without_a_control_the_motion_is_unforced_and_one_control_is_held(method
     assert not torch.allclose(held.q, model.step(data.q, data.v).q)
 
 
-@ALL
-@torch.no_grad()
-def test_only_methods_that_read_velocities_depend_on_them(method, integrator):
-    model, data = make(method, integrator, 2), windows(2)
-    moved = data._replace(v=data.v + 1.0)
-    same = torch.equal(model.predict(data).q, model.predict(moved).q)
-    assert same != model.reads_velocity
-
-
-@ALL
+@pytest.mark.parametrize(("method", "integrator"), [("node", "rk4"), ("symo", "galerkin4")])
 def test_evaluation_copy_is_a_copy_in_double_precision(method, integrator):
     model = make(method, integrator, 2).float()
     twin = model.for_evaluation()
@@ -129,12 +122,12 @@ def test_a_diverging_rollout_ends_in_numbers_not_in_an_exception(method, integra
 def test_rollout_wants_controls_or_a_number_of_steps():
     model = make("symo", "midpoint", 1)
     q = torch.zeros(1, 1, dtype=torch.float64)
-    with pytest.raises(ValueError, match="either u"):
-        model.rollout(q, q)
+    for given in ({}, {"u": [[0.0], [0.0]], "steps": 1}):
+        with pytest.raises(ConfigError, match="either u"):
+            model.rollout(q, q, **given)
 
 
-@pytest.mark.parametrize("method", ["node", "l_node"])
-@DEGREES
+@pytest.mark.parametrize(("method", "n"), [("node", 3), ("l_node", 2)])
 def test_adjoint_gradients_approach_the_direct_ones_as_the_step_shrinks(method, n):
     data, errors = windows(n), []
     for h in (0.004, 0.002):
@@ -160,12 +153,13 @@ def test_adjoint_step_has_the_value_of_the_direct_one():
 
 def test_rows_without_a_root_are_counted_and_do_not_spoil_the_gradient():
     model, data = make("e2e_symo", "midpoint", 2), windows(2)
-    model.root = Newton(tolerance=1e-300, max_iterations=1)
-    model.train()
-    gradients = torch.autograd.grad(model.loss(data), list(model.lagrangian.net.parameters()))
-    assert model._statistics["newton_failed"] == 1.0
+    model.flow.root = Newton(tolerance=1e-300, max_iterations=1)
+    residuals = model.objective(model.flow, data)
+    gradients = torch.autograd.grad(residuals.loss, list(model.lagrangian.net.parameters()))
+    assert residuals.statistics["newton_failed"] == 1.0
     assert all(g.isfinite().all() for g in gradients)
-    torch.testing.assert_close(model.residuals(data), model.preconditioned_residuals(data))
+    expected, _ = PreconditionedResidual()(model.flow, data)
+    torch.testing.assert_close(residuals.values, expected)
 
 
 @pytest.mark.parametrize("integrator", variational_integrators())
@@ -213,5 +207,56 @@ def test_the_true_lagrangian_has_no_residual_where_the_discrete_motion_is_its_ow
         assert model.loss(exact) < 1e-20
 
 
-def test_the_step_is_the_one_that_was_asked_for():
-    assert make("symo", "midpoint", 1).time_step == H
+FORMS = {
+    "float64": lambda x: x,
+    "float32": lambda x: x.float(),
+    "NumPy": lambda x: x.numpy(),
+    "lists": lambda x: x.tolist(),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(("method", "integrator"), [("node", "rk4"), ("symo", "midpoint")])
+def test_states_come_in_any_form_one_or_many(method, integrator, form):
+    given, samples = FORMS[form], windows(2)
+    root = {} if method == "node" else {"root": Newton()}
+    u = torch.randn(len(samples.q), 4, 1, dtype=torch.float64)
+    for model in (make(method, integrator, 2, **root), make(method, integrator, 2, **root).float()):
+        near = {"atol": 1e-5, "rtol": 1e-5, "check_dtype": False}
+        step = model.step(*map(given, (samples.q, samples.v, samples.u, samples.u_next)))
+        alone = model.step(*(given(x[1]) for x in (samples.q, samples.v, samples.u)))
+        assert step.q.dtype == alone.q.dtype == model.input_matrix.dtype
+        exact = model.flow.step(*(x.to(step.q) for x in samples[1:2] + samples[3:4] + samples[6:8]))
+        torch.testing.assert_close(step, exact, **near)
+        held = model.step(samples.q, samples.v, samples.u)
+        torch.testing.assert_close(alone, type(held)(*(x[1] for x in held)), **near)
+        path = model.rollout(*map(given, (samples.q, samples.v, u)))
+        single = model.rollout(given(samples.q[1]), given(samples.v[1]), given(u[1]))
+        torch.testing.assert_close(single, type(path)(*(x[1] for x in path)), **near)
+        assert single.q.shape == (4, 2)
+        assert single.converged.shape == (3,)
+        if model.lagrangian is not None:
+            q, v = given(samples.q[1]), given(samples.v[1])
+            assert model.mass_matrix(q).shape == (2, 2)
+            assert model.energy(q, v).shape == model.potential(q).shape == ()
+            assert model.momentum(q, v).shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda m: m.step([0.0], [0.0, 0.0]), r"q has shape \(1,\); \(2\) fits a single state"),
+        (lambda m: m.step([0.0, 0.0], [[0.0, 0.0]]), r"v has shape \(1, 2\); \(2\) fits"),
+        (lambda m: m.step([[0.0, 0.0]] * 3, [[0.0, 0.0]] * 2), r"\(3, 2\) fits 3 states"),
+        (lambda m: m.step([0.0, 0.0], [0.0, 0.0], 1.0), r"u has shape \(\); \(1\) fits"),
+        (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], [1.0]), r"u has .*; \(nodes, 1\) fits"),
+        (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=-1), "steps=-1: expected a whole"),
+        (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=2.5), "steps=2.5: expected a whole"),
+        (lambda m: m.rollout("still", [0.0, 0.0], steps=1), "q is no array of numbers"),
+        (lambda m: m.energy([[0.0, 0.0], [0.0]], [0.0]), "q is no array of numbers"),
+    ],
+)
+def test_what_cannot_be_a_state_is_said_in_a_line(call, said):
+    with pytest.raises(ConfigError, match=said) as caught:
+        call(make("symo", "midpoint", 2))
+    assert "\n" not in str(caught.value)

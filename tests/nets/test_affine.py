@@ -3,13 +3,14 @@
 import pytest
 import torch
 
+from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.nets.affine import parameter_jacobian
 from tests.models.methods import combinations, make, windows
 
 OBJECTIVES = [
     (method, integrator, overrides)
     for method, integrator in combinations()
-    for overrides in ({}, {"objective": "preconditioned"})
+    for overrides in ({}, {"objective": PreconditionedResidual()})
     if not overrides or method == "symo"
 ]
 
@@ -35,7 +36,7 @@ def test_a_use_of_a_parameter_behind_its_back_is_refused():
     model, data = make("node", "rk4", 2), windows(2)
 
     def function():
-        return model.residuals(data) + model.net.biases[-1].sum()
+        return model.residuals(data) + model.flow.field.net.biases[-1].sum()
 
     with pytest.raises(RuntimeError, match=r"outside nets\.affine"):
         parameter_jacobian(function, list(model.parameters()))

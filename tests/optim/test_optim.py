@@ -47,7 +47,7 @@ def test_a_step_solves_the_damped_normal_equations(wide):
     torch.testing.assert_close(optimizer.flat() - before, expected, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3))])
 @pytest.mark.parametrize(
     ("method", "integrator"),
     [("node", "rk4"), ("l_node", "rk4"), ("symo", "galerkin4"), ("e2e_symo", "midpoint")],

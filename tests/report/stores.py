@@ -1,14 +1,15 @@
-"""Tracking stores with runs that were never run."""
+"""Runs that were never run: as rows of the tidy table, in a tracking store, in a folder."""
 
-from collections.abc import Iterable
+import itertools
 from pathlib import Path
 from typing import Any
 
 from mlflow.entities import Metric, Param
 
-from symo_exp.report import published
-from symo_exp.tracking.runs import close_run, open_run
-from symo_exp.tracking.store import Store, connect
+from symo_exp.report import runs
+from symo_exp.runs.folder import About, RunFolder
+from symo_exp.thesis import published
+from symo_exp.tracking.store import Store, connect, experiment_id
 
 MEASURES = {
     "train_mse": 1e-6,
@@ -17,59 +18,68 @@ MEASURES = {
     "energy_mse": 1e-3,
     "training_seconds": 40.0,
 }
+IDENTITIES = map(str, itertools.count())
+
+
+def cell_of(given: dict[str, Any]) -> dict[str, Any]:
+    """The columns that say what a run is; what is not given is as in the defaults."""
+    cell = {
+        "system": "pendulum", "method": "symo", "integrator": "midpoint", "n_traj": 32,
+        "noise_std": 0.0, "seed": 0, "optimizer": "adam", **given,
+    }  # fmt: skip
+    return {"time_step": published.TIME_STEPS.get(cell["system"], 0.1), **cell}
+
+
+def row(metrics=MEASURES, **given: Any) -> runs.Row:
+    """One run for ``runs.tidy``."""
+    known = dict.fromkeys(runs.COLUMNS, "") | {"experiment": "thesis", "status": "FINISHED"}
+    known |= {"run_id": next(IDENTITIES), "started": "2026-01-01", "seconds": 40.0}
+    known = {name: known[name] for name in (*runs.KNOWN, "variant", "files")}
+    return {**known, **cell_of(given)}, metrics
+
+
+def parameters(given: dict[str, Any]) -> dict[str, Any]:
+    told = {runs.PARAMETERS[key]: value for key, value in cell_of(given).items()}
+    return told | {"preset": "default"}
 
 
 def add_run(
-    store: Store,
-    *,
-    experiment: str = "thesis",
-    metrics: dict[str, float] | None = None,
-    status: str = "FINISHED",
-    reason: str = "",
-    parameters: dict[str, Any] | None = None,
-    **cell: Any,
-) -> str:
-    """One run; ``cell`` has the columns of the report, the rest is as in the defaults."""
-    cell = {
-        "system": "pendulum", "method": "symo", "integrator": "midpoint", "n_traj": 32,
-        "noise_std": 0.0, "seed": 0, **cell,
-    }  # fmt: skip
-    cell.setdefault("time_step", published.TIME_STEPS.get(cell["system"], 0.1))
-    names = {
-        "method": "model", "n_traj": "data.n_traj", "noise_std": "data.noise_std",
-        "time_step": "system.time_step",
-    }  # fmt: skip
-    told = {names.get(key, key): value for key, value in cell.items()}
-    told |= {"preset": "default", "optimizer": "adam", **(parameters or {})}
-    run = open_run(store, experiment, name="made")
-    values = MEASURES if metrics is None else metrics
-    connect(store).log_batch(
+    store: Store, *, experiment="thesis", metrics=MEASURES, status="FINISHED", reason="",
+    told=None, **cell: Any,
+) -> str:  # fmt: skip
+    """One run in a store; ``cell`` has the columns of the report, ``told`` other parameters."""
+    client = connect(store)
+    run = client.create_run(experiment_id(store, experiment), run_name="made").info.run_id
+    client.log_batch(
         run,
-        params=[Param(key, str(value)) for key, value in told.items()],
-        metrics=[Metric(key, value, 0, 0) for key, value in values.items()],
+        params=[Param(key, str(x)) for key, x in (parameters(cell) | (told or {})).items()],
+        metrics=[Metric(key, value, 0, 0) for key, value in metrics.items()],
     )
+    if reason:
+        client.set_tag(run, "reason", reason)
     if status != "RUNNING":
-        close_run(store, run, status, reason)
+        client.set_terminated(run, status=status)
     return run
 
 
-def add_published(store: Store, rows: Any, factor: float = 1.0, seeds: Iterable[int] = (0,)) -> int:
+def add_folder(path: Path, status="finished", metrics=MEASURES, **cell: Any) -> RunFolder:
+    """One run in a folder of its own."""
+    folder = RunFolder(path)
+    folder.path.mkdir(parents=True)
+    folder.describe(About("made", {**parameters(cell), "experiment": "mine"}))
+    seconds = metrics.get("training_seconds", 0.0)
+    (folder / "series.csv").write_text(f"epoch,time,training_seconds\n0,1.0,1.0\n1,2.0,{seconds}\n")
+    folder.write_measures(metrics)
+    folder.record(status, "" if status == "finished" else "out of memory")
+    return folder
+
+
+def repeated(rows: Any, factor: float = 1.0) -> list[runs.Row]:
     """A run for each cell of rows of the published table, ``factor`` times as bad."""
-    count = 0
+    made = []
     for key, values in rows.groupby(published.CELL):
         metrics = {}
-        for row in values.to_dict("records"):
-            for name in (row["metric"], published.like(row["metric"], row["over"])):
-                metrics[name] = factor * row["value"]
-        for seed in seeds:
-            add_run(
-                store, metrics=metrics, seed=seed, **dict(zip(published.CELL, key, strict=True))
-            )
-            count += 1
-    return count
-
-
-def folder_of(store: Store) -> Path:
-    """What ``--directory`` takes."""
-    assert store.database is not None
-    return store.database.parent
+        for one in values.itertuples():
+            metrics |= dict.fromkeys((one.metric, one.like), factor * one.value)
+        made.append(row(metrics, **dict(zip(published.CELL, key, strict=True))))
+    return made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -13,12 +14,14 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.acrobot import Acrobot
-from symo_exp.systems.base import SamplingBox, Skeleton, System
+from symo_exp.systems.base import LagrangianSystem, SamplingBox
 from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.pendulum import Pendulum
+from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
 from tests.systems.every import SYSTEMS, points
 from tests.tables import systems as configured
+from tests.unknown import Unknown
 
 every_system = pytest.mark.parametrize("name", SYSTEMS)
 
@@ -61,12 +64,13 @@ def cartpole(s: Cartpole, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
     return torch.stack([x_dd, theta_dd], -1)
 
 
-ODD_PARAMETERS: list[tuple[System, Callable[..., Tensor]]] = [
-    (Pendulum(), pendulum),
-    (Pendulum(gravity=3.7, mass=2.3, length=0.6), pendulum),
-    (Acrobot(), acrobot),
+ODD_PARAMETERS: list[tuple[LagrangianSystem, Callable[..., Tensor]]] = [
+    (stated("pendulum"), pendulum),
+    (stated("pendulum", gravity=3.7, mass=2.3, length=0.6), pendulum),
+    (stated("acrobot"), acrobot),
     (
-        Acrobot(
+        stated(
+            "acrobot",
             gravity=9.0,
             mass_1=1.2,
             mass_2=0.7,
@@ -79,14 +83,14 @@ ODD_PARAMETERS: list[tuple[System, Callable[..., Tensor]]] = [
         ),
         acrobot,
     ),
-    (Cartpole(), cartpole),
-    (Cartpole(gravity=3.7, mass_cart=0.8, mass_pole=0.4, half_length=0.9), cartpole),
+    (stated("cartpole"), cartpole),
+    (stated("cartpole", gravity=3.7, mass_cart=0.8, mass_pole=0.4, half_length=0.9), cartpole),
 ]
 
 
 @pytest.mark.parametrize(("system", "equations"), ODD_PARAMETERS)
 def test_acceleration_is_that_of_the_literature(
-    system: System, equations: Callable[..., Tensor]
+    system: LagrangianSystem, equations: Callable[..., Tensor]
 ) -> None:
     q, v, u = points(system)
     found = system.acceleration(q, v, u)
@@ -112,7 +116,7 @@ def test_double_pendulum_of_the_chain_is_that_of_the_literature() -> None:
 def test_the_acrobot_with_point_masses_is_a_chain_of_two() -> None:
     """Relative to absolute angles: q = T θ, and B maps the elbow torque to both rods."""
     tiny = 1e-14
-    acrobot = Acrobot(centre_1=1.0, centre_2=1.0, inertia_1=tiny, inertia_2=tiny)
+    acrobot = stated("acrobot", centre_1=1.0, centre_2=1.0, inertia_1=tiny, inertia_2=tiny)
     q, v, u = points(acrobot)
     to_absolute = torch.tensor([[1.0, 0.0], [1.0, 1.0]], dtype=torch.float64).T
     torques = torch.cat([torch.zeros_like(u), u], 1)
@@ -128,9 +132,10 @@ def test_declarations_agree(name: str) -> None:
     assert system.input_matrix.dtype == torch.float64
     assert len(system.coordinates.names) == len(system.coordinates.angular) == n
     assert len(set(system.coordinates.names)) == n
-    box = system.sampling_box
-    assert (len(box.q), len(box.v), len(box.u)) == (n, n, m)
-    assert all(unit for _, unit in system.parameters.values())
+    assert [len(ranges) for ranges in system.box] == [n, n, m]
+    own = {field.name for field in dataclasses.fields(system)} - {"time_step", "box", "links"}
+    assert set(system.units()) == own
+    assert all(system.units().values())
 
 
 @every_system
@@ -167,17 +172,11 @@ def test_the_complex_step_is_automatic_differentiation(name: str, dtype: torch.d
         torch.testing.assert_close(found, expected, rtol=tolerance, atol=tolerance)
 
 
-class Spring(System):
+class Spring(LagrangianSystem):
     """A spring whose potential is written with ``abs``: the complex step would lose its force."""
 
-    def __init__(self) -> None:
-        super().__init__(
-            coordinates=Coordinates(("x",), (False,)),
-            input_matrix=[[1.0]],
-            time_step=0.1,
-            parameters={},
-            box=SamplingBox(q=((-1.0, 1.0),), v=((-1.0, 1.0),), u=((-1.0, 1.0),)),
-        )
+    coordinates = Coordinates(("x",), (False,))
+    input_matrix = torch.ones(1, 1, dtype=torch.float64)
 
     def mass_matrix(self, q: Tensor) -> Tensor:
         return torch.ones_like(q).unsqueeze(-1)
@@ -185,13 +184,13 @@ class Spring(System):
     def potential(self, q: Tensor) -> Tensor:
         return 0.5 * q[:, 0].abs() ** 2
 
-    def skeleton(self, q: Tensor) -> Skeleton:
-        return Skeleton(torch.stack([q[0], 0 * q[0]]).unsqueeze(0), links=())
-
 
 def test_a_system_that_is_not_analytic_is_differentiated_automatically() -> None:
-    q, v, u = points(Spring())
-    torch.testing.assert_close(Spring().acceleration(q, v, u), u - q)
+    side = ((-1.0, 1.0),)
+    spring = Spring(time_step=0.1, box=SamplingBox(q=side, v=side, u=side))
+    q, v, u = points(spring)
+    torch.testing.assert_close(spring.acceleration(q, v, u), u - q)
+    assert spring.skeleton(q[0]) is None
 
 
 def test_acceleration_can_be_differentiated() -> None:
@@ -222,34 +221,50 @@ def test_the_skeleton_moves_with_the_joints(name: str) -> None:
     torch.testing.assert_close(highest, heights.max().expand_as(highest))
 
 
-def test_the_table_finds_what_is_configured() -> None:
-    assert {type(s).__name__ for s in configured().values()} == set(systems())
+def test_the_table_is_the_folder_of_the_configuration() -> None:
+    assert set(systems()) == set(configured())
+    for name, system in configured().items():
+        assert stated(name) == system
+        assert type(system) is systems()[name]
 
 
-@pytest.mark.parametrize("name", configured())
-def test_the_configuration_states_the_defaults(name: str) -> None:
-    stated = configured()[name]
-    assert stated.identity() == type(stated)().identity()
+def test_whatever_decides_the_motion_is_in_the_identity() -> None:
+    system = stated("cartpole")
+    assert system.identity() == stated("cartpole").identity()
+    for field in dataclasses.fields(system):
+        value = getattr(system, field.name)
+        other = value._replace(u=((-1.0, 1.0),)) if field.name == "box" else 1.01 * value
+        assert stated("cartpole", **{field.name: other}).identity() != system.identity()
+
+
+def test_what_is_not_known_of_a_system_is_none() -> None:
+    system = Unknown(time_step=1)
+    assert system.box is system.lagrangian is system.skeleton(torch.zeros(2)) is None
+    assert system.time_step == 1.0
+    with pytest.raises(ConfigError, match=r"system\.time_step=0"):
+        Unknown(time_step=0)
+
+
+BOX = {"q": ((0, 1),), "v": ((0, 1),), "u": ((0, 1),)}
 
 
 @pytest.mark.parametrize(
-    ("kind", "arguments", "key"),
+    ("name", "changes", "key"),
     [
-        (Pendulum, {"mass": 0.0}, "system.mass=0.0"),
-        (Pendulum, {"length": -1.0}, "system.length=-1.0"),
-        (Acrobot, {"inertia_1": math.nan}, "system.inertia_1=nan"),
-        (Cartpole, {"time_step": 0}, "system.time_step=0"),
-        (Cartpole, {"mass_cart": "heavy"}, "system.mass_cart='heavy'"),
-        (Pendulum, {"box": SamplingBox(q=((1.0, -1.0),), v=((0, 1),), u=((0, 1),))}, "box.q"),
-        (Pendulum, {"box": SamplingBox(q=((0, 1),), v=((0, 1),), u=())}, "box.u"),
-        (Pendulum, {"box": SamplingBox(q=((0, 1),), v=(3,), u=((0, 1),))}, "box.v"),  # type: ignore[arg-type]
+        ("pendulum", {"mass": 0.0}, "system.mass=0.0"),
+        ("pendulum", {"length": -1.0}, "system.length=-1.0"),
+        ("acrobot", {"inertia_1": math.nan}, "system.inertia_1=nan"),
+        ("cartpole", {"time_step": 0}, "system.time_step=0"),
+        ("cartpole", {"mass_cart": "heavy"}, "system.mass_cart='heavy'"),
+        ("pendulum", {"box": BOX | {"q": ((1.0, -1.0),)}}, "system.box.q"),
+        ("pendulum", {"box": BOX | {"u": ()}}, "system.box.u"),
+        ("pendulum", {"box": SamplingBox(**BOX | {"v": (3,)})}, "system.box.v"),
+        ("pendulum", {"box": {"q": ((0, 1),)}}, "system.box={"),
     ],
 )
-def test_bad_parameters_are_refused_in_one_line(
-    kind: type[System], arguments: dict[str, object], key: str
-) -> None:
+def test_bad_parameters_are_refused_in_one_line(name: str, changes: dict, key: str) -> None:
     with pytest.raises(ConfigError) as error:
-        kind(**arguments)  # type: ignore[arg-type]
+        stated(name, **changes)
     assert key in str(error.value)
     assert "expected" in str(error.value)
     assert "\n" not in str(error.value)

@@ -1,6 +1,7 @@
 """Which store is meant, whether it can be used, and that nobody tramples on it."""
 
 import multiprocessing
+import os
 import socket
 import sqlite3
 import subprocess
@@ -13,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from symo_exp.errors import ConfigError
+from symo_exp.runs.folder import About, RunFolder
 from symo_exp.tracking import store as stores
-from symo_exp.tracking.runs import open_run
+from symo_exp.tracking.publish import MlflowView
 from symo_exp.tracking.store import Store, check, connect, experiment_id, find
 
 
@@ -126,8 +128,12 @@ def test_an_experiment_that_another_process_just_created(store, monkeypatch):
 
 def _start(directory: Path, barrier, results) -> None:
     try:
+        folder = RunFolder(directory / str(os.getpid()))
+        folder.describe(About("job", {}))
+        folder.record("finished")
         barrier.wait(60)
-        results.put(open_run(find(None, directory), "crowd", name="job"))
+        MlflowView(experiment="crowd", directory=directory).publish(folder)
+        results.put(folder.published()["run_id"])
     except BaseException as error:
         results.put(error)
         raise
@@ -170,7 +176,7 @@ def test_a_lock_that_is_never_released_ends_in_a_sentence(store, monkeypatch):
 def test_mlflow_is_imported_only_when_a_store_is_opened():
     code = (
         "import sys\n"
-        "from symo_exp.tracking import store, runs, parent, process, revision, artifacts\n"
+        "from symo_exp.tracking import store, publish, revision\n"
         "store.check(store.find(None, '/tmp'), 1.0)\n"
         "assert not {'mlflow', 'torch', 'lightning'} & set(sys.modules), sorted(sys.modules)"
     )

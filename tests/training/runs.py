@@ -5,9 +5,10 @@ import functools
 import pytest
 import torch
 
-from symo_exp.configuration.command import jobs_of, parse
-from symo_exp.models.base import DynamicsModel
-from symo_exp.recipe import run
+from symo_exp.models.learner import Learner
+from symo_exp.runs.folder import About, RunFolder
+from symo_exp.sweep.recipe import build, run
+from tests.jobs import job_of
 from tests.tiny import TINY
 
 EPOCHS = 6
@@ -24,19 +25,19 @@ class Cut(BaseException):
 @functools.cache
 def configuration(words):
     """Composing it takes longer than the run."""
-    (job,) = jobs_of(parse([*WORDS, *words.split()])).jobs
-    return job.config
+    return job_of(*WORDS, *words.split()).config
 
 
-def go(words, folder):
+def go(words, path):
     """The measures of a run, as text, so that nan is nan."""
-    done = run(configuration(words), folder, {"model": "a", "system": "b"})
-    return {name: str(value) for name, value in done.evaluation.measures.items()}
+    config, folder = configuration(words), RunFolder(path)
+    run(build(config, folder), config, folder, About("a b", {"model": "a"}))
+    return {name: str(value) for name, value in folder.measures().items()}
 
 
-def cut(words, folder, epoch, monkeypatch):
+def cut(words, path, epoch, monkeypatch):
     """The same, ending abruptly at the end of an epoch, before it is over."""
-    step = DynamicsModel.training_step
+    step = Learner.training_step
 
     def last_step(model, batches, index):
         step(model, batches, index)
@@ -44,9 +45,9 @@ def cut(words, folder, epoch, monkeypatch):
             raise Cut
 
     with monkeypatch.context() as patch:
-        patch.setattr(DynamicsModel, "training_step", last_step)
+        patch.setattr(Learner, "training_step", last_step)
         with pytest.raises(Cut):
-            go(words, folder)
+            go(words, path)
 
 
 def state(folder):

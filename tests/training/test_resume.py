@@ -8,7 +8,8 @@ import pytest
 import torch
 
 import symo_exp
-from symo_exp.models.base import DynamicsModel
+from symo_exp.models.learner import Learner
+from symo_exp.runs.series import EPOCH, TIME, read
 from symo_exp.training.divergence import DivergenceError
 from tests.training.runs import Cut, cut, go, same, state
 
@@ -49,6 +50,15 @@ def test_cut_again_and_again_it_ends_with_the_same_bits(words, workplace, monkey
     assert go(words, workplace / "cut") == whole
     assert resumed(caplog) == [1, 2, 4]
     assert same(state(workplace / "cut"), state(workplace / "whole"))
+    assert series(workplace / "cut") == series(workplace / "whole")
+
+
+def series(folder):
+    """All rows, but for what clocks say."""
+    clocks = {TIME, "step_ms", "training_seconds"}
+    rows = read(folder / "series.csv")
+    assert [row[EPOCH] for row in rows] == list(range(len(rows)))
+    return [{name: value for name, value in row.items() if name not in clocks} for row in rows]
 
 
 @pytest.mark.parametrize("epoch", range(1, 6))
@@ -139,7 +149,7 @@ def test_without_a_sound_checkpoint_it_starts_anew(whole, folder, caplog):
 
 def test_cut_after_the_training_only_the_evaluation_is_done_again(whole, folder, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("symo_exp.recipe.evaluate", lambda *_: 1 / 0)
+        patch.setattr("symo_exp.sweep.recipe.evaluate", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             go(SYMO, folder)
     monkeypatch.setattr("lightning.Trainer.fit", lambda *_, **__: pytest.fail("it trains again"))
@@ -176,7 +186,7 @@ def test_cut_at_every_moment_a_file_takes_its_place(when, whole, folder, monkeyp
             except Cut:
                 continue
             break
-    assert moment >= 6
+    assert moment >= 8
     assert found == whole
     assert same(state(folder), state(folder.parent / "whole"))
     assert refused(caplog) == []
@@ -200,7 +210,7 @@ def test_a_full_disk_for_a_while_costs_a_checkpoint_not_the_training(
 
 
 def test_a_training_that_diverges_keeps_the_last_good_weights(workplace, monkeypatch, caplog):
-    step = DynamicsModel.training_step
+    step = Learner.training_step
 
     def poisoned(model, batches, index):
         if model.current_epoch == 3:
@@ -208,7 +218,7 @@ def test_a_training_that_diverges_keeps_the_last_good_weights(workplace, monkeyp
                 parameter.data.mul_(float("nan"))
         step(model, batches, index)
 
-    monkeypatch.setattr(DynamicsModel, "training_step", poisoned)
+    monkeypatch.setattr(Learner, "training_step", poisoned)
     for attempt in range(3):
         caplog.clear()
         with pytest.raises(DivergenceError, match=r"after epoch 4 .* try a smaller optimizer.lr"):

@@ -7,7 +7,7 @@ import signal
 import pytest
 
 from symo_exp.__main__ import main
-from symo_exp.models.base import DynamicsModel
+from symo_exp.models.learner import Learner
 from symo_exp.training import stopping
 from tests.training.runs import WORDS, same, state
 
@@ -29,14 +29,14 @@ def _signals(monkeypatch):
 
 def tell_in_epoch(epoch, monkeypatch):
     """Send the signal in the middle of an epoch."""
-    step = DynamicsModel.training_step
+    step = Learner.training_step
 
     def told(model, batches, index):
         if model.current_epoch == epoch:
             os.kill(os.getpid(), signal.SIGUSR2)
         return step(model, batches, index)
 
-    monkeypatch.setattr(DynamicsModel, "training_step", told)
+    monkeypatch.setattr(Learner, "training_step", told)
 
 
 def left(folder):

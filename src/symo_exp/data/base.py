@@ -48,27 +48,22 @@ class DataModule(lightning.LightningDataModule, ABC):
         self,
         *,
         n_traj: int,
-        n_train_max: int,
-        n_val: int,
-        n_test: int,
-        noise_std: float,
-        noise_test: bool,
-        batch_size: int | None,
-        shuffle: bool,
-        seed: int,
-        noise_seed: int,
-        dtype: str | torch.dtype,
-        monitor: Literal["val", "test", "held_out"],
-        monitor_trajectories: int | None,
-        held_out: float,
+        noise_std: float = 0.0,
+        noise_test: bool = False,
+        batch_size: int | None = None,
+        shuffle: bool = True,
+        seed: int = 0,
+        noise_seed: int = 0,
+        dtype: str | torch.dtype = "float32",
+        monitor: Literal["val", "test", "held_out"] = "val",
+        monitor_trajectories: int | None = None,
+        held_out: float = 0,
     ) -> None:
         super().__init__()
-        self.n_traj = whole("data.n_traj", n_traj, low=1, high=n_train_max)
+        self.n_traj = whole("data.n_traj", n_traj, low=1, high=self.counts["train"])
         self.noise_std = real("data.noise_std", noise_std, low=0)
         self.noise_test = noise_test
-        if batch_size is not None:
-            whole("data.batch_size", batch_size, low=1)
-        self.batch_size = 4 * n_traj if batch_size is None else batch_size
+        self.batch_size = whole("data.batch_size", 4 * n_traj if batch_size is None else batch_size)
         self.shuffle = shuffle
         self.seed = whole("data.seed", seed, low=0, high=2**32 - 1)
         self.noise_seed = whole("data.noise_seed", noise_seed, low=0, high=2**32 - 1)
@@ -79,13 +74,15 @@ class DataModule(lightning.LightningDataModule, ABC):
             held_out = max(1, round(held_out * n_traj))
         low = 1 if monitor == "held_out" else 0
         self.held_out = whole("data.held_out", held_out, low=low, high=n_traj - 1)
-        watched = {"val": n_val, "test": n_test, "held_out": self.held_out}[monitor]
-        self.monitor_trajectories = (
-            watched
-            if monitor_trajectories is None
-            else whole("data.monitor_trajectories", monitor_trajectories, low=1, high=watched)
-        )
+        there = self.held_out if monitor == "held_out" else self.counts[monitor]
+        watched = there if monitor_trajectories is None else monitor_trajectories
+        self.monitor_trajectories = whole("data.monitor_trajectories", watched, high=there)
         self._on_device: dict[str, tuple[torch.device, Windows]] = {}
+
+    @property
+    @abstractmethod
+    def counts(self) -> dict[str, int]:
+        """How many trajectories each of the ``Splits`` has; asked for by the constructor."""
 
     @abstractmethod
     def load(self) -> Splits:
@@ -96,16 +93,14 @@ class DataModule(lightning.LightningDataModule, ABC):
         if hasattr(self, "train"):
             return
         splits = self.load()
-        train = Trajectories(*(field[: self.n_traj] for field in splits.train))
+        train = _rows(splits.train, slice(self.n_traj))
         self.train_trajectories = add_noise(train, self.noise_std, [self.noise_seed, 0])
         self.val_trajectories = splits.val
         std = self.noise_std if self.noise_test else 0.0
         self.test_trajectories = add_noise(splits.test, std, [self.noise_seed, 1])
         self.integration = splits.integration
-        kept = Trajectories(
-            *(field[: self.n_traj - self.held_out] for field in self.train_trajectories)
-        )
-        self.train = self._windows(kept)
+        kept = slice(self.n_traj - self.held_out)
+        self.train = self._windows(_rows(self.train_trajectories, kept))
         self.val = self._windows(self.val_trajectories)
         self.test = self._windows(self.test_trajectories)
 
@@ -138,14 +133,13 @@ class DataModule(lightning.LightningDataModule, ABC):
         return batch
 
     def _watched(self) -> Windows:
+        held_out = slice(self.n_traj - self.held_out, None)
         source = {
             "val": self.val_trajectories,
             "test": self.test_trajectories,
-            "held_out": Trajectories(
-                *(field[self.n_traj - self.held_out :] for field in self.train_trajectories)
-            ),
+            "held_out": _rows(self.train_trajectories, held_out),
         }[self.monitor]
-        return self._windows(Trajectories(*(f[: self.monitor_trajectories] for f in source)))
+        return self._windows(_rows(source, slice(self.monitor_trajectories)))
 
     def _windows(self, trajectories: Trajectories) -> Windows:
         return Windows(*(field.to(self.dtype) for field in windows(trajectories)))
@@ -158,6 +152,10 @@ class DataModule(lightning.LightningDataModule, ABC):
             samples = Windows(*(field.to(device) for field in make()))
             self._on_device[name] = (device, samples)
         return samples
+
+
+def _rows(trajectories: Trajectories, rows: slice) -> Trajectories:
+    return Trajectories(*(field[rows] for field in trajectories))
 
 
 class Once(Generic[Item]):

@@ -6,17 +6,18 @@ import hashlib
 import json
 import logging
 import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import FileLock
 
 from symo_exp.errors import ConfigError
+from symo_exp.files import write_whole
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +67,9 @@ class Cache:
                 if found is not None:
                     return found
                 arrays = dict(make())
-                _write(path, recipe, arrays)
+                text = json.dumps(recipe, sort_keys=True, indent=1) + "\n"
+                write_whole(path.with_suffix(".json"), lambda f: f.write_text(text, "utf-8"))
+                write_whole(path, lambda file: _save(file, recipe, arrays))
         except OSError as error:
             raise self._refusal(error.strerror or str(error)) from error
         return arrays
@@ -108,41 +111,20 @@ def _read(
     return None
 
 
-def _write(path: Path, recipe: Mapping[str, Any], arrays: Arrays) -> None:
-    text = json.dumps(recipe, sort_keys=True, indent=1)
-    with _replacing(path.with_suffix(".json")) as temporary:
-        Path(temporary).write_text(text + "\n", encoding="utf-8")
-    with _replacing(path) as temporary, open(temporary, "wb") as file:
-        contents: dict[str, Any] = {"recipe": np.array(_canonical(recipe)), **arrays}
-        np.savez(file, **contents)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[str]:
-    """A temporary file beside ``path`` that takes its place when the block succeeds."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except BaseException:
-        with suppress(OSError):
-            os.unlink(temporary)
-        raise
+def _save(file: Path, recipe: Mapping[str, Any], arrays: Arrays) -> None:
+    contents: dict[str, Any] = {"recipe": np.array(_canonical(recipe)), **arrays}
+    with open(file, "wb") as handle:
+        np.savez(handle, **contents)
 
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """Alone among the processes that use this lock file.
 
-    Where there are no such locks (some network file systems, Windows) two processes may both
-    make the same data; the last atomic write wins, with the same bytes.
+    Where there are no such locks (some network file systems) two processes may both make the same
+    data; the last whole file wins, with the same bytes.
     """
-    with open(path, "w") as file:
-        with suppress(ImportError, OSError):
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX)
+    with ExitStack() as stack:
+        with suppress(NotImplementedError):
+            stack.enter_context(FileLock(path))
         yield

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import os
 from pathlib import Path
-from typing import Literal, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 import pandas as pd
@@ -16,8 +15,6 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories
 from symo_exp.systems.base import System
 from symo_exp.systems.checks import whole
-
-log = logging.getLogger(__name__)
 
 TIME_TOLERANCE = 1e-3
 """How far a recorded step may be from ``system.time_step``, as a share of it."""
@@ -48,7 +45,8 @@ class RecordedData(DataModule):
     testing, the ``n_val`` before them for validation, and training takes the first ``n_traj`` of
     the others (``None``: all). They must be equally long, unless ``segment`` cuts each into pieces
     of that many nodes which overlap by two, so that no window is lost but in a last, shorter
-    piece; ``n_traj`` counts trajectories before they are cut. Rollouts are held against the first
+    piece; ``n_traj`` counts trajectories before they are cut, ``base`` (the other arguments of
+    ``DataModule``) after. Rollouts are held against the first
     ``n_integration`` test trajectories, uncut, up to the end of the shortest.
     """
 
@@ -62,21 +60,11 @@ class RecordedData(DataModule):
         n_test: int = 1,
         n_integration: int = 16,
         segment: int | None = None,
-        noise_std: float = 0.0,
-        noise_test: bool = False,
-        batch_size: int | None = None,
-        shuffle: bool = True,
-        seed: int = 0,
-        noise_seed: int = 0,
-        dtype: str | torch.dtype = "float32",
-        monitor: Literal["val", "test", "held_out"] = "val",
-        monitor_trajectories: int | None = None,
-        held_out: float = 0,
+        **base: Any,
     ) -> None:
-        self.system = system
-        whole("data.n_val", n_val, low=1)
-        whole("data.n_test", n_test, low=1)
-        whole("data.n_integration", n_integration, low=1)
+        whole("data.n_val", n_val)
+        whole("data.n_test", n_test)
+        whole("data.n_integration", n_integration)
         if segment is not None:
             whole("data.segment", segment, low=3)
         recordings = read(path, system)
@@ -86,34 +74,20 @@ class RecordedData(DataModule):
                 f"data.path={path} has {len(recordings)} trajectories, too few for "
                 f"data.n_val={n_val}, data.n_test={n_test} and at least one to train on"
             )
-        n_traj = available if n_traj is None else n_traj
-        whole("data.n_traj", n_traj, low=1, high=available)
+        n_traj = whole("data.n_traj", available if n_traj is None else n_traj, high=available)
         test = recordings[-n_test:]
-        train = _stack(recordings[:n_traj], segment, "training")
-        val = _stack(recordings[available : available + n_val], segment, "validation")
         shortest = min(len(r.q) for r in test[:n_integration])
         self._splits = Splits(
-            train=train,
-            val=val,
+            train=_stack(recordings[:n_traj], segment, "training"),
+            val=_stack(recordings[available : available + n_val], segment, "validation"),
             test=_stack(test, segment, "test"),
             integration=_trajectories(_cut(test[:n_integration], shortest)),
         )
-        super().__init__(
-            n_traj=len(train.q),
-            n_train_max=len(train.q),
-            n_val=len(val.q),
-            n_test=len(self._splits.test.q),
-            noise_std=noise_std,
-            noise_test=noise_test,
-            batch_size=batch_size,
-            shuffle=shuffle,
-            seed=seed,
-            noise_seed=noise_seed,
-            dtype=dtype,
-            monitor=monitor,
-            monitor_trajectories=monitor_trajectories,
-            held_out=held_out,
-        )
+        super().__init__(n_traj=self.counts["train"], **base)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        return {name: len(split.q) for name, split in self._splits._asdict().items()}
 
     def load(self) -> Splits:
         return self._splits

@@ -6,12 +6,18 @@ import torch
 
 from symo_exp.data.draws import Starts
 from symo_exp.mechanics.types import Trajectories
-from symo_exp.systems.base import System
+from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.simulation import Solver, simulate
 
 
 def generate(
-    system: System, starts: Starts, *, steps: int, forced: bool, solver: Solver, lead: int = 0
+    system: LagrangianSystem,
+    starts: Starts,
+    *,
+    steps: int,
+    forced: bool,
+    solver: Solver,
+    lead: int = 0,
 ) -> Trajectories:
     """Trajectories of ``steps + 1`` nodes, the first of them ``lead`` steps after the start.
 

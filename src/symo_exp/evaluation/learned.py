@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from symo_exp.evaluation import measures
-from symo_exp.evaluation.evaluate import along, node_columns
-from symo_exp.evaluation.protocols import Model
-from symo_exp.evaluation.study import Finding, Remember, afresh, check_size, starts
-from symo_exp.systems.base import System
+from symo_exp.evaluation.protocols import Data, Model
+from symo_exp.evaluation.rollouts import along, state_columns
+from symo_exp.evaluation.study import Finding, Remember, afresh, check_size
+from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver, simulate
 
 
@@ -19,7 +21,7 @@ class LearnedQuantities:
     """Kinetic and potential energy and the inertia, learned and true, along unforced true motions.
 
     A potential is known up to a constant: the learned one is shifted by its mean distance from
-    the true one along each motion. A method without a Lagrangian gives nothing.
+    the true one along each motion. A method or a system without a Lagrangian gives nothing.
     """
 
     name: str
@@ -31,40 +33,50 @@ class LearnedQuantities:
         check_size(self.name, self.steps, self.count)
 
     @torch.no_grad()
-    def __call__(self, model: Model, system: System, remember: Remember = afresh) -> Finding:
+    def __call__(
+        self, model: Model, system: System, data: Data, *, remember: Remember = afresh
+    ) -> Finding:
         model = model.for_evaluation()
-        if model.lagrangian is None:
+        if model.lagrangian is None or not isinstance(system, LagrangianSystem):
             return Finding()
-        q0, v0 = starts(system, self.count, self.seed)
-        rest = torch.zeros(self.count, system.input_matrix.shape[1], dtype=torch.float64)
-        true = simulate(system, q0, v0, rest, self.steps, Solver())
-        found, place = model.lagrangian, model.input_matrix
-        q, v = true.q.to(place), true.v.to(place)
-        kinetic, kinetic_true = along(found.kinetic, q, v).cpu(), along(system.kinetic, *true[:2])
-        potential, potential_true = along(found.potential, q).cpu(), along(system.potential, true.q)
-        potential = potential - (potential - potential_true).mean(1, keepdim=True)
-        mass, mass_true = along(found.mass_matrix, q).cpu(), along(system.mass_matrix, true.q)
-        columns = node_columns(self.count, self.steps + 1, system.time_step)
-        columns |= {
-            "kinetic": kinetic,
-            "kinetic_true": kinetic_true,
-            "potential": potential,
-            "potential_true": potential_true,
-            "total": kinetic + potential,
-            "total_true": kinetic_true + potential_true,
-        }
-        n = mass.shape[-1]
-        for i in range(n):
-            for j in range(i, n):
-                columns[f"inertia_{i + 1}{j + 1}"] = mass[..., i, j]
-                columns[f"inertia_{i + 1}{j + 1}_true"] = mass_true[..., i, j]
-        pairs = {
-            "kinetic_mse": (kinetic, kinetic_true),
-            "potential_mse": (potential, potential_true),
-            "inertia_mse": (mass, mass_true),
-        }
-        values = {
-            f"{self.name}_{key}": measures.squared_error(learned, truth).mean().item()
-            for key, (learned, truth) in pairs.items()
-        }
-        return Finding({name: x.flatten() for name, x in columns.items()}, values)
+        q0, v0, u = system.box.points(self.count, self.seed)
+        q, v, _ = simulate(system, q0, v0, torch.zeros_like(u), self.steps, Solver())
+        found = beside_true(model, system, q, v)
+        return Finding(found.columns, {f"{self.name}_{k}": x for k, x in found.measures.items()})
+
+
+@torch.no_grad()
+def beside_true(
+    model: Model,
+    system: LagrangianSystem,
+    q_true: Float[Tensor, "trajectories nodes n"],
+    v_true: Float[Tensor, "trajectories nodes n"],
+) -> Finding:
+    """What a model with a Lagrangian has learned, at every node of true motions, beside the truth.
+
+    Each potential is shifted by its mean distance from the true one along the motion.
+    """
+    found = model.lagrangian
+    assert found is not None
+    q, v = q_true.to(model.input_matrix), v_true.to(model.input_matrix)
+    potential_true = along(system.potential, q_true)
+    potential = along(found.potential, q).cpu()
+    potential -= (potential - potential_true).mean(1, keepdim=True)
+    pairs = {
+        "kinetic": (along(found.kinetic, q, v).cpu(), along(system.kinetic, q_true, v_true)),
+        "potential": (potential, potential_true),
+        "inertia": (along(found.mass_matrix, q).cpu(), along(system.mass_matrix, q_true)),
+    }
+    values = {
+        f"{key}_mse": measures.squared_error(learned, true).mean().item()
+        for key, (learned, true) in pairs.items()
+    }
+    mass = pairs.pop("inertia")
+    pairs["total"] = tuple(a + b for a, b in zip(*pairs.values(), strict=True))
+    n = system.coordinates.n
+    for i, j in torch.triu_indices(n, n).T.tolist():
+        pairs[f"inertia_{i + 1}{j + 1}"] = mass[0][..., i, j], mass[1][..., i, j]
+    columns = state_columns(system.coordinates, system.time_step, q=q_true, v=v_true)
+    for key, (learned, true) in pairs.items():
+        columns |= {key: learned.flatten(), f"{key}_true": true.flatten()}
+    return Finding(columns, values)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 VALID_ERROR = 0.1
-"""Error of a pose [rad, m] up to which a prediction counts as valid."""
+"""Error of a configuration [rad, m] up to which a prediction counts as valid."""
 
 
 def squared_error(predicted: Tensor, true: Tensor) -> Tensor:
@@ -19,17 +19,17 @@ def squared_error(predicted: Tensor, true: Tensor) -> Tensor:
     return (predicted - true).square().nan_to_num(nan=math.inf, posinf=math.inf)
 
 
-def pose_mse(
+def one_step_mse(
     predicted: Float[Tensor, "samples n"], true: Float[Tensor, "samples n"]
 ) -> Float[Tensor, ""]:
-    """One-step error of the pose, ``mean (q̂_{k+1} − q_{k+1})²`` over samples and coordinates.
+    """One-step error, ``mean (q̂_{k+1} − q_{k+1})²`` over samples and coordinates.
 
     Angles [rad] are not wrapped, lengths [m] weigh as much as angles (thesis section 6.2).
     """
     return squared_error(predicted, true).mean()
 
 
-def rollout_pose_mse(
+def rollout_mse(
     predicted: Float[Tensor, "trajectories steps n"], true: Float[Tensor, "trajectories steps n"]
 ) -> Float[Tensor, " trajectories"]:
     """``mean_{t,i} (q̂_{t,i} − q_{t,i})²`` of each trajectory."""
@@ -39,7 +39,7 @@ def rollout_pose_mse(
 def valid_steps(
     predicted: Float[Tensor, "trajectories steps n"], true: Float[Tensor, "trajectories steps n"]
 ) -> Float[Tensor, " trajectories"]:
-    """Steps before the error of the pose, root mean square over coordinates, exceeds 0.1 [rad, m].
+    """Steps until the error, root mean square over coordinates, first exceeds 0.1 [rad, m].
 
     A rollout that stays within it has all its steps.
     """
@@ -72,9 +72,10 @@ def finite_difference_velocity(
     return q.diff(dim=1) / time_step
 
 
-def mean_and_std(per_trajectory: Float[Tensor, " trajectories"]) -> tuple[float, float]:
-    """Mean and standard deviation (of the population) over trajectories.
+def mean_and_std(name: str, per_trajectory: Float[Tensor, " trajectories"]) -> dict[str, float]:
+    """``<name>_mse`` and ``<name>_std``, mean and population deviation over trajectories.
 
     One infinite error makes the mean infinite and leaves the deviation undefined (NaN).
     """
-    return per_trajectory.mean().item(), torch.std(per_trajectory, correction=0).item()
+    deviation = torch.std(per_trajectory, correction=0)
+    return {f"{name}_mse": per_trajectory.mean().item(), f"{name}_std": deviation.item()}

@@ -11,12 +11,12 @@ from torch import Tensor
 
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation import measures
-from symo_exp.evaluation.evaluate import Rollouts, along, roll_out
 from symo_exp.evaluation.phase_space import log_volume
-from symo_exp.evaluation.protocols import Model
-from symo_exp.evaluation.study import Finding, Remember, afresh, check_size, starts
+from symo_exp.evaluation.protocols import Data, Model
+from symo_exp.evaluation.rollouts import along, roll_out, state_columns
+from symo_exp.evaluation.study import Finding, Remember, afresh, check_size
 from symo_exp.mechanics.types import Trajectories
-from symo_exp.systems.base import System
+from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver, simulate_driven
 
 
@@ -25,8 +25,10 @@ class Motion:
     """``count`` motions of ``steps`` time steps under ``u = amplitude sin(2π t / period)``.
 
     ``amplitude`` [N or N m] is that of every input, ``period`` in seconds. Starts are drawn by
-    ``seed`` from the system's box, the same for every model. Without ``truth`` nothing is
-    simulated to compare with: what is left is the energy, and the volume of phase space.
+    ``seed`` from the system's box, the same for every model; without a box there are none.
+    Without ``truth``, or where the system has none, nothing is simulated to compare with. What is
+    left is the true energy, if it is known and nothing drives the motion, and the volume of phase
+    space, if a Lagrangian is known or learned.
     """
 
     name: str
@@ -46,26 +48,50 @@ class Motion:
             )
 
     @torch.no_grad()
-    def __call__(self, model: Model, system: System, remember: Remember = afresh) -> Finding:
+    def __call__(
+        self, model: Model, system: System, data: Data, *, remember: Remember = afresh
+    ) -> Finding:
+        if system.box is None:
+            return Finding()
         model = model.for_evaluation()
-        q0, v0 = starts(system, self.count, self.seed)
         nodes = torch.arange(self.steps + 1, dtype=torch.float64) * system.time_step
         u = self._input(nodes, system).expand(self.count, -1, -1)
-        if self.truth:
-            rollouts = roll_out(model, system, self._true(system, q0, v0, remember))
+        if self.truth and isinstance(system, LagrangianSystem):
+            found, q, v = self._beside_truth(model, system, remember)
         else:
-            rollouts = self._alone(model, system, q0, v0, u)
-        lagrangian = model.lagrangian or system
-        volume = log_volume(model, lagrangian, rollouts.q, rollouts.v, u)
-        return Finding(self._columns(rollouts, u, volume), self._measures(rollouts, volume))
+            found, q, v = self._alone(model, system, u)
+        found.columns.update((f"u_{i}", x.flatten()) for i, x in enumerate(u.unbind(-1)))
+        lagrangian = model.lagrangian or system.lagrangian
+        if lagrangian is not None:
+            volume = log_volume(model, lagrangian, q, v, u)
+            found.columns["log_volume"] = volume.flatten()
+            found.measures["volume"] = volume[:, -1].exp().nanmedian().item()
+        return Finding(
+            found.columns, {f"{self.name}_{key}": x for key, x in found.measures.items()}
+        )
 
     def _input(self, t: Tensor, system: System) -> Tensor:
         wave = self.amplitude * torch.sin(2 * math.pi * t / self.period)
         return wave.unsqueeze(-1).expand(*wave.shape, system.input_matrix.shape[1])
 
-    def _true(self, system: System, q0: Tensor, v0: Tensor, remember: Remember) -> Trajectories:
-        """The true motions, from a step before the first node: a start needs a pose before it."""
+    def _beside_truth(
+        self, model: Model, system: LagrangianSystem, remember: Remember
+    ) -> tuple[Finding, Tensor, Tensor]:
+        motion = roll_out(model, system, self._true(system, remember))
+        columns, q, q_true = motion.columns(), motion.q[:, 1:], motion.q_true[:, 1:]
+        energy_error = measures.squared_error(columns["energy"], columns["energy_true"])
+        values = {
+            "energy_mse": energy_error.mean().item(),
+            "configuration_mse": measures.rollout_mse(q, q_true).mean().item(),
+            "valid_steps": measures.valid_steps(q, q_true).median().item(),
+        }
+        return Finding(columns, values), motion.q, motion.v
+
+    def _true(self, system: LagrangianSystem, remember: Remember) -> Trajectories:
+        """The true motions, from a step before the first node: where a rollout starts, a
+        variational method asks for the configuration before."""
         h, solver = system.time_step, Solver()
+        q0, v0, _ = system.box.points(self.count, self.seed)
 
         def drive(t: float) -> Tensor:
             time = torch.tensor([t - h], dtype=torch.float64)
@@ -83,39 +109,16 @@ class Motion:
         arrays = remember(f"{type(system).__name__.lower()}-motion", recipe, make)
         return Trajectories(*(torch.from_numpy(arrays[name]) for name in Trajectories._fields))
 
-    def _alone(self, model: Model, system: System, q0: Tensor, v0: Tensor, u: Tensor) -> Rollouts:
-        place = model.input_matrix
+    def _alone(self, model: Model, system: System, u: Tensor) -> tuple[Finding, Tensor, Tensor]:
+        assert system.box is not None
+        place, truth = model.input_matrix, system.lagrangian
+        q0, v0, _ = system.box.points(self.count, self.seed)
         path = model.rollout(q0.to(place), v0.to(place), u.to(place))
-        energy = along(system.energy, path.q, path.v).cpu()
-        unknown = torch.full_like(path.q.cpu(), math.nan)
-        return Rollouts(
-            coordinates=model.coordinates,
-            time_step=model.time_step,
-            q=path.q.cpu(),
-            v=path.v.cpu(),
-            energy=energy,
-            q_true=unknown,
-            v_true=unknown,
-            energy_true=system.energy(q0, v0)[:, None].expand_as(energy),
-            converged=path.converged.cpu(),
-        )
-
-    def _columns(self, rollouts: Rollouts, u: Tensor, volume: Tensor) -> dict[str, Tensor]:
-        table = rollouts.columns(truth=self.truth)
-        for i in range(u.shape[-1]):
-            table[f"u_{i}"] = u[..., i].flatten()
-        table["energy"] = rollouts.energy.flatten()
-        table["energy_true"] = rollouts.energy_true.flatten()
-        table["log_volume"] = volume.flatten()
-        return table
-
-    def _measures(self, rollouts: Rollouts, volume: Tensor) -> dict[str, float]:
-        found = {
-            "energy_mse": measures.squared_error(rollouts.energy, rollouts.energy_true).mean(),
-            "volume": volume[:, -1].exp().nanmedian(),
-        }
-        if self.truth:
-            q, q_true = rollouts.q[:, 1:], rollouts.q_true[:, 1:]
-            found["pose_mse"] = measures.rollout_pose_mse(q, q_true).mean()
-            found["valid_steps"] = measures.valid_steps(q, q_true).median()
-        return {f"{self.name}_{key}": value.item() for key, value in found.items()}
+        q, v = path.q.cpu(), path.v.cpu()
+        found = Finding(state_columns(model.coordinates, model.time_step, q=q, v=v))
+        if truth is not None and self.amplitude == 0:
+            energy = along(truth.energy, q, v)
+            initial = truth.energy(q0, v0)[:, None].expand_as(energy)
+            found.columns.update(energy=energy.flatten(), energy_true=initial.flatten())
+            found.measures["energy_mse"] = measures.squared_error(energy, initial).mean().item()
+        return found, q, v

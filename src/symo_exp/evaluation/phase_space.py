@@ -7,9 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.evaluation.protocols import Model
+from symo_exp.evaluation.rollouts import CHUNK
 from symo_exp.mechanics.lagrangian import Lagrangian
-
-CHUNK = 1024
 
 
 def log_volume(
@@ -37,8 +36,8 @@ def _one_step(model: Model, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> 
     """``log |det ∂(q', v')/∂(q, v)|`` of one step."""
     with torch.enable_grad():
         state = torch.cat((q, v), dim=1).requires_grad_()
-        pose, velocity = state.split(q.shape[1], dim=1)
-        step = model.step(pose, velocity, u, u_next)
+        configuration, velocity = state.split(q.shape[1], dim=1)
+        step = model.step(configuration, velocity, u, u_next)
         after = torch.cat((step.q, step.v), dim=1)
         derivatives = [
             torch.autograd.grad(after[:, i].sum(), state, retain_graph=True)[0]

@@ -1,46 +1,26 @@
-"""What the evaluation asks of a model and of a dataset; every method and source has the same."""
+"""What the evaluation asks of a model and of a dataset, whatever the method and the source."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
 
 
-class Prediction(Protocol):
-    """One step of a model."""
+class States(Protocol):
+    """Predicted states: of the next node (batch, n), or of a rollout, start included."""
 
     @property
-    def q(self) -> Float[Tensor, "batch n"]:
-        """Pose at the next node."""
-
+    def q(self) -> Tensor: ...
     @property
-    def v(self) -> Float[Tensor, "batch n"]:
-        """Velocity at the next node."""
-
+    def v(self) -> Tensor: ...
     @property
-    def converged(self) -> Bool[Tensor, " batch"]:
-        """Rows whose root was found (all of them for an explicit method)."""
-
-
-class Path(Protocol):
-    """A rollout of a model, its start included."""
-
-    @property
-    def q(self) -> Float[Tensor, "batch nodes n"]:
-        """Poses."""
-
-    @property
-    def v(self) -> Float[Tensor, "batch nodes n"]:
-        """Velocities at the same nodes."""
-
-    @property
-    def converged(self) -> Bool[Tensor, "batch nodes-1"]:
-        """Steps whose root was found."""
+    def converged(self) -> Tensor:
+        """Whether the root of each step was found; always so for an explicit method."""
 
 
 class Model(Protocol):
@@ -48,7 +28,10 @@ class Model(Protocol):
 
     coordinates: Coordinates
     time_step: float
-    input_matrix: Tensor
+
+    @property
+    def input_matrix(self) -> Tensor:
+        """``B`` of the generalised force ``B u``."""
 
     @property
     def lagrangian(self) -> Lagrangian | None:
@@ -64,31 +47,26 @@ class Model(Protocol):
     def initial_velocity(self, windows: Windows) -> Float[Tensor, "batch n"]:
         """The velocity at node ``k`` with which a rollout starts."""
 
-    def predict(self, windows: Windows) -> Prediction:
-        """The pose at node ``k + 1``."""
+    def predict(self, windows: Windows) -> States:
+        """The state at node ``k + 1``."""
 
     def step(
         self, q: Tensor, v: Tensor, u: Tensor | None = None, u_next: Tensor | None = None
-    ) -> Prediction:
+    ) -> States:
         """One time step from a state, differentiable in it."""
 
     def rollout(
         self, q0: Tensor, v0: Tensor, u: Tensor | None = None, *, steps: int | None = None
-    ) -> Path:
+    ) -> States:
         """Consecutive steps from a state."""
 
 
 class Data(Protocol):
-    """The samples and trajectories a model is judged on."""
+    """Training samples as the model saw them, samples of unseen trajectories, long trajectories."""
 
     @property
-    def train(self) -> Windows:
-        """Training samples, as the model saw them."""
-
+    def train(self) -> Windows: ...
     @property
-    def test(self) -> Windows:
-        """Samples of unseen trajectories."""
-
+    def test(self) -> Windows: ...
     @property
-    def integration(self) -> Trajectories:
-        """Long unforced trajectories."""
+    def integration(self) -> Trajectories: ...

@@ -175,7 +175,7 @@ class GalerkinExpansion(DiscreteExpansion):
         d(D_e L_d) = ∂(D_e L_d) − W_ec W_cc⁻¹ ∂(D_c L_d)
 
     which gives ``D₂D₁L_d = W_01 − W_0c W_cc⁻¹ W_c1``, exact, and with ``W`` held fixed the
-    derivatives in parameters, poses and forces too.
+    derivatives in parameters, configurations and forces too.
     """
 
     def __init__(

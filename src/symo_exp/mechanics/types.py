@@ -24,7 +24,7 @@ class Windows(NamedTuple):
     """Samples of three consecutive nodes ``k-1, k, k+1``, one time step apart.
 
     ``v`` belongs to node ``k`` and ``v_next`` to node ``k+1``. Every method sees these samples:
-    SyMo and E2E-SyMo read the poses, NODE and L-NODE the states at ``k`` and ``k+1``.
+    SyMo and E2E-SyMo read the configurations, NODE and L-NODE the states at ``k`` and ``k+1``.
     """
 
     q_prev: Float[Tensor, "samples n"]

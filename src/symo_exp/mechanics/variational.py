@@ -69,15 +69,15 @@ class DiscreteExpansion(ABC):
 class VariationalIntegrator(ABC):
     """A discrete Lagrangian made from a continuous one, with the forces that go with it.
 
-    ``forces`` of ``slots`` and ``expand`` bend the motion between two poses, which an integrator
-    that resolves it must know (left out, there are none); their impulses on the poses themselves
-    come from ``impulses``.
+    ``forces`` of ``slots`` and ``expand`` bend the motion between two configurations, which an
+    integrator that resolves it must know (left out, there are none); their impulses on the
+    configurations themselves come from ``impulses``.
     """
 
     name: str
     order: int
     iterates = False
-    """Whether it solves for the motion between two poses."""
+    """Whether it solves for the motion between two configurations."""
 
     @abstractmethod
     def slots(
@@ -88,7 +88,7 @@ class VariationalIntegrator(ABC):
         h: float,
         forces: Forces | None = None,
     ) -> Slots:
-        """``D₁L_d``, ``D₂L_d``, differentiable in poses, forces and parameters."""
+        """``D₁L_d``, ``D₂L_d``, differentiable in configurations, forces and parameters."""
 
     @abstractmethod
     def expand(
@@ -172,7 +172,7 @@ def _midpoint_slots(dq: Tensor, p: Tensor, h: float) -> Slots:
 
 
 class MomentumMatching:
-    """``g(q₁) = p + D₁L_d(q₀, q₁) + f⁻ = 0``: the next pose for a momentum ``p`` at ``q₀``."""
+    """``g(q₁) = p + D₁L_d(q₀, q₁) + f⁻ = 0``: the ``q₁`` for a momentum ``p`` at ``q₀``."""
 
     def __init__(
         self,
@@ -222,7 +222,7 @@ class VariationalStep(NamedTuple):
     root: Root[MomentumMismatch]
 
 
-def next_pose(
+def next_configuration(
     integrator: VariationalIntegrator,
     lagrangian: Lagrangian,
     root_finder: RootFinder,
@@ -244,10 +244,10 @@ def next_pose(
     if not torch.is_grad_enabled():
         return root.x, root
     at = root.evaluation
-    return differentiable_pose(root.x, at.expansion, at.jacobian(), q, impulse, forces), root
+    return differentiable_root(root.x, at.expansion, at.jacobian(), q, impulse, forces), root
 
 
-def differentiable_pose(
+def differentiable_root(
     x: Float[Tensor, "batch n"],
     at: DiscreteExpansion,
     jacobian: Float[Tensor, "batch n n"],
@@ -273,11 +273,11 @@ def variational_step(
     """``(q_k, p_k) → (q_{k+1}, p_{k+1})``: solve ``p⁻(q_k, q_{k+1}) = p_k``, then ``p⁺``.
 
     The same map as ``(q_{k−1}, q_k) → (q_k, q_{k+1})`` with the momentum carried along (Marsden
-    and West 2001, section 1.5). Differentiable like ``next_pose``.
+    and West 2001, section 1.5). Differentiable like ``next_configuration``.
     """
     f0, f1 = integrator.impulses(force, force_next, h)
     forces = Forces(force, force_next)
-    q_next, root = next_pose(
+    q_next, root = next_configuration(
         integrator, lagrangian, root_finder, q, p + f0, h, guess, forces=forces
     )
     if torch.is_grad_enabled():
@@ -297,7 +297,7 @@ def momentum_before(
     h: float,
     at: DiscreteExpansion | None = None,
 ) -> Float[Tensor, "batch n"]:
-    """``p_k = p⁺(q_{k−1}, q_k)``, the discrete Legendre transform of two poses (3.41).
+    """``p_k = p⁺(q_{k−1}, q_k)``, the discrete Legendre transform of two configurations (3.41).
 
     ``at``: ``L_d`` around them, where it is known already.
     """
@@ -321,8 +321,8 @@ def del_residual(
 ) -> Float[Tensor, "batch n"]:
     """``g = D₂L_d(q_{k−1}, q_k) + D₁L_d(q_k, q_{k+1}) + f⁺ + f⁻`` [N s] (thesis (5.1)).
 
-    Both intervals are evaluated as one batch. Differentiable in the poses, the forces and the
-    parameters of the Lagrangian.
+    Both intervals are evaluated as one batch. Differentiable in the configurations, the forces and
+    the parameters of the Lagrangian.
     """
     forces = Forces(torch.cat((force_prev, force)), torch.cat((force, force_next)))
     slots = integrator.slots(lagrangian, torch.cat((q_prev, q)), torch.cat((q, q_next)), h, forces)

@@ -1,14 +1,33 @@
 """L-NODE: a neural ordinary differential equation through the Euler-Lagrange equations."""
 
+from typing import Any
+
 from torch import Tensor
 
-from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
-from symo_exp.models.learned import LearnsLagrangian
-from symo_exp.models.ode import OdeModel
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.models.base import ExplicitModel
+from symo_exp.models.fields import EulerLagrangeAcceleration
+from symo_exp.models.learner import Learner
+from symo_exp.models.objectives import StateError
+from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
-class LNODE(LearnsLagrangian, OdeModel):
-    """``v̇ = H⁻¹ (B u − Ḣ v + ℒ_q)`` of a learned Lagrangian (thesis section 4.3.4)."""
+class LNODE(ExplicitModel, Learner):
+    """``v̇ = H⁻¹ (B u − Ḣ v + ℒ_q)`` of a learned Lagrangian (thesis section 4.3.4); trained on the
+    error of the next state."""
 
-    def acceleration(self, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
-        return acceleration(self._lagrangian, q, v, generalised_force(self.input_matrix, u))
+    def __init__(
+        self,
+        *,
+        coordinates: Coordinates,
+        input_matrix: Tensor,
+        width: int,
+        depth: int = 2,
+        initial_inertia: float | None = 1.0,
+        **base: Any,
+    ) -> None:
+        lagrangian = StructuredLagrangian(
+            angular=coordinates.angular, width=width, depth=depth, initial_inertia=initial_inertia
+        )
+        field = EulerLagrangeAcceleration(lagrangian, input_matrix)
+        super().__init__(field, StateError(), coordinates=coordinates, **base)

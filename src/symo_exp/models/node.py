@@ -2,22 +2,28 @@
 
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from symo_exp.models.ode import OdeModel
-from symo_exp.nets.embedding import Embedding
-from symo_exp.nets.mlp import MLP
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.models.base import ExplicitModel
+from symo_exp.models.fields import NetworkAcceleration
+from symo_exp.models.learner import Learner
+from symo_exp.models.objectives import StateError
 
 
-class NODE(OdeModel):
-    """``v̇ = MLP(s(q), v, u)``: no mechanics but that velocity is the derivative of the pose."""
+class NODE(ExplicitModel, Learner):
+    """``v̇ = MLP(s(q), v, u)``, no mechanics; trained on the error of the next state."""
 
-    def __init__(self, *, width: int, depth: int = 2, **base: Any) -> None:
-        super().__init__(**base)
-        n, m = self.input_matrix.shape
-        self.embedding = Embedding(angular=self.coordinates.angular)
-        self.net = MLP(inputs=self.embedding.size + n + m, outputs=n, width=width, depth=depth)
-
-    def acceleration(self, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
-        return self.net(torch.cat((self.embedding(q).x, v, u), dim=1))
+    def __init__(
+        self,
+        *,
+        coordinates: Coordinates,
+        input_matrix: Tensor,
+        width: int,
+        depth: int = 2,
+        **base: Any,
+    ) -> None:
+        field = NetworkAcceleration(
+            angular=coordinates.angular, input_matrix=input_matrix, width=width, depth=depth
+        )
+        super().__init__(field, StateError(), coordinates=coordinates, **base)

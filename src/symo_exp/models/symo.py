@@ -1,31 +1,30 @@
 """SyMo: a symplectic-momentum network (thesis section 5.1)."""
 
-from typing import Any, Literal
+from typing import Any
 
-from torch import Tensor
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.models.base import VariationalModel
+from symo_exp.models.learner import Learner
+from symo_exp.models.objectives import Objective, Residual
+from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
-from symo_exp.mechanics.types import Windows
-from symo_exp.models.learned import LearnsLagrangian
-from symo_exp.models.variational import VariationalModel
 
-
-class SyMo(LearnsLagrangian, VariationalModel):
-    """Trains on the violation of the discrete Euler-Lagrange equations; finds roots to predict.
-
-    ``objective="plain"`` is the residual ``g`` itself [N s], as in the thesis. It scales with the
-    learned inertia, so that under noise ``H → 0`` solves it. ``objective="preconditioned"`` is
-    ``h H⁻¹ g``, in the units of the coordinates.
-    """
+class SyMo(VariationalModel, Learner):
+    """A learned Lagrangian in a variational integrator, trained on the violation of the discrete
+    Euler-Lagrange equations at the data; it finds roots only to predict."""
 
     def __init__(
-        self, *, objective: Literal["plain", "preconditioned"] = "plain", **base: Any
+        self,
+        *,
+        coordinates: Coordinates,
+        objective: Objective | None = None,
+        width: int,
+        depth: int = 2,
+        initial_inertia: float | None = 1.0,
+        **base: Any,
     ) -> None:
-        super().__init__(**base)
-        if objective not in ("plain", "preconditioned"):
-            raise ValueError(f"objective must be plain or preconditioned, got {objective}")
-        self.objective = objective
-
-    def residuals(self, windows: Windows) -> Tensor:
-        """``g(q_{k−1}, q_k, q_{k+1})`` at the data (thesis (5.20)), perhaps preconditioned."""
-        preconditioned = self.objective == "preconditioned"
-        return (self.preconditioned_residuals if preconditioned else self.del_residuals)(windows)
+        """``objective`` is one of a variational flow, ``Residual`` if left out."""
+        lagrangian = StructuredLagrangian(
+            angular=coordinates.angular, width=width, depth=depth, initial_inertia=initial_inertia
+        )
+        super().__init__(lagrangian, objective or Residual(), coordinates=coordinates, **base)

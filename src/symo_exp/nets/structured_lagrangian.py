@@ -248,8 +248,8 @@ class StructuredExpansion(Expansion):
         if not to_point:
             return None, None, weight_gradients, bias_gradients
         second = embedding.second(at.features) * at.feature_cotangent * direction
-        pose = embedding.to_coordinates((back @ weights[0]) * at.features.dx + second)
-        return pose, velocity, weight_gradients, bias_gradients
+        configuration = embedding.to_coordinates((back @ weights[0]) * at.features.dx + second)
+        return configuration, velocity, weight_gradients, bias_gradients
 
 
 class _DifferentiableGradients(torch.autograd.Function):
@@ -266,8 +266,8 @@ class _DifferentiableGradients(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, a: Tensor, b: Tensor) -> Any:
         to_point = ctx.needs_input_grad[1] or ctx.needs_input_grad[2]
-        pose, velocity, weights, biases = ctx.at.pullback(a, b, to_point=to_point)
-        return None, pose, velocity, *weights, *biases
+        configuration, velocity, weights, biases = ctx.at.pullback(a, b, to_point=to_point)
+        return None, configuration, velocity, *weights, *biases
 
 
 def _map(function: Any, *trees: Any) -> Any:

@@ -18,8 +18,8 @@ from symo_exp.mechanics.types import Windows
 from symo_exp.optim.direct import direct_step
 
 
-class Learner(Protocol):
-    """A model as an optimiser sees it."""
+class Problem(Protocol):
+    """What is minimised, as an optimiser sees it: a model and its objective."""
 
     gradient_clip: float | None
 
@@ -52,7 +52,7 @@ class EpochOptimizer(Optimizer, ABC):
         self.memory: dict[str, Any] = {"best": math.inf, "waited": 0, "weights": None}
 
     @abstractmethod
-    def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
+    def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
         """One epoch; returns at least ``train_loss``, here the loss that it began with."""
 
     def validated(self, loss: Tensor) -> None:
@@ -93,7 +93,7 @@ class EpochOptimizer(Optimizer, ABC):
 
 
 def minibatches(
-    optimizer: Optimizer, model: Learner, batches: Sequence[Windows]
+    optimizer: Optimizer, model: Problem, batches: Sequence[Windows]
 ) -> dict[str, Tensor]:
     """One step of a torch optimiser for each mini batch.
 
@@ -101,8 +101,7 @@ def minibatches(
     gradient is not finite is skipped, out of the mean loss too, and counted: a Lagrangian without
     training has rows with a nearly singular inertia, from which explicit steps fly off.
     """
-    losses: list[Tensor] = []
-    finite: list[Tensor] = []
+    losses, finite = [], []
     parameters, step = list(model.parameters()), direct_step(optimizer)
     for windows in batches:
         losses.append(model.loss_and_gradients(windows))
@@ -114,7 +113,7 @@ def minibatches(
         wait = norm.device.type == "cpu"
         step_bounded(optimizer, step, parameters, norm, model.gradient_clip, wait=wait)
     loss = torch.stack(losses)
-    if model.gradient_clip is None:
+    if not finite:
         return {"train_loss": loss.mean()}
     taken = torch.stack(finite)
     return {"train_loss": loss[taken].mean(), "skipped_steps": (~taken).sum().float()}

@@ -11,7 +11,7 @@ from torch.optim import Optimizer
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
-from symo_exp.optim.base import EpochOptimizer, Learner, minibatches
+from symo_exp.optim.base import EpochOptimizer, Problem, minibatches
 
 
 class Chained(EpochOptimizer):
@@ -37,7 +37,7 @@ class Chained(EpochOptimizer):
         self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._first, max(epochs, 1))
         self.memory["epoch"] = 0
 
-    def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
+    def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
         starting = self.memory["epoch"] < self.epochs
         self.memory["epoch"] += 1
         if not starting:

@@ -16,7 +16,8 @@ def direct_step(optimizer: Optimizer) -> Callable[[], object]:
     the moments; for all else it is ``optimizer.step``. To be asked for again when the state is
     replaced.
     """
-    if type(optimizer) is not Adam or len(optimizer.param_groups) != 1 or _hooked(optimizer):
+    hooked = optimizer._optimizer_step_pre_hooks or optimizer._optimizer_step_post_hooks
+    if type(optimizer) is not Adam or len(optimizer.param_groups) != 1 or hooked:
         return optimizer.step
     (group,) = optimizer.param_groups
     unlike = ("amsgrad", "capturable", "differentiable", "decoupled_weight_decay")
@@ -44,7 +45,3 @@ def direct_step(optimizer: Optimizer) -> Callable[[], object]:
         )  # fmt: skip
 
     return step
-
-
-def _hooked(optimizer: Optimizer) -> bool:
-    return bool(optimizer._optimizer_step_pre_hooks or optimizer._optimizer_step_post_hooks)

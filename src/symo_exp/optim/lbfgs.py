@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.types import Windows
-from symo_exp.optim.base import EpochOptimizer, Learner, whole
+from symo_exp.optim.base import EpochOptimizer, Problem, whole
 
 
 class LBFGS(EpochOptimizer):
@@ -25,15 +25,11 @@ class LBFGS(EpochOptimizer):
     ) -> None:
         super().__init__(params, patience=patience)
         self._inner = torch.optim.LBFGS(
-            self.parameters,
-            max_iter=iterations,
-            history_size=history,
-            tolerance_grad=0.0,
-            tolerance_change=0.0,
-            line_search_fn="strong_wolfe",
-        )
+            self.parameters, max_iter=iterations, history_size=history,
+            tolerance_grad=0.0, tolerance_change=0.0, line_search_fn="strong_wolfe",
+        )  # fmt: skip
 
-    def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
+    def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
         samples = whole(batches)
 
         def closure() -> Tensor:

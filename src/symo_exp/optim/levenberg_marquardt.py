@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -13,8 +14,7 @@ from torch import Tensor
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
 from symo_exp.nets.affine import parameter_jacobian
-from symo_exp.optim.base import EpochOptimizer, Learner, whole
-from symo_exp.optim.memory import available_bytes
+from symo_exp.optim.base import EpochOptimizer, Problem, whole
 
 
 class LevenbergMarquardt(EpochOptimizer):
@@ -41,23 +41,16 @@ class LevenbergMarquardt(EpochOptimizer):
         patience: int = 20,
         chunk: int = 1024,
     ) -> None:
-        for name, value, low in (
-            ("damping", damping, 0.0),
-            ("success", success, 1.0),
-            ("failure", failure, 1.0),
-        ):
+        limits = ("damping", damping, 0.0), ("success", success, 1.0), ("failure", failure, 1.0)
+        for name, value, low in (*limits, ("trials", trials, 0), ("chunk", chunk, 0)):
             if not value > low:
                 raise ConfigError(f"optimizer.{name}={value}: expected a number above {low:g}")
-        for name, count in (("trials", trials), ("chunk", chunk)):
-            if count < 1:
-                raise ConfigError(f"optimizer.{name}={count}: expected at least 1")
         super().__init__(params, patience=patience)
         if any(p.dtype != torch.float64 for p in self.parameters):
             raise ConfigError(
                 "Levenberg-Marquardt squares the condition of the problem: it needs dtype=float64"
             )
-        self.success, self.failure, self.trials = success, failure, trials
-        self.chunk = chunk
+        self.success, self.failure, self.trials, self.chunk = success, failure, trials, chunk
         self.memory["damping"] = damping
 
     @property
@@ -65,47 +58,35 @@ class LevenbergMarquardt(EpochOptimizer):
         """``λ``."""
         return float(self.memory["damping"])
 
-    def epoch(self, model: Learner, batches: Sequence[Windows]) -> dict[str, Tensor]:
+    def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
         samples = whole(batches)
         system = self._normal_equations(model, samples)
-        start, before = self.flat(), system.loss
-        accepted = False
+        start, before, accepted = self.flat(), system.loss, False
         for _ in range(self.trials):
             step = system.step(self.damping)
             if step is not None:
                 self.place(start + step)
                 accepted = bool(self._loss(model, samples) < before)
-            self.memory["damping"] = (
-                max(self.damping / self.success, 1e-16)
-                if accepted
-                else min(self.damping * self.failure, 1e16)
-            )
+            following = self.damping / self.success if accepted else self.damping * self.failure
+            self.memory["damping"] = min(max(following, 1e-16), 1e16)
             if accepted:
                 break
         if not accepted:
             self.place(start)
             self.finished = self.damping >= 1e12
-        return {
-            "train_loss": before,
-            "damping": torch.tensor(self.damping),
-        }
+        return {"train_loss": before, "damping": torch.tensor(self.damping)}
 
-    def _normal_equations(self, model: Learner, samples: Windows) -> _System:
-        size = sum(p.numel() for p in self.parameters)
-        count = len(samples.q)
+    def _normal_equations(self, model: Problem, samples: Windows) -> _System:
+        size = len(self.flat())
         with torch.no_grad():
-            per_sample = model.residuals(_rows(samples, slice(0, 1))).shape[1]
-        equations = count * per_sample
-        wide = size > equations
-        scale = 1.0 / math.sqrt(equations)
+            per_sample = model.residuals(samples.rows(slice(1))).shape[1]
+        equations = len(samples.q) * per_sample
+        wide, scale = size > equations, 1.0 / math.sqrt(equations)
         self._require(size, equations, per_sample, wide)
-        pieces = (
-            _flatten(*parameter_jacobian(lambda w=w: model.residuals(w), self.parameters))  # type: ignore[misc]
-            for w in _chunks(samples, self.chunk)
-        )
+        pieces = (self._linearised(model, rows) for rows in _chunks(samples, self.chunk))
         if wide:
-            values, jacobians = zip(*pieces, strict=True)
-            return _Wide(torch.cat(values) * scale, torch.cat(jacobians) * scale)
+            values, jacobians = (scale * torch.cat(x) for x in zip(*pieces, strict=True))
+            return _System(jacobians @ jacobians.T, values, values @ values, jacobians)
         gram = self.parameters[0].new_zeros(size, size)
         gradient = self.parameters[0].new_zeros(size)
         loss = self.parameters[0].new_zeros(())
@@ -114,9 +95,14 @@ class LevenbergMarquardt(EpochOptimizer):
             gradient += jacobian.T @ r
             loss += r @ r
         gram *= scale * scale
-        return _Tall(gram, gradient * (scale * scale), loss * (scale * scale))
+        return _System(gram, gradient * (scale * scale), loss * (scale * scale))
 
-    def _loss(self, model: Learner, samples: Windows) -> Tensor:
+    def _linearised(self, model: Problem, samples: Windows) -> tuple[Tensor, Tensor]:
+        """``r`` and ``J``, a row each residual."""
+        r, jacobian = parameter_jacobian(lambda: model.residuals(samples), self.parameters)
+        return r.flatten(), jacobian.flatten(0, 1)
+
+    def _loss(self, model: Problem, samples: Windows) -> Tensor:
         with torch.no_grad():
             pieces = [model.residuals(w).square() for w in _chunks(samples, 1024)]
         return torch.cat(pieces).mean()
@@ -137,44 +123,23 @@ class LevenbergMarquardt(EpochOptimizer):
             )
 
 
-class _System:
+class _System(NamedTuple):
+    """``(gram + λ I) x = right``; the step is ``−x``, or ``−Jᵀ x`` in the space of residuals."""
+
+    gram: Tensor
+    right: Tensor
     loss: Tensor
+    jacobian: Tensor | None = None
 
     def step(self, damping: float) -> Tensor | None:
         """``δ``, or nothing where the matrix is not positive definite in floating point."""
-        raise NotImplementedError
-
-
-class _Tall(_System):
-    """``(JᵀJ + λ I) δ = −Jᵀ r``."""
-
-    def __init__(self, gram: Tensor, gradient: Tensor, loss: Tensor) -> None:
-        self._gram, self._gradient, self.loss = gram, gradient, loss
-
-    def step(self, damping: float) -> Tensor | None:
-        solution = _solve(self._gram, damping, self._gradient)
-        return None if solution is None else -solution
-
-
-class _Wide(_System):
-    """``δ = −Jᵀ (J Jᵀ + λ I)⁻¹ r``."""
-
-    def __init__(self, r: Tensor, jacobian: Tensor) -> None:
-        self._r, self._jacobian, self.loss = r, jacobian, r @ r
-        self._gram = jacobian @ jacobian.T
-
-    def step(self, damping: float) -> Tensor | None:
-        solution = _solve(self._gram, damping, self._r)
-        return None if solution is None else -(self._jacobian.T @ solution)
-
-
-def _solve(gram: Tensor, damping: float, right: Tensor) -> Tensor | None:
-    damped = gram.clone()
-    damped.diagonal().add_(damping)
-    factor, info = torch.linalg.cholesky_ex(damped)
-    if int(info) != 0:
-        return None
-    return torch.cholesky_solve(right.unsqueeze(-1), factor).squeeze(-1)
+        damped = self.gram.clone()
+        damped.diagonal().add_(damping)
+        factor, info = torch.linalg.cholesky_ex(damped)
+        if int(info) != 0:
+            return None
+        x = torch.cholesky_solve(self.right.unsqueeze(-1), factor).squeeze(-1)
+        return -x if self.jacobian is None else -(self.jacobian.T @ x)
 
 
 def _add_gram(gram: Float[Tensor, "p p"], jacobian: Float[Tensor, "rows p"]) -> None:
@@ -186,14 +151,17 @@ def _add_gram(gram: Float[Tensor, "p p"], jacobian: Float[Tensor, "rows p"]) -> 
         gram[start:, start:end].addmm_(jacobian[:, start:].T, jacobian[:, start:end])
 
 
-def _flatten(r: Tensor, jacobian: Tensor) -> tuple[Tensor, Tensor]:
-    return r.flatten(), jacobian.flatten(0, 1)
-
-
-def _rows(samples: Windows, rows: Any) -> Windows:
-    return samples.rows(rows)
-
-
 def _chunks(samples: Windows, size: int) -> Iterator[Windows]:
     for start in range(0, len(samples.q), size):
-        yield _rows(samples, slice(start, start + size))
+        yield samples.rows(slice(start, start + size))
+
+
+def available_bytes() -> int | None:
+    """Physical memory that is free now, or that there is at all; ``None`` where unknown."""
+    try:
+        free = "SC_AVPHYS_PAGES" in os.sysconf_names
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf(
+            "SC_AVPHYS_PAGES" if free else "SC_PHYS_PAGES"
+        )
+    except (AttributeError, ValueError, OSError):
+        return None

@@ -1,4 +1,4 @@
-"""An animation of prediction and truth side by side, drawn by Pillow from a system's skeleton."""
+"""An animation of prediction and truth side by side, drawn from a system's skeleton."""
 
 from __future__ import annotations
 
@@ -11,16 +11,14 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from symo_exp.evaluation.evaluate import Rollouts
-from symo_exp.report.style import TRUTH, Look
-from symo_exp.systems.base import Skeleton, System
+from symo_exp.report.looks import TRUTH, Look
+from symo_exp.systems.base import System
+from symo_exp.systems.render import FINE, JOINT, MARGIN, PAPER, RAIL, paint, points_of
 
 SECONDS, FRAME = 12.0, 0.05
 """Length of the animation and shortest time between two frames [s]; it plays in real time."""
 PANEL, HEADER = 240, 44
-FINE = 3
-"""Drawn this much larger and scaled down: Pillow's lines have no soft edges."""
-MARGIN = 1.3
-PAPER, RAIL, GHOST, INK = "#ffffff", "#c8c8c8", "#d5d5d5", "#333333"
+GHOST = "#d5d5d5"
 
 
 def animate(
@@ -40,13 +38,9 @@ def animate(
     palette = frames[0].quantize(48, dither=Image.Dither.NONE)
     small = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     path = folder / "animation.gif"
+    duration = round(1000 * stride * rollouts.time_step)
     small[0].save(
-        path,
-        save_all=True,
-        append_images=small[1:],
-        duration=round(1000 * stride * rollouts.time_step),
-        loop=0,
-        optimize=False,
+        path, save_all=True, append_images=small[1:], duration=duration, loop=0, optimize=False
     )
     return path
 
@@ -58,82 +52,34 @@ def _frame(
     image = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(image)
     true = system.skeleton(q_true)
-    camera = _points(true)[0]
-    _figure(draw, true, 0, camera, GHOST, GHOST)
+    assert true is not None
+    camera = points_of(true)[0]
+    left, right = ((x * FINE, HEADER * FINE, PANEL * FINE) for x in (0, PANEL))
+    paint(draw, left, true, camera, GHOST, GHOST)
+    gone = "diverged"
     if torch.isfinite(q).all():
         figure = system.skeleton(q)
-        _figure(draw, figure, 0, camera, style.colour, INK)
-        away = (_points(figure) - camera) / (MARGIN * figure.reach)
+        assert figure is not None
+        paint(draw, left, figure, camera, style.colour)
+        away = (points_of(figure) - camera) / (MARGIN * figure.reach)
         gone = "out of view" if (np.abs(away) > 1).any(axis=1).all() else ""
-    else:
-        gone = "diverged"
     _text(draw, (PANEL / 2, HEADER + PANEL - 16), gone, style.colour, 12, "mm")
     # the prediction may leave its panel: the truth's is cleared of it
     draw.rectangle((PANEL * FINE, 0, *size), fill=PAPER)
-    _figure(draw, true, PANEL, camera, TRUTH.colour, INK)
+    paint(draw, right, true, camera, TRUTH.colour)
     draw.rectangle((0, 0, size[0], HEADER * FINE), fill=PAPER)
     draw.line((PANEL * FINE, HEADER * FINE, PANEL * FINE, size[1]), fill=RAIL, width=FINE)
-    _text(draw, (8, 5), title, INK, 11, "la")
-    _text(draw, (2 * PANEL - 8, 5), f"{t:5.1f} s", INK, 11, "ra")
+    _text(draw, (8, 5), title, JOINT, 11, "la")
+    _text(draw, (2 * PANEL - 8, 5), f"{t:5.1f} s", JOINT, 11, "ra")
     _text(draw, (PANEL / 2, 24), style.label, style.colour, 13, "ma")
     _text(draw, (PANEL * 1.5, 24), TRUTH.label, TRUTH.colour, 13, "ma")
     return image.resize((2 * PANEL, PANEL + HEADER), Image.Resampling.BOX)
 
 
-def _figure(
-    draw: ImageDraw.ImageDraw,
-    skeleton: Skeleton,
-    left: int,
-    camera: np.ndarray,
-    colour: str,
-    joint: str,
-) -> None:
-    """One stick figure in the panel that begins ``left`` pixels from the edge."""
-    points = _points(skeleton)
-    scale = PANEL * FINE / (2 * MARGIN * skeleton.reach)
-    centre = np.array([left + PANEL / 2, HEADER + PANEL / 2]) * FINE
-    far = 4.0 * PANEL * FINE  # Pillow takes no infinite coordinates
-
-    def pixel(point: np.ndarray) -> tuple[float, float]:
-        x, y = np.clip(scale * (point - camera), -far, far)
-        return float(centre[0] + x), float(centre[1] - y)
-
-    width = round(0.055 * PANEL * FINE)
-    if skeleton.carts:
-        level = pixel(np.array([camera[0], 0.0]))[1]
-        edges = (left * FINE, (left + PANEL) * FINE)
-        draw.line((edges[0], level, edges[1], level), fill=RAIL, width=FINE)
-        half = PANEL * FINE / 2 / scale
-        for metre in range(int(camera[0] - half) - 1, int(camera[0] + half) + 2):
-            x = pixel(np.array([float(metre), 0.0]))[0]
-            if edges[0] < x < edges[1]:
-                draw.line((x, level - 5 * FINE, x, level + 5 * FINE), fill=RAIL, width=FINE)
-    for cart in skeleton.carts:
-        x, y = pixel(points[cart])
-        box = (x - 2 * width, y - 1.2 * width, x + 2 * width, y + 1.2 * width)
-        draw.rounded_rectangle(box, radius=width / 2, fill=joint)
-    for start, end in skeleton.links:
-        draw.line((*pixel(points[start]), *pixel(points[end])), fill=colour, width=width)
-    for point in points:
-        x, y = pixel(point)
-        r = 0.5 * width
-        draw.ellipse((x - r, y - r, x + r, y + r), fill=colour)
-        r = 0.24 * width
-        draw.ellipse((x - r, y - r, x + r, y + r), fill=PAPER)
-
-
-def _points(skeleton: Skeleton) -> np.ndarray:
-    return skeleton.points.detach().cpu().double().numpy()
-
-
 def _text(
-    draw: ImageDraw.ImageDraw,
-    at: tuple[float, float],
-    text: str,
-    colour: str,
-    size: int,
+    draw: ImageDraw.ImageDraw, at: tuple[float, float], text: str, colour: str, size: int,
     anchor: str,
-) -> None:
+) -> None:  # fmt: skip
     place = (at[0] * FINE, at[1] * FINE)
     draw.text(place, text, fill=colour, font=_font(size * FINE), anchor=anchor)
 

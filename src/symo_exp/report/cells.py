@@ -1,24 +1,25 @@
-"""Cells: measures of runs that differ in the seed alone, summed up, beside the published."""
+"""Cells: measures of runs that differ in the seed alone, summed up."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 
-from symo_exp.report import published
 from symo_exp.report.runs import CELL
-from symo_exp.report.style import TRUE
 
 SUMMARY = ["seeds", "median", "low", "high", "seconds"]
 
 
-def cells(measures: pd.DataFrame) -> pd.DataFrame:
+def cells(runs: pd.DataFrame) -> pd.DataFrame:
     """A row for each cell and metric: how many ``seeds``, their ``median``, the ``low``est and
     ``high``est value, and the median ``seconds`` that a run trained."""
-    if measures.empty:
-        return pd.DataFrame(columns=[*CELL, "metric", *SUMMARY])
-    grouped = measures.groupby([*CELL, "metric"], sort=True)
-    found = grouped.agg(
+    keys = [*CELL, "source", "metric"]
+    measured = runs[runs.metric != ""]
+    if measured.empty:
+        return pd.DataFrame(columns=[*keys, *SUMMARY])
+    found = measured.groupby(keys, dropna=False).agg(
         seeds=("seed", "nunique"),
         median=("value", _median),
         low=("value", "min"),
@@ -28,33 +29,24 @@ def cells(measures: pd.DataFrame) -> pd.DataFrame:
     return found.reset_index()
 
 
-def beside_published(found: pd.DataFrame) -> pd.DataFrame:
-    """A row for each published number: with ours, where that cell has been run.
-
-    ``like`` names our measure that averages over the same, ``alike`` is its median and ``factor``
-    is ``alike`` over the published value.
-    """
-    theirs = published.published().rename(columns={"value": "published", "std": "published_std"})
-    theirs = theirs.assign(
-        like=[published.like(*pair) for pair in zip(theirs.metric, theirs.over, strict=True)]
-    )
-    keys = published.CELL
-    ours = found[["variant", *keys, "metric", *SUMMARY]]
-    merged = theirs.merge(ours, on=[*keys, "metric"], how="left")
-    alike = found[["variant", *keys, "metric", "median"]]
-    alike = alike.rename(columns={"metric": "like", "median": "alike"})
-    merged = merged.merge(alike, on=["variant", *keys, "like"], how="left")
-    factor = merged.alike / merged.published
-    pairs = zip(merged.metric, merged.over, strict=True)
-    note = pd.Series([published.note(*pair) for pair in pairs], index=merged.index, dtype=object)
-    noisy = (merged.metric == "test_mse") & (merged.noise_std > 0)
-    return merged.assign(factor=factor, note=note.where(~noisy, note + "; " + published.NOISY))
-
-
-def main_variant(found: pd.DataFrame) -> str:
+def main_variant(rows: pd.DataFrame) -> str:
     """The variant that figures show: the defaults if there are any, else the most frequent."""
-    variants = found[~found.method.isin(TRUE)].variant.value_counts()
+    variants = rows[rows.source == "ours"].variant.value_counts()
     return "" if "" in variants or variants.empty else str(variants.idxmax())
+
+
+def usual_steps(rows: pd.DataFrame) -> dict[str, float]:
+    """The time step of each system: the one that most of its learned runs have, or of all."""
+    learned = rows[rows.source == "ours"].dropna(subset="time_step")
+    others = rows[~rows.system.isin(learned.system)].dropna(subset="time_step")
+    steps = pd.concat([learned, others]).groupby("system").time_step
+    return {str(system): float(values.mode().iloc[-1]) for system, values in steps}
+
+
+def at_step(rows: pd.DataFrame, steps: Mapping[str, float]) -> pd.DataFrame:
+    """The rows of runs with the given time step; of a system without one, all."""
+    usual = rows.system.map(steps).fillna(rows.time_step).astype(float)
+    return rows[np.isclose(rows.time_step.astype(float), usual, equal_nan=True)]
 
 
 def _median(values: pd.Series) -> float:

@@ -1,237 +1,172 @@
-"""Figures of measures over the size of the training set, the noise, the time and the step."""
+"""Figures of measures over an axis: the size of the training set, noise, time, step or order."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import functools
+import pkgutil
+from collections.abc import Iterable
+from typing import NamedTuple
 
-import numpy as np
 import pandas as pd
+import yaml
 
-from symo_exp.report import published
-from symo_exp.report.charts import Chart, Panel, Series
-from symo_exp.report.labels import (
-    Pair,
-    in_order,
-    measure_name,
-    pair_name,
-    short,
-    systems_in_order,
-)
-from symo_exp.report.style import TRUE
+from symo_exp.report.figures import Figure, Panel
+from symo_exp.report.looks import letters, measure_name, pair_names, short, unit
+from symo_exp.shipped import CONF
 
-ERRORS, PHYSICS = ("train_mse", "test_mse", "integration_mse"), ("energy_mse", "inertia_mse")
-REACH = ("integration_mse_100", "valid_steps")
-FIGURES = {
-    ("pendulum", ERRORS): "6.1", ("pendulum", PHYSICS): "6.2",
-    ("acrobot", ERRORS): "6.8", ("acrobot", PHYSICS): "6.9",
-    ("cartpole", ERRORS): "6.13", ("cartpole", PHYSICS): "6.14",
-}  # fmt: skip
-FLOORED = ("test_mse", "integration_mse", "energy_mse", "integration_mse_100", "valid_steps")
+ERRORS = ("train_mse", "test_mse", "integration_mse")
+GROUPS = {
+    "errors": ("one-step and integration errors", ERRORS),
+    "physics": ("energy, inertia and horizon", ("energy_mse", "inertia_mse", "valid_steps")),
+}
+FLOORED = ("test_mse", "integration_mse", "energy_mse", "valid_steps")
 """Measures for which the true system in the same integrator is a floor (of the last, a ceiling)."""
+OVER_ORDER = ("test_mse", "integration_mse_100", "energy_mse", "inertia_mse_aligned")
 SPREAD = "Median over the seeds; the band is from the lowest to the highest."
+AT = 32
+"""The number of training trajectories at which noises and orders are compared."""
 
 
-def data_size(found: pd.DataFrame, floors: pd.DataFrame) -> list[Chart]:
-    """Errors over the number of training trajectories, one figure for a system and a group."""
-    clean = found[found.noise_std == 0]
-    charts = []
-    for system in _systems(clean, floors):
-        mine, under = clean[clean.system == system], floors[floors.system == system]
-        for name, metrics in (("errors", ERRORS), ("physics", PHYSICS), ("reach", REACH)):
-            panels = [
-                _panel(mine, under, system, metric, "n_traj", "training trajectories")
-                for metric in metrics
-            ]
-            number = FIGURES.get((system, metrics), "")
-            charts.append(
-                Chart(
-                    key=f"data_size_{system}_{name}",
-                    title=f"{system}: {_topic(metrics)} over the training set",
-                    caption=f"{SPREAD} Rings: published. Grey: the true system in that integrator.",
-                    panels=panels,
-                    number=number,
-                )
-            )
-    return charts
+class Axis(NamedTuple):
+    """A column that measures are drawn over; with ``ticks`` at its values alone."""
+
+    column: str
+    label: str
+    log: bool = True
+    ticks: bool = False
+    mark: str = "both"
 
 
-def noise(found: pd.DataFrame, floors: pd.DataFrame, n_traj: int = 32) -> list[Chart]:
-    """Errors over the noise in the training data."""
-    fixed = found[found.n_traj == n_traj]
-    noisy = fixed.groupby("system").noise_std.nunique() > 1
-    charts = []
-    for system in systems_in_order(set(noisy[noisy].index)):
-        mine, under = fixed[fixed.system == system], floors[floors.system == system]
-        panels = [
-            _panel(mine, under, system, metric, "noise_std", "noise σ [m, rad; m/s, rad/s]")
-            for metric in ERRORS
-        ]
-        charts.append(
-            Chart(
-                key=f"noise_{system}",
-                title=f"{system}: errors over the noise, {n_traj} trajectories",
-                caption=f"{SPREAD} σ = 0 stands at the left edge. Rings: published, there tested "
-                "on noisy data; ours are tested on clean ones.",
-                panels=panels,
-                number="6.19" if system == "cartpole" else "",
-            )
-        )
-    return charts
+SIZE = Axis("n_traj", "training trajectories", ticks=True)
+NOISE = Axis("noise_std", "noise σ [m, rad; m/s, rad/s]")
+SECONDS = Axis("seconds", measure_name("training_seconds", axis=True), mark="points")
+STEP = Axis("time_step", "time step [s]")
+ORDER = Axis("order", "order of the integrator", log=False, ticks=True)
 
 
-def speed(measures: pd.DataFrame) -> list[Chart]:
-    """Accuracy against the time of a run: every run a point, all variants together."""
-    learned = measures[(measures.noise_std == 0) & ~measures.method.isin(TRUE)]
-    charts = []
-    for metric in ("test_mse", "integration_mse"):
-        panels = []
-        for system in systems_in_order(set(learned.system)):
-            mine = learned[(learned.system == system) & (learned.metric == metric)]
-            series = []
-            for (method, integrator), runs in _pairs(mine):
-                said = [
-                    f"{row['variant'] or 'defaults'}, {row['n_traj']} trajectories, "
-                    f"seed {row['seed']}"
-                    for row in runs.to_dict("records")
-                ]
-                series.append(
-                    Series(
-                        method, integrator, list(runs.seconds), list(runs.value),
-                        hover=said, points=True,
-                    )
-                )  # fmt: skip
-            panels.append(Panel(system, "training [s]", measure_name(metric), series, x_log=True))
-        charts.append(
-            Chart(
-                key=f"speed_{metric}",
-                title=f"{measure_name(metric)} against the time of training",
-                caption="Every run; hover says which. Processor time of all optimiser steps.",
-                panels=panels,
-            )
-        )
-    return charts
+def panels(rows: pd.DataFrame, axis: Axis, metrics: Iterable[str]) -> list[Panel]:
+    """A panel for each system and measure: the column ``median`` over that of the axis.
 
-
-def steps(measures: pd.DataFrame) -> list[Chart]:
-    """The true systems over the time step: what an integrator alone misses, and its order."""
-    true = measures[measures.method.isin(TRUE)]
-    several = true.groupby("system").time_step.nunique() > 1
-    panels = []
-    for metric in ("test_mse", "energy_mse"):
-        for system in systems_in_order(set(several[several].index)):
-            mine = true[(true.system == system) & (true.metric == metric)]
-            series = []
-            for (method, integrator), runs in _pairs(mine):
-                line = runs.groupby("time_step").value.median()
-                series.append(
-                    Series(method, integrator, list(line.index), list(line), source="floor")
-                )
-            panels.append(Panel(system, "time step [s]", measure_name(metric), series, x_log=True))
+    ``x`` takes the place of the latter where it is there.
+    """
+    rows = rows.assign(x=rows.get("x", rows[axis.column]).astype(float), y=rows["median"])
+    rows = rows.dropna(subset="x").sort_values("x", kind="stable")
+    systems = sorted(set(rows.system))
     return [
-        Chart(
-            key="floors_over_steps",
-            title="The error of the integrators alone",
-            caption="The true systems: nothing is learned. The slope is twice the order plus two "
-            "for one step, twice the order for the energy.",
-            panels=panels,
+        Panel(
+            f"{system}: {measure_name(metric)}" if len(systems) > 1 else measure_name(metric),
+            axis.label, unit(metric), here, axis.log, metric != "valid_steps", axis.mark,
+            tuple(sorted(set(here.x))) if axis.ticks else (),
         )
-    ]
+        for system in systems for metric in metrics
+        for here in [rows[(rows.system == system) & (rows.metric == metric)]]
+    ]  # fmt: skip
 
 
-def floors_of(found: pd.DataFrame) -> pd.DataFrame:
-    """The cells of the true systems, at the step of the thesis."""
-    return found[found.method.isin(TRUE) & at_usual_step(found)]
+def data_size(found: pd.DataFrame) -> list[Figure]:
+    """Errors over the number of training trajectories, one figure for a system and a group.
+
+    ``found`` has cells of learned models, of floors, and others to draw beside them.
+    """
+    clean = _with_floors(found[~(found.noise_std > 0)], SIZE)
+    caption = f"{SPREAD} Lines across: the true system in that integrator."
+    return [
+        Figure(f"data_size_{system}_{name}", f"{system}: {topic} over the training set", caption,
+               panels(rows, SIZE, metrics))
+        for system, rows in clean.groupby("system") for name, (topic, metrics) in GROUPS.items()
+    ]  # fmt: skip
 
 
-def learned_of(found: pd.DataFrame, variant: str) -> pd.DataFrame:
-    """The cells of learned models of one variant, at the step of the thesis."""
-    return found[(found.variant == variant) & ~found.method.isin(TRUE) & at_usual_step(found)]
+def noise(found: pd.DataFrame) -> list[Figure]:
+    """Errors over the noise in the training data, for systems of which more than one was run."""
+    rows = _with_floors(found[(found.n_traj == AT) | (found.source == "floor")], NOISE)
+    ours = rows[rows.source == "ours"].groupby("system").noise_std.unique()
+    caption = f"{SPREAD} σ = 0 stands at the left edge. Tested on clean data."
+    made = []
+    for system, noises in ours[ours.map(len) > 1].items():
+        here = rows[(rows.system == system)]
+        # others may have been tested far beyond ours
+        here = here[here.noise_std.isin(noises) | (here.source == "floor")]
+        edge = here.x[here.x > 0].min() / 4  # a logarithm knows no zero
+        drawn = panels(here.assign(x=here.x.where(here.x > 0, edge)), NOISE, ERRORS)
+        title = f"{system}: errors over the noise, {AT} trajectories"
+        made.append(Figure(f"noise_{system}", title, caption, drawn))
+    return made
 
 
-def at_usual_step(rows: pd.DataFrame) -> np.ndarray:
-    usual = rows.system.map(published.TIME_STEPS).fillna(rows.time_step).astype(float)
-    return np.isclose(rows.time_step.astype(float), usual)
+def speed(runs: pd.DataFrame) -> list[Figure]:
+    """Accuracy against the time of training: every run a point, all variants together."""
+    learned = runs[(runs.source == "ours") & ~(runs.noise_std > 0)]
+    words = zip(learned.variant, learned.n_traj, learned.seed, strict=True)
+    said = [f"{v or 'defaults'}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]
+    learned = learned.assign(median=learned.value, text=said)
+    caption = "Every run; hover says which. Processor time of all optimiser steps."
+    return [
+        Figure(f"speed_{metric}", f"{measure_name(metric)} against the time of training", caption,
+               panels(learned, SECONDS, [metric]))
+        for metric in ("test_mse", "integration_mse")
+    ]  # fmt: skip
 
 
-def _panel(
-    found: pd.DataFrame, floors: pd.DataFrame, system: str, metric: str, axis: str, label: str
-) -> Panel:
-    mine = found[found.metric == metric]
-    zero = _left_of(mine[axis]) if axis == "noise_std" else 0.0
-    at = (lambda x: x if x > 0 else zero) if axis == "noise_std" else float
-    series = [_line(pair, rows, axis, at) for pair, rows in _pairs(mine)]
-    series += _published(system, metric, axis, at, set(mine.n_traj), set(mine[axis]))
-    ends = [at(x) for x in (mine[axis].min(), mine[axis].max())] if len(mine) else []
-    if metric in FLOORED and ends:
-        series += _floors(floors[floors.metric == metric], ends)
-    ticks = sorted({x for s in series for x in s.x}) if axis == "n_traj" else []
-    y_log = metric != "valid_steps"
-    return Panel(
-        measure_name(metric), label, measure_name(metric), series,
-        x_log=True, y_log=y_log, ticks=ticks,
-    )  # fmt: skip
+def steps(found: pd.DataFrame) -> list[Figure]:
+    """The true systems over the time step: what an integrator alone misses, and its order."""
+    true = found[found.source == "floor"]
+    several = true.groupby("system").time_step.transform("nunique") > 1
+    caption = (
+        "The true systems: nothing is learned. The slope is twice the order plus two for one "
+        "step, twice the order for the energy."
+    )
+    drawn = panels(true[several], STEP, ("test_mse", "energy_mse"))
+    return [Figure("floors_over_steps", "The error of the integrators alone", caption, drawn)]
 
 
-def _line(pair: Pair, rows: pd.DataFrame, axis: str, at: Callable[[float], float]) -> Series:
-    rows = rows.sort_values(axis)
+def over_order(found: pd.DataFrame) -> list[Figure]:
+    """Errors over the order of the integrator, beside those of the true systems in it.
+
+    Of every variant in which a method has been run with more than one integrator.
+    """
+    ordered = found.assign(order=found.integrator.map(order_of), text=pair_names(found))
+    ordered = ordered.assign(integrator="").dropna(subset="order")  # a line is through several
+    clean = ordered[(ordered.source == "ours") & (ordered.n_traj == AT) & (ordered.noise_std == 0)]
+    several = clean.groupby(["variant", "method"]).text.transform("nunique") > 1
+    floors = ordered[(ordered.source == "floor") & (ordered["median"] > 0)]
+    caption = f"{SPREAD} Grey and black: the true system in that integrator."
+    return [
+        Figure(f"order_{letters(str(variant) or 'defaults')}",
+               f"Errors over the order of the integrator ({variant or 'defaults'})", caption,
+               panels(pd.concat([mine, floors[floors.system.isin(mine.system)]]), ORDER,
+                      OVER_ORDER), columns=4)
+        for variant, mine in clean[several].groupby("variant")
+    ]  # fmt: skip
+
+
+@functools.cache
+def order_of(integrator: str) -> int | None:
+    """The order of convergence of an integrator of the configuration."""
+    path = CONF / "integrator" / f"{integrator}.yaml"
+    if not path.is_file():
+        return None
+    choices = yaml.safe_load(path.read_text(encoding="utf-8"))
+    chosen = choices["variational"] or choices["explicit"]
+    # no tolerance decides an order
+    counts = {key: value for key, value in chosen.items() if isinstance(value, int)}
+    return int(pkgutil.resolve_name(chosen["_target_"])(**counts).order)
+
+
+def _with_floors(found: pd.DataFrame, axis: Axis) -> pd.DataFrame:
+    """What there is of ours, others beside it, and floors as lines from our first to our last."""
+    lines = found[found.source != "floor"].dropna(subset=axis.column)
+    lines = lines.assign(x=lines[axis.column].astype(float))
+    of, ours = ["system", "metric"], lines.source == "ours"
     said = [
-        f"{short(row['low'])} to {short(row['high'])}, {_seeds(row['seeds'])}"
-        for row in rows.to_dict("records")
+        f"{short(low)} to {short(high)}, {seeds:g} seed" + "s" * (seeds > 1)
+        for low, high, seeds in zip(lines.low, lines.high, lines.seeds, strict=True)
     ]
-    return Series(
-        *pair, [at(x) for x in rows[axis]], list(rows["median"]),
-        low=list(rows.low), high=list(rows.high), hover=said,
-    )  # fmt: skip
-
-
-def _published(
-    system: str, metric: str, axis: str, at: Callable[[float], float],
-    sizes: set[int], values: set[float],
-) -> Iterable[Series]:  # fmt: skip
-    table = published.published()
-    there = table[(table.system == system) & (table.metric == metric)]
-    there = there[at_usual_step(there)]
-    if axis == "n_traj":
-        there = there[there.noise_std == 0]
-    else:  # the noise of our own axis: the thesis' data hold more than its figure
-        there = there[there.n_traj.isin(sizes) & there.noise_std.isin(values)]
-    for pair, rows in _pairs(there):
-        rows = rows.sort_values(axis)
-        said = [f"published, {published.note(metric, over)}" for over in rows.over]
-        yield Series(
-            *pair, [at(x) for x in rows[axis]], list(rows.value),
-            source="published", hover=said, name=f"{pair_name(*pair)}, published",
-        )  # fmt: skip
-
-
-def _floors(rows: pd.DataFrame, ends: Sequence[float]) -> Iterable[Series]:
-    for (method, integrator), cells in _pairs(rows):
-        floor = float(cells["median"].median())
-        yield Series(method, integrator, list(ends), [floor] * 2, source="floor")
-
-
-def _pairs(rows: pd.DataFrame) -> list[tuple[Pair, pd.DataFrame]]:
-    grouped = {(str(k[0]), str(k[1])): g for k, g in rows.groupby(["method", "integrator"])}
-    return sorted(grouped.items(), key=lambda item: in_order(item[0]))
-
-
-def _left_of(values: pd.Series) -> float:
-    """Where zero is drawn on a logarithmic axis."""
-    positive = values[values > 0]
-    return float(positive.min()) / 4 if len(positive) else 1e-5
-
-
-def _systems(*tables: pd.DataFrame) -> list[str]:
-    return systems_in_order(set(tables[0].system))
-
-
-def _topic(metrics: Sequence[str]) -> str:
-    return {
-        ERRORS: "train, test and integration errors",
-        PHYSICS: "energy and inertia errors",
-        REACH: "how long predictions hold",
-    }[tuple(metrics)]
-
-
-def _seeds(count: int) -> str:
-    return "one seed" if count == 1 else f"{count} seeds"
+    said_ = pd.Series(said, index=lines.index, dtype=object)
+    lines = lines.assign(text=said_.where(ours, lines.get("text")))
+    ends = lines[ours].groupby(of).x.agg(["min", "max"]).reset_index()
+    lines = lines.merge(ends[of], on=of)
+    floors = found[(found.source == "floor") & found.metric.isin(FLOORED)]
+    level = floors.groupby([*of, "method", "integrator", "source"], as_index=False)["median"]
+    across = ends.melt(of, value_name="x").merge(level.median(), on=of)
+    return pd.concat([lines, across.drop(columns="variable")])

@@ -1,193 +1,214 @@
-"""Figures of studies: motions over time, phase spaces, what was learned, drift."""
+"""Figures of motions: over time, in phase space, what was learned, drift.
+
+They are drawn from tables with a row for each node (``Rollouts.columns``), which studies leave
+among the files of a run.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.charts import Chart, Panel, Series
-from symo_exp.report.labels import Pair, pair_name, systems_in_order
-from symo_exp.report.studied import Studied
-from symo_exp.report.style import symbol
+from symo_exp.report.figures import Figure, Panel
+from symo_exp.report.looks import Pair, axis_label, pair_name
+from symo_exp.runs.folder import STUDIES
+from symo_exp.tracking.store import Store, connect
 
 POINTS = 600
 """Of a line at most: more are not seen, and weigh on the page."""
-NUMBERS = {
-    ("long_term", "pendulum"): "6.4", ("test_trajectory", "acrobot"): "6.10 and 6.11",
-    ("test_trajectory", "cartpole"): "6.15 and 6.16", ("forced", "pendulum"): "6.6 and 6.7",
-    ("forced_fast", "cartpole"): "6.18", ("learned_quantities", "pendulum"): "6.5",
-    ("learned_quantities", "acrobot"): "6.12", ("learned_quantities", "cartpole"): "6.17",
-}  # fmt: skip
 TITLES = {
-    "long_term": "a long motion without input",
     "test_trajectory": "a motion without input",
+    "long_term": "a long motion without input",
     "forced": "a motion under a sinusoidal input of 10 s",
     "forced_fast": "a motion under a sinusoidal input of 2 s",
 }
-TRUTH: Pair = ("truth", "")
+LEARNED = "learned_quantities"
 FIRST = "Each method's run of the lowest seed, from the same start; the first of its motions."
+LONG = 50.0
+"""Seconds that are shown of a motion."""
+Tables = Mapping[Pair, pd.DataFrame]
 
 
-def charts(found: Sequence[Studied]) -> list[Chart]:
-    """All figures of studies, in the order of the studies."""
+class Studied(NamedTuple):
+    """``tables`` hold the numbers of one study, by what ran it."""
+
+    study: str
+    system: str
+    time_step: float
+    tables: Tables
+
+
+def figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | None) -> list[Figure]:
+    """All figures of the studies that the runs have done; ``drifting`` are those of floors."""
     made = []
-    for one in found:
-        if one.study in TITLES:
-            made.append(_motion(one))
-        if one.study == "long_term":
-            made.append(_phase_space(one))
-        if one.study == "learned_quantities":
-            made.append(_learned(one))
-    return [*made, *_drift([one for one in found if one.study == "drift"])]
-
-
-def _motion(one: Studied) -> Chart:
-    """Every coordinate over time, the squared error of the pose, and the energy."""
-    names = _coordinates(one)
-    seconds = 50.0 if one.study == "long_term" else np.inf
-    rows = {pair: _first(table, seconds) for pair, table in one.tables.items()}
-    panels = []
-    for name in names:
-        lines = [_line(pair, table, table[f"q_{name}"]) for pair, table in rows.items()]
-        panels.append(_over_time(_plain(symbol(name)), [_truth(rows, f"q_true_{name}"), *lines]))
-    errors = []
-    for pair, table in rows.items():
-        found, true = (table[[f"{field}_{n}" for n in names]] for field in ("q", "q_true"))
-        squares = ((found.to_numpy() - true.to_numpy()) ** 2).mean(axis=1)
-        errors.append(_line(pair, table, pd.Series(squares)))
-    panels.append(_over_time("squared error of the pose", errors, log=True))
-    energies = [_line(pair, table, table.energy) for pair, table in rows.items()]
-    panels.append(_over_time("energy [J]", [_truth(rows, "energy_true"), *energies]))
-    return Chart(
-        key=f"{one.study}_{one.system}",
-        title=f"{one.system}: {TITLES[one.study]}",
-        caption=FIRST,
-        panels=[_bounded(panel) for panel in panels],
-        number=NUMBERS.get((one.study, one.system), ""),
-    )
-
-
-def _phase_space(one: Studied) -> Chart:
-    """A panel for each method, the truth under it."""
-    name = _coordinates(one)[0]
-    panels = []
-    for pair, table in one.tables.items():
-        mine = _first(table)
-        under = _wrapped(mine[f"q_true_{name}"], mine[f"v_true_{name}"])
-        over = _wrapped(mine[f"q_{name}"], mine[f"v_{name}"])
-        series = [
-            Series(*TRUTH, *under, source="truth", points=True, name="truth"),
-            Series(*pair, *over, points=True),
-        ]
-        label = _plain(symbol(name))
-        panels.append(_bounded(Panel(pair_name(*pair), label, f"d{label}/dt", series, y_log=False)))
-    return Chart(
-        key=f"{one.study}_{one.system}_phase_space",
-        title=f"{one.system}: phase space over {len(mine)} steps",
-        caption=FIRST + " Angles are wrapped.",
-        panels=panels,
-        number="6.3" if one.system == "pendulum" else "",
-    )
-
-
-def _learned(one: Studied) -> Chart:
-    rows = {pair: _first(table) for pair, table in one.tables.items()}
-    columns = next(iter(rows.values())).columns
-    panels = []
-    for column in columns:
-        if f"{column}_true" not in columns:
-            continue
-        title = (
-            f"inertia H{column[-2:]}" if column.startswith("inertia") else f"{column} energy [J]"
-        )
-        lines = [_line(pair, table, table[column]) for pair, table in rows.items()]
-        panels.append(_over_time(title, [_truth(rows, f"{column}_true"), *lines]))
-    return Chart(
-        key=f"{one.study}_{one.system}",
-        title=f"{one.system}: what was learned, along a true motion",
-        caption=FIRST + " Potentials are shifted by a constant each.",
-        panels=panels,
-        number=NUMBERS.get((one.study, one.system), ""),
-    )
-
-
-def _drift(found: Sequence[Studied]) -> Iterable[Chart]:
-    """The true systems over small and large steps: energy lost, and volume of phase space."""
-    for system in systems_in_order({one.system for one in found}):
-        steps = sorted((one for one in found if one.system == system), key=lambda x: x.time_step)
-        energies, volumes = [], []
-        for one in steps:
-            rows = {pair: _first(table) for pair, table in one.tables.items()}
-            lost = [
-                _line(pair, table, (table.energy - table.energy_true).abs())
-                for pair, table in rows.items()
-            ]
-            kept = [_line(pair, table, np.exp(table.log_volume)) for pair, table in rows.items()]
-            energies.append(
-                _over_time(f"energy error [J], step {one.time_step:g} s", lost, log=True)
+    for one in studied(runs, (*TITLES, LEARNED), store):
+        key, tables = f"{one.study}_{one.system}", first(one.tables)
+        if one.study == LEARNED:
+            made.append(
+                learned(key, f"{one.system}: what was learned, along a true motion", tables)
             )
-            volumes.append(_over_time(f"phase-space volume, step {one.time_step:g} s", kept))
-        yield Chart(
-            key=f"drift_{system}",
-            title=f"{system}: the true system in integrators, small steps and large",
-            caption="Above: distance of the energy from the start's. Below: a small volume around "
-            "the start, carried along; a symplectic integrator keeps it.",
-            panels=[_bounded(panel) for panel in (*energies, *volumes)],
-            number={"pendulum": "3.1", "acrobot": "1.2", "cartpole": "1.2"}.get(system, ""),
+        else:
+            made.append(motion(key, f"{one.system}: {TITLES[one.study]}", tables))
+        if one.study == "long_term":
+            title = f"{one.system}: phase space of a long motion"
+            made.append(phase_space(f"{key}_phase_space", title, first(one.tables, np.inf)))
+    return [*made, *drift(studied(drifting, ["drift"], store))]
+
+
+def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> list[Studied]:
+    """The studies of the given runs, of which each method has one a system: the lowest seed.
+
+    Only runs whose measures tell of a study are asked for its file.
+    """
+    found = []
+    for name in names:
+        told = runs[runs.metric.str.startswith(f"{name}_") & (runs.files != "")]
+        told = told.drop_duplicates("run_id").sort_values("seed", kind="stable")
+        for (system, time_step), here in told.groupby(["system", "time_step"]):
+            tables = {
+                (row["method"], row["integrator"]): table
+                for row in here[here.seed == here.seed.min()].to_dict("records")
+                if (table := _read(store, row["run_id"], row["files"], name)) is not None
+            }
+            if tables:
+                found.append(Studied(name, str(system), float(time_step), tables))
+    return found
+
+
+def motion(key: str, title: str, tables: Tables) -> Figure:
+    """Every coordinate over time, the squared error of the configuration, and the energy."""
+    names = coordinates(tables)
+    panels = [over_time(tables, f"q_{name}", f"q_true_{name}", axis_label(name)) for name in names]
+    errors = {
+        pair: table.assign(
+            error=sum((table[f"q_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names) / len(names)
         )
+        for pair, table in tables.items()
+    }
+    panels.append(over_time(errors, "error", None, "squared error [m², rad²]", log=True))
+    panels.append(over_time(tables, "energy", "energy_true", "energy [J]"))
+    return Figure(key, title, FIRST, panels)
 
 
-def _coordinates(one: Studied) -> list[str]:
-    columns = next(iter(one.tables.values())).columns
+def phase_space(key: str, title: str, tables: Tables) -> Figure:
+    """A panel for each method, the truth under it; angles are wrapped."""
+    name = coordinates(tables)[0]
+    labels = axis_label(name), axis_label(name, velocity=True)
+    panels = [
+        Panel(pair_name(*pair), *labels, phase_rows(pair, table, name, wrap=True, count=4 * POINTS),
+              y_log=False, mark="points")
+        for pair, table in tables.items()
+    ]  # fmt: skip
+    return Figure(key, title, f"{FIRST} Wrapped.", panels)
+
+
+def learned(key: str, title: str, tables: Tables) -> Figure:
+    """Energies and inertia, learned and true, along a true motion."""
+    columns = next(iter(tables.values())).columns
+    panels = [
+        over_time(tables, column, f"{column}_true", "[kg, kg m, kg m²]", column.replace("_", " H"))
+        if column.startswith("inertia")
+        else over_time(tables, column, f"{column}_true", f"{column} energy [J]")
+        for column in columns if f"{column}_true" in columns
+    ]  # fmt: skip
+    return Figure(key, title, f"{FIRST} Potentials are shifted by a constant each.", panels)
+
+
+def drift(found: Iterable[Studied]) -> Iterable[Figure]:
+    """The true systems over small and large steps: energy lost, and volume of phase space."""
+    found = sorted(found, key=lambda one: (one.system, one.time_step))
+    caption = (
+        "Above: distance of the energy from the start's. Below: a small volume around the start, "
+        "carried along; a symplectic integrator keeps it."
+    )
+    for system in dict.fromkeys(one.system for one in found):
+        above, below = [], []
+        for one in (one for one in found if one.system == system):
+            rows = {
+                pair: table.assign(
+                    lost=(table.energy - table.energy_true).abs(), volume=np.exp(table.log_volume)
+                )
+                for pair, table in first(one.tables, np.inf).items()
+            }
+            step = f"step {one.time_step:g} s"
+            above.append(over_time(rows, "lost", None, "energy error [J]", step, log=True))
+            below.append(over_time(rows, "volume", None, "phase-space volume, of the first", step))
+        title = f"{system}: the true system in integrators, small steps and large"
+        yield Figure(f"drift_{system}", title, caption, above + below, columns=len(above))
+
+
+def over_time(
+    tables: Tables, column: str, truth: str | None, label: str, title: str = "", *,
+    log: bool = False,
+) -> Panel:  # fmt: skip
+    """A column of every table over time; ``truth`` is that of the truth, in the first of them."""
+    parts = [rows(table.t, table[column], pair) for pair, table in tables.items()]
+    if truth is not None:
+        table = next(iter(tables.values()))
+        parts.insert(0, rows(table.t, table[truth]))
+    return Panel(title, "time [s]", label, pd.concat(parts), y_log=log, mark="line")
+
+
+def phase_rows(
+    pair: Pair, table: pd.DataFrame, name: str, *, wrap: bool, count: int | None = None
+) -> pd.DataFrame:
+    """Rows of a coordinate and its velocity, of the truth and of a model.
+
+    A line through them has gaps where an angle jumps and where another trajectory begins.
+    """
+    parts = []
+    for who, field in ((None, "_true"), (pair, "")):
+        x, y = table[f"q{field}_{name}"].to_numpy(), table[f"v{field}_{name}"].to_numpy()
+        x = wrapped(x) if wrap else x
+        another = np.diff(table.trajectory, append=table.trajectory.iloc[-1]) != 0
+        with np.errstate(invalid="ignore"):
+            jumps = np.abs(np.diff(x, append=x[-1])) > (np.pi if wrap else np.inf)
+        parts.append(rows(x, np.where(another | jumps, np.nan, y), who, count or len(x)))
+    return pd.concat(parts)
+
+
+def rows(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POINTS) -> pd.DataFrame:
+    """Points to draw, of a model or else of the truth, thinned to about ``count``."""
+    table = pd.DataFrame({"x": x, "y": y})
+    method, integrator = pair or ("", "")
+    source = "ours" if pair else "truth"
+    table = table.iloc[:: max(1, len(table) // count)]
+    return table.assign(method=method, integrator=integrator, source=source)
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    """Angles in (−π, π]."""
+    finite = np.where(np.isfinite(angle), angle, np.nan)
+    return np.asarray(np.pi - np.mod(np.pi - finite, 2 * np.pi))
+
+
+def coordinates(tables: Tables) -> list[str]:
+    """The names of the coordinates in tables of a motion and its truth."""
+    columns = next(iter(tables.values())).columns
     return [c.removeprefix("q_true_") for c in columns if c.startswith("q_true_")]
 
 
-def _first(table: pd.DataFrame, seconds: float = np.inf) -> pd.DataFrame:
-    return table[(table.trajectory == 0) & (table.t <= seconds)]
+def first(tables: Tables, seconds: float = LONG) -> Tables:
+    """The first motion in each table."""
+    return {pair: t[(t.trajectory == 0) & (t.t <= seconds)] for pair, t in tables.items()}
 
 
-def _line(pair: Pair, table: pd.DataFrame, values: pd.Series) -> Series:
-    stride = max(1, len(table) // POINTS)
-    return Series(*pair, list(table.t[::stride]), list(values[::stride]), lined=True)
-
-
-def _truth(rows: dict[Pair, pd.DataFrame], column: str) -> Series:
-    table = next(iter(rows.values()))
-    line = _line(TRUTH, table, table[column])
-    return Series(*TRUTH, line.x, line.y, source="truth", lined=True, name="truth")
-
-
-def _over_time(title: str, series: Sequence[Series], *, log: bool = False) -> Panel:
-    return Panel(title, "time [s]", title, list(series), y_log=log)
-
-
-def _bounded(panel: Panel) -> Panel:
-    """Linear axes follow the truth: what leaves it far is cut off, not everything squeezed."""
-    if panel.y_log:
-        return panel
-    inside = [y for s in panel.series for y in s.y if s.source == "truth" and np.isfinite(y)]
-    if not inside:
-        return panel
-    low, high = min(inside), max(inside)
-    # A truth that is constant, an energy, has a spread of rounding errors only.
-    room = max(0.5 * (high - low), 0.1 * max(abs(low), abs(high))) or 1.0
-    everything = [y for s in panel.series for y in s.y if np.isfinite(y)]
-    bounds = (max(low - room, min(everything)), min(high + room, max(everything)))
-    edge = 0.04 * (bounds[1] - bounds[0]) or 1.0
-    return panel.within(bounds[0] - edge, bounds[1] + edge)
-
-
-def _wrapped(angle: pd.Series, speed: pd.Series) -> tuple[list[float], list[float]]:
-    stride = max(1, len(angle) // (2 * POINTS))
-    wrapped = np.pi - np.mod(np.pi - angle.to_numpy(dtype=float), 2 * np.pi)
-    return list(wrapped[::stride]), list(speed[::stride])
-
-
-def _plain(name: str) -> str:
-    """Symbols without TeX, which the page does not read."""
-    letters = {r"\theta": "θ", r"\phi": "φ", r"\alpha": "α", r"\beta": "β", "$": "", "_": ""}
-    for tex, letter in letters.items():
-        name = name.replace(tex, letter)
-    return name.replace("{", "").replace("}", "")
+def _read(store: Store | None, run_id: str, files: str, study: str) -> pd.DataFrame | None:
+    """From where the files lie, if this machine can reach it, else through the store."""
+    name, parts = f"{STUDIES}/{study}.parquet", urlsplit(files)
+    if parts.scheme in ("", "file"):
+        path = Path(unquote(parts.path) if parts.scheme else files) / name
+        return pd.read_parquet(path) if path.exists() else None
+    if store is None:
+        return None
+    with tempfile.TemporaryDirectory(prefix="symo_exp-") as copy:
+        try:
+            return pd.read_parquet(connect(store).download_artifacts(run_id, name, copy))
+        except Exception:  # gone, or away: the figure does without
+            return None

@@ -1,62 +1,38 @@
-"""Charts and tables as one HTML page that needs nothing else: no network, no server."""
+"""Figures and tables as one HTML page that needs nothing else: no network, no server."""
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
+import numpy as np
 
-from symo_exp.report.charts import Chart, Panel, Series
-from symo_exp.report.labels import pair_name
-from symo_exp.report.style import TRUTH, look, stroke
-from symo_exp.report.tables import Table
+from symo_exp.report.figures import Figure, Panel, Series
+from symo_exp.report.looks import MARKERS, TRUTH, look
+
+if TYPE_CHECKING:
+    from symo_exp.report.write import Section
 
 WEB = Path(__file__).parent / "web"
+GREY = "#666666"
 SOURCES = {
-    "ours": "ours", "published": "published", "floor": "floors (true system)", "truth": "truth",
+    "ours": ("ours", "●"), "published": ("published", "○"),
+    "floor": ("floors (true system)", "•"), "truth": (TRUTH.label, "━"),
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Section:
-    """One heading of the page, and what stands under it."""
-
-    key: str
-    title: str
-    text: Sequence[str] = ()
-    tables: Sequence[Table] = ()
-    charts: Sequence[Chart] = ()
-
-
-@dataclass(frozen=True)
-class Toggle:
-    """A box that shows or hides all series of one ``value`` ``by`` method, integrator or source."""
-
-    by: str
-    value: str
-    label: str
-    colour: str = "#666"
-    stroke: str = "solid"
-
-
-@dataclass
-class _Seen:
-    methods: dict[str, None] = field(default_factory=dict)
-    integrators: dict[str, None] = field(default_factory=dict)
-    sources: dict[str, None] = field(default_factory=dict)
+"""What the page says of each source of a series, and with which letter."""
+WIDTHS = {"ours": 2.0, "published": 1.0, "floor": 1.5, "truth": 3.0}
+MODES = {"both": "lines+markers", "line": "lines", "points": "markers"}
 
 
 def page(title: str, summary: str, sections: Sequence[Section]) -> str:
     """The HTML text."""
     from plotly.offline import get_plotlyjs
 
-    charts = [chart for section in sections for chart in section.charts]
-    panels = {chart.key: [figure(panel) for panel in chart.panels] for chart in charts}
+    figures = [figure for section in sections for figure in section.figures]
+    panels = {figure.key: [plotly(panel) for panel in figure.panels] for figure in figures}
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(WEB), autoescape=True, undefined=jinja2.StrictUndefined
     )
@@ -64,7 +40,7 @@ def page(title: str, summary: str, sections: Sequence[Section]) -> str:
         title=title,
         summary=summary,
         sections=sections,
-        toggles=toggles(charts),
+        toggles=toggles(figures),
         panels=json.dumps(panels, separators=(",", ":")).replace("<", "\\u003c"),
         css=(WEB / "page.css").read_text(encoding="utf-8"),
         js=(WEB / "page.js").read_text(encoding="utf-8"),
@@ -72,108 +48,74 @@ def page(title: str, summary: str, sections: Sequence[Section]) -> str:
     )
 
 
-def toggles(charts: Iterable[Chart]) -> list[tuple[str, list[Toggle]]]:
-    """A box for every method, integrator and source that the charts show."""
-    seen = _Seen()
-    for series in (s for chart in charts for panel in chart.panels for s in panel.series):
-        if series.source in ("ours", "published"):
-            seen.methods.setdefault(series.method)
-        seen.integrators.setdefault(series.integrator)
-        seen.sources.setdefault(series.source)
-    methods = [Toggle("method", m, look(m).label, look(m).colour) for m in seen.methods]
-    integrators = [
-        Toggle("integrator", i, stroke(i).label, stroke=stroke(i).web)
-        for i in seen.integrators if i
-    ]  # fmt: skip
-    sources = [Toggle("source", s, SOURCES[s], stroke="none") for s in SOURCES if s in seen.sources]
-    groups = [("methods", methods), ("integrators", integrators), ("shown", sources)]
-    return [(name, boxes) for name, boxes in groups if len(boxes) > 1]
+def toggles(figures: Iterable[Figure]) -> dict[str, list[dict[str, str]]]:
+    """A box for every method, integrator and source that the figures show, which hides its series.
+
+    The boxes are the legend of the page: each has the mark of what it switches.
+    """
+    seen = [series for figure in figures for panel in figure.panels for series in panel.series()]
+    looks = {s.method: look(s.method) for s in seen if s.method}
+    strokes = {s.integrator: s.stroke for s in seen if s.integrator}
+    marks = {s.source: SOURCES[s.source] for s in seen}
+    methods = {m: {"label": x.label, "colour": x.colour, "mark": MARKERS[x.marker][1]}
+               for m, x in looks.items()}  # fmt: skip
+    integrators = {i: {"label": x.label, "dash": x.web} for i, x in strokes.items()}
+    sources = {s: {"label": label, "mark": mark} for s, (label, mark) in marks.items()}
+    groups = {"method": methods, "integrator": integrators, "source": sources}
+    return {
+        by: [{"value": value, "colour": GREY, "dash": "", **box} for value, box in boxes.items()]
+        for by, boxes in groups.items() if boxes
+    }  # fmt: skip
 
 
-def figure(panel: Panel) -> dict[str, Any]:
+def plotly(panel: Panel) -> dict[str, Any]:
     """A panel as Plotly's JSON: ``data`` and ``layout``."""
-    x_axis = _axis(panel.x_label, panel.x_log)
+    x_axis = _axis(panel.x_label, panel.x_log, panel.x_limits())
     if panel.ticks:
         x_axis |= {"tickvals": panel.ticks, "ticktext": [f"{x:g}" for x in panel.ticks]}
-    y_axis = _axis(panel.y_label, panel.y_log) | {"exponentformat": "power"}
-    limits = panel.limits()
-    if limits:
-        y_axis |= {"range": [math.log10(x) for x in limits] if panel.y_log else list(limits)}
-    data = [trace for series in panel.series for trace in _traces(series)]
     layout = {
         "title": {"text": panel.title, "font": {"size": 13}, "x": 0.02, "y": 0.98},
-        "xaxis": x_axis,
-        "yaxis": y_axis,
-        "showlegend": False,
-        "hovermode": "closest",
-        "margin": {"l": 62, "r": 10, "t": 28, "b": 42},
-        "font": {"size": 11, "color": "#333"},
-        "plot_bgcolor": "#fff",
-        "paper_bgcolor": "#fff",
-    }
-    return {"data": data, "layout": layout}
+        "xaxis": x_axis, "yaxis": _axis(panel.y_label, panel.y_log, panel.limits()),
+        "showlegend": False, "hovermode": "closest",
+        "margin": {"l": 62, "r": 10, "t": 28, "b": 42}, "font": {"size": 11, "color": "#333"},
+    }  # fmt: skip
+    return {"data": [t for s in panel.series() for t in _traces(panel, s)], "layout": layout}
 
 
-def _axis(label: str, log: bool) -> dict[str, Any]:
+def _axis(label: str, log: bool, limits: Sequence[float] | None) -> dict[str, Any]:
+    shown = {} if limits is None else {"range": np.log10(limits).tolist() if log else limits}
     return {
-        "title": {"text": label, "font": {"size": 11}},
-        "type": "log" if log else "linear",
-        "gridcolor": "#e6e6e6",
-        "linecolor": "#888",
-        "zeroline": False,
-        "ticks": "outside",
-        "ticklen": 3,
-    }
+        "title": {"text": label, "font": {"size": 11}}, "type": "log" if log else "linear",
+        "gridcolor": "#e6e6e6", "linecolor": "#888", "zeroline": False, "ticks": "outside",
+        "ticklen": 3, "exponentformat": "power", **shown,
+    }  # fmt: skip
 
 
-def _traces(series: Series) -> Iterable[dict[str, Any]]:
-    colour = TRUTH.colour if series.source == "truth" else look(series.method).colour
-    meta = {"method": series.method, "integrator": series.integrator, "source": series.source}
-    common = {"type": "scatter", "x": _plain(series.x), "meta": meta}
-    if series.low and series.low != series.high:
+def _traces(panel: Panel, series: Series) -> Iterator[dict[str, Any]]:
+    """The band, where there is one, and the line or the points."""
+    rows, colour, source = series.rows, series.look.colour, series.source
+    meta = {"method": series.method, "integrator": series.integrator, "source": source}
+    common = {"type": "scatter", "x": _plain(rows.x), "meta": meta}
+    if series.band:
         edge = common | {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip"}
-        yield edge | {"y": _plain(series.low)}
-        band = {"fill": "tonexty", "fillcolor": _faint(colour)}
-        yield edge | {"y": _plain(series.high), **band}
-    name = series.name or pair_name(series.method, series.integrator)
-    said = "%{y:.3g} at %{x:g}" + ("<br>%{text}" if series.hover else "")
-    line = {
-        "color": colour,
-        "dash": stroke(series.integrator).web,
-        "width": {"ours": 2, "floor": 1.5, "published": 1, "truth": 2.5}[series.source],
-    }
-    marked = series.points or not (series.lined or series.level)
+        yield edge | {"y": _plain(rows.low)}
+        yield edge | {"y": _plain(rows.high), "fill": "tonexty", "fillcolor": f"{colour}22"}
+    hollow = source == "published" or (panel.mark == "points" and series.stroke.dash != "-")
+    symbol = MARKERS[series.look.marker][0] + ("-open" if hollow else "")
+    said = "%{y:.3g} at %{x:.3~g}" + ("<br>%{text}" if "text" in rows else "")
     yield common | {
-        "y": _plain(series.y),
-        "name": name,
-        "mode": "markers" if series.points else "lines+markers" if marked else "lines",
-        "line": line,
-        "opacity": 0.75 if series.source in ("floor", "truth") else 1,
-        "marker": {
-            "color": colour,
-            "size": _size(series),
-            "symbol": "circle-open" if _open(series) else "circle",
-        },
-        "hovertemplate": f"<b>{name}</b><br>{said}<extra></extra>",
-        **({"text": list(series.hover)} if series.hover else {}),
+        "y": _plain(rows.y),
+        "name": series.name,
+        "mode": MODES[panel.mark],
+        "line": {"color": colour, "dash": series.stroke.web, "width": WIDTHS[source]},
+        "opacity": 0.6 if source in ("floor", "truth") else 1,
+        "marker": {"color": colour, "size": 3 if len(rows) > 200 else 7, "symbol": symbol},
+        "hovertemplate": f"<b>{series.name}</b><br>{said}<extra></extra>",
+        **({"text": rows.text.fillna("").tolist()} if "text" in rows else {}),
     }
 
 
-def _size(series: Series) -> int:
-    if len(series.x) > 200:
-        return 2
-    return 8 if series.points or series.source == "published" else 5
-
-
-def _open(series: Series) -> bool:
-    return series.source == "published" or (series.points and series.integrator != "midpoint")
-
-
-def _plain(values: Sequence[float]) -> list[float | None]:
+def _plain(values: Any) -> list[float | None]:
     """JSON has no infinite numbers; a gap is drawn in their place."""
-    return [float(x) if math.isfinite(x) else None for x in values]
-
-
-def _faint(colour: str) -> str:
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return f"rgba({red},{green},{blue},0.13)"
+    numbers = np.asarray(values, dtype=float)
+    return [float(f"{x:.7g}") if np.isfinite(x) else None for x in numbers]

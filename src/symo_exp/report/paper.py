@@ -1,140 +1,125 @@
-"""Charts on paper: PNG and PDF by Matplotlib."""
+"""Figures on paper: PNG, PDF and SVG by Matplotlib."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib import figure as mpl
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from symo_exp.report.charts import Chart, Panel, Series
-from symo_exp.report.labels import pair_name
-from symo_exp.report.style import RC, TRUTH, look, stroke
+from symo_exp.report.figures import Figure, Panel, Range, Series
+from symo_exp.report.looks import RC, short
 
-WIDTH, HEIGHT, COLUMNS = 3.7, 2.7, 3
-"""Size of a panel [inch], and how many stand in a row at most."""
+WIDTH, HEIGHT = 3.7, 2.7
+"""Size of a panel [inch]."""
+MANY_POINTS, LONG_LINE = 200, 5000
+"""More are drawn small, and thin: they are of many runs or trajectories."""
+STYLES: dict[str, dict[str, Any]] = {
+    "ours": {"lw": 1.5, "ms": 3.5},
+    "published": {"lw": 0.7, "ms": 4.5, "mfc": "none", "alpha": 0.8},
+    "floor": {"lw": 1.1, "ms": 4, "alpha": 0.7},
+    "truth": {"lw": 2.6, "ms": 2.4, "alpha": 0.35},
+}
 
 
-def save(chart: Chart, folder: Path, formats: Iterable[str] = ("png", "pdf")) -> list[Path]:
+def save(figure: Figure, folder: Path, formats: Iterable[str] = ("png", "pdf")) -> list[Path]:
     """Write ``<key>.<format>`` for each format."""
     folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{figure.key}.{form}" for form in formats]
     with matplotlib.rc_context(RC):  # type: ignore[arg-type]
-        figure = draw(chart)
-        paths = [folder / f"{chart.key}.{form}" for form in formats]
+        drawn = draw(figure)
         for path in paths:
-            # no date: the same store gives the same bytes
-            figure.savefig(path, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
-            figure.set_layout_engine("none")  # it is laid out now, which takes the longest
+            # no date: the same runs give the same bytes
+            drawn.savefig(path, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
+            drawn.set_layout_engine("none")  # it is laid out now, which takes the longest
     return paths
 
 
-def draw(chart: Chart) -> Figure:
+def draw(figure: Figure) -> mpl.Figure:
     """All panels, then one legend for them."""
-    columns = min(COLUMNS, len(chart.panels))
-    rows = -(-len(chart.panels) // columns)
-    legend = _legend(chart.panels)
-    beside = columns + 1  # entries of the longest names that fit side by side
-    lines = -(-len(legend) // beside)
-    height = rows * HEIGHT + 0.45 + 0.19 * lines
-    figure = Figure(figsize=(max(columns, 2) * WIDTH, height), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False).flatten()
-    for axes, panel in zip(grid, chart.panels, strict=False):
+    columns = min(figure.columns, len(figure.panels))
+    rows = -(-len(figure.panels) // columns)
+    legend = _legend(figure.panels)
+    across = columns + 1  # entries of the longest names that fit side by side
+    height = rows * HEIGHT + 0.45 + 0.19 * -(-len(legend) // across)
+    drawn = mpl.Figure(figsize=(max(columns, 2) * WIDTH, height), layout="constrained")
+    grid = drawn.subplots(rows, columns, squeeze=False).flatten()
+    for axes, panel in zip(grid, figure.panels, strict=False):
         _panel(axes, panel)
-    for axes in grid[len(chart.panels) :]:
+    for axes in grid[len(figure.panels) :]:
         axes.remove()
-    figure.suptitle(_title(chart), x=0.01, ha="left", fontsize=11)
-    figure.legend(
+    drawn.suptitle(figure.title, x=0.01, ha="left", fontsize=11)
+    drawn.legend(
         handles=list(legend.values()), labels=list(legend), loc="outside lower left",
-        ncols=beside, fontsize=7.5, handlelength=2.6,
+        ncols=across, fontsize=7.5, handlelength=3.2,
     )  # fmt: skip
-    return figure
-
-
-def _title(chart: Chart) -> str:
-    return f"{chart.title} (thesis, figure {chart.number})" if chart.number else chart.title
+    return drawn
 
 
 def _panel(axes: Axes, panel: Panel) -> None:
-    if panel.x_log:
-        axes.set_xscale("log")
-    if panel.y_log:
-        axes.set_yscale("log")
-    for series in panel.series:
-        _draw(axes, series)
-    axes.set_title(panel.title)
-    axes.set_xlabel(panel.x_label)
-    axes.set_ylabel(panel.y_label)
+    axes.set(xscale="log" if panel.x_log else "linear", yscale="log" if panel.y_log else "linear")
+    axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     limits = panel.limits()
-    if limits:
-        axes.set_ylim(*limits)
+    gone = [said for series in panel.series() if (said := _draw(axes, panel, series, limits))]
+    shown = {"ylim": limits, "xlim": panel.x_limits()}
+    axes.set(**{name: bounds for name, bounds in shown.items() if bounds})
     if panel.ticks:
         axes.set_xticks(panel.ticks, [f"{x:g}" for x in panel.ticks])
     if panel.x_log:
         axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.text(
+        0.5, 0.97, "\n".join(gone), transform=axes.transAxes, ha="center", va="top",
+        color="#777777", fontsize=7,
+    )  # fmt: skip
 
 
-def _draw(axes: Axes, series: Series) -> None:
-    style = _style(series)
-    x, y = np.array(series.x, dtype=float), _finite(series.y)
-    if series.points:
-        size = 4 if len(x) < 200 else 1
-        axes.plot(x, y, "o", color=style["color"], ms=size, mfc=_filling(series), alpha=0.8)
-        return
-    axes.plot(x, y, **style)
-    if series.low and series.low != series.high:
-        axes.fill_between(
-            x, _finite(series.low), _finite(series.high), color=style["color"], alpha=0.15, lw=0
-        )
+def _draw(axes: Axes, panel: Panel, series: Series, limits: Range | None) -> str | None:
+    """One series; what is to be said of it where nothing of it is within the limits."""
+    rows = series.rows
+    x, y = _finite(rows.x), _finite(rows.y)
+    axes.plot(x, y, **_style(panel, series))
+    if series.band:
+        low, high = _finite(rows.low), _finite(rows.high)
+        axes.fill_between(x, low, high, color=series.look.colour, alpha=0.15, lw=0)
+    if limits is None or ((y >= limits[0]) & (y <= limits[1])).any():
+        return None
+    where = short(float(np.nanmedian(y))) if np.isfinite(y).any() else "diverged"
+    return f"{series.name}: off the scale ({where})"
 
 
-def _style(series: Series) -> dict[str, Any]:
-    colour, dash = look(series.method).colour, stroke(series.integrator).dash
-    common = {"color": colour, "ls": dash}
-    if series.source == "published":
-        return common | {"lw": 0.7, "alpha": 0.8, "marker": "o", "mfc": "none", "ms": 4.5}
-    if series.source == "floor":
-        return common | {"lw": 1.1, "alpha": 0.7, "marker": "" if series.level else "."}
-    if series.source == "truth":
-        return {"color": TRUTH.colour, "ls": "-", "lw": 2.4, "alpha": 0.35}
-    marker = "" if series.lined else "."
-    return common | {"lw": 1.5, "marker": marker, "ms": 6}
+def _style(panel: Panel, series: Series) -> dict[str, Any]:
+    look, dash, count = series.look, series.stroke.dash, len(series.rows)
+    style = {"color": look.colour, "ls": dash, "marker": look.marker, **STYLES[series.source]}
+    if panel.mark == "line":
+        return style | {"marker": ""} | ({"lw": 0.6} if count > LONG_LINE else {})
+    if panel.mark == "points":
+        style |= {"ls": "", "alpha": 0.8}
+        if count > MANY_POINTS:
+            return style | {"ms": 1.2, "marker": "."}
+        # points have no dash: those of another integrator than the first are hollow
+        return style | ({} if dash == "-" else {"mfc": "none"})
+    return style
 
 
-def _filling(series: Series) -> str:
-    """Points have no stroke: those of midpoint are full, others rings."""
-    return look(series.method).colour if series.integrator == "midpoint" else "none"
-
-
-def _finite(values: Sequence[float]) -> np.ndarray:
-    numbers = np.array(values, dtype=float)
+def _finite(values: Any) -> np.ndarray:
+    numbers = np.asarray(values, dtype=float)
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
-def _legend(panels: Sequence[Panel]) -> dict[str, object]:
-    from matplotlib.lines import Line2D
-
-    entries: dict[str, object] = {}
-    for panel in panels:
-        for series in panel.series:
-            if series.source == "published":
-                ring: dict[str, Any] = {"marker": "o", "mfc": "none", "lw": 0.7, "color": "#777777"}
-                entries.setdefault("published", Line2D([], [], **ring))
-            elif series.points:
-                colour = _style(series)["color"]
-                entries.setdefault(
-                    _name(series),
-                    Line2D([], [], marker="o", ls="", color=colour, mfc=_filling(series)),
-                )
-            else:
-                entries.setdefault(_name(series), Line2D([], [], **_style(series)))
-    last = entries.pop("published", None)
-    return entries | ({"published": last} if last else {})
-
-
-def _name(series: Series) -> str:
-    return series.name or pair_name(series.method, series.integrator)
+def _legend(panels: Iterable[Panel]) -> dict[str, Line2D]:
+    """A mark for everything that is drawn; of what is published one, for it has the others'."""
+    entries: dict[str, Line2D] = {}
+    for panel, series in ((one, series) for one in panels for series in one.series()):
+        style = _style(panel, series)
+        if series.source == "published":
+            ring = {**style, "color": "#777777", "ls": "-", "marker": "o"}
+            entries["published"] = Line2D([], [], **ring)
+        else:
+            entries.setdefault(series.name, Line2D([], [], **style))
+    return entries

@@ -1,4 +1,4 @@
-"""Which method is better: ranks and claims, with intervals from resampling.
+"""Which method is better: ranks and margins, with intervals from resampling.
 
 A block is what methods can be compared in without comparing anything else: one system, one size
 of the training set, one noise, one seed. Resampling draws blocks with replacement.
@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.labels import Pair, in_order
+from symo_exp.report.looks import Pair, in_order
 
 BLOCK = ["system", "n_traj", "noise_std", "seed"]
+PAIR = ["method", "integrator"]
 DRAWS = 2000
 LEVEL = 0.95
 
@@ -24,33 +25,30 @@ class Interval(NamedTuple):
     high: float
 
 
-def wide(measures: pd.DataFrame, metric: str) -> pd.DataFrame:
+def wide(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
     """A row for each block, a column for each pair of method and integrator."""
-    pair = ["method", "integrator"]
-    rows = measures[measures.metric == metric].drop_duplicates([*BLOCK, *pair], keep="last")
-    table = rows.set_index([*BLOCK, *pair])["value"].unstack(pair)
+    rows = runs[runs.metric == metric].drop_duplicates([*BLOCK, *PAIR], keep="last")
+    table = rows.set_index([*BLOCK, *PAIR])["value"].unstack(PAIR)
     return table[sorted(table.columns, key=in_order)]
 
 
-def ranking(measures: pd.DataFrame, metric: str) -> pd.DataFrame:
+def ranking(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
     """Mean rank of each pair (1 is best, a small error) over the blocks in which all were run.
 
     Columns ``method``, ``integrator``, ``rank``, ``low``, ``high`` (interval of the mean rank),
     ``best`` (share of the blocks it wins) and ``blocks``. Diverged runs share the last place.
     """
-    table = wide(measures, metric).dropna()
+    table = wide(runs, metric).dropna()
+    names = [*PAIR, "rank", "low", "high", "best", "blocks"]
+    if table.empty:
+        return pd.DataFrame(columns=names)
     ranks = table.rank(axis=1, method="average").to_numpy()
-    count = len(ranks)
-    rows = []
-    means = _resampled(ranks) if count else np.empty((0, ranks.shape[1]))
-    for column, (method, integrator) in enumerate(table.columns):
-        if not count:
-            break
-        interval = _interval(means[:, column])
-        best = float((ranks[:, column] == ranks.min(axis=1)).mean())
-        mean = float(ranks[:, column].mean())
-        rows.append((method, integrator, mean, *interval, best, count))
-    names = ["method", "integrator", "rank", "low", "high", "best", "blocks"]
+    means = ranks[_drawn(len(ranks))].mean(axis=1)
+    best = ranks == ranks.min(axis=1, keepdims=True)
+    rows = [
+        (*pair, ranks[:, i].mean(), *_interval(means[:, i]), best[:, i].mean(), len(ranks))
+        for i, pair in enumerate(table.columns)
+    ]
     return pd.DataFrame(rows, columns=names).sort_values("rank", kind="stable", ignore_index=True)
 
 
@@ -62,12 +60,13 @@ def margin(
     Of the medians over the seeds that have all of them; the interval is from resampling seeds.
     ``table`` and ``higher_in`` have a row for each seed. NaN where a pair has not been run.
     """
+    nothing = math.nan, Interval(math.nan, math.nan), 0
     if not set(lower) <= set(table.columns) or not set(higher) <= set(higher_in.columns):
-        return math.nan, Interval(math.nan, math.nan), 0
+        return nothing
     small, large = table[lower].dropna(), higher_in[higher].dropna()
     seeds = small.index.intersection(large.index)
     if seeds.empty:
-        return math.nan, Interval(math.nan, math.nan), 0
+        return nothing
     small_, large_ = (_logarithms(part.loc[seeds]) for part in (small, large))
 
     def below(rows: np.ndarray) -> np.ndarray:
@@ -76,14 +75,11 @@ def margin(
         return np.median(large_[rows], axis=1).min(axis=1) - worst
 
     every = np.arange(len(seeds))[None]
-    draws = np.random.default_rng(0).integers(0, len(seeds), (DRAWS, len(seeds)))
-    return float(below(every)[0]), _interval(below(draws)), len(seeds)
+    return float(below(every)[0]), _interval(below(_drawn(len(seeds)))), len(seeds)
 
 
-def _resampled(ranks: np.ndarray) -> np.ndarray:
-    generator = np.random.default_rng(0)
-    drawn = generator.integers(0, len(ranks), (DRAWS, len(ranks)))
-    return ranks[drawn].mean(axis=1)
+def _drawn(count: int) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, count, (DRAWS, count))
 
 
 def _interval(values: np.ndarray) -> Interval:

@@ -1,26 +1,44 @@
-"""The runs of a tracking store as tables: one row for each run, one for each of its measures."""
+"""Runs as one tidy table: a row for each measure of each run.
+
+What a run is, the same in all its rows; runs that differ in nothing but ``seed`` make a cell:
+
+* ``variant``: its settings beyond the columns here, as recorded when it was made; ``""``: defaults;
+* ``system``, ``time_step`` [s], ``method``, ``integrator``, ``n_traj``, ``noise_std``, ``seed``;
+* ``optimizer``; ``run_id``, ``experiment``; ``status``: ``FINISHED`` and others, with ``reason``;
+* ``started``: UTC; ``seconds``: processor time of training; ``revision`` of the source;
+* ``files``: where the files of the run lie, a path or an address of MLflow; not saved.
+
+Then ``metric`` and ``value``. A run without a measure has one row, with ``metric=""``. Of runs that
+are the same there is one: the last that finished. ``source`` says how figures draw a row: ``ours``,
+or ``floor`` for a true system in an integrator.
+
+``read`` takes them from a tracking store, ``load`` from run folders and from the files that a
+report saved. Another place to read from gives ``tidy`` its rows.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from symo_exp.errors import ConfigError
-from symo_exp.report.variant import variant
-from symo_exp.tracking.runs import REASON
+from symo_exp.report.looks import TRUE
+from symo_exp.runs.folder import ABOUT, DIED, SERIES, RunFolder
+from symo_exp.runs.series import EPOCH, TIME
+from symo_exp.runs.series import read as read_series
+from symo_exp.tracking.publish import REASON, STATUS
 from symo_exp.tracking.store import Store, check, connect
-
-if TYPE_CHECKING:
-    from mlflow.entities import Run
 
 PAGE = 1000
 """Runs in one request."""
 LARGEST = 1.7e308
 """An SQL store keeps an infinite measure as the largest double."""
-AXES = {
+REVISION = "mlflow.source.git.commit"
+PARAMETERS = {
     "system": "system",
     "time_step": "system.time_step",
     "method": "model",
@@ -28,60 +46,80 @@ AXES = {
     "n_traj": "data.n_traj",
     "noise_std": "data.noise_std",
     "seed": "seed",
+    "optimizer": "optimizer",
 }
-"""Column: the parameter of the run behind it."""
-NUMBERS = {"time_step": float, "n_traj": int, "noise_std": float, "seed": int}
-CELL = ["variant", *(axis for axis in AXES if axis != "seed")]
+"""Column: the parameter of a run that it is read from."""
+CELL = ["variant", "system", "time_step", "method", "integrator", "n_traj", "noise_std"]
 """What a cell of a table is: the runs that differ in nothing but the seed."""
-ABOUT = ["run_id", "experiment", "status", "reason", "started", "seconds", "revision", "files"]
-COLUMNS = [*CELL, "seed", "optimizer", *ABOUT]
+KNOWN = ["run_id", "experiment", "status", "reason", "started", "seconds", "revision"]
+SAVED = [*CELL, "seed", "optimizer", *KNOWN, "metric", "value"]
+"""The columns of ``runs.csv`` and ``runs.parquet``."""
+COLUMNS = [*SAVED, "files", "source"]
+WHOLE = ["n_traj", "seed"]
+NUMBERS = ["time_step", "noise_std", "seconds", "value", *WHOLE]
 
-
-class Runs(NamedTuple):
-    """``table`` has a row for each run (``COLUMNS``), ``measures`` a row for each measure of each
-    finished run: the same columns, then ``metric`` and ``value``."""
-
-    table: pd.DataFrame
-    measures: pd.DataFrame
+Row = tuple[Mapping[str, Any], Mapping[str, float]]
+"""A run: what is known of it, by column, and its measures."""
 
 
 def read(
     store: Store,
-    experiments: Sequence[str],
+    experiments: Sequence[str] = (),
     *,
     systems: Sequence[str] = (),
     seeds: Sequence[int] = (),
-) -> Runs:
-    """All runs of the experiments; of those that finished twice the same, the last.
+) -> pd.DataFrame:
+    """The runs of the experiments in a store; without a name, of all.
 
     The requests are as many as there are thousands of runs, whatever the number of measures.
     """
-    rows, values = [], []
-    for run, experiment in _found(store, experiments):
-        row = _row(run, experiment)
-        if row is None or (systems and row["system"] not in systems):
-            continue
-        if seeds and row["seed"] not in seeds:
-            continue
-        rows.append(row)
-        values.append(run.data.metrics)
-    table = pd.DataFrame(rows, columns=COLUMNS)
-    done = last_of_each(table[table.status == "FINISHED"])
-    long = [
-        {**row, "metric": name, "value": _number(value)}
-        for row, index in zip(done.to_dict("records"), done.index, strict=True)
-        for name, value in values[index].items()
-    ]
-    return Runs(table, pd.DataFrame(long, columns=[*COLUMNS, "metric", "value"]))
+    return _asked(tidy(_in_store(store, experiments)), (), systems, seeds)
 
 
-def last_of_each(runs: pd.DataFrame) -> pd.DataFrame:
-    """Of runs that are the same, the one that started last."""
-    ordered = runs.sort_values("started", kind="stable")
-    return ordered.drop_duplicates([*CELL, "seed"], keep="last")
+def load(
+    paths: Sequence[Path],
+    experiments: Sequence[str] = (),
+    *,
+    systems: Sequence[str] = (),
+    seeds: Sequence[int] = (),
+) -> pd.DataFrame:
+    """The runs below the folders, and in the ``runs.csv`` and ``runs.parquet``, all together.
+
+    Reports save no files of studies: their figures are not there again.
+    """
+    return _asked(pd.concat([_load(path) for path in paths]), experiments, systems, seeds)
 
 
-def _found(store: Store, experiments: Sequence[str]) -> Iterator[tuple[Run, str]]:
+def tidy(runs: Iterable[Row]) -> pd.DataFrame:
+    """The table of runs; one that names no method or no system is none of ours."""
+    rows = [
+        {**about, "metric": metric, "value": value}
+        for about, measures in runs if about["method"] and about["system"]
+        for metric, value in _finished(about, measures).items()
+    ]  # fmt: skip
+    return _last_of_each(_typed(pd.DataFrame(rows, columns=COLUMNS[:-1])))
+
+
+def save(runs: pd.DataFrame, path: Path) -> Path:
+    """Write a table for ``load``: CSV or Parquet by the name of the file."""
+    kept = runs[SAVED].astype(dict.fromkeys(WHOLE, "Int64"))
+    if path.suffix == ".parquet":
+        kept.to_parquet(path, index=False)
+    else:
+        kept.to_csv(path, index=False)
+    return path
+
+
+def without_result(runs: pd.DataFrame) -> pd.DataFrame:
+    """The runs that have not finished."""
+    return runs[runs.status != "FINISHED"].drop_duplicates("run_id")
+
+
+def _finished(about: Mapping[str, Any], measures: Mapping[str, float]) -> Mapping[str, float]:
+    return measures if about["status"] == "FINISHED" and measures else {"": math.nan}
+
+
+def _in_store(store: Store, experiments: Sequence[str]) -> Iterator[Row]:
     if store.database is not None and not store.database.exists():
         raise ConfigError(
             f"no tracking store at {store.database}: say which with --tracking-uri or --directory"
@@ -89,43 +127,106 @@ def _found(store: Store, experiments: Sequence[str]) -> Iterator[tuple[Run, str]
     check(store, timeout=5.0)
     client = connect(store)
     there = {found.name: found.experiment_id for found in client.search_experiments()}
-    for name in experiments:
-        if name not in there:
-            others = ", ".join(sorted(set(there) - {"Default"})) or "none"
-            raise ConfigError(f"no experiment {name!r} in {store}; it has: {others}")
-        token = None
-        while True:
-            page = client.search_runs([there[name]], max_results=PAGE, page_token=token)
-            yield from ((run, name) for run in page)
-            token = page.token
-            if not token:
-                break
+    _check_names(experiments, set(there) - {"Default"}, str(store))
+    for name in experiments or sorted(there):
+        token: str | None = ""
+        while token is not None:
+            page = client.search_runs([there[name]], max_results=PAGE, page_token=token or None)
+            for run in page:
+                info, tags, metrics = run.info, run.data.tags, run.data.metrics
+                yield _parameters(run.data.params) | {
+                    "run_id": info.run_id, "experiment": name, "status": info.status,
+                    "reason": tags.get(REASON), "revision": tags.get(REVISION),
+                    "started": pd.Timestamp(info.start_time, unit="ms", tz="UTC"),
+                    # not from start to end: a run may have been cut and continued, or studied later
+                    "seconds": metrics.get("training_seconds"), "files": info.artifact_uri,
+                }, metrics  # fmt: skip
+            token = page.token or None
 
 
-def _row(run: Run, experiment: str) -> dict[str, Any] | None:
-    """What a run is; nothing for one that is none of ours, such as the parent of a sweep."""
-    parameters: Mapping[str, str] = run.data.params
-    if not {"model", "system", "seed"} <= set(parameters):
+def _in_folder(folder: RunFolder) -> Row | None:
+    """The run of a folder, as the store would have it; a dead one has failed."""
+    about, outcome = folder.about(), folder.outcome()
+    if about is None:
         return None
-    row: dict[str, Any] = {axis: parameters.get(name) for axis, name in AXES.items()}
-    for axis, kind in NUMBERS.items():
-        row[axis] = None if row[axis] in (None, "None") else kind(row[axis])
-    info, tags = run.info, run.data.tags
-    # not from start to end: a run may have been cut and continued, or studied much later
-    seconds = run.data.metrics.get("training_seconds", math.nan)
-    return row | {
-        "variant": variant(parameters),
-        "optimizer": parameters.get("optimizer", ""),
-        "run_id": info.run_id,
-        "experiment": experiment,
-        "status": info.status,
-        "reason": tags.get(REASON, ""),
-        "started": pd.Timestamp(info.start_time, unit="ms", tz="UTC"),
-        "seconds": seconds,
-        "revision": tags.get("mlflow.source.git.commit", ""),
-        "files": info.artifact_uri,
-    }
+    died = folder.died()
+    numbers = {k: v for row in read_series(folder / SERIES) for k, v in row.items()}
+    measures = {k: v for k, v in numbers.items() if k not in (EPOCH, TIME)} | folder.measures()
+    return _parameters({**about.parameters, "variant": about.variant}) | {
+        "run_id": about.identity,
+        "experiment": about.parameters.get("experiment", folder.path.parent.name),
+        "status": STATUS["failed" if died else outcome.status],
+        "reason": DIED if died else outcome.reason,
+        "revision": about.tags.get(REVISION),
+        "started": pd.Timestamp(about.started, unit="s", tz="UTC"),
+        "seconds": measures.get("training_seconds"),
+        "files": str(folder.path),
+    }, measures
 
 
-def _number(value: float) -> float:
-    return math.copysign(math.inf, value) if abs(value) > LARGEST else value
+def _parameters(told: Mapping[str, Any]) -> dict[str, Any]:
+    preset = told.get("preset", "default")
+    row = {column: told.get(name) for column, name in PARAMETERS.items()}
+    return {"variant": told.get("variant", "" if preset == "default" else preset), **row}
+
+
+def _load(path: Path) -> pd.DataFrame:
+    if path.is_dir():
+        found = (RunFolder(file.parent) for file in sorted(path.rglob(ABOUT)))
+        rows = [row for folder in found if (row := _in_folder(folder)) is not None]
+        if not rows:
+            raise ConfigError(f"--runs {path} has no run in it, nor in a folder below")
+        return tidy(rows)
+    try:
+        if path.suffix == ".parquet":
+            table = pd.read_parquet(path)
+        else:
+            table = pd.read_csv(path, dtype=str, keep_default_na=False)
+        absent = [column for column in SAVED if column not in table]
+        typed = table if absent else _typed(table[SAVED].assign(files=""))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
+        raise ConfigError(f"--runs {path} cannot be read ({reason})") from error
+    if absent:
+        raise ConfigError(
+            f"--runs {path} has no column {absent[0]!r}: "
+            "give the runs.csv or runs.parquet of a report"
+        )
+    return typed
+
+
+def _typed(table: pd.DataFrame) -> pd.DataFrame:
+    """Numbers, times and words, whatever the source has them as."""
+    table = table.replace({"None": None, "null": None})
+    table[NUMBERS] = table[NUMBERS].apply(pd.to_numeric).astype(float)
+    infinite = table.value.abs() > LARGEST
+    table["value"] = table.value.mask(infinite, table.value * math.inf)
+    table["started"] = pd.to_datetime(table.started, utc=True, format="ISO8601")
+    words = [str(column) for column in table if column not in (*NUMBERS, "started")]
+    table[words] = table[words].fillna("").astype(str)
+    return table.assign(source=table.method.isin(TRUE).map({True: "floor", False: "ours"}))
+
+
+def _asked(
+    runs: pd.DataFrame, experiments: Sequence[str], systems: Sequence[str], seeds: Sequence[int]
+) -> pd.DataFrame:
+    _check_names(experiments, set(runs.experiment), "the saved runs")
+    for column, wanted in (("experiment", experiments), ("system", systems), ("seed", seeds)):
+        if wanted:
+            runs = runs[runs[column].isin(wanted)]
+    return _last_of_each(runs)
+
+
+def _last_of_each(runs: pd.DataFrame) -> pd.DataFrame:
+    """Of runs that are the same, the one that finished and, of those, that started last."""
+    each = runs.drop_duplicates("run_id")
+    each = each.assign(done=each.status == "FINISHED").sort_values(["done", "started"])
+    kept = each.drop_duplicates([*CELL, "seed"], keep="last").run_id
+    runs = runs[runs.run_id.isin(kept)]
+    return runs.drop_duplicates(["run_id", "metric"]).reset_index(drop=True)
+
+
+def _check_names(asked: Sequence[str], there: set[str], where: str) -> None:
+    if missing := [name for name in asked if name not in there]:
+        have = ", ".join(sorted(there)) or "none"
+        raise ConfigError(f"no experiment {missing[0]!r} in {where}; there are: {have}")

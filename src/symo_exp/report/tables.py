@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
 
 LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
@@ -15,41 +17,38 @@ LATEX = {
 
 @dataclass(frozen=True)
 class Table:
-    """``key`` names its files. ``notes`` stand below it. ``words`` columns are set flush left."""
+    """``key`` names its files; ``rows`` are text, the first ``words`` columns set flush left;
+    ``notes`` stand below it."""
 
     key: str
     title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    notes: Sequence[str] = field(default_factory=tuple)
+    rows: pd.DataFrame
+    notes: Sequence[str] = ()
     words: int = 1
-    """How many columns, from the left, are words and not numbers."""
+
+    def lines(self) -> Iterable[list[str]]:
+        """The header, then the rows."""
+        return [list(map(str, self.rows.columns)), *self.rows.astype(str).to_numpy().tolist()]
 
 
 def markdown(table: Table) -> str:
-    rule = [":--" if i < table.words else "--:" for i in range(len(table.header))]
-    lines = [_row(table.header), _row(rule), *map(_row, table.rows)]
-    notes = [f"\n{note}" for note in table.notes]
-    return "\n".join([f"**{table.title}**\n", *lines, *notes]) + "\n"
+    rule = [":--" if i < table.words else "--:" for i in range(table.rows.shape[1])]
+    header, *rows = ([cell.replace("|", r"\|") for cell in line] for line in table.lines())
+    lines = ["| " + " | ".join(cells) + " |" for cells in (header, rule, *rows)]
+    return "\n".join([f"**{table.title}**\n", *lines, *(f"\n{n}" for n in table.notes)]) + "\n"
 
 
 def latex(table: Table) -> str:
     """A ``table`` environment of the package booktabs."""
-    columns = "l" * table.words + "r" * (len(table.header) - table.words)
-    lines = [" & ".join(map(_escaped, row)) + r" \\" for row in table.rows]
-    notes = [f"\\par\\footnotesize {_escaped(note)}" for note in table.notes]
-    return "\n".join(
-        [
-            r"\begin{table}", r"\centering", rf"\caption{{{_escaped(table.title)}}}",
-            rf"\label{{tab:{table.key}}}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule",
-            " & ".join(map(_escaped, table.header)) + r" \\", r"\midrule",
-            *lines, r"\bottomrule", r"\end{tabular}", *notes, r"\end{table}", "",
-        ]
-    )  # fmt: skip
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+    columns = "l" * table.words + "r" * (table.rows.shape[1] - table.words)
+    header, *rows = (" & ".join(map(_escaped, line)) + r" \\" for line in table.lines())
+    lines = [
+        r"\begin{table}", r"\centering", rf"\caption{{{_escaped(table.title)}}}",
+        rf"\label{{tab:{table.key}}}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule", header,
+        r"\midrule", *rows, r"\bottomrule", r"\end{tabular}",
+        *(rf"\par\footnotesize {_escaped(note)}" for note in table.notes), r"\end{table}", "",
+    ]  # fmt: skip
+    return "\n".join(lines)
 
 
 def _escaped(text: str) -> str:

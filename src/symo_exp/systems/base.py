@@ -1,13 +1,15 @@
-"""What every true system declares, and what follows from it."""
+"""What is known of a system: coordinates, inputs and time step always, its Lagrangian perhaps."""
 
-from __future__ import annotations
+# Annotations are not postponed here: fields are inherited by classes of other modules, which need
+# not know the names of their types.
 
 import hashlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, get_origin, get_type_hints
 
 import torch
 from jaxtyping import Float
@@ -34,6 +36,16 @@ class SamplingBox(NamedTuple):
     v: tuple[Range, ...]
     u: tuple[Range, ...]
 
+    def points(self, count: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
+        """``count`` draws of ``(q, v, u)`` in float64, always the same for a seed."""
+        generator = torch.Generator().manual_seed(seed)
+        points = []
+        for ranges in self:
+            low, high = torch.tensor(ranges, dtype=torch.float64).T
+            share = torch.rand(count, len(ranges), dtype=torch.float64, generator=generator)
+            points.append(low + share * (high - low))
+        return points[0], points[1], points[2]
+
 
 class Skeleton(NamedTuple):
     """A stick figure of one configuration, in metres; x points right and y up.
@@ -49,41 +61,67 @@ class Skeleton(NamedTuple):
     reach: float = 1.0
 
 
-class System(Lagrangian, ABC):
-    """A mechanical system whose Lagrangian is known: ``d/dt ∂ℒ/∂v − ∂ℒ/∂q = B u``.
+@dataclass(frozen=True, kw_only=True)
+class System(ABC):
+    """What is known of a mechanical system, in SI units.
 
-    A subclass gives the inertia, the potential and the skeleton, and hands the rest to this
-    constructor. Units are SI throughout.
-
-    ``coordinates`` name the degrees of freedom; ``input_matrix`` is ``B`` (n, m);
-    ``time_step`` is the distance ``h`` [s] of the nodes of a trajectory; ``parameters`` maps each
-    physical parameter to ``(value, unit)``; ``box`` is where trajectories start.
+    A system is a frozen dataclass; ``conf/system`` holds the values of its fields. A physical
+    parameter names its unit, ``mass: Annotated[float, "kg"]``, and is positive. ``time_step`` is
+    the distance ``h`` [s] of the nodes of a trajectory, ``box`` where motions start. What is not
+    known is ``None``, and whatever would need it is left out.
     """
 
-    def __init__(
-        self,
-        *,
-        coordinates: Coordinates,
-        input_matrix: Sequence[Sequence[float]],
-        time_step: float,
-        parameters: Mapping[str, tuple[float, str]],
-        box: SamplingBox,
-    ) -> None:
-        for name, (value, _) in parameters.items():
-            real(f"system.{name}", value, above=0)
-        real("system.time_step", time_step, above=0)
-        self.coordinates = coordinates
-        self.input_matrix: Float[Tensor, "n m"] = torch.tensor(input_matrix, dtype=torch.float64)
-        self.time_step = float(time_step)
-        self.parameters = {name: (float(x), unit) for name, (x, unit) in parameters.items()}
-        n, m = self.input_matrix.shape
-        self.sampling_box = SamplingBox(
-            q=_ranges("q", box.q, n), v=_ranges("v", box.v, n), u=_ranges("u", box.u, m)
-        )
+    time_step: float
+    box: SamplingBox | None = None
 
+    @property
     @abstractmethod
-    def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton:
+    def coordinates(self) -> Coordinates:
+        """The degrees of freedom."""
+
+    @property
+    @abstractmethod
+    def input_matrix(self) -> Float[Tensor, "n m"]:
+        """``B`` in the generalised force ``B u``, float64."""
+
+    @property
+    def lagrangian(self) -> Lagrangian | None:
+        """The true Lagrangian."""
+        return None
+
+    def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton | None:
         """Forward kinematics of one configuration, as a figure to draw."""
+        return None
+
+    @classmethod
+    def units(cls) -> dict[str, str]:
+        """The physical parameters by name, with their units."""
+        hints = get_type_hints(cls, include_extras=True)
+        names = [f.name for f in fields(cls) if get_origin(hints[f.name]) is Annotated]
+        return {name: hints[name].__metadata__[0] for name in names}
+
+    def __post_init__(self) -> None:
+        checked: dict[str, object] = {
+            name: real(f"system.{name}", getattr(self, name), above=0)
+            for name in ("time_step", *self.units())
+        }
+        if self.box is not None:
+            checked["box"] = _box(self.box, *self.input_matrix.shape)
+        vars(self).update(checked)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LagrangianSystem(System, Lagrangian):
+    """A system whose Lagrangian is known: ``d/dt ∂ℒ/∂v − ∂ℒ/∂q = B u``.
+
+    A subclass gives ``mass_matrix`` and ``potential`` and, to be drawn, ``skeleton``.
+    """
+
+    box: SamplingBox = field()  # without it there is nothing to simulate
+
+    @property
+    def lagrangian(self) -> Lagrangian:
+        return self
 
     def acceleration(
         self,
@@ -101,53 +139,52 @@ class System(Lagrangian, ABC):
             return super().rates(q, v)
         return complex_step.rates(self, q, v)
 
-    def _points(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Fixed points ``(q, v, u)`` spread over the box."""
-        generator = torch.Generator().manual_seed(0)
-        points = []
-        for ranges in self.sampling_box:
-            low, high = torch.tensor(ranges, dtype=torch.float64).T
-            share = torch.rand(count, len(ranges), dtype=torch.float64, generator=generator)
-            points.append(low + share * (high - low))
-        return points[0], points[1], points[2]
-
-    def _fingerprint(self) -> str:
-        """Hash of accelerations, so that edited equations do not pass for the old ones."""
-        with torch.no_grad():
-            values = self.acceleration(*self._points(64)).flatten().tolist()
-        return hashlib.sha256(" ".join(f"{x:.9e}" for x in values).encode()).hexdigest()[:16]
-
     @cached_property
     def _analytic(self) -> bool:
         """Whether this system's functions allow the complex step, tried at points of the box."""
-        q, v, _ = self._points(8)
+        q, v, _ = self.box.points(8, seed=0)
         return complex_step.applies(self, q, v)
 
     def identity(self) -> dict[str, object]:
         """Everything that decides how this system moves, as plain values."""
-        kind = type(self)
+        kind, units = type(self), self.units()
+        own = [f.name for f in fields(self) if f.name not in ("time_step", "box")]
         return {
             "class": f"{kind.__module__}.{kind.__qualname__}",
-            "parameters": {name: list(pair) for name, pair in self.parameters.items()},
+            "parameters": {name: [getattr(self, name), units.get(name, "")] for name in own},
             "coordinates": list(self.coordinates.names),
             "angular": list(self.coordinates.angular),
             "input_matrix": self.input_matrix.tolist(),
             "time_step": self.time_step,
-            "box": {k: [list(r) for r in v] for k, v in self.sampling_box._asdict().items()},
+            "box": {k: [list(r) for r in v] for k, v in self.box._asdict().items()},
             "accelerations": self._fingerprint(),
         }
 
+    def _fingerprint(self) -> str:
+        """Hash of accelerations, so that edited equations do not pass for the old ones."""
+        with torch.no_grad():
+            values = self.acceleration(*self.box.points(64, seed=0)).flatten().tolist()
+        return hashlib.sha256(" ".join(f"{x:.9e}" for x in values).encode()).hexdigest()[:16]
 
-def _ranges(field: str, ranges: Sequence[Sequence[float]], count: int) -> tuple[Range, ...]:
-    key = f"system.box.{field}"
+
+def _box(given: SamplingBox | Mapping[str, Sequence[Range]], n: int, m: int) -> SamplingBox:
+    """Ranges of plain numbers, one for each of ``n`` coordinates and ``m`` controls."""
+    parts = given._asdict() if isinstance(given, SamplingBox) else dict(given)
+    if set(parts) != set(SamplingBox._fields):
+        raise ConfigError(f"system.box={parts}: expected ranges of q, v and u")
+    counts = {"q": n, "v": n, "u": m}
+    return SamplingBox(**{name: _ranges(name, parts[name], counts[name]) for name in counts})
+
+
+def _ranges(name: str, ranges: Sequence[Range], count: int) -> tuple[Range, ...]:
     try:
         pairs = tuple((float(low), float(high)) for low, high in ranges)
     except (TypeError, ValueError):
-        raise ConfigError(f"{key}={ranges}: expected a list of {count} [low, high] pairs") from None
+        pairs = ()
     ordered = all(math.isfinite(low) and low <= high < math.inf for low, high in pairs)
     if len(pairs) != count or not ordered:
         raise ConfigError(
-            f"{key}={[list(pair) for pair in pairs]}: expected {count} pair(s) [low, high] "
+            f"system.box.{name}={ranges}: expected a list of {count} pair(s) [low, high] "
             "with low <= high"
         )
     return pairs

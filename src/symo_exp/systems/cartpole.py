@@ -2,55 +2,36 @@
 
 from __future__ import annotations
 
-from typing import final
+from dataclasses import dataclass
+from typing import Annotated, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import SamplingBox, Skeleton, System
-
-BOX = SamplingBox(q=((-0.5, 0.5), (-3.14, 3.14)), v=((-0.05, 0.05), (-3.0, 3.0)), u=((-2.0, 2.0),))
+from symo_exp.systems.base import LagrangianSystem, Skeleton
 
 
 @final
-class Cartpole(System):
+@dataclass(frozen=True, kw_only=True)
+class Cartpole(LagrangianSystem):
     """Uniform rod of length ``2 L`` hinged on a cart, ``θ = 0`` upright, force ``u`` on the cart::
 
         H = [[m_c + m_p, m_p L cos θ], [m_p L cos θ, 4/3 m_p L²]],    V = m_p g L cos θ
 
     without friction (thesis B.3; Florian, "Correct equations for the dynamics of the cart-pole
     system", 2007). The pole's end is at ``x + 2 L sin θ``. ``B = [1, 0]ᵀ``.
-
-    Parameters: ``gravity`` g [m/s²], ``mass_cart`` m_c [kg], ``mass_pole`` m_p [kg],
-    ``half_length`` L, from the hinge to the pole's centre of mass [m].
     """
 
-    def __init__(
-        self,
-        *,
-        time_step: float = 0.05,
-        gravity: float = 9.8,
-        mass_cart: float = 1.0,
-        mass_pole: float = 0.1,
-        half_length: float = 0.5,
-        box: SamplingBox = BOX,
-    ) -> None:
-        super().__init__(
-            coordinates=Coordinates(names=("x", "theta"), angular=(False, True)),
-            input_matrix=[[1.0], [0.0]],
-            time_step=time_step,
-            parameters={
-                "gravity": (gravity, "m/s^2"),
-                "mass_cart": (mass_cart, "kg"),
-                "mass_pole": (mass_pole, "kg"),
-                "half_length": (half_length, "m"),
-            },
-            box=box,
-        )
-        self.gravity, self.half_length = gravity, half_length
-        self.mass_cart, self.mass_pole = mass_cart, mass_pole
+    gravity: Annotated[float, "m/s^2"]
+    mass_cart: Annotated[float, "kg"]
+    mass_pole: Annotated[float, "kg"]
+    half_length: Annotated[float, "m"]
+    """``L``, from the hinge to the pole's centre of mass."""
+
+    coordinates = Coordinates(names=("x", "theta"), angular=(False, True))
+    input_matrix = torch.tensor([[1.0], [0.0]], dtype=torch.float64)
 
     def mass_matrix(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, "batch 2 2"]:
         coupling = self.mass_pole * self.half_length * q[:, 1].cos()

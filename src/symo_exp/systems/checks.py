@@ -8,13 +8,10 @@ from collections.abc import Sequence
 from symo_exp.errors import ConfigError
 
 
-def whole(key: str, value: object, *, low: int, high: int | None = None) -> int:
+def whole(key: str, value: object, *, low: int = 1, high: int | None = None) -> int:
     """``value`` if it is a whole number from ``low`` to ``high``."""
-    if (
-        isinstance(value, int)
-        and not isinstance(value, bool)
-        and low <= value <= (value if high is None else high)
-    ):
+    plain = isinstance(value, int) and not isinstance(value, bool)
+    if isinstance(value, int) and plain and low <= value and (high is None or value <= high):
         return value
     wanted = f"of at least {low}" if high is None else f"from {low} to {high}"
     raise ConfigError(f"{key}={value!r}: expected a whole number {wanted}")

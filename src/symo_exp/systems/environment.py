@@ -1,6 +1,6 @@
 """A Gymnasium environment over any system: ``symo_exp/Pendulum-v0`` and so on.
 
-Importing this module registers one environment for each system of the package::
+Importing this module registers one environment for each system of ``conf/system``::
 
     import gymnasium
     import symo_exp.systems.environment
@@ -19,9 +19,10 @@ import numpy as np
 import torch
 
 from symo_exp.errors import ConfigError
-from symo_exp.systems.base import System
+from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.render import Renderer
 from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
 
 MAX_EPISODE_STEPS = 500
@@ -33,7 +34,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
     """A step is ``system.time_step`` of exact motion under a held control.
 
     - Action: the control ``u`` (m,), float64 [N or N m]; clipped to the range the data are drawn
-      from (``system.sampling_box.u``).
+      from (``system.box.u``).
     - Observation: ``(q, v)`` (2n,), float64. Angles are not wrapped: they count turns.
     - Reward: the potential energy ``V(q)`` [J] of the state reached, which is greatest where the
       masses are highest: swinging up pays.
@@ -45,7 +46,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
     """
 
     def __init__(
-        self, system: System, *, solver: Solver = SOLVER, render_mode: str | None = None
+        self, system: LagrangianSystem, *, solver: Solver = SOLVER, render_mode: str | None = None
     ) -> None:
         self.metadata = {
             "render_modes": ["human", "rgb_array"],
@@ -54,7 +55,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render_mode={render_mode!r}: expected human, rgb_array or None")
         self.system, self.solver, self.render_mode = system, solver, render_mode
-        low, high = np.array(system.sampling_box.u).T
+        low, high = np.array(system.box.u).T
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float64)
         self.observation_space = gymnasium.spaces.Box(
             -np.inf, np.inf, shape=(2 * system.coordinates.n,), dtype=np.float64
@@ -67,33 +68,27 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
         given = options or {}
-        unknown = set(given) - {"q", "v"}
-        if unknown:
+        if unknown := set(given) - {"q", "v"}:
             raise ConfigError(f"reset options {sorted(unknown)}: expected q and v")
         parts = []
         for name in ("q", "v"):
-            low, high = np.array(getattr(self.system.sampling_box, name)).T
-            drawn = self.np_random.uniform(low, high)
+            drawn = self.np_random.uniform(*np.array(getattr(self.system.box, name)).T)
             part = np.asarray(given.get(name, drawn), dtype=np.float64)
             if part.shape != drawn.shape or not np.isfinite(part).all():
                 raise ConfigError(
                     f"reset option {name}={given[name]}: expected {len(drawn)} finite number(s)"
                 )
             parts.append(part)
-        self._state = np.concatenate(parts)
-        self._show()
-        return self._state.copy(), {}
+        return self._arrive(np.concatenate(parts)), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        q, v = self._split(self._current())
         space = self.action_space
         assert isinstance(space, gymnasium.spaces.Box)
         u = torch.from_numpy(np.clip(np.asarray(action, dtype=np.float64), space.low, space.high))
-        after = simulate(self.system, q, v, u.reshape(1, -1), steps=1, solver=self.solver)
-        self._state = torch.cat([after.q[0, 1], after.v[0, 1]]).numpy()
+        after = simulate(self.system, *self._now(), u.reshape(1, -1), steps=1, solver=self.solver)
         reward = float(self.system.potential(after.q[:, 1]))
-        self._show()
-        return self._state.copy(), reward, False, False, {}
+        state = torch.cat([after.q[0, 1], after.v[0, 1]]).numpy()
+        return self._arrive(state), reward, False, False, {}
 
     def render(self) -> Any:
         return self._draw() if self.render_mode == "rgb_array" else None
@@ -103,27 +98,26 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
             self._renderer.close()
             self._renderer = None
 
-    def _current(self) -> np.ndarray:
-        if self._state is None:
-            raise gymnasium.error.ResetNeeded("call reset() first")
-        return self._state
-
-    def _split(self, state: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        q, v = torch.from_numpy(state).unsqueeze(0).split(self.system.coordinates.n, dim=1)
-        return q, v
-
-    def _show(self) -> None:
+    def _arrive(self, state: np.ndarray) -> np.ndarray:
+        self._state = state
         if self.render_mode == "human":
             self._draw()
+        return state.copy()
+
+    def _now(self) -> tuple[torch.Tensor, torch.Tensor]:
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        q, v = torch.from_numpy(self._state).unsqueeze(0).split(self.system.coordinates.n, dim=1)
+        return q, v
 
     def _draw(self) -> np.ndarray | None:
         assert self.render_mode is not None
+        name, figure = type(self.system).__name__, self.system.skeleton(self._now()[0][0])
+        if figure is None:
+            raise ConfigError(f"{name} cannot be drawn: its class has no skeleton(q)")
         if self._renderer is None:
-            self._renderer = Renderer(
-                self.render_mode, self.metadata["render_fps"], type(self.system).__name__
-            )
-        q, _ = self._split(self._current())
-        return self._renderer.draw(self.system.skeleton(q[0]))
+            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"], name)
+        return self._renderer.draw(figure)
 
 
 def make(
@@ -132,20 +126,17 @@ def make(
     render_mode: str | None = None,
     solver: Mapping[str, Any] | None = None,
 ) -> Environment:
-    """The environment of the system of that class name, with parameters other than its own.
+    """The environment of a system of ``conf/system``, with parameters other than its own.
 
-    ``parameters`` are those of the system's constructor; ``solver`` has those of
-    ``Solver``.
+    ``parameters`` are fields of the system, ``solver`` fields of ``Solver``.
     """
     chosen = dataclasses.replace(SOLVER, **(solver or {}))
-    return Environment(
-        systems()[system](**(parameters or {})), solver=chosen, render_mode=render_mode
-    )
+    return Environment(stated(system, **(parameters or {})), solver=chosen, render_mode=render_mode)
 
 
-for _name in systems():
+for _name, _kind in systems().items():
     gymnasium.register(
-        f"symo_exp/{_name}-v0",
+        f"symo_exp/{_kind.__name__}-v0",
         entry_point="symo_exp.systems.environment:make",
         max_episode_steps=MAX_EPISODE_STEPS,
         kwargs={"system": _name},

@@ -1,10 +1,11 @@
-"""One renderer for the skeleton of any system."""
+"""Skeletons drawn by Pillow: one painter for the animation of a run and for the environment."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from symo_exp.errors import ConfigError
 from symo_exp.systems.base import Skeleton
@@ -12,73 +13,79 @@ from symo_exp.systems.base import Skeleton
 SIZE = 480
 MARGIN = 1.25
 """Half the picture's width in units of the skeleton's reach."""
+FINE = 3
+"""Drawn this much larger and scaled down: Pillow's lines have no soft edges."""
+PAPER, RAIL, LINK, JOINT = "#ffffff", "#c8c8c8", "#285aa0", "#333333"
 
-_PAPER, _RAIL, _LINK, _JOINT, _CART = (
-    (250, 250, 248),
-    (190, 190, 190),
-    (40, 90, 160),
-    (200, 80, 40),
-    (70, 70, 70),
-)
+
+def paint(
+    canvas: ImageDraw.ImageDraw, box: tuple[float, float, float], skeleton: Skeleton,
+    camera: np.ndarray, link: str = LINK, joint: str = JOINT,
+) -> None:  # fmt: skip
+    """Draw a skeleton into the square ``box = (left, top, side)`` [pixel].
+
+    The point ``camera`` [m] is in the middle. Where there is a rail, its ticks, one a metre, show
+    how far the camera has moved.
+    """
+    left, top, side = box
+    points = points_of(skeleton)
+    scale = side / (2 * MARGIN * skeleton.reach)
+    far = 4.0 * side  # Pillow takes no infinite coordinates
+
+    def pixel(point: np.ndarray) -> tuple[float, float]:
+        x, y = np.clip(scale * (point - camera), -far, far)
+        return float(left + side / 2 + x), float(top + side / 2 - y)
+
+    width, thin = round(0.055 * side), max(1, round(side / 200))
+    if skeleton.carts:
+        _, level = pixel(np.array([camera[0], 0.0]))
+        canvas.line((left, level, left + side, level), fill=RAIL, width=thin)
+        half = side / 2 / scale
+        for metre in range(int(camera[0] - half) - 1, int(camera[0] + half) + 2):
+            x, _ = pixel(np.array([float(metre), 0.0]))
+            if left < x < left + side:
+                canvas.line((x, level - 5 * thin, x, level + 5 * thin), fill=RAIL, width=thin)
+    for cart in skeleton.carts:
+        x, y = pixel(points[cart])
+        corners = (x - 2 * width, y - 1.2 * width, x + 2 * width, y + 1.2 * width)
+        canvas.rounded_rectangle(corners, radius=width / 2, fill=joint)
+    for start, end in skeleton.links:
+        canvas.line((*pixel(points[start]), *pixel(points[end])), fill=link, width=width)
+    for x, y in map(pixel, points):
+        for radius, colour in ((0.5 * width, link), (0.24 * width, PAPER)):
+            canvas.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour)
+
+
+def points_of(skeleton: Skeleton) -> np.ndarray:
+    """Its points (points, 2) in metres."""
+    return np.asarray(skeleton.points.detach().cpu().double().numpy())
 
 
 class Renderer:
-    """Draws skeletons with pygame: in a window (``human``) or as an array (``rgb_array``).
+    """Skeletons in a window of pygame (``human``) or as arrays (``rgb_array``).
 
-    The first point stays in the middle of the picture. Where there is a rail, its ticks, one a
-    metre, show how far it has moved. Arrays need no display.
+    The first point stays in the middle of the picture. Arrays need neither pygame nor a display.
     """
 
     def __init__(self, mode: str, frames_per_second: float, title: str) -> None:
-        try:
-            import pygame
-        except ImportError as error:
-            raise ConfigError(
-                "rendering needs pygame, which is not installed: pip install 'symo_exp[render]'"
-            ) from error
-        self._pygame: Any = pygame
-        self._mode, self._fps = mode, frames_per_second
-        self._canvas = pygame.Surface((SIZE, SIZE))
+        self._fps = frames_per_second
+        self._pygame: Any = None
         self._window: Any = None
         if mode == "human":
-            pygame.display.init()
-            pygame.display.set_caption(title)
-            self._window = pygame.display.set_mode((SIZE, SIZE))
-            self._clock = pygame.time.Clock()
+            self._open(title)
 
     def draw(self, skeleton: Skeleton) -> np.ndarray | None:
         """The picture (height, width, 3), uint8; ``None`` where it went to the window."""
-        pygame, canvas = self._pygame, self._canvas
-        points = skeleton.points.detach().cpu().numpy().astype(float)
-        scale = SIZE / (2 * MARGIN * skeleton.reach)
-        origin = points[0]
-        width = max(2, round(0.08 * skeleton.reach * scale))
-
-        def pixel(point: np.ndarray) -> tuple[int, int]:
-            x, y = scale * (point - origin)
-            return round(SIZE / 2 + x), round(SIZE / 2 - y)
-
-        canvas.fill(_PAPER)
-        if skeleton.carts:
-            level = pixel(np.array([origin[0], 0.0]))[1]
-            pygame.draw.line(canvas, _RAIL, (0, level), (SIZE, level), 2)
-            half = SIZE / 2 / scale
-            for metre in range(int(origin[0] - half) - 1, int(origin[0] + half) + 2):
-                x = pixel(np.array([float(metre), 0.0]))[0]
-                pygame.draw.line(canvas, _RAIL, (x, level - 6), (x, level + 6), 2)
-        for cart in skeleton.carts:
-            box = pygame.Rect(0, 0, 5 * width, 3 * width)
-            box.center = pixel(points[cart])
-            pygame.draw.rect(canvas, _CART, box, border_radius=width // 2)
-        for start, end in skeleton.links:
-            pygame.draw.line(canvas, _LINK, pixel(points[start]), pixel(points[end]), width)
-        for point in points:
-            pygame.draw.circle(canvas, _JOINT, pixel(point), round(0.7 * width))
+        image = Image.new("RGB", (SIZE * FINE, SIZE * FINE), PAPER)
+        box = (0.0, 0.0, float(SIZE * FINE))
+        paint(ImageDraw.Draw(image), box, skeleton, points_of(skeleton)[0])
+        image = image.resize((SIZE, SIZE), Image.Resampling.BOX)
         if self._window is None:
-            return np.transpose(pygame.surfarray.array3d(canvas), (1, 0, 2)).copy()
-        self._window.blit(canvas, (0, 0))
-        pygame.event.pump()
-        pygame.display.flip()
+            return np.array(image)
+        picture = self._pygame.image.frombuffer(image.tobytes(), image.size, "RGB")
+        self._window.blit(picture, (0, 0))
+        self._pygame.event.pump()
+        self._pygame.display.flip()
         self._clock.tick(self._fps)
         return None
 
@@ -87,3 +94,16 @@ class Renderer:
         if self._window is not None:
             self._pygame.display.quit()
             self._window = None
+
+    def _open(self, title: str) -> None:
+        try:
+            import pygame
+        except ImportError as error:
+            raise ConfigError(
+                "a window needs pygame, which is not installed: pip install 'symo_exp[render]'"
+            ) from error
+        self._pygame = pygame
+        pygame.display.init()
+        pygame.display.set_caption(title)
+        self._window = pygame.display.set_mode((SIZE, SIZE))
+        self._clock = pygame.time.Clock()

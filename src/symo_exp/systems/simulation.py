@@ -13,9 +13,8 @@ from scipy.integrate import DOP853, RK23, RK45
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
 from symo_exp.mechanics.types import Trajectories
-from symo_exp.systems.base import System
+from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.checks import one_of, real
 
 METHODS = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
@@ -42,7 +41,7 @@ class Solver:
 
 
 def simulate(
-    system: System,
+    system: LagrangianSystem,
     q0: Float[Tensor, "batch n"],
     v0: Float[Tensor, "batch n"],
     u: Float[Tensor, "batch *nodes m"],
@@ -60,12 +59,11 @@ def simulate(
     """
     u = u.double()
     controls = u if u.dim() == 3 else u.unsqueeze(1).expand(-1, steps + 1, -1)
-    q, v = _integrate(system, q0, v0, lambda k, _: controls[:, k], steps, solver)
-    return Trajectories(q, v, controls.contiguous())
+    return _integrate(system, q0, v0, controls, lambda k, _: controls[:, k], solver)
 
 
 def simulate_driven(
-    system: System,
+    system: LagrangianSystem,
     q0: Float[Tensor, "batch n"],
     v0: Float[Tensor, "batch n"],
     drive: Callable[[float], Float[Tensor, "batch m"]],
@@ -78,41 +76,34 @@ def simulate_driven(
     """
     h = system.time_step
     controls = torch.stack([drive(k * h).double() for k in range(steps + 1)], dim=1)
-    q, v = _integrate(system, q0, v0, lambda k, t: drive(k * h + t).double(), steps, solver)
-    return Trajectories(q, v, controls)
+    return _integrate(system, q0, v0, controls, lambda k, t: drive(k * h + t).double(), solver)
 
 
 def _integrate(
-    system: System,
+    system: LagrangianSystem,
     q0: Tensor,
     v0: Tensor,
+    controls: Tensor,
     control: Callable[[int, float], Tensor],
-    steps: int,
     solver: Solver,
-) -> tuple[Tensor, Tensor]:
-    """Poses and velocities at the nodes; ``control`` takes a node and the time [s] since it."""
-    batch, n = q0.shape
+) -> Trajectories:
+    """From node to node; ``control`` takes a node and the time [s] since it."""
+    (batch, n), nodes, h = q0.shape, controls.shape[1], system.time_step
     scale = 1 / math.sqrt(max(batch, 1))
-    state = torch.cat([q0, v0], dim=1).double().flatten().numpy()
-    nodes = np.empty((steps + 1, state.size))
-    nodes[0] = state
-    h, first_step = system.time_step, None
-    for k in range(steps):
+    rtol, atol = solver.rtol * scale, solver.atol * scale
+    states = np.empty((nodes, 2 * n * batch))
+    states[0] = torch.cat([q0, v0], dim=1).double().flatten().numpy()
+    first_step = None
+    for k in range(nodes - 1):
 
         @torch.no_grad()
         def slope(t: float, x: np.ndarray, k: int = k) -> np.ndarray:
             q, v = torch.from_numpy(x).view(batch, 2 * n).split(n, dim=1)
-            force = generalised_force(system.input_matrix, control(k, t))
-            return torch.cat([v, acceleration(system, q, v, force)], dim=1).view(-1).numpy()
+            rate = system.acceleration(q, v, control(k, t))
+            return torch.cat([v, rate], dim=1).view(-1).numpy()
 
         stepper = METHODS[solver.method](
-            slope,
-            0.0,
-            nodes[k],
-            h,
-            rtol=solver.rtol * scale,
-            atol=solver.atol * scale,
-            first_step=first_step,
+            slope, 0.0, states[k], h, rtol=rtol, atol=atol, first_step=first_step
         )
         message = None
         while stepper.status == "running":
@@ -123,8 +114,8 @@ def _integrate(
                 f"failed between nodes {k} and {k + 1} of {type(system).__name__}: "
                 f"{message or 'not finite'}; try larger tolerances or milder parameters"
             )
-        nodes[k + 1] = stepper.y
+        states[k + 1] = stepper.y
         first_step = min(stepper.h_abs, h) if solver.warm else None
-    path = torch.from_numpy(nodes).view(steps + 1, batch, 2 * n).transpose(0, 1)
+    path = torch.from_numpy(states).view(nodes, batch, 2 * n).transpose(0, 1)
     q, v = path.split(n, dim=2)
-    return q.contiguous(), v.contiguous()
+    return Trajectories(q.contiguous(), v.contiguous(), controls.contiguous())

@@ -1,24 +1,31 @@
-"""All systems of this package, found by looking: one module each."""
+"""The systems of ``conf/system`` whose equations are known: that folder is the table."""
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import pkgutil
+from typing import Any
 
-import symo_exp.systems
-from symo_exp.systems.base import System
+import yaml
+
+from symo_exp.shipped import CONF
+from symo_exp.systems.base import LagrangianSystem
 
 
-def systems() -> dict[str, type[System]]:
-    """The concrete ``System`` classes of the modules in ``symo_exp.systems``, by class name."""
-    found = {}
-    for module in pkgutil.iter_modules(symo_exp.systems.__path__):
-        if module.name == "environment":  # it asks for this table
-            continue
-        members = vars(importlib.import_module(f"symo_exp.systems.{module.name}")).values()
-        for kind in members:
-            concrete = inspect.isclass(kind) and not inspect.isabstract(kind)
-            if concrete and issubclass(kind, System):
-                found[kind.__name__] = kind
-    return found
+def systems() -> dict[str, type[LagrangianSystem]]:
+    """The class of each, by the name of its file."""
+    names = sorted(path.stem for path in (CONF / "system").glob("*.yaml"))
+    kinds = {name: pkgutil.resolve_name(_settings(name)["_target_"]) for name in names}
+    return {name: kind for name, kind in kinds.items() if issubclass(kind, LagrangianSystem)}
+
+
+def system(name: str, **changes: Any) -> LagrangianSystem:
+    """The system as its file states it, but for the fields given here."""
+    settings = _settings(name) | changes
+    made: LagrangianSystem = pkgutil.resolve_name(settings.pop("_target_"))(**settings)
+    return made
+
+
+def _settings(name: str) -> dict[str, Any]:
+    text = (CONF / "system" / f"{name}.yaml").read_text(encoding="utf-8")
+    settings: dict[str, Any] = yaml.safe_load(text)["system"]
+    return settings

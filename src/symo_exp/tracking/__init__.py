@@ -1,1 +1,1 @@
-"""Everything that knows MLflow, which is imported (2.5 s) only when a store is opened."""
+"""Stores of runs: MLflow as a view of run folders."""

@@ -9,7 +9,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def revision_tags(package: Path = PACKAGE) -> dict[str, str]:
-    """Commit and whether the working tree differs from it; nothing outside a checkout.
+    """Commit and whether the package differs from it, new files included; nothing outside a
+    checkout.
 
     An installed package may lie inside somebody else's repository (an environment in a project):
     only a repository that tracks the package's own file counts.
@@ -19,9 +20,10 @@ def revision_tags(package: Path = PACKAGE) -> dict[str, str]:
     commit = _git(package, "rev-parse", "HEAD")
     if commit is None:
         return {}
-    changes = _git(package, "status", "--porcelain", "--untracked-files=no")
+    changed = _git(package, "status", "--porcelain", "--untracked-files=no")
+    new = _git(package, "status", "--porcelain", "--", str(package))
     # MLflow shows this tag as the run's version
-    return {"mlflow.source.git.commit": commit, "git_dirty": str(bool(changes)).lower()}
+    return {"mlflow.source.git.commit": commit, "git_dirty": str(bool(changed or new)).lower()}
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

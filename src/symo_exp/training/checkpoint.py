@@ -7,7 +7,7 @@ import os
 import random
 import time
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import lightning
 import numpy as np
@@ -20,15 +20,6 @@ from symo_exp.training import stopping
 log = logging.getLogger(__name__)
 
 LAST, PREVIOUS = "last.ckpt", "previous.ckpt"
-
-
-@runtime_checkable
-class Stateful(Protocol):
-    """What else has a state that belongs to an epoch: a tracker with rows it has not sent."""
-
-    def state_dict(self) -> dict[str, Any]: ...
-
-    def load_state_dict(self, state: dict[str, Any]) -> None: ...
 
 
 class WholeFiles(TorchCheckpointIO):
@@ -52,9 +43,8 @@ class Checkpoint(lightning.Callback):
     """Write ``last.ckpt`` between two epochs when ``seconds`` have passed, and after the training.
 
     Between two epochs, when everything about the first has been logged, nothing of it can be lost
-    or told twice. The file also holds the state of the random generators and of the ``logger``,
-    which Lightning leaves out, and says which ``run`` it belongs to and whether the training is
-    ``complete``.
+    or told twice. The file also holds the state of the random generators, which Lightning leaves
+    out, and says which ``run`` it belongs to and whether the training is ``complete``.
 
     A stop that was requested happens here, after writing.
     """
@@ -112,15 +102,11 @@ class Checkpoint(lightning.Callback):
             counts["ready"] = counts["started"]
         checkpoint["run"] = self.run
         checkpoint["complete"], checkpoint["resumable"] = self._complete, self._resumable
-        if isinstance(trainer.logger, Stateful):
-            checkpoint["logger"] = trainer.logger.state_dict()
 
     def on_load_checkpoint(
         self, trainer: lightning.Trainer, pl_module: Any, checkpoint: dict[str, Any]
     ) -> None:
         self._random = checkpoint.get("random")
-        if isinstance(trainer.logger, Stateful):
-            trainer.logger.load_state_dict(checkpoint.get("logger", {}))
 
 
 def _tuples(value: Any) -> Any:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from typing import Any
 
 import lightning
+
+from symo_exp.compile import compile_training, compiler_available, trains_compiled
 
 log = logging.getLogger(__name__)
 
@@ -26,25 +27,19 @@ class CompileTraining(lightning.Callback):
         self.mode = mode
 
     def on_fit_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        if not self.wanted(trainer, pl_module):
-            if self.mode is True:
-                log.warning("this training is no fixed sequence of operations: not compiled")
-            return
-        if not compiler_available():
-            log.warning("no C++ compiler here: the training step is not compiled")
-            return
-        pl_module.compile_training(validation=watches_much(trainer))
+        possible, available = trains_compiled(pl_module), compiler_available()
+        if self.mode is True and not (possible and available):
+            reason = "no C++ compiler here" if possible else "no fixed sequence of operations"
+            log.warning("this training is not compiled: %s", reason)
+        elif possible and available and (self.mode is True or self._worthwhile(trainer, pl_module)):
+            compile_training(pl_module, validation=watches_much(trainer))
 
-    def wanted(self, trainer: lightning.Trainer, pl_module: Any) -> bool:
-        if not pl_module.can_be_compiled:
-            return False
-        if self.mode != "auto":
-            return bool(self.mode)
+    def _worthwhile(self, trainer: lightning.Trainer, pl_module: Any) -> bool:
         datamodule: Any = getattr(trainer, "datamodule", None)
-        if pl_module.device.type != "cpu" or datamodule is None or trainer.max_epochs is None:
+        if not self.mode or datamodule is None or trainer.max_epochs is None:
             return False
         steps = trainer.max_epochs * len(datamodule.batches(0))
-        return steps >= WORTHWHILE and compiler_available()
+        return pl_module.device.type == "cpu" and steps >= WORTHWHILE
 
 
 def watches_much(trainer: lightning.Trainer) -> bool:
@@ -55,8 +50,3 @@ def watches_much(trainer: lightning.Trainer) -> bool:
     watched = sum(len(windows.q) for windows in datamodule.val_dataloader())
     trained = sum(len(windows.q) for windows in datamodule.batches(0))
     return watched >= trained * (trainer.check_val_every_n_epoch or 1)
-
-
-def compiler_available() -> bool:
-    """Whether the machine has the C++ compiler that the generated kernels need."""
-    return any(shutil.which(name) for name in ("c++", "g++", "clang++"))

@@ -24,8 +24,15 @@ TIME_IS_UP = signal.SIGUSR2
 FOLDER = "SYMO_EXP_COMMAND"
 """Environment variable: a folder that the processes of one command share."""
 
+AT_ONCE = b"symo_exp: stopping now; the same command goes on from the last checkpoint\n"
+AFTER_EPOCH = (
+    b"symo_exp: stopping when this epoch is done; the same command goes on from there "
+    b"(once more stops now)\n"
+)
+
 _noted: int | None = None
 _urgent = False
+_commands = False
 _requeue: Callable[[int, Any], Any] | None = None
 
 
@@ -56,16 +63,16 @@ def raise_if_requested() -> None:
 def command() -> Iterator[None]:
     """Around all jobs of a command: a first signal is noted, told to the jobs, and obeyed by
     those who look at ``requested``."""
-    global _noted
+    global _noted, _commands
     folder = tempfile.mkdtemp(prefix="symo_exp-")
     outer, os.environ[FOLDER] = os.environ.get(FOLDER), folder
-    _noted = None
+    _noted, _commands = None, True
     before = {signum: signal.getsignal(signum) for signum in SIGNALS}
     install()
     try:
         yield
     finally:
-        _noted = None
+        _noted, _commands = None, False
         if _in_main_thread():
             for signum, handler in before.items():
                 signal.signal(signum, handler)
@@ -117,12 +124,27 @@ def urgent(value: bool = True) -> Iterator[None]:
         _urgent = before
 
 
+@contextmanager
+def deaf_children() -> Iterator[None]:
+    """Processes that are started meanwhile do not hear Ctrl-C: they are told by the file.
+
+    A blocked signal stays blocked in a child. This process still hears it, by any other thread.
+    """
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
 def _handle(signum: int, frame: Any) -> None:
     global _noted
     second = _noted is not None
     _noted = signum
     if signum != TIME_IS_UP:
         _tell(signum)
+        if _commands:
+            os.write(2, AT_ONCE if second or _urgent else AFTER_EPOCH)
     if second or _urgent:
         raise Interrupted(signum)
 

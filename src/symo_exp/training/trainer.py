@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 import lightning
 import torch
-from lightning.pytorch.loggers import Logger
 from lightning.pytorch.plugins.environments import LightningEnvironment
 
 from symo_exp.errors import ConfigError
@@ -31,15 +31,16 @@ def make_trainer(
     threads: int,
     compile: bool | str,
     folder: Path,
-    logger: Logger | None = None,
     run: str = "",
+    callbacks: Sequence[lightning.Callback] = (),
 ) -> lightning.Trainer:
     """A trainer whose Lightning batch is a whole epoch (see ``TrajectoryData``).
 
     ``validate_every`` counts epochs, ``checkpoint_every`` seconds. ``threads`` holds for the
     whole process: two jobs of a sweep on two cores get in each other's way with more than one.
     ``compile`` is true, false or ``auto``: see ``CompileTraining``.
-    Checkpoints go to ``folder`` and say that they belong to ``run``.
+    Checkpoints go to ``folder`` and say that they belong to ``run``. The ``callbacks`` of the
+    caller come first.
     """
     for name, value in {"max_epochs": max_epochs, "validate_every": validate_every}.items():
         if value < 1:
@@ -56,14 +57,6 @@ def make_trainer(
     keep_freed_memory()
     _silence()
     checkpoint = Checkpoint(folder, checkpoint_every, run)
-    callbacks: list[lightning.Callback] = [
-        StopOnDivergence(checkpoint),
-        checkpoint,
-        FinishEpochs(),
-        CompileTraining(compile),
-    ]
-    if progress:
-        callbacks.append(ProgressBar())
     return lightning.Trainer(
         accelerator=accelerator,
         devices=1,
@@ -71,8 +64,15 @@ def make_trainer(
         check_val_every_n_epoch=validate_every,
         num_sanity_val_steps=0,
         inference_mode=False,  # a Lagrangian is differentiated in validation, too
-        logger=logger or False,
-        callbacks=callbacks,
+        logger=False,
+        callbacks=[
+            *callbacks,
+            StopOnDivergence(checkpoint),
+            checkpoint,
+            FinishEpochs(),
+            CompileTraining(compile),
+            *([ProgressBar()] if progress else []),
+        ],
         # on a cluster, too, a run is one process: Lightning's own ways of queueing it again and
         # of choosing a checkpoint would get in the way of ours
         plugins=[WholeFiles(), LightningEnvironment()],

@@ -1,0 +1,115 @@
+"""Compiled training and rollouts: what ``models`` computes, by generated kernels.
+
+Where the compiler fails, a line says so and everything goes on uncompiled. A fault of ours is
+raised.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from torch import Tensor
+
+from symo_exp.compile.inductor import CompilerError, compiler_available
+from symo_exp.compile.newton import RootLoss, VariationalAdvance
+from symo_exp.compile.program import Program
+from symo_exp.mechanics.roots import Newton, RootFinder
+from symo_exp.mechanics.types import Windows
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.flows import ExplicitFlow, VariationalFlow
+from symo_exp.models.learner import Learner
+from symo_exp.models.objectives import NOTHING, RootError, Statistics
+
+__all__ = ["compile_rollout", "compile_training", "compiler_available", "trains_compiled"]
+
+log = logging.getLogger(__name__)
+
+
+def trains_compiled(model: Learner) -> bool:
+    """Whether the loss of a model can be compiled."""
+    return _loss(model, gradients=False) is not None
+
+
+def compile_training(model: Learner, *, validation: bool = False) -> None:
+    """Compile the training step of a model at its next call, and the validation loss if wanted."""
+    step, loss = _loss(model, gradients=True), _loss(model, gradients=False)
+    assert step is not None
+    assert loss is not None
+    _install(model, "training step", step, model.uncompiled_training)
+    if validation:
+        _install(model, "validation", lambda windows: loss(windows)[0], model.loss)
+
+
+def compile_rollout(model: DynamicsModel) -> None:
+    """Compile the steps of ``model.rollout`` at its next call: for those who need many.
+
+    That takes up to a minute for each new number of trajectories and precision, in later
+    processes some seconds; then steps take a fraction of their time. The motion is the same to
+    the tolerance of the roots. Where it is not possible a line says so and nothing changes.
+    """
+    flow = model.flow
+    advance: Callable[..., Any] | None = None
+    if model.learns and isinstance(flow, ExplicitFlow):
+        advance = Program(model, flow.advance)
+    elif model.learns and isinstance(flow, VariationalFlow) and _bare(flow, flow.rollout_root):
+        advance = VariationalAdvance(model, flow)
+    if advance is None:
+        log.warning("a step of this rollout is no fixed sequence of operations: not compiled")
+        return
+
+    def contiguous(*arguments: Tensor) -> Any:  # kernels belong to one layout of each tensor
+        return advance(*(x.contiguous() for x in arguments))
+
+    _install(model, "rollout", contiguous, flow.advance)
+
+
+def _install(
+    model: DynamicsModel, what: str, compiled: Callable[..., Any], other: Callable[..., Any]
+) -> None:
+    """Let the model use a compiled function, or for good the other one if the compiler fails."""
+
+    def call(*arguments: Any) -> Any:
+        nonlocal compiled
+        try:
+            return compiled(*arguments)
+        except CompilerError as error:
+            log.warning("the %s is not compiled: %s", what, error)
+            compiled = other
+            return other(*arguments)
+
+    model.compiled[what] = call
+
+
+def _loss(
+    model: Learner, *, gradients: bool
+) -> Callable[[Windows], tuple[Tensor, Statistics]] | None:
+    """``windows → loss, statistics``; nothing where it cannot be compiled. ``gradients`` are left
+    in the parameters."""
+    flow, objective = model.flow, model.objective
+    if isinstance(objective, RootError) and isinstance(flow, VariationalFlow):
+        return (
+            RootLoss(model, flow, objective, gradients=gradients)
+            if _bare(flow, flow.root)
+            else None
+        )
+    if not objective.branch_free(flow):
+        return None
+
+    def loss(windows: Windows) -> tuple[Tensor, dict[str, Tensor]]:
+        residuals = objective(flow, windows)
+        return residuals.loss, dict(residuals.statistics)
+
+    program = Program(model, loss, gradients=gradients)
+
+    def call(windows: Windows) -> tuple[Tensor, Statistics]:
+        value, statistics = program(windows)
+        return value, statistics.open() if statistics.tensors else NOTHING
+
+    return call
+
+
+def _bare(flow: VariationalFlow, root: RootFinder) -> bool:
+    """Whether a step is a fixed sequence of operations, repeated."""
+    return isinstance(root, Newton) and not flow.integrator.iterates

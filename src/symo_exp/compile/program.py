@@ -1,0 +1,114 @@
+"""Functions over a model's parameters as compiled graphs.
+
+At these sizes a training step is a few hundred small operations, and most of its time is spent
+between them. Tracing the loss together with its gradient and handing both to the compiler
+removes that. Results agree with the uncompiled step to rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import accumulate
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from symo_exp.compile.inductor import flatten, lower, trace, unflatten
+
+
+class Packed(NamedTuple):
+    """An object made of tensors on its way from one compiled piece to another, taken apart: it is
+    put together only while a piece is traced, which takes long."""
+
+    tensors: list[Tensor]
+    structure: Any
+
+    def open(self) -> Any:
+        """The object itself."""
+        return unflatten(self.tensors, self.structure)
+
+
+class Program:
+    """A function of tensors over a model's parameters, compiled once for each set of shapes.
+
+    Arguments are tensors, named tuples of them, or ``Packed``, which the function gets opened. It
+    returns a tuple; a call returns one in which all but tensors are ``Packed``. With ``gradients``
+    the first is a loss, whose gradients a call leaves in the parameters.
+    """
+
+    def __init__(
+        self, model: nn.Module, function: Callable[..., tuple[Any, ...]], *, gradients: bool = False
+    ) -> None:
+        self._call = _Call(model, function)
+        self._named, self._gradients = dict(self._call.named_parameters()), gradients
+        self._parameters = list(self._named.values())
+        self._compiled: dict[tuple[Any, ...], Callable[..., tuple[Any, ...]]] = {}
+
+    def __call__(self, *arguments: Any) -> tuple[Any, ...]:
+        # The first argument is the batch; shapes of what travels follow from its shapes.
+        key = tuple([(x.shape, x.dtype, x.device) for x in _tensors(arguments[0])])
+        if key not in self._compiled:
+            self._compiled[key] = self._compile([_packed(x) for x in arguments])
+        tensors = [*self._parameters]
+        for x in arguments:
+            tensors.extend(_tensors(x))
+        return self._compiled[key](tensors)
+
+    def _compile(self, arguments: list[Packed]) -> Callable[..., tuple[Any, ...]]:
+        results: list[Packed] = []
+
+        def run(*tensors: Tensor) -> list[Tensor]:
+            queue = iter(tensors)
+            named = {name: next(queue) for name in self._named}
+            opened = [
+                x._replace(tensors=[next(queue) for _ in x.tensors]).open() for x in arguments
+            ]
+            found, gradients = self._run(named, opened)
+            results[:] = map(_packed, found)
+            return [*(tensor for x in results for tensor in x.tensors), *gradients]
+
+        example = [*self._parameters, *(tensor for x in arguments for tensor in x.tensors)]
+        with torch.no_grad():
+            kernel = lower(trace(run, example), example)
+        alone = [isinstance(x.open(), Tensor) for x in results]
+        ends = [0, *accumulate(len(x.tensors) for x in results)]
+        places = list(zip(alone, results, ends, ends[1:], strict=False))
+
+        def call(tensors: list[Tensor]) -> tuple[Any, ...]:
+            with torch.no_grad():
+                found = kernel(*tensors)
+            if self._gradients:
+                for parameter, gradient in zip(self._parameters, found[ends[-1] :], strict=True):
+                    parameter.grad = gradient
+            return tuple(
+                [found[i] if one else Packed(found[i:j], x.structure) for one, x, i, j in places]
+            )
+
+        return call
+
+    def _run(self, named: dict[str, Tensor], arguments: list[Any]) -> tuple[Any, list[Tensor]]:
+        with torch.set_grad_enabled(self._gradients):
+            found = torch.func.functional_call(self._call, named, tuple(arguments))
+            if not self._gradients:
+                return found, []
+            loss, *rest = found
+            gradients = torch.autograd.grad(loss, list(named.values()), materialize_grads=True)
+        # Laid out like the parameters: a fused optimiser reads memory, not strides.
+        return (loss.detach(), *rest), [gradient.contiguous() for gradient in gradients]
+
+
+def _tensors(x: Any) -> Any:
+    return (x,) if isinstance(x, Tensor) else x.tensors if isinstance(x, Packed) else x
+
+
+def _packed(x: Any) -> Packed:
+    return x if isinstance(x, Packed) else Packed(*flatten(x))
+
+
+class _Call(nn.Module):
+    """A function as the forward pass of a module, so that its parameters can be replaced."""
+
+    def __init__(self, model: nn.Module, function: Callable[..., Any]) -> None:
+        super().__init__()
+        self.model, self.forward = model, function

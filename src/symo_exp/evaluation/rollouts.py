@@ -1,0 +1,104 @@
+"""Rollouts of a model beside the trajectories they are held against."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from symo_exp.evaluation.protocols import Model
+from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
+
+CHUNK = 1024
+"""Rows evaluated at once: more cost memory and, beyond the cache, time."""
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Predicted and true motions from the same starts, in float64 on the CPU.
+
+    Node 0 is the start. Its configuration is the true one; its velocity is the model's own, which
+    differs from the true one where the model does not read velocities. The energy [J] of the
+    predicted and of the true states is the true system's, ``None`` where that is unknown.
+    """
+
+    coordinates: Coordinates
+    time_step: float
+    q: Float[Tensor, "trajectories nodes n"]
+    v: Float[Tensor, "trajectories nodes n"]
+    energy: Float[Tensor, "trajectories nodes"] | None
+    q_true: Float[Tensor, "trajectories nodes n"]
+    v_true: Float[Tensor, "trajectories nodes n"]
+    energy_true: Float[Tensor, "trajectories nodes"] | None
+    converged: Bool[Tensor, "trajectories steps"]
+
+    def columns(self) -> dict[str, Tensor]:
+        """A table with a row for each node: those of ``state_columns`` with ``q``, ``v``,
+        ``q_true``, ``v_true``, then ``energy``, ``energy_true`` [J] where known, and ``converged``
+        (whether the step that led to this node found its root)."""
+        table = state_columns(
+            self.coordinates, self.time_step,
+            q=self.q, v=self.v, q_true=self.q_true, v_true=self.v_true,
+        )  # fmt: skip
+        for name, energy in {"energy": self.energy, "energy_true": self.energy_true}.items():
+            if energy is not None:
+                table[name] = energy.flatten()
+        start = torch.ones_like(self.converged[:, :1])
+        return table | {"converged": torch.cat((start, self.converged), dim=1).flatten()}
+
+
+def state_columns(
+    coordinates: Coordinates, time_step: float, **fields: Float[Tensor, "trajectories nodes n"]
+) -> dict[str, Tensor]:
+    """``trajectory``, ``step``, ``t`` [s] and ``<field>_<coordinate>``, a row for each node."""
+    trajectories, nodes, _ = next(iter(fields.values())).shape
+    step = torch.arange(nodes).repeat(trajectories)
+    table = {
+        "trajectory": torch.arange(trajectories).repeat_interleave(nodes),
+        "step": step,
+        "t": step.double() * time_step,
+    }
+    for field, values in fields.items():
+        for i, name in enumerate(coordinates.names):
+            table[f"{field}_{name}"] = values[..., i].flatten()
+    return table
+
+
+@torch.no_grad()
+def roll_out(model: Model, truth: Lagrangian | None, true: Trajectories) -> Rollouts:
+    """All trajectories at once from their node 1, the first that has a predecessor."""
+    true = Trajectories(*(field.to(model.input_matrix) for field in true))
+    path = model.rollout(true.q[:, 1], model.initial_velocity(_first_window(true)), true.u[:, 1:])
+    q_true, v_true = true.q[:, 1:], true.v[:, 1:]
+    return Rollouts(
+        coordinates=model.coordinates,
+        time_step=model.time_step,
+        q=path.q.cpu(),
+        v=path.v.cpu(),
+        energy=None if truth is None else along(truth.energy, path.q, path.v).cpu(),
+        q_true=q_true.cpu(),
+        v_true=v_true.cpu(),
+        energy_true=None if truth is None else along(truth.energy, q_true, v_true).cpu(),
+        converged=path.converged.cpu(),
+    )
+
+
+def _first_window(trajectories: Trajectories) -> Windows:
+    """The sample at nodes 0, 1, 2 of every trajectory."""
+    q, v, u = trajectories
+    return Windows(
+        q_prev=q[:, 0], q=q[:, 1], q_next=q[:, 2], v=v[:, 1], v_next=v[:, 2],
+        u_prev=u[:, 0], u=u[:, 1], u_next=u[:, 2],
+    )  # fmt: skip
+
+
+def along(function: Callable[..., Tensor], *paths: Float[Tensor, "b t n"]) -> Tensor:
+    """A function of batched states at every node of every trajectory."""
+    batch, nodes = paths[0].shape[:2]
+    rows = [torch.split(path.flatten(0, 1), CHUNK) for path in paths]
+    values = torch.cat([function(*chunk) for chunk in zip(*rows, strict=True)])
+    return values.reshape(batch, nodes, *values.shape[1:])

@@ -1,0 +1,161 @@
+"""How methods, integrators, measures and numbers are named and drawn: in one place, for all.
+
+Methods are told apart by colour (Okabe and Ito, 2008: safe for the colour-blind) and by marker,
+integrators by dash, what is published by hollow markers.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+Pair = tuple[str, str]
+"""A method and an integrator by their names in the configuration."""
+
+
+class Look(NamedTuple):
+    """A method: ``marker`` is Matplotlib's, a key of ``MARKERS``."""
+
+    label: str
+    colour: str
+    marker: str = "o"
+
+
+class Stroke(NamedTuple):
+    """An integrator: ``dash`` is Matplotlib's, ``web`` that of a browser."""
+
+    label: str
+    dash: str
+    web: str
+
+
+METHODS = {
+    "node": Look("NODE", "#E69F00", "o"),
+    "l_node": Look("L-NODE", "#009E73", "s"),
+    "symo": Look("SyMo", "#0072B2", "^"),
+    "e2e_symo": Look("E2E-SyMo", "#D55E00", "D"),
+}
+TRUE = {
+    "true_ode": Look("true system, explicit", "#8a8a8a", "."),
+    "true_variational": Look("true system, variational", "#222222", "."),
+}
+"""The models that are not learned: drawn as floors under the others."""
+TRUTH = Look("truth", "#3b3b3b", ".")
+SPARE = (("#CC79A7", "v"), ("#56B4E9", "P"), ("#F0E442", "X"))
+MARKERS = {
+    "o": ("circle", "●"), "s": ("square", "■"), "^": ("triangle-up", "▲"), "D": ("diamond", "◆"),
+    "v": ("triangle-down", "▼"), "P": ("cross", "✚"), "X": ("x", "✖"), ".": ("circle", "•"),
+}  # fmt: skip
+"""Plotly's name and a letter for each marker of Matplotlib."""
+INTEGRATORS = {
+    "": Stroke("", "-", "solid"),  # a line through several integrators
+    "midpoint": Stroke("midpoint", "-", "solid"),
+    "rk4": Stroke("RK4", "--", "6px,3px"),
+    "dopri5": Stroke("Dormand-Prince 5", "-.", "6px,2px,1px,2px"),
+    "galerkin4": Stroke("Galerkin 4", "--", "6px,3px"),
+    "galerkin6": Stroke("Galerkin 6", "-.", "6px,2px,1px,2px"),
+}
+MEASURES = {
+    "train_mse": ("train MSE", "m², rad²"),
+    "test_mse": ("test MSE", "m², rad²"),
+    "integration_mse": ("integration MSE", "m², rad²"),
+    "integration_mse_100": ("integration MSE, first 100 steps", "m², rad²"),
+    "energy_mse": ("energy MSE", "J²"),
+    "inertia_mse": ("inertia MSE", "kg², kg² m², kg² m⁴"),
+    "inertia_mse_aligned": ("inertia MSE on the true path", "kg², kg² m², kg² m⁴"),
+    "valid_steps": ("valid steps", ""),
+    "energy_mse_fd": ("energy MSE, finite differences", "J²"),
+    "training_seconds": ("training", "s"),
+}
+"""Label and unit; a measure without an entry is named by its key."""
+RC: dict[str, Any] = {
+    "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 9.5,
+    "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
+    "axes.edgecolor": "#888888", "axes.linewidth": 0.8, "axes.labelcolor": "#333333",
+    "axes.grid": True, "grid.color": "#e6e6e6", "grid.linewidth": 0.6, "xtick.color": "#555555",
+    "ytick.color": "#555555", "legend.frameon": False, "lines.solid_capstyle": "round",
+    "figure.dpi": 120,
+}  # fmt: skip
+GREEK = dict(
+    zip(
+        ["alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega"], "αβγδθφψω", strict=True
+    )
+)
+
+
+def look(method: str) -> Look:
+    """The look of a method; one that has no entry gets a spare one by its name."""
+    known = METHODS | TRUE
+    return known.get(method) or Look(method, *SPARE[sum(method.encode()) % len(SPARE)])
+
+
+def stroke(integrator: str) -> Stroke:
+    """The stroke of an integrator; one that has no entry is dotted."""
+    return INTEGRATORS.get(integrator, Stroke(integrator, ":", "1px,2px"))
+
+
+def pair_name(method: str, integrator: str) -> str:
+    return ", ".join(filter(None, (look(method).label, stroke(integrator).label)))
+
+
+def pair_names(rows: pd.DataFrame) -> list[str]:
+    return [pair_name(*pair) for pair in zip(rows.method, rows.integrator, strict=True)]
+
+
+def in_order(pair: Pair) -> tuple[int, str, int, str]:
+    """To sort pairs by: methods, then integrators, in the order above; unknown ones last."""
+    places = (list(METHODS | TRUE), list(INTEGRATORS))
+    at = [p.index(x) if x in p else len(p) for x, p in zip(pair, places, strict=True)]
+    return at[0], pair[0], at[1], pair[1]
+
+
+def measure_name(metric: str, *, axis: bool = False) -> str:
+    """The label of a measure with its unit; one of several units, for an axis only."""
+    label, unit = MEASURES.get(metric, (metric.replace("_", " "), ""))
+    return f"{label} [{unit}]" if unit and (axis or "," not in unit) else label
+
+
+def unit(metric: str) -> str:
+    """The label of an axis under a title that names the measure."""
+    return f"[{MEASURES[metric][1]}]" if MEASURES.get(metric, ("", ""))[1] else ""
+
+
+def short(x: float | None) -> str:
+    """Three digits: ``1.38e-4``, ``0.498``, ``38.6``; a dash for what is not there."""
+    if x is None or math.isnan(x):
+        return "–"
+    if math.isinf(x):
+        return "diverged" if x > 0 else "-∞"
+    if x == 0 or 1e-2 <= abs(x) < 1e3:
+        return f"{x:.3g}"
+    digits, exponent = f"{x:.2e}".split("e")
+    return f"{digits}e{int(exponent)}"
+
+
+def number(x: float) -> str:
+    """A setting; a dash where the run has none."""
+    return "–" if pd.isna(x) else f"{x:g}"
+
+
+def letters(name: str) -> str:
+    """As the name of a file."""
+    return "".join(c if c.isalnum() else "_" for c in name)
+
+
+def symbol(name: str) -> str:
+    """A coordinate's name as it is written: ``theta_1`` becomes θ₁."""
+    found = re.fullmatch(rf"({'|'.join(GREEK)}|[a-zA-Z])_?(\d*)", name)
+    if found is None:
+        return name
+    digits = found[2].translate(str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉"))
+    return GREEK.get(found[1], found[1]) + digits
+
+
+def axis_label(name: str, *, velocity: bool = False, angular: bool | None = None) -> str:
+    """The symbol of a coordinate or of its velocity and, where it is known, its SI unit."""
+    label = f"d{symbol(name)}/dt" if velocity else symbol(name)
+    unit = ("rad" if angular else "m") + ("/s" if velocity else "")
+    return label if angular is None else f"{label} [{unit}]"

@@ -1,0 +1,252 @@
+"""A run is a folder: everything known of it is a file here, and everything else a view of it.
+
+| file | what it holds | written |
+| --- | --- | --- |
+| ``run.json`` | what was asked for: parameters, variant, code revision | at the first start |
+| ``config.yaml`` | the resolved configuration, which builds the model again | at each start |
+| ``outcome.json`` | how far it has come, and why it ended | at each change |
+| ``series.csv`` | a row for each epoch (``runs.series``) | while it trains |
+| ``checkpoints/`` | the state of the training | while it trains |
+| ``metrics.json`` | the measures | at the end |
+| ``rollouts.parquet``, ``pictures/``, ``studies/`` | the numbers behind them | at the end |
+| ``published.json`` | a cache: the store that has all of this already | by the tracker |
+
+A process that works on the run holds the lock of its folder. A run that says ``running`` while
+the lock is free has died.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import shutil
+import socket
+import time
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from filelock import FileLock, Timeout
+
+from symo_exp.files import write_whole
+
+log = logging.getLogger(__name__)
+
+CONFIG, CHECKPOINTS, CHECKPOINT = "config.yaml", "checkpoints", "checkpoints/last.ckpt"
+SERIES, MEASURES, ROLLOUTS = "series.csv", "metrics.json", "rollouts.parquet"
+PICTURES, STUDIES, LOG = "pictures", "studies", "symo_exp.log"
+FILES = (CONFIG, SERIES, CHECKPOINT, MEASURES, ROLLOUTS, PICTURES, STUDIES)
+"""What a store keeps of a run besides its numbers."""
+ABOUT, OUTCOME, PUBLISHED = "run.json", "outcome.json", "published.json"
+
+Status = Literal["waiting", "running", "finished", "failed", "refused", "interrupted"]
+DIED = "its process was killed, perhaps for want of memory"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How far a run has come; one that ended otherwise than ``finished`` says why.
+
+    ``process`` names who works on it, for a person to look for: that it lives, only the lock says.
+    """
+
+    status: Status
+    reason: str = ""
+    seconds: float = 0.0
+    process: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class About:
+    """What was asked for. ``parameters`` are flat; ``variant`` says in which of them the run
+    differs from the files that ship, beyond what tables have columns for; ``sweep`` is the identity
+    of the sweep that it was part of first."""
+
+    name: str
+    parameters: dict[str, Any]
+    variant: str = ""
+    sweep: str = ""
+    tags: dict[str, str] = field(default_factory=dict)
+    started: float = field(default_factory=time.time)
+    identity: str = field(default_factory=lambda: uuid.uuid4().hex)
+
+
+class RunFolder:
+    """The files of one run by name; the only place that knows where they lie."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path).absolute()
+
+    def __str__(self) -> str:
+        return os.path.relpath(self.path)
+
+    def __truediv__(self, name: str) -> Path:
+        return self.path / name
+
+    # -- who works on it ---------------------------------------------------------------------
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the lock; wait for it while another process works on the same run."""
+        lock = self._lock()
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            log.info("%s: another process works on this run; waiting for it", self)
+            lock.acquire(poll_interval=0.5)
+        except NotImplementedError:  # a file system without locks
+            yield
+            return
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def in_use(self) -> bool:
+        """Whether a process holds the lock. False where there are no locks."""
+        if not (self / ".lock").exists():
+            return False
+        lock = self._lock()
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            return True
+        except (OSError, NotImplementedError):  # a place without locks, or only to be read
+            return False
+        lock.release()
+        return False
+
+    def died(self) -> bool:
+        """Whether the process that worked on it ended without a word."""
+        return self.outcome().status == "running" and not self.in_use()
+
+    def _lock(self) -> FileLock:
+        self.path.mkdir(parents=True, exist_ok=True)
+        return FileLock(self / ".lock")
+
+    # -- how it ended --------------------------------------------------------------------------
+
+    def outcome(self) -> Outcome:
+        """What the run left; one that has left nothing that can be read waits to be started."""
+        try:
+            return Outcome(**self._read(OUTCOME))
+        except TypeError:
+            return Outcome("waiting", "it did not run")
+
+    def record(self, status: Status, reason: str = "", seconds: float = 0.0) -> None:
+        process = _this_process() if status == "running" else {}
+        self._write(OUTCOME, asdict(Outcome(status, reason, seconds, process)))
+
+    def forget_outcome(self) -> None:
+        (self / OUTCOME).unlink(missing_ok=True)
+
+    def clear(self) -> None:
+        """Forget all that could be continued."""
+        shutil.rmtree(self / CHECKPOINTS, ignore_errors=True)
+        for name in (SERIES, ABOUT, OUTCOME, PUBLISHED):
+            (self / name).unlink(missing_ok=True)
+
+    # -- what it is and what came out ------------------------------------------------------------
+
+    def about(self) -> About | None:
+        try:
+            return About(**self._read(ABOUT))
+        except TypeError:
+            return None
+
+    def describe(self, about: About) -> None:
+        """Keep what was asked for; of a run that is continued, who it is and when it began."""
+        before = self.about()
+        if before is not None:
+            kept = {"identity": before.identity, "started": before.started}
+            about = About(**{**asdict(about), **kept})
+        self._write(ABOUT, asdict(about))
+
+    def measures(self) -> dict[str, float]:
+        """Those of the run and of its studies; empty before they are taken."""
+        found = self._read(MEASURES)
+        for file in sorted((self / STUDIES).glob("*.json")):
+            found |= self._read(f"{STUDIES}/{file.name}").get("measures", {})
+        return {name: float(value) for name, value in found.items()}
+
+    def write_measures(self, measures: Mapping[str, float]) -> None:
+        self._write(MEASURES, _finite(measures))
+
+    def write_config(self, config: Mapping[str, Any]) -> None:
+        import yaml
+
+        text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
+        write_whole(self / CONFIG, lambda file: file.write_text(text, encoding="utf-8"))
+
+    def write_table(self, name: str, columns: Mapping[str, Any]) -> None:
+        """Columns of equal length as a Parquet file."""
+        import pyarrow
+        import pyarrow.parquet
+
+        table = pyarrow.table(dict(columns))
+        write_whole(
+            self / name,
+            lambda file: pyarrow.parquet.write_table(table, file, compression="zstd"),
+        )
+
+    def missing_studies(self, asked: Mapping[str, Any]) -> list[str]:
+        """The studies that have not been done with these settings."""
+        done = {name: self._read(f"{STUDIES}/{name}.json").get("settings") for name in asked}
+        return [name for name, settings in asked.items() if done[name] != settings]
+
+    def write_study(
+        self,
+        name: str,
+        settings: Mapping[str, Any],
+        measures: Mapping[str, float],
+        columns: Mapping[str, Any],
+    ) -> None:
+        """The settings are written last: with them a study is done."""
+        if columns:
+            self.write_table(f"{STUDIES}/{name}.parquet", columns)
+        told = {"settings": dict(settings), "measures": _finite(measures)}
+        self._write(f"{STUDIES}/{name}.json", told)
+
+    def files(self) -> list[Path]:
+        """Those of ``FILES`` that are there."""
+        return [self / name for name in FILES if (self / name).exists()]
+
+    # -- what a tracker remembers ------------------------------------------------------------------
+
+    def published(self) -> dict[str, Any]:
+        return self._read(PUBLISHED)
+
+    def mark_published(self, store: Mapping[str, Any] | None) -> None:
+        """Remember the store that has all of this; ``None``: it has changed since."""
+        if store is None:
+            (self / PUBLISHED).unlink(missing_ok=True)
+        else:
+            self._write(PUBLISHED, dict(store))
+
+    def _read(self, name: str) -> dict[str, Any]:
+        try:
+            found = json.loads((self / name).read_text(encoding="utf-8"))
+            return found if isinstance(found, dict) else {}
+        except (OSError, ValueError):
+            return {}
+
+    def _write(self, name: str, content: Mapping[str, Any]) -> None:
+        text = json.dumps(dict(content), indent=1, default=str) + "\n"
+        write_whole(self / name, lambda file: file.write_text(text, encoding="utf-8"))
+
+
+def _finite(measures: Mapping[str, float]) -> dict[str, float | str]:
+    """``"inf"`` and ``"nan"`` as words, since JSON has no such numbers."""
+    return {k: x if math.isfinite(x) else str(float(x)) for k, x in measures.items()}
+
+
+def _this_process() -> dict[str, str]:
+    array, number = os.environ.get("SLURM_ARRAY_JOB_ID"), os.environ.get("SLURM_ARRAY_TASK_ID")
+    job = f"{array}_{number}" if array else os.environ.get("SLURM_JOB_ID", "")
+    named = {"host": socket.gethostname(), "pid": str(os.getpid())}
+    return named | ({"slurm_job": job} if job else {})

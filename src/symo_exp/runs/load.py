@@ -1,0 +1,117 @@
+"""The trained model that a run folder holds."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import hydra.utils
+import torch
+import yaml
+
+from symo_exp import code
+from symo_exp.errors import ConfigError
+from symo_exp.models.base import DynamicsModel
+from symo_exp.runs.folder import CHECKPOINT, CONFIG
+
+HOMES = ("symo_exp.systems.", "symo_exp.models.", "symo_exp.mechanics.", "symo_exp.nets.")
+"""Where the classes of a model come from. A run folder is data: it must not run anything else."""
+
+
+def from_folder(
+    folder: Path, dtype: torch.dtype | None = None, device: str | torch.device = "cpu"
+) -> DynamicsModel:
+    """In evaluation mode; ``dtype`` is that of the training unless given."""
+    config = _read_config(folder / CONFIG)
+    # an optimizer and its schedule belong to the training
+    plan = {k: v for k, v in config["model"].items() if k not in ("optimizer", "scheduler")}
+    _check([config["system"], plan], folder)
+    system = hydra.utils.instantiate(config["system"])
+    build = hydra.utils.instantiate({**plan, "_partial_": True})
+    model: DynamicsModel = build(
+        coordinates=system.coordinates,
+        input_matrix=system.input_matrix,
+        time_step=system.time_step,
+    )
+    if model.learns:
+        _set_weights(model, folder)
+    model.to(device=device, dtype=dtype)
+    model.input_matrix.copy_(system.input_matrix)  # it is not trained: not rounded either
+    return model.eval()
+
+
+def _set_weights(model: DynamicsModel, folder: Path) -> None:
+    weights = _read_weights(folder / CHECKPOINT)
+    model.to(next(value.dtype for value in weights.values() if value.is_floating_point()))
+    try:
+        model.load_state_dict(weights)
+    except RuntimeError as error:
+        raise ConfigError(
+            f"the checkpoint in {folder} does not fit its config.yaml: "
+            + " ".join(str(error).split())[:300]
+        ) from None
+
+
+def _read_config(path: Path) -> Mapping[str, Any]:
+    try:
+        config = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path.parent} is no run folder: it has no {path.name}") from None
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+    for part in ("system", "model"):
+        if not isinstance(config, dict) or not isinstance(config.get(part), dict):
+            raise ConfigError(f"{path} is no configuration of a run: it describes no {part}")
+    return config
+
+
+def _read_weights(path: Path) -> dict[str, torch.Tensor]:
+    if not path.exists():
+        raise ConfigError(f"{path} does not exist: has the run been trained?")
+    try:
+        weights = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
+    except Exception as error:  # damaged in any way, or not ours
+        reason = next(iter(str(error).splitlines()), "")
+        raise ConfigError(f"{path} is no readable checkpoint: {reason}") from None
+    if not isinstance(weights, dict) or not any(
+        isinstance(value, torch.Tensor) and value.is_floating_point() for value in weights.values()
+    ):
+        raise ConfigError(f"{path} holds no weights")
+    return weights
+
+
+def _check(node: Any, folder: Path) -> None:
+    """Refuse a configuration that would do more than build a system and a model.
+
+    Interpolations could stand for anything; a run's configuration is resolved and has none.
+    """
+    if isinstance(node, Mapping):
+        if "_target_" in node:
+            _check_target(node["_target_"], folder)
+        node = list(node.values())
+    if isinstance(node, str) and "${" in node:
+        raise ConfigError(f"{folder} holds an unresolved setting, {node!r}")
+    if isinstance(node, list):
+        for value in node:
+            _check(value, folder)
+
+
+def _check_target(target: object, folder: Path) -> None:
+    """Refuse all but classes of systems and models.
+
+    The name alone proves nothing: ``symo_exp.systems.x.os.system`` begins well, too.
+    """
+    mine = tuple(f"{module}." for module in code.modules())
+    if isinstance(target, str) and target.startswith(HOMES + mine):
+        try:
+            made = pkgutil.resolve_name(target)
+        except (ImportError, AttributeError, ValueError):
+            raise ConfigError(f"{folder} needs {target}, which this version has not") from None
+        if isinstance(made, type) and (made.__module__.startswith(HOMES) or code.owns(made)):
+            return
+    raise ConfigError(
+        f"{folder} asks for {target!r}, which is no class of a system or a model "
+        "(classes of your own: code=FOLDER)"
+    )

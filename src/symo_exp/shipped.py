@@ -1,0 +1,15 @@
+"""Where the files lie that ship beside the code: the configuration and the sweeps."""
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def _folder(name: str) -> Path:
+    """At the top of a checkout; a wheel carries it inside the package."""
+    inside = _PACKAGE / name
+    return inside if inside.is_dir() else _PACKAGE.parents[1] / name
+
+
+CONF = _folder("conf")
+SWEEPS = _folder("sweeps")

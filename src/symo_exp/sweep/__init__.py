@@ -1,0 +1,1 @@
+"""From a command to finished runs: compose and check every job, have them done, sum up."""

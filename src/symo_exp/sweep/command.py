@@ -1,0 +1,121 @@
+"""What is typed: Hydra's options and overrides in any order, and names of several sweeps."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import yaml
+
+from symo_exp.errors import ConfigError
+from symo_exp.shipped import CONF, SWEEPS
+
+SWITCHES = "-m --multirun", "-r --run", "--hydra-help", "--resolve", "-sc --shell-completion"
+WITH_A_VALUE = (
+    "-cn --config-name", "-cd --config-dir", "-cp --config-path", "-c --cfg", "-p --package",
+)  # fmt: skip
+"""Options of Hydra."""
+CHECK_ONLY = "hydra.sweeper.check_only=true"
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(f"{message}; -h shows what can be typed")
+
+
+class Command:
+    """``options`` are Hydra's (``-m``, ``-cn NAME``), ``overrides`` settings and choices."""
+
+    def __init__(self, argv: Sequence[str]) -> None:
+        parser = _Parser(add_help=False, allow_abbrev=False)
+        for flags in SWITCHES:
+            parser.add_argument(*flags.split(), action="store_true")
+        for flags in WITH_A_VALUE:
+            parser.add_argument(*flags.split())
+        parser.add_argument("-i", "--info", nargs="?", const="all")
+        parser.add_argument("overrides", nargs="*")
+        self._given = parser.parse_intermixed_args(list(argv))
+        self.overrides: list[str] = self._given.overrides
+        self.options = [word for word in argv if word not in self.overrides]
+        self.name: str | None = self._given.config_name
+        for override in self.overrides:
+            if "=" not in override and not override.startswith("~"):
+                raise ConfigError(f"{override} is no setting with a value: write {override}=...")
+        if self.folder is not None and not self.folder.is_dir():
+            raise ConfigError(f"--config-dir {self._given.config_dir} is not a folder")
+
+    @property
+    def folder(self) -> Path | None:
+        """The user's own configuration, which joins ours."""
+        given = self._given.config_dir
+        return None if given is None else Path(given).absolute()
+
+    @property
+    def runs(self) -> bool:
+        """Whether it asks for runs, not for information."""
+        given = self._given
+        return not (given.cfg or given.info or given.hydra_help or given.shell_completion)
+
+    def named(self, name: str) -> Command:
+        """The same for another sweep."""
+        words = [name if word == self.name else word for word in self.options]
+        return Command([*words, *self.overrides])
+
+    def several(self) -> list[Command]:
+        """The commands that ``-cn NAME`` stands for, if its file lists sweeps: a product cannot
+        say them all."""
+        file = (self.folder or SWEEPS) / f"{self.name}.yaml"
+        if self.name is None or not self.runs or not file.is_file():
+            return []
+        try:
+            content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError, yaml.YAMLError) as error:
+            raise ConfigError(f"{file} cannot be read: {' '.join(str(error).split())}") from error
+        if not isinstance(content, dict) or set(content) != {"sweeps"}:
+            return []
+        names = content["sweeps"]
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ConfigError(f"{file}: sweeps is to be a list of names")
+        for name in names:
+            if name == self.name or not file.with_name(f"{name}.yaml").is_file():
+                raise ConfigError(f"{file} names the sweep {name}, which is not in {file.parent}")
+        return [self.named(name) for name in names]
+
+    def execute(self, *extra: str) -> int:
+        """Hand it to Hydra, whose sweeper is ours or one of the user's; the exit code.
+
+        Raises what Hydra raises: it prints errors itself unless its environment variable says that
+        they are to be raised.
+        """
+        import hydra
+
+        from symo_exp.sweep.job import job
+
+        os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+        entry = hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)
+        before = sys.argv
+        sys.argv = [before[0], *self._with_sweeps(), *self.overrides, *extra]
+        try:
+            entry()
+        except SystemExit as end:
+            return int(end.code or 0)
+        finally:
+            sys.argv = before
+        return 0
+
+    def _with_sweeps(self) -> list[str]:
+        """The options, and what lets ``-cn`` find the sweeps that ship: Hydra looks for them in one
+        folder more than ours, which is theirs unless the user's own is needed there."""
+        theirs = ["--config-dir", str(SWEEPS)]
+        if self.folder is None:
+            return [*self.options, *theirs]
+        ships, own = ((f / f"{self.name}.yaml").is_file() for f in (SWEEPS, self.folder))
+        if own or not ships:
+            return self.options
+        given = {self._given.config_dir, "--config-dir", "-cd"}
+        rest = [word for word in self.options if word not in given]
+        return [*rest, *theirs, f"hydra.searchpath=['file://{self.folder}']"]

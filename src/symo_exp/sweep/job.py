@@ -1,0 +1,171 @@
+"""One job of a command, in whichever process."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from symo_exp.errors import ConfigError
+from symo_exp.imports import first_import
+from symo_exp.runs.folder import PICTURES, SERIES, About, RunFolder
+from symo_exp.runs.series import read
+from symo_exp.sweep.compose import plain
+from symo_exp.sweep.explain import one_line
+from symo_exp.sweep.variant import variant
+from symo_exp.tracking.revision import revision_tags
+from symo_exp.training import stopping
+
+log = logging.getLogger(__name__)
+
+SWEEP = "SYMO_EXP_SWEEP"
+"""Environment variable: the identity of the sweep that a job belongs to."""
+OURS = "hydra_plugins.symo_exp_sweeper.SymoExpSweeper"
+
+
+def job(config: DictConfig) -> float | None:
+    """One run; returns its ``optimized_metric``, for sweepers that search.
+
+    How it ended is left in its folder, where our sweeper looks. Another one waits for a number: a
+    run that has failed has the worst, and only bad input and an interruption are raised. Nothing
+    happens when the command was asked to stop, or when another process has finished the run.
+    """
+    settings = HydraConfig.get()
+    folder = RunFolder(settings.runtime.output_dir)
+    logging.raiseExceptions = debugging()  # a log that cannot be written: no traceback of that
+    stopping.install()
+    if stopping.requested():
+        return None
+    failure = _do(config, folder, dict(settings.runtime.choices))
+    if failure is not None and debugging():
+        raise failure
+    if settings.sweeper._target_ == OURS:
+        return None
+    if isinstance(failure, ConfigError | stopping.Interrupted):
+        raise failure
+    if failure is not None:
+        log.warning("%s failed: %s", folder, one_line(failure))
+        maximize = "maximize" in str(settings.sweeper.get("direction"))
+        return -math.inf if maximize else math.inf
+    return optimized(config.optimized_metric, folder)
+
+
+def optimized(name: str, folder: RunFolder) -> float:
+    """The measure of that name, else the last value of that series."""
+    measures, rows = folder.measures(), read(folder / SERIES)
+    values = [row[name] for row in rows if name in row]
+    if name not in measures and not values:
+        there = ", ".join(sorted({*measures, *(key for row in rows for key in row)}))
+        raise ConfigError(f"optimized_metric={name}: a run has no such number; it has: {there}")
+    return measures[name] if name in measures else values[-1]
+
+
+def is_done(config: DictConfig, folder: RunFolder) -> bool:
+    """Whether the run is finished, and nothing that was asked for besides is missing."""
+    if folder.outcome().status != "finished":
+        return False
+    drawn = not config.pictures or (folder / PICTURES).exists()
+    return drawn and not folder.missing_studies(plain(config)["study"])
+
+
+def debugging() -> bool:
+    return os.environ.get("SYMO_EXP_DEBUG") == "1"
+
+
+def _do(config: DictConfig, folder: RunFolder, choices: dict[str, Any]) -> BaseException | None:
+    """Do what is left of the run; what ended it before it was finished, if anything did."""
+    start = time.perf_counter()
+    tracker: Any = None
+    time_is_up = False
+    with stopping.urgent(), folder.alone():
+        if is_done(config, folder):
+            return None
+        trained = folder.outcome().status == "finished"
+        failure: BaseException | None = None
+        status, reason = "finished", ""
+        try:
+            folder.record("running")
+            with first_import("symo_exp.sweep.recipe"):
+                from symo_exp.sweep.recipe import build, run
+
+            parts = build(config, folder)
+            tracker = parts.tracker
+            run(parts, config, folder, _about(config, choices), trained=trained)
+        except stopping.Interrupted as error:
+            time_is_up = error.signum == stopping.TIME_IS_UP
+            failure, status, reason = error, "interrupted", str(error)
+            if time_is_up:
+                status, reason = "waiting", "its time was up; it is queued again"
+        except Exception as error:
+            # to the log of the run, not to the terminal
+            log.debug("the run ended here", exc_info=True)
+            failure, status, reason = error, "failed", f"{type(error).__name__}: {one_line(error)}"
+            if isinstance(error, ConfigError):
+                status, reason = "refused", one_line(error)
+        _end(folder, tracker, status, reason, time.perf_counter() - start)
+    if time_is_up:
+        try:
+            stopping.make_way()
+        except Exception as error:
+            _end(folder, tracker, "interrupted", f"its time was up: {one_line(error)}", 0.0)
+    return failure
+
+
+def _end(folder: RunFolder, tracker: Any, status: Any, reason: str, seconds: float) -> None:
+    """Keep how the run ended, and tell the store if it can be told."""
+    try:
+        folder.record(status, reason, seconds)
+    except OSError as error:  # a full disk
+        log.error("%s: how the run ended (%s) is not kept: %s", folder, status, error)
+        with suppress(OSError):
+            folder.forget_outcome()
+        return
+    if tracker is not None:
+        publish(tracker, folder)
+
+
+def publish(tracker: Any, folder: RunFolder) -> str:
+    """Bring the store up to date, now or when the command is given again; where to look."""
+    try:
+        return str(tracker.publish(folder))
+    except Exception as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        log.warning(
+            "%s: the tracking store is away (%s); the run is uploaded when the command is given "
+            "again", folder, reason,
+        )  # fmt: skip
+        return ""
+
+
+def _about(config: DictConfig, choices: dict[str, Any]) -> About:
+    def compose(overrides: list[str]) -> DictConfig:
+        return hydra.compose("config", overrides, return_hydra_config=True)
+
+    groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
+    return About(
+        name=f"{choices['model']} {choices['system']}",
+        parameters=groups | dict(_parameters(config)),
+        variant=variant(config, choices, compose),
+        sweep=os.environ.get(SWEEP, ""),
+        tags=revision_tags(),
+    )
+
+
+def _parameters(config: DictConfig, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Every setting but those of studies, each under one name: where it is written."""
+    for key in map(str, config):
+        name = f"{path}.{key}" if path else key
+        value = config[key]
+        if isinstance(value, DictConfig):
+            if name != "study" and not OmegaConf.is_interpolation(config, key):
+                yield from _parameters(value, name)
+        elif key != "_partial_":
+            yield name, OmegaConf.to_object(value) if isinstance(value, ListConfig) else value

@@ -1,0 +1,83 @@
+"""The jobs of one command in the queue of SLURM, asked for and stopped by its own commands."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import shutil
+import subprocess
+import threading
+import time
+import uuid
+from collections.abc import Callable
+
+from omegaconf import DictConfig, OmegaConf
+
+from symo_exp.errors import ConfigError
+
+SECONDS = 5.0
+"""Between two looks at the queue, which others want to look at, too."""
+
+
+class Queue:
+    """All jobs of a command have one name, which no other command's have."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    @classmethod
+    def of(cls, master: DictConfig) -> Queue | None:
+        """The queue that the launcher hands jobs to, if it hands them to one."""
+        launcher = master.hydra.launcher
+        if not str(launcher._target_).endswith(".SlurmLauncher"):
+            return None
+        if shutil.which("sbatch") is None:
+            choice = master.hydra.runtime.choices["hydra/launcher"]
+            raise ConfigError(
+                f"hydra/launcher={choice}: there is no SLURM here (no command sbatch)"
+            )
+        OmegaConf.update(master, "hydra.launcher.name", f"symo_exp-{uuid.uuid4().hex[:8]}")
+        return cls(launcher.name)
+
+    def as_here(self, config: DictConfig) -> DictConfig:
+        """What the jobs need on their machines, a graphics processor, is not asked for on this."""
+        here = copy.deepcopy(config)
+        here.trainer.accelerator = "cpu"
+        return here
+
+    def run(self, launch: Callable[[], object]) -> None:
+        """Launch jobs, and come back when none of them runs or waits.
+
+        The launcher learns from SLURM's accounting that a job was killed, and waits for ever where
+        there is none: it is left to wait in a thread of its own when the queue is empty.
+        """
+        launcher = threading.Thread(target=launch, daemon=True)
+        launcher.start()
+        seen = False
+        while launcher.is_alive() and not (seen and not self._listed()):
+            seen = seen or self._listed()
+            logging.getLogger("submitit").setLevel(logging.ERROR)  # of accounting that is not there
+            launcher.join(SECONDS if seen else 1.0)
+        while self._listed():
+            time.sleep(SECONDS)
+
+    def _listed(self) -> bool:
+        return bool(_ask("squeue", "--me", "--noheader", "--format=%i", f"--name={self.name}"))
+
+    def stop(self) -> None:
+        """Have the jobs that run finish their epoch, and the others not begin."""
+        _ask("scancel", "--state=PENDING", f"--name={self.name}")
+        _ask("scancel", "--state=RUNNING", "--signal=TERM", f"--name={self.name}")
+
+    def cancel(self) -> None:
+        """Take all jobs out of the queue now."""
+        _ask("scancel", f"--name={self.name}")
+
+
+def _ask(*words: str) -> str:
+    """What SLURM says; "unknown" where it does not answer."""
+    try:
+        done = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60.0)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return done.stdout.strip()

@@ -1,0 +1,222 @@
+"""A sweep: every combination composed and checked before the first one starts, what is finished
+left alone, the rest launched, what a dead worker took along started again, all summed up.
+
+It is Hydra's sweeper by the public plugin interface (``hydra_plugins.symo_exp_sweeper``); a single
+run is a sweep of one.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from hydra.core.plugins import Plugins
+from hydra.core.utils import configure_log
+from hydra.errors import HydraException
+from hydra.types import HydraContext, TaskFunction
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from symo_exp.errors import ConfigError
+from symo_exp.imports import first_import
+from symo_exp.runs.folder import DIED, LOG
+from symo_exp.sweep import slurm
+from symo_exp.sweep.checks import check_job
+from symo_exp.sweep.compose import Composer, Job, expand, labels
+from symo_exp.sweep.explain import blamed, one_line
+from symo_exp.sweep.job import debugging, is_done, publish
+from symo_exp.sweep.parent import parent
+from symo_exp.sweep.places import check_folder, check_places
+from symo_exp.sweep.table import Watch, table
+from symo_exp.sweep.table import one_line as measures_of
+from symo_exp.training import stopping
+
+log = logging.getLogger(__name__)
+
+
+class Sweep:
+    """All jobs of one command."""
+
+    def __init__(self, context: HydraContext, task: TaskFunction, master: DictConfig) -> None:
+        self._context, self._task, self._master = context, task, master
+        self._composer = Composer(context.config_loader, master)
+        self._cluster = slurm.Queue.of(master)
+
+    def run(
+        self, arguments: Sequence[str], params: Mapping[str, Any], *, check_only: bool = False
+    ) -> int:
+        """The exit code. Raises ``ConfigError`` before anything starts."""
+        jobs = self._plan(arguments, params)
+        finished = [job for job in jobs if job.config.resume and is_done(job.config, job.folder)]
+        todo = [job for job in jobs if job not in finished]
+        self._check(todo, labelled=len(jobs) > 1)
+        if check_only:
+            return 0
+        configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
+        for job in finished:
+            self._publish(job)
+        if finished and len(jobs) > 1:
+            print(f"{len(finished)} of {len(jobs)} runs are finished already", flush=True)
+        for job in todo:
+            _clear(job)
+        if todo:
+            with stopping.command():
+                self._do(jobs, todo)
+                return self._sum_up(jobs, finished)
+        return self._sum_up(jobs, finished)
+
+    # -- before anything starts ------------------------------------------------------------------
+
+    def _plan(self, arguments: Sequence[str], params: Mapping[str, Any]) -> list[Job]:
+        combinations = expand(arguments, params)
+        jobs: list[Job] = []
+        folders: dict[Path, str] = {}
+        for overrides, label in zip(combinations, labels(combinations), strict=True):
+            label = label if len(combinations) > 1 else ""
+            try:
+                job = self._composer.job(overrides, label)
+                check_places(job.config, self._master.hydra.sweep)
+                if not is_done(job.config, job.folder):
+                    check_job(job, self._composer)
+            except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
+                blame = blamed(error, overrides, self._context.config_loader)
+                raise _labelled(blame, label) from error
+            if job.folder.path in folders:
+                raise ConfigError(f"{label}: this is the same run as {folders[job.folder.path]}")
+            folders[job.folder.path] = label
+            jobs.append(job)
+        return jobs
+
+    def _check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
+        """Build all that every job names, so that nothing is found wrong when others have run."""
+        if not jobs:
+            return  # without the seconds of the import
+        with first_import("symo_exp.sweep.recipe"):
+            from symo_exp.sweep.recipe import build
+        stores = []
+        for job in jobs:
+            try:
+                check_folder(job.folder.path)
+                here = self._cluster.as_here(job.config) if self._cluster else job.config
+                parts = build(here, job.folder)
+                if job.config.logger not in stores:
+                    parts.tracker.check()
+                    stores.append(job.config.logger)
+            except ConfigError as error:
+                raise _labelled(error, job.label if labelled else "") from error
+
+    # -- having them done --------------------------------------------------------------------------
+
+    def _do(self, jobs: Sequence[Job], todo: Sequence[Job]) -> None:
+        on_stop = self._cluster.stop if self._cluster else None
+        tracker = instantiate(todo[0].config.logger)
+        tracker.close_dead()
+        with ExitStack() as stack:
+            if len(jobs) > 1:
+                typed = self._master.hydra.overrides.task or [self._master.hydra.job.config_name]
+                stack.enter_context(parent(jobs, " ".join(typed), tracker))
+            stack.enter_context(Watch([job.folder for job in jobs], on_stop))
+            self._launch_all(todo)
+            for job in todo:
+                if job.folder.died():
+                    if stopping.requested() is None:
+                        job.folder.record("failed", DIED)
+                    else:
+                        job.folder.record("interrupted", "its process was ended")
+                    publish(tracker, job.folder)
+
+    def _launch_all(self, jobs: Sequence[Job]) -> None:
+        """Launch, and launch again what a launcher left behind when it broke.
+
+        When a process of joblib is killed, its neighbours are killed with it and the rest is not
+        started. So the rest is started then, and after it those that died, each alone: whose
+        process is killed a second time has no one else to blame.
+        """
+        died: list[Job] = []
+        todo = list(jobs)
+        while todo and stopping.requested() is None:
+            self._launch(todo)
+            died += [job for job in todo if job.folder.died()]
+            waiting = [job for job in todo if job.folder.outcome().status == "waiting"]
+            if len(waiting) == len(todo):
+                break  # nothing has happened: nor will it
+            if died and stopping.requested() is None:
+                log.error("a worker was killed: %d runs are started again", len(died + waiting))
+            todo = waiting
+        for job in died:
+            if stopping.requested() is None:
+                self._launch([job])
+
+    def _launch(self, jobs: Sequence[Job]) -> None:
+        """Have the launcher do these jobs, and wait for those that it left running."""
+        launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=self._context, task_function=self._task, config=self._master
+        )
+        local = self._master.hydra.launcher._target_.endswith(".LocalLauncher")
+
+        def launch() -> None:
+            try:
+                with stopping.deaf_children() if local else ExitStack():
+                    launcher.launch([job.overrides for job in jobs], initial_job_idx=0)
+            except Exception as error:  # what it finished still counts
+                if debugging():
+                    raise
+                log.debug("the launcher stopped: %s", one_line(error), exc_info=True)
+
+        try:
+            if self._cluster:
+                self._cluster.run(launch)
+            else:
+                launch()
+            for job in jobs:
+                while job.folder.in_use():
+                    time.sleep(0.2)
+        except stopping.Interrupted:  # the second signal
+            if self._cluster:
+                self._cluster.cancel()
+            raise
+
+    def _publish(self, job: Job) -> None:
+        """Bring the store up to date where it is not known to be."""
+        tracker = instantiate(job.config.logger)
+        if not tracker.is_published(job.folder):
+            publish(tracker, job.folder)
+
+    def _sum_up(self, jobs: Sequence[Job], finished: Sequence[Job]) -> int:
+        outcomes = [job.folder.outcome() for job in jobs]
+        if len(jobs) > 1:
+            print(table([job.label for job in jobs], [job.folder for job in jobs]))
+        else:
+            ((outcome,), (job,)) = (outcomes, jobs)
+            if outcome.status == "refused":
+                raise ConfigError(outcome.reason)
+            if finished:
+                told = measures_of(job.folder.measures())
+                print(f"{told}  (finished already: {job.folder}; resume=false repeats)")
+            elif outcome.status != "finished":
+                told = f"{outcome.status}: {outcome.reason} (log: {job.folder / LOG})"
+                print(f"symo_exp: {told}", file=sys.stderr)
+        signum = stopping.requested()
+        if signum is not None:
+            return 128 + signum
+        return 0 if all(outcome.status == "finished" for outcome in outcomes) else 1
+
+
+def _labelled(error: Exception, label: str) -> ConfigError:
+    return ConfigError(f"{label}: {one_line(error)}" if label else one_line(error))
+
+
+def _clear(job: Job) -> None:
+    """Forget how an earlier start ended and, with ``resume=false``, all that could be continued."""
+    if job.folder.in_use():
+        return  # another command is at it
+    if not job.config.resume:
+        job.folder.clear()
+    elif job.folder.outcome().status != "finished":  # else it is only studied further
+        job.folder.forget_outcome()

@@ -1,0 +1,211 @@
+"""The tables of chapter 6, ours beside the published; what of it has been run, and holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import pandas as pd
+
+from symo_exp.report.cells import main_variant
+from symo_exp.report.curves import AT
+from symo_exp.report.looks import (
+    Pair,
+    in_order,
+    letters,
+    look,
+    measure_name,
+    number,
+    pair_name,
+    pair_names,
+    short,
+    stroke,
+)
+from symo_exp.report.overview import TABLE
+from symo_exp.report.tables import Table
+from symo_exp.thesis.claims import PAIRS, judge
+from symo_exp.thesis.published import TIME_STEPS
+
+NUMBERS = {"pendulum": "6.2", "acrobot": "6.3", "cartpole": "6.4"}
+TOLERATED = 3.0
+"""The factor within which a repeated cell counts as the published one."""
+SIZES, NOISES = (8, 16, 32, 64, 128), (0.0, 1e-4, 5e-4, 1e-3, 5e-3, 1e-2)
+
+
+def beside(found: pd.DataFrame, compared: pd.DataFrame) -> Iterable[Table]:
+    """Tables 6.2 to 6.4 of each variant, from cells at the chapter's time steps."""
+    learned = _at_32(found[found.source == "ours"])
+    theirs = _at_32(compared[compared.time_step == compared.system.map(TIME_STEPS)])
+    for variant in sorted(set(learned.variant)):
+        mine = learned[learned.variant == variant]
+        of = theirs[(theirs.variant == variant) | theirs.variant.isna()]
+        for system in in_thesis_order(mine.system):
+            yield _table(mine[mine.system == system], of[of.system == system], system, variant)
+
+
+def _table(mine: pd.DataFrame, theirs: pd.DataFrame, system: str, variant: str) -> Table:
+    """Three lines for each method: ours, the published, and the factor."""
+    rows = []
+    for pair in _pairs(mine):
+        ours, published = _of(mine, pair), _of(theirs, pair)
+        count = int(ours.seeds.max()) if len(ours) else 0
+        rows += [
+            [look(pair[0]).label, stroke(pair[1]).label, f"ours ({count})", *_each(ours, _spread)],
+            ["", "", "thesis", *_each(published, _plus_minus)],
+            ["", "", "factor", *_each(published, lambda row: factor(row["factor"]))],
+        ]
+    title = f"{system.capitalize()}, {AT} training trajectories"
+    title += f" (table {NUMBERS[system]})" if system in NUMBERS else ""
+    notes = [
+        "Ours: median over the seeds (their number in brackets), and in square brackets the "
+        "lowest and the highest. Thesis: one run, ± over trajectories where it gives it.",
+        *_what_over(theirs[["metric", "method", "over", "note"]].drop_duplicates()),
+        "Factor: ours over the published, both averaged over the same where there is a "
+        "measure of ours for it; × larger, ÷ smaller.",
+    ]
+    header = ["model", "integrator", "", *map(measure_name, TABLE)]
+    title += f", {variant}" if variant else ""
+    table = pd.DataFrame(rows, columns=header)
+    return Table(f"table_{system}{_suffix(variant)}", title, table, notes, words=3)
+
+
+def agreement(compared: pd.DataFrame) -> Table:
+    """In how many cells ours are within a factor of three of the published."""
+    metrics = {"test_mse": "test", "integration_mse": "integration"}
+    done = compared[(compared.seeds > 0) & compared.metric.isin(metrics)].dropna(subset="factor")
+    x = done.factor
+    counted = done.assign(
+        within=x.between(1 / TOLERATED, TOLERATED), better=x < 1 / TOLERATED, worse=x > TOLERATED
+    )
+    counts = counted.groupby(["variant", "system", "method", "integrator", "metric"])
+    wide = counts[["within", "better", "worse"]].sum().unstack(fill_value=0)
+    places = {system: i for i, system in enumerate(in_thesis_order(done.system))}
+    rows = [
+        [variant or "defaults", system, pair_name(*pair),
+         *(f"{row[kind, metric]}" for metric in metrics for kind in ("within", "better", "worse"))]
+        for (variant, system, *pair), row in sorted(
+            wide.iterrows(), key=lambda x: (x[0][0], places[x[0][1]], in_order(x[0][2:]))
+        )
+    ]  # fmt: skip
+    header = ["settings", "system", "method"]
+    header += [f"{m}: {w}" for m in metrics.values() for w in ("within 3", "÷3", "×3")]
+    note = (
+        "Every published cell that has been run, whatever its size and noise; averaged over the "
+        "same where there is a measure for it."
+    )
+    title = "Cells within a factor of three of the published, better by more, worse by more"
+    return Table("agreement", title, pd.DataFrame(rows, columns=header), [note], words=3)
+
+
+def claims(measures: pd.DataFrame) -> Table:
+    """Which statements of the thesis hold."""
+    rows = []
+    for claim, published, ours in judge(measures):
+        several = ours.seeds > 1
+        interval = f"{short(ours.interval.low)} to {short(ours.interval.high)}"
+        rows.append({
+            "section": claim["section"], "system": claim["system"], "statement": claim["text"],
+            "n": claim["n_traj"], "by its own numbers": published.said, "by ours": ours.said,
+            "margin": short(ours.margin), "95 % interval": interval if several else "–",
+            "": f"{ours.seeds} seed" + "s" * several if ours.seeds else "",
+        })  # fmt: skip
+    notes = [
+        "Margin: the smallest of the errors said to be larger over the largest of those said "
+        "to be smaller, over the factor said; above 1 the statement holds. Medians over seeds, "
+        "resampled for the interval: undecided where that has 1 in it.",
+        "By its own numbers: the published ones, which are not all averaged over the same.",
+    ]
+    title = "What the thesis says, and whether it holds"
+    return Table("claims", title, pd.DataFrame(rows), notes, words=6)
+
+
+def progress(runs: pd.DataFrame) -> Iterable[Table]:
+    """Which cells of the chapter have been run, with how many seeds.
+
+    What has not been run is told of the main variant alone: others were tried here and there.
+    """
+    done = runs[(runs.source == "ours") & (runs.metric != "")].drop_duplicates("run_id")
+    main = main_variant(done)
+    noisy = done[done.n_traj == AT]
+    several = noisy.groupby(["variant", "system"]).noise_std.transform("nunique") > 1
+    axes = {
+        "sizes": ("training trajectories", "n_traj", SIZES, done[done.noise_std == 0]),
+        "noises": (f"noise at {AT} trajectories", "noise_std", NOISES, noisy[several]),
+    }
+    for variant in sorted({*done.variant, main}):
+        for key, (over, axis, values, of) in axes.items():
+            here = of[of.variant == variant]
+            systems = in_thesis_order([*(TIME_STEPS if key == "sizes" else ()), *here.system])
+            cells = [(s, *pair) for s in systems for pair in _pairs(here[here.system == s])]
+            by = ["system", "method", "integrator"]
+            index = pd.MultiIndex.from_tuples(cells, names=by)
+            counts = here.groupby([*by, axis]).seed.nunique().unstack(axis)
+            counts = counts.reindex(index=index, columns=list(values))
+            if variant != main:
+                counts = counts.dropna(how="all")
+            rows = counts.map(number).rename(columns="{:g}".format).reset_index()
+            rows = rows.assign(method=pair_names(rows)).drop(columns="integrator")
+            title = f"Seeds that have been run, by {over}" + (f" ({variant})" if variant else "")
+            yield Table(f"progress_{key}{_suffix(variant)}", title, rows, words=2)
+
+
+def in_thesis_order(systems: Iterable[str]) -> list[str]:
+    places = list(TIME_STEPS)
+    return sorted(set(systems), key=lambda s: (places.index(s) if s in places else len(places), s))
+
+
+def factor(x: float) -> str:
+    """How many times: ``×2.1``, ``÷830``."""
+    if pd.isna(x):
+        return "–"
+    if x == 0 or x == float("inf"):
+        return "÷∞" if x == 0 else "×∞"
+    times, sign = (x, "×") if x >= 1 else (1 / x, "÷")
+    if times < 1000:
+        return f"{sign}{float(f'{times:.2g}'):g}"
+    digits, exponent = f"{times:.1e}".split("e")
+    return f"{sign}{digits}e{int(exponent)}"
+
+
+def _at_32(rows: pd.DataFrame) -> pd.DataFrame:
+    return rows[(rows.n_traj == AT) & (rows.noise_std == 0)]
+
+
+def _of(rows: pd.DataFrame, pair: Pair) -> pd.DataFrame:
+    return rows[(rows.method == pair[0]) & (rows.integrator == pair[1])]
+
+
+def _pairs(rows: pd.DataFrame) -> list[Pair]:
+    """Those of the chapter, and what else has been run."""
+    return sorted({*PAIRS, *zip(rows.method, rows.integrator, strict=True)}, key=in_order)
+
+
+def _each(rows: pd.DataFrame, say: Callable[[Mapping[Any, Any]], str]) -> list[str]:
+    by_metric = {row["metric"]: row for row in rows.to_dict("records")}
+    return [say(by_metric[metric]) if metric in by_metric else "–" for metric in TABLE]
+
+
+def _spread(row: Mapping[Any, Any]) -> str:
+    spread = f" [{short(row['low'])}, {short(row['high'])}]" if row["seeds"] > 1 else ""
+    return short(row["median"]) + spread
+
+
+def _plus_minus(row: Mapping[Any, Any]) -> str:
+    value, std = short(row["published"]), row["published_std"]
+    return value if pd.isna(std) else f"{value} ± {short(std)}"
+
+
+def _what_over(overs: pd.DataFrame) -> Iterable[str]:
+    """For each measure whose published values average over something of their own."""
+    for metric in TABLE:
+        told = []
+        for note, rows in overs[overs.metric == metric].groupby("note", sort=False):
+            if not str(note).endswith("like ours"):
+                methods = ", ".join(look(m).label for m in dict.fromkeys(rows.method))
+                told.append(f"of {methods} {note}")
+        if told:
+            yield f"The published {measure_name(metric)} is " + "; ".join(told) + "."
+
+
+def _suffix(variant: str) -> str:
+    return f"_{letters(variant)}" if variant else ""

@@ -1,0 +1,75 @@
+"""A trained run is a thing one can use: three lines give its model back."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from pathlib import Path
+
+import torch
+
+from symo_exp import code as own
+from symo_exp.errors import ConfigError
+from symo_exp.models.base import DynamicsModel
+from symo_exp.runs.folder import CHECKPOINT, CONFIG
+from symo_exp.runs.load import from_folder
+from symo_exp.tracking.store import check, connect, find
+
+RUN_ID = re.compile(r"[0-9a-f]{32}")
+
+
+def load(
+    run: str | Path,
+    tracking_uri: str | None = None,
+    *,
+    directory: str | Path = "mlruns",
+    dtype: torch.dtype | None = None,
+    device: str | torch.device = "cpu",
+    code: str | Path | None = None,
+) -> DynamicsModel:
+    """The trained model of a run folder or of an MLflow run id, in evaluation mode.
+
+    ``tracking_uri`` and ``directory`` say where runs are tracked (see ``conf/logger/mlflow.yaml``)
+    and matter only for a run id. ``dtype`` is that of the training unless given. ``code`` is a
+    folder of yours with the classes of a system or a method, where the run has used one.
+
+    The model predicts batches: configurations ``q`` (B, n), velocities ``v`` (B, n) and inputs
+    ``u`` (B, m) in SI units, one time step ``model.time_step`` apart; or single ones, without B:
+
+    * ``model.rollout(q0, v0, u)`` with ``u`` (B, T+1, m) at every node, or ``steps=T`` without
+      input, gives ``q`` and ``v`` (B, T+1, n) and ``converged`` (B, T);
+    * ``symo_exp.compile_rollout(model)`` makes rollouts three to ten times faster, for a minute of
+      compiling once; worth it where they are needed again and again, as in predictive control;
+    * ``model.step(q, v, u, u_next)`` is one step of it;
+    * ``model.energy(q, v)``, ``mass_matrix(q)``, ``potential(q)``, ``momentum(q, v)``, where the
+      method learns a Lagrangian;
+    * ``model.for_evaluation()`` is a float64 copy with converged roots, which the measures use.
+    """
+    own.add(code)
+    folder = Path(run)
+    if folder.is_dir():
+        return from_folder(folder, dtype, device)
+    if not RUN_ID.fullmatch(str(run)):
+        raise ConfigError(f"{str(run)!r} is neither a run folder nor the id of an MLflow run")
+    with tempfile.TemporaryDirectory(prefix="symo_exp-") as copy:
+        _download(str(run), tracking_uri, directory, copy)
+        return from_folder(Path(copy), dtype, device)
+
+
+def _download(run_id: str, tracking_uri: str | None, directory: str | Path, target: str) -> None:
+    store = find(tracking_uri, directory)
+    if store.database is not None and not store.database.exists():
+        raise ConfigError(f"no tracking store at {store.database}: give tracking_uri or directory")
+    check(store, timeout=5.0)
+    client = connect(store)
+    try:
+        client.get_run(run_id)
+        trained = client.list_artifacts(run_id, str(Path(CHECKPOINT).parent))
+        for name in (CONFIG, CHECKPOINT) if trained else (CONFIG,):
+            (Path(target) / name).parent.mkdir(exist_ok=True)
+            copy = client.download_artifacts(run_id, name, target)
+            shutil.move(copy, Path(target) / name)  # stores differ in the folders they make
+    except Exception as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise ConfigError(f"run {run_id} in {store} gives no model: {reason}") from error

@@ -1,0 +1,219 @@
+"""MLflow as a view of run folders: ``publish(folder)`` brings the store up to date.
+
+It may be called at any time and any number of times: while a run trains, at its end, when the
+command is given again, by another process. What the store has is not sent again, and nothing is
+remembered but what the folder holds. A call to MLflow costs 5 to 30 ms, about as much for one row
+as for fifty, so series are sent in batches; synchronously, since rows that MLflow itself queues
+are lost when the process is killed.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from symo_exp.errors import ConfigError
+from symo_exp.runs.folder import DIED, SERIES, About, Outcome, RunFolder
+from symo_exp.runs.series import EPOCH, TIME, read
+from symo_exp.tracking.store import Store, check, connect, experiment_id, find, is_away
+
+if TYPE_CHECKING:
+    from mlflow.entities import Run
+
+log = logging.getLogger(__name__)
+
+BATCH = 500
+"""Rows in one request; MLflow accepts 1000, but the cost of a row grows above this."""
+PARAMETERS = 100
+"""Of them in one request: MLflow's limit."""
+DENSE = 100
+"""Epochs at the start that are all sent, however thin the rest: short runs lose nothing."""
+
+IDENTITY, FOLDER, REASON = "symo_exp.run", "symo_exp.folder", "reason"
+"""Tags: which run this is, where its folder lies, why it did not finish."""
+PARENT = "mlflow.parentRunId"
+STATUS = {
+    "waiting": "SCHEDULED", "running": "RUNNING", "finished": "FINISHED", "failed": "FAILED",
+    "refused": "FAILED", "interrupted": "KILLED",
+}  # fmt: skip
+
+
+class MlflowView:
+    """One experiment of a tracking store; the settings are those of ``conf/logger/mlflow.yaml``."""
+
+    def __init__(
+        self,
+        *,
+        experiment: str = "symo_exp",
+        tracking_uri: str | None = None,
+        directory: str | Path = "mlruns",
+        every_n_epochs: int = 5,
+        flush_seconds: float = 10.0,
+        timeout: float = 5.0,
+    ) -> None:
+        if every_n_epochs < 1:
+            raise ConfigError(f"logger.every_n_epochs={every_n_epochs} must be at least 1")
+        if not flush_seconds >= 0.0:
+            raise ConfigError(f"logger.flush_seconds={flush_seconds} must be 0 or more seconds")
+        if not timeout > 0.0:
+            raise ConfigError(f"logger.timeout={timeout} must be above 0 seconds")
+        self.store = find(tracking_uri, directory)
+        self.flush_seconds = flush_seconds
+        self._experiment, self._every, self._timeout = experiment, every_n_epochs, timeout
+        self._open: dict[str, _Opened] = {}
+
+    def check(self) -> None:
+        """Refuse a store that cannot be reached or written; quick, asked before any training."""
+        check(self.store, self._timeout)
+
+    def is_away(self, error: BaseException) -> bool:
+        """Whether an error says that the store does not work now."""
+        return is_away(error)
+
+    def is_published(self, folder: RunFolder) -> bool:
+        """Whether this store is known to have all of the run; costs no import of MLflow."""
+        return folder.published().get("store") == str(self.store)
+
+    def publish(self, folder: RunFolder) -> str:
+        """Bring the store up to date with the folder; returns where a person finds the run.
+
+        Raises what MLflow raises, or ``AwayError`` within ``timeout`` where nobody answers.
+        """
+        about, outcome = folder.about(), folder.outcome()
+        if about is None or self.is_published(folder):
+            return self._address(folder.published().get("run_id", ""))
+        self.check()  # answers sooner than MLflow, which tries again and again
+        run = self._open.get(about.identity)
+        if run is None:
+            run = self._open[about.identity] = _Opened(self._find(about, folder), self.store)
+        run.send_series(self._rows(folder, last=outcome.status == "finished"))
+        if outcome.status == "finished":
+            run.send_measures(folder.measures())
+            run.upload(folder)
+        run.set_status(outcome)
+        if outcome.status not in ("running", "waiting"):
+            folder.mark_published({"store": str(self.store), "run_id": run.run_id})
+            del self._open[about.identity]
+        return self._address(run.run_id)
+
+    def close_dead(self) -> None:
+        """Runs of this experiment that the store has as RUNNING and whose process has died."""
+        client = connect(self.store)
+        experiment = experiment_id(self.store, self._experiment)
+        for run in client.search_runs([experiment], "attributes.status = 'RUNNING'"):
+            path = Path(run.data.tags.get(FOLDER, "/nowhere"))
+            if path.is_dir() and RunFolder(path).died():
+                RunFolder(path).record("failed", DIED)
+                self.publish(RunFolder(path))
+                log.warning("%s: marked as failed, its process had ended", path)
+
+    def _find(self, about: About, folder: RunFolder) -> str:
+        """The run of the store that belongs to the folder, made if there is none."""
+        client = connect(self.store)
+        parent = self._search(about.sweep) if about.sweep else None
+        found = self._search(about.identity)
+        tags = {PARENT: parent.info.run_id} if parent else {}
+        if found is not None:
+            for key, value in tags.items():
+                client.set_tag(found.info.run_id, key, value)
+            run_id = str(found.info.run_id)
+        else:
+            tags |= {**about.tags, IDENTITY: about.identity, FOLDER: str(folder.path)}
+            experiment = experiment_id(self.store, self._experiment)
+            with self.store.lock():
+                created = client.create_run(
+                    experiment, start_time=int(1e3 * about.started), run_name=about.name, tags=tags
+                )
+            run_id = str(created.info.run_id)
+        _send_parameters(self.store, run_id, about)
+        return run_id
+
+    def _search(self, identity: str) -> Run | None:
+        wanted = f"tags.`{IDENTITY}` = '{identity}'"
+        experiment = experiment_id(self.store, self._experiment)
+        found = connect(self.store).search_runs([experiment], wanted, max_results=1)
+        return found[0] if found else None
+
+    def _rows(self, folder: RunFolder, *, last: bool) -> list[dict[str, float]]:
+        """The series, thinned; with ``last`` its end, too."""
+        rows = read(folder / SERIES)
+        kept = [r for r in rows if r[EPOCH] < DENSE or r[EPOCH] % self._every == 0]
+        return kept + rows[-1:] if last and rows and rows[-1] not in kept else kept
+
+    def _address(self, run_id: str) -> str:
+        if not run_id or not self.store.uri.startswith("http"):
+            return f"run {run_id} in {self.store}" if run_id else f"not yet in {self.store}"
+        experiment = connect(self.store).get_run(run_id).info.experiment_id
+        return f"{self.store}/#/experiments/{experiment}/runs/{run_id}"
+
+
+class _Opened:
+    """A run of the store, with what it is known to have; a cache that one process keeps."""
+
+    def __init__(self, run_id: str, store: Store) -> None:
+        self.run_id, self._client = run_id, connect(store)
+        self._status = ""
+        run = self._client.get_run(run_id)
+        self._tags = dict(run.data.tags)
+        self._sent: dict[str, int] = {
+            name: max(row.step for row in self._client.get_metric_history(run_id, name))
+            for name in run.data.metrics
+        }
+
+    def send_series(self, rows: list[dict[str, float]]) -> None:
+        """Rows after those that the store has."""
+        from mlflow.entities import Metric
+
+        new = [
+            Metric(name, value, int(1e3 * row[TIME]), int(row[EPOCH]))
+            for row in rows
+            for name, value in row.items()
+            if name not in (EPOCH, TIME) and row[EPOCH] > self._sent.get(name, -1)
+        ]
+        for start in range(0, len(new), BATCH):
+            batch = new[start : start + BATCH]
+            self._client.log_batch(self.run_id, metrics=batch, synchronous=True)
+            self._sent |= {metric.key: metric.step for metric in batch}
+
+    def send_measures(self, measures: dict[str, float]) -> None:
+        """Final numbers, at step 0."""
+        self.send_series([{EPOCH: 0, TIME: time.time(), **measures}])
+
+    def upload(self, folder: RunFolder) -> None:
+        for path in folder.files():
+            inside = path.relative_to(folder.path)
+            if path.is_dir():
+                self._client.log_artifacts(self.run_id, str(path), artifact_path=str(inside))
+            else:
+                parent = None if inside.parent == Path(".") else str(inside.parent)
+                self._client.log_artifact(self.run_id, str(path), artifact_path=parent)
+
+    def set_status(self, outcome: Outcome) -> None:
+        """RUNNING, FINISHED, FAILED or KILLED, with the reason where there is one."""
+        status = STATUS[outcome.status]
+        if status == self._status:
+            return
+        if outcome.reason:
+            self._client.set_tag(self.run_id, REASON, outcome.reason[:500])
+        elif REASON in self._tags:
+            self._client.delete_tag(self.run_id, REASON)
+        self._tags = {**self._tags, REASON: outcome.reason} if outcome.reason else {}
+        if status in ("RUNNING", "SCHEDULED"):
+            self._client.update_run(self.run_id, status=status)
+        else:
+            self._client.set_terminated(self.run_id, status=status)
+        self._status = status
+
+
+def _send_parameters(store: Store, run_id: str, about: About) -> None:
+    """Those that the store does not have: MLflow lets none be changed."""
+    from mlflow.entities import Param
+
+    client = connect(store)
+    there = client.get_run(run_id).data.params
+    given = {**about.parameters, "variant": about.variant} if about.parameters else {}
+    params = [Param(name, str(value)) for name, value in given.items() if name not in there]
+    for start in range(0, len(params), PARAMETERS):
+        client.log_batch(run_id, params=params[start : start + PARAMETERS])

@@ -1,0 +1,61 @@
+"""The numbers of each epoch go to the series of the run, and now and then to its store."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any
+
+import lightning
+
+from symo_exp.runs.series import Series
+
+log = logging.getLogger(__name__)
+
+RETRY_SECONDS = 60.0
+
+
+class Recording(lightning.Callback):
+    """A row of ``series`` at the end of each epoch; ``publish`` every ``seconds`` at most.
+
+    Neither a full disk nor a store that is away stops a training: rows wait for the next epoch.
+    """
+
+    def __init__(self, series: Series, publish: Callable[[], object], seconds: float) -> None:
+        self.series, self.publish, self.seconds = series, publish, seconds
+        self._due, self._full, self._validated = 0.0, False, False
+
+    def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        self.series.cut(trainer.current_epoch)  # what comes after is done again
+        self._due = time.monotonic() + self.seconds
+
+    def on_validation_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        self._validated = True
+
+    def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        values = {name: float(value) for name, value in pl_module.epoch_metrics.items()}
+        if self._validated:
+            values["val_loss"] = float(trainer.callback_metrics["val_loss"])
+            self._validated = False
+        try:
+            self.series.append(trainer.current_epoch, values)
+        except OSError as error:
+            if not self._full:
+                log.warning("the series cannot be written now: %s", error)
+            self._full = True
+        if time.monotonic() >= self._due:
+            self._publish()
+
+    def on_save_checkpoint(
+        self, trainer: lightning.Trainer, pl_module: Any, checkpoint: dict[str, Any]
+    ) -> None:
+        self.series.flush(settle=True)  # a checkpoint without its rows would lose them
+
+    def _publish(self) -> None:
+        try:
+            self.publish()
+            self._due = time.monotonic() + self.seconds
+        except Exception as error:
+            self._due = time.monotonic() + RETRY_SECONDS
+            log.warning("the store is told later: %s", str(error).partition("\n")[0])

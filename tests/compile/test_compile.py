@@ -1,0 +1,293 @@
+"""What is compiled follows what is not."""
+
+import copy
+import pickle
+
+import pytest
+import torch
+import torch._inductor
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from symo_exp.compile import (
+    compile_rollout,
+    compile_training,
+    compiler_available,
+    kernels,
+    program,
+    trains_compiled,
+)
+from symo_exp.compile.inductor import CompilerError, lower
+from symo_exp.mechanics.roots import Broyden, Newton
+from symo_exp.models.objectives import Objective, Residual, Residuals
+from tests.models.methods import combinations, make, windows
+
+
+def said(caplog):
+    """What the project logs, without what the compiler does."""
+    return [r.getMessage() for r in caplog.records if r.name.startswith("symo_exp")]
+
+
+needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ compiler")
+SLOW = [
+    pytest.param(*case, marks=pytest.mark.slow)
+    for case in [
+        ("node", "rk4", "row"),
+        ("l_node", "rk4", "row"),
+        ("e2e_symo", "midpoint", "row"),
+        ("e2e_symo", "midpoint", "batch"),
+    ]
+]
+
+
+@needs_compiler
+@pytest.mark.parametrize(("method", "integrator", "stopping"), [("symo", "midpoint", "row"), *SLOW])
+def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
+    method, integrator, stopping
+):
+    """At sizes where narrow products are turned, and by an optimiser that reads memory."""
+    model, data = make(method, integrator, 2, width=64), windows(2, samples=64)
+    if not model.reads_velocity:
+        model.flow.root = Newton(tolerance=1e-8, stopping=stopping)
+    before = copy.deepcopy(model.state_dict())
+
+    def step():
+        loss = model.loss_and_gradients(data)
+        gradients = [parameter.grad.clone() for parameter in model.parameters()]
+        torch.optim.SGD(model.parameters(), lr=1e-3, fused=True).step()
+        return loss, gradients, copy.deepcopy(model.state_dict())
+
+    expected = step()
+    compile_training(model, validation=True)
+    for _ in range(2):
+        model.load_state_dict(before)
+        with torch.no_grad():
+            validated = model.validation_loss(data)
+        torch.testing.assert_close(validated, expected[0], atol=0, rtol=1e-9)
+        found = step()
+        torch.testing.assert_close(found[0], expected[0], atol=0, rtol=1e-9)
+        torch.testing.assert_close(found[1:], expected[1:], atol=1e-10, rtol=1e-7)
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_a_batch_that_newton_cannot_finish_is_left_to_the_safeguards(caplog):
+    model, data = make("e2e_symo", "midpoint", 2), windows(2, samples=8)
+    model.flow.root = Newton(tolerance=1e-300, max_iterations=2)
+    expected = model.loss_and_gradients(data)
+    compile_training(model, validation=True)
+    torch.testing.assert_close(model.loss_and_gradients(data), expected)
+    with torch.no_grad():
+        torch.testing.assert_close(model.validation_loss(data), expected)
+    assert said(caplog) == []
+
+
+@pytest.fixture
+def traced_only(monkeypatch):
+    """Graphs are run as they are traced: all that is ours without the minutes of a compiler.
+
+    As kernels are, they are for one layout of each tensor.
+    """
+
+    def layouts(tensors):
+        return [
+            [step for step, n in zip(x.stride(), x.shape, strict=True) if n > 1] for x in tensors
+        ]
+
+    def lower(graph, example):
+        def kernel(*tensors):
+            assert layouts(tensors) == layouts(example)
+            return graph(*tensors)
+
+        return kernel
+
+    monkeypatch.setattr(program, "lower", lower)
+
+
+@pytest.mark.usefixtures("traced_only")
+@pytest.mark.parametrize(("method", "integrator"), combinations())
+def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator):
+    """Whatever the lengths of the rollouts and the layouts of what they start from."""
+    model, data = make(method, integrator, 3), windows(3)
+    u = torch.randn(len(data.q), 4, 1, dtype=torch.float64)
+    starts = (data.q, data.v, u), (data.q.T.contiguous().T, data.v, u[:, 1:])
+    expected = [model.rollout(*start) for start in starts]
+    compile_rollout(model)
+    found = [model.rollout(*start) for start in starts]
+    assert ("rollout" not in model.compiled) == (integrator in ("galerkin4", "galerkin6"))
+    torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)
+    for other in (model.for_evaluation(), pickle.loads(pickle.dumps(model))):
+        assert not other.compiled
+        torch.testing.assert_close(other.rollout(*starts[0]), expected[0])
+
+
+@needs_compiler
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["l_node", "symo"])
+def test_a_rollout_by_compiled_kernels_is_the_uncompiled_one(method, caplog):
+    integrator = "midpoint" if method == "symo" else "rk4"
+    model, data = make(method, integrator, 2), windows(2)
+    u = torch.randn(len(data.q), 30, 1, dtype=torch.float64)
+    expected = [model.rollout(data.q, data.v, x) for x in (u, u[:, :20])]
+    compile_rollout(model)
+    found = [model.rollout(data.q, data.v, x) for x in (u, u[:, :20])]
+    assert said(caplog) == []
+    torch.testing.assert_close(found, expected, atol=1e-8, rtol=1e-8)
+
+
+@pytest.mark.usefixtures("traced_only")
+def test_rows_that_a_compiled_rollout_cannot_finish_are_as_uncompiled():
+    """One row is lost from the start, one is too fast for a root: its neighbours keep theirs."""
+    model, data = make("symo", "midpoint", 2), windows(2)
+    v = data.v.clone()
+    v[0], v[1] = torch.nan, 80.0
+    one, three = (model.rollout(data.q, v, steps=steps) for steps in (1, 3))
+    assert not one.converged[:2].any()
+    assert three.converged[2:].all()
+    compile_rollout(model)
+    torch.testing.assert_close(model.rollout(data.q, v, steps=1), one, equal_nan=True)
+    for found, expected in zip(model.rollout(data.q, v, steps=3), three, strict=True):
+        torch.testing.assert_close(found[2:], expected[2:])
+
+
+def test_what_cannot_be_compiled_is_said(caplog):
+    model, data = make("symo", "midpoint", 2, root=Broyden(tolerance=1e-12)), windows(2)
+    compile_rollout(model)
+    (line,) = said(caplog)
+    assert line.endswith("not compiled")
+    assert model.rollout(data.q, data.v, steps=2).converged.all()
+
+
+@pytest.fixture
+def broken_compiler(monkeypatch):
+    def lower(graph, example):
+        raise CompilerError("no such compiler")
+
+    monkeypatch.setattr(program, "lower", lower)
+
+
+@pytest.mark.usefixtures("broken_compiler")
+def test_a_compiler_that_fails_is_said_once_and_done_without(caplog):
+    model, data = make("symo", "midpoint", 2), windows(2)
+    expected = model.loss_and_gradients(data)
+    rolled = model.rollout(data.q, data.v, steps=3)
+    compile_training(model, validation=True)
+    compile_rollout(model)
+    for _ in range(2):
+        torch.testing.assert_close(model.loss_and_gradients(data), expected)
+        torch.testing.assert_close(model.validation_loss(data).detach(), expected)
+        torch.testing.assert_close(model.rollout(data.q, data.v, steps=3), rolled)
+    whats = "training step", "validation", "rollout"
+    assert said(caplog) == [f"the {what} is not compiled: no such compiler" for what in whats]
+
+
+def test_whatever_goes_wrong_in_the_compiler_is_its_own_error_and_one_line(monkeypatch):
+    def compile(*_, **__):
+        raise OSError("no space left on device\nand a long tail")
+
+    monkeypatch.setattr(torch._inductor, "standalone_compile", compile)
+    with pytest.raises(CompilerError) as caught:
+        lower(torch.fx.symbolic_trace(torch.nn.Identity()), [torch.zeros(1)])
+    assert str(caught.value) == "no space left on device"
+
+
+class Faulty(Objective):
+    """One whose author errs."""
+
+    def __call__(self, flow, windows):
+        raise RuntimeError("a fault of ours")
+
+    def branch_free(self, flow):
+        return True
+
+
+def test_a_fault_of_ours_is_raised_and_not_taken_for_one_of_the_compiler(caplog):
+    model, data = make("symo", "midpoint", 2, objective=Faulty()), windows(2)
+    compile_training(model, validation=True)
+    for computed in (model.loss_and_gradients, model.validation_loss):
+        with pytest.raises(RuntimeError, match="a fault of ours"):
+            computed(data)
+    assert said(caplog) == []
+
+
+class Counted(Residual):
+    """An objective of a user's own, with a statistic."""
+
+    def __call__(self, flow, windows):
+        values, _ = super().__call__(flow, windows)
+        return Residuals(values, {"largest": values.abs().max()})
+
+
+@pytest.mark.usefixtures("traced_only")
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("symo", {"objective": Counted()}),
+        ("e2e_symo", {"guess": "datum"}),
+        ("e2e_symo", {"guess": "inertial", "root": Newton(tolerance=1e-6, stopping="batch")}),
+    ],
+)
+def test_statistics_mean_the_same(method, options):
+    """Rows that are roots from the start among others: means over rows, iterations from none."""
+    model, data = make(method, "midpoint", 2, **options), windows(2, samples=8)
+    if method == "e2e_symo" and model.objective.guess == "datum":
+        reached = model.predict(data).q.detach()
+        data = data._replace(q_next=torch.where(torch.arange(8)[:, None] < 3, reached, data.q_next))
+    model.loss_and_gradients(data)
+    compile_training(model)
+    model.loss_and_gradients(data)
+    assert model._statistics
+    for uncompiled, compiled in model._statistics.values():
+        torch.testing.assert_close(compiled, uncompiled, check_dtype=False)
+
+
+@pytest.mark.parametrize(
+    ("method", "integrator", "options", "possible"),
+    [
+        ("node", "rk4", {}, True),
+        ("node", "rk4", {"sensitivity": "adjoint"}, False),
+        ("symo", "midpoint", {}, True),
+        ("symo", "galerkin4", {}, False),
+        ("e2e_symo", "midpoint", {}, True),
+        ("e2e_symo", "midpoint", {"root": Newton(stopping="batch")}, True),
+        ("e2e_symo", "midpoint", {"root": Broyden()}, False),
+    ],
+)
+def test_only_what_is_a_fixed_sequence_of_operations_is_compiled(
+    method, integrator, options, possible
+):
+    assert trains_compiled(make(method, integrator, 1, **options)) == possible
+
+
+def test_the_compiled_tanh_is_right_to_single_precision():
+    x = torch.cat((torch.linspace(-12.0, 12.0, 200_001), torch.logspace(-30, 1, 10_001)))
+    exact = torch.tanh(x.double())
+    assert ((kernels.tanh(x) - exact).abs() / exact.abs().clamp(min=1e-37)).max() < 5e-7
+    ends = torch.tensor([torch.inf, -torch.inf, torch.nan])
+    torch.testing.assert_close(kernels.tanh(ends), torch.tanh(ends), equal_nan=True)
+    assert kernels.tanh(x.double()) is NotImplemented
+
+
+@pytest.mark.parametrize("shape", [(64, 64, 4), (64, 64, 9), (5, 64, 4), (64, 3, 2), (1, 1, 1)])
+def test_a_narrow_product_is_the_product(shape):
+    rows, inner, columns = shape
+    a, b, x = torch.randn(rows, inner), torch.randn(inner, columns), torch.randn(columns)
+
+    def both(a, b, x):
+        return a @ b, torch.addmm(x, a, b)
+
+    traced = make_fx(both, decomposition_table=kernels.CHEAPER)(a, b, x)
+    torch.testing.assert_close(traced(a, b, x), both(a, b, x))
+    turned = "permute" in traced.code or ".t." in traced.code
+    assert turned == (shape == (64, 64, 4))
+
+
+def test_sums_of_columns_are_the_sums():
+    x, whole = torch.randn(64, 5), torch.arange(12).view(3, 4)
+
+    def sums(x, whole):
+        plain = x.sum(0), x.sum(0, keepdim=True), x.view(8, 8, 5).sum(0)
+        return *plain, x.sum(1), x.sum((0, 1)), x.sum(0, dtype=torch.float64), whole.sum(0)
+
+    traced = make_fx(sums, decomposition_table=kernels.CHEAPER)(x, whole)
+    torch.testing.assert_close(traced(x, whole), sums(x, whole))
+    assert traced.code.count("aten.mm") == 2

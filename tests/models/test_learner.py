@@ -1,0 +1,36 @@
+"""What the training loop tells, whatever it trains."""
+
+import lightning
+import pytest
+import torch
+
+from symo_exp.models.objectives import Objective, Residuals
+from tests.models.methods import make, windows
+
+
+class Quiet(Objective):
+    """An objective of a user's own: parameters alone, and two statistics."""
+
+    def __call__(self, flow, windows):
+        values = torch.stack([p.sum() for p in flow.parameters()]).unsqueeze(0)
+        return Residuals(values, {"rows": torch.tensor(float(len(windows.q)))})
+
+
+def test_the_numbers_of_an_epoch_are_kept(tmp_path):
+    model = make(
+        "symo", "midpoint", 2, objective=Quiet(), optimizer=lambda p: torch.optim.SGD(p, lr=0.01)
+    )
+    data = windows(2, 12)
+    batches = [[data.rows(slice(0, 4)), data.rows(slice(4, 12))]]
+    trainer = lightning.Trainer(
+        max_epochs=2, accelerator="cpu", logger=False, enable_checkpointing=False,
+        enable_progress_bar=False, enable_model_summary=False, default_root_dir=tmp_path,
+    )  # fmt: skip
+    trainer.fit(model, torch.utils.data.DataLoader(batches, batch_size=None))
+    told = model.epoch_metrics
+    assert {"train_loss", "lr", "step_ms", "training_seconds", "rows"} == set(told)
+    assert all(type(value) is float for value in told.values())
+    assert told["rows"] == 6.0
+    assert told["lr"] == 0.01
+    assert told["train_loss"] == pytest.approx(float(trainer.callback_metrics["train_loss"]))
+    assert trainer.global_step == 4

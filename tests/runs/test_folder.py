@@ -1,0 +1,189 @@
+"""The folder of a run: whole files, who works on it, what it remembers; and its series."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+
+import pandas
+import pytest
+import yaml
+
+from symo_exp.runs.digest import digest
+from symo_exp.runs.folder import About, RunFolder
+from symo_exp.runs.series import Series, read
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return RunFolder(tmp_path / "run")
+
+
+def test_numbers_are_what_they_are_however_spelt():
+    one = {"a": {"x": 1, "y": 1e-3}, "b": [1, 2.0], "c": True, "d": None}
+    other = {"d": None, "c": True, "b": [1.0, 2], "a": {"y": 0.001, "x": 1.0}}
+    assert digest(one) == digest(other)
+    others = [{**one, "c": 1}, {**one, "d": "None"}, {**one, "a": {"x": 2, "y": 1e-3}}]
+    assert len({digest(x) for x in (one, *others)}) == 4
+
+
+def test_what_changes_no_number_does_not_count():
+    settings = {"seed": 0, "data": {"n_traj": 8, "cache_dir": "a"}, "logger": {"x": 1}}
+    assert digest(settings) == digest({"seed": 0, "data": {"n_traj": 8, "cache_dir": "b"}})
+
+
+def test_measures_are_json_even_when_they_are_not_finite(folder):
+    folder.write_measures({"a": 1e-9, "b": math.inf, "c": math.nan})
+    text = (folder / "metrics.json").read_text()
+    assert "Infinity" not in text
+    assert "NaN" not in text
+    back = folder.measures()
+    assert (back["a"], back["b"]) == (1e-9, math.inf)
+    assert math.isnan(back["c"])
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_rubbish(folder):
+    folder.write_config({"seed": 0})
+    with pytest.raises(yaml.YAMLError):
+        folder.write_config({"seed": object()})
+    assert [path.name for path in folder.path.iterdir()] == ["config.yaml"]
+    assert yaml.safe_load((folder / "config.yaml").read_text()) == {"seed": 0}
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"status": "finished", "x": 1}'])
+def test_what_cannot_be_read_is_as_if_it_were_not_there(text, folder):
+    folder.record("finished")
+    (folder / "outcome.json").write_text(text)
+    (folder / "run.json").write_text(text)
+    (folder / "metrics.json").write_text(text if text.startswith("[") else "")
+    assert folder.outcome().status == "waiting"
+    assert folder.about() is None
+    assert folder.measures() == {}
+
+
+def test_a_run_that_goes_on_is_the_same_run(folder):
+    folder.describe(About("first", {"a": 1}))
+    first = folder.about()
+    folder.describe(About("again", {"a": 1}, variant="fast"))
+    again = folder.about()
+    assert (again.identity, again.started) == (first.identity, first.started)
+    assert (again.name, again.variant) == ("again", "fast")
+    folder.clear()
+    folder.describe(About("anew", {"a": 1}))
+    assert folder.about().identity != first.identity
+
+
+HOLD = """
+import sys
+from symo_exp.runs.folder import RunFolder
+folder = RunFolder(sys.argv[1])
+with folder.alone():
+    folder.record("running")
+    print(flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_free_lock_and_running_is_dead(folder):
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(folder.path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    process.stdout.readline()
+    assert folder.in_use()
+    assert not folder.died()
+    assert folder.outcome().process["pid"] == str(process.pid)
+    process.kill()
+    process.wait()
+    assert not folder.in_use()
+    assert folder.died()
+    folder.record("finished")
+    assert not folder.died()
+
+
+def test_a_table_is_parquet(folder):
+    folder.write_table("x.parquet", {"a": [1, 2], "b": [0.5, math.nan]})
+    assert pandas.read_parquet(folder / "x.parquet").a.tolist() == [1, 2]
+
+
+# -- series ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "series.csv"
+
+
+def rows(path):
+    return [{k: v for k, v in row.items() if k != "time"} for row in read(path)]
+
+
+def test_every_number_comes_back_to_the_bit(path):
+    values = [0.1, 1 / 3, 1e-300, math.inf, 12345678.9]
+    series = Series(path)
+    for epoch, value in enumerate(values):
+        series.append(epoch, {"x": value})
+    assert [row["x"] for row in read(path)] == values
+
+
+def test_a_quantity_may_come_later_and_not_always(path):
+    series = Series(path)
+    series.append(0, {"a": 1.0})
+    series.append(1, {"a": 2.0, "b": 3.0})
+    series.append(2, {"a": 4.0})
+    expected = [{"epoch": 0, "a": 1.0}, {"epoch": 1, "a": 2.0, "b": 3.0}, {"epoch": 2, "a": 4.0}]
+    assert rows(path) == expected
+    again = Series(path)  # another process
+    again.append(3, {"b": 5.0})
+    assert rows(path) == [*expected, {"epoch": 3, "b": 5.0}]
+
+
+def test_what_is_cut_off_is_written_anew(path):
+    series = Series(path)
+    for epoch in range(5):
+        series.append(epoch, {"x": float(epoch)})
+    torn = path.read_text() + "5,17"
+    path.write_text(torn)
+    assert len(read(path)) == 5
+    again = Series(path)
+    again.cut(3)
+    again.append(3, {"x": 9.0})
+    assert [row["x"] for row in read(path)] == [0.0, 1.0, 2.0, 9.0]
+    Series(path).cut(0)
+    assert read(path) == []
+
+
+def test_rows_wait_for_a_disk_that_is_full(path, monkeypatch):
+    series = Series(path)
+    series.append(0, {"x": 0.0})
+    with monkeypatch.context() as patch:
+
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        patch.setattr(Series, "_text", full)
+        for epoch in (1, 2):
+            with pytest.raises(OSError, match="No space"):
+                series.append(epoch, {"x": float(epoch)})
+    assert len(read(path)) == 1
+    series.append(3, {"x": 3.0})
+    assert [row["x"] for row in read(path)] == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_whatever_byte_a_kill_leaves_last_the_rest_is_sound(path):
+    series = Series(path)
+    for epoch in range(3):
+        series.append(epoch, {"x": float(epoch)})
+    whole = path.read_bytes()
+    for size in range(len(whole)):
+        path.write_bytes(whole[:size])
+        found = read(path)
+        assert [row["x"] for row in found] == [float(k) for k in range(len(found))]
+
+
+def test_a_folder_says_where_it_is_from_here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert str(RunFolder(tmp_path / "a" / "b")) == os.path.join("a", "b")
+    assert json.loads(json.dumps({"x": str(RunFolder("c"))})) == {"x": "c"}

@@ -1,0 +1,258 @@
+"""A trained model comes back in another process, from a folder or a run id; nothing else does."""
+
+import copy
+import subprocess
+import sys
+import zipfile
+
+import lightning
+import pytest
+import torch
+import yaml
+
+import symo_exp
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Windows
+from symo_exp.runs.folder import CHECKPOINT, About, RunFolder
+from symo_exp.tracking.load import load
+from symo_exp.tracking.publish import MlflowView
+from tests.tables import stated
+
+SYSTEMS = {
+    "pendulum": stated("pendulum") | {"mass": 1.5},
+    "acrobot": stated("acrobot"),
+}
+EXPLICIT = {"_target_": "symo_exp.mechanics.explicit.RK4"}
+VARIATIONAL = {"_target_": "symo_exp.mechanics.variational.VariationalMidpoint"}
+ROOT = {"_target_": "symo_exp.mechanics.roots.Newton", "tolerance": 1e-5, "max_iterations": 10}
+MODELS = {
+    "node": {"_target_": "symo_exp.models.node.NODE", "integrator": EXPLICIT},
+    "l_node": {"_target_": "symo_exp.models.l_node.LNODE", "integrator": EXPLICIT},
+    "symo": {"_target_": "symo_exp.models.symo.SyMo", "integrator": VARIATIONAL, "root": ROOT},
+    "e2e_symo": {
+        "_target_": "symo_exp.models.e2e_symo.E2ESyMo", "integrator": VARIATIONAL, "root": ROOT,
+    },
+}  # fmt: skip
+
+
+def config(model="symo", system="pendulum"):
+    training = {"_target_": "torch.optim.Adam", "_partial_": True, "lr": 1e-3}
+    model_ = {**MODELS[model], "width": 8, "optimizer": training}
+    return copy.deepcopy({"system": SYSTEMS[system], "model": model_})
+
+
+class Epoch:
+    """A loader whose one item is the list of an epoch's batches."""
+
+    def __init__(self, batches):
+        self.batches = batches
+
+    def __len__(self):
+        return 1
+
+    def __iter__(self):
+        yield self.batches
+
+
+def made(folder, settings):
+    """A run folder as a short training leaves it, and the model that was trained."""
+    import hydra.utils
+
+    system = hydra.utils.instantiate(settings["system"])
+    model = hydra.utils.instantiate({**settings["model"], "_partial_": True})(
+        coordinates=system.coordinates,
+        input_matrix=system.input_matrix,
+        time_step=system.time_step,
+    )
+    n, m = system.input_matrix.shape
+    samples = Windows(*(0.1 * torch.randn(4, k) for k in (n, n, n, n, n, m, m, m)))
+    trainer = lightning.Trainer(
+        max_epochs=2, logger=False, accelerator="cpu", enable_progress_bar=False,
+        enable_model_summary=False, enable_checkpointing=False, default_root_dir=folder,
+    )  # fmt: skip
+    trainer.fit(model, train_dataloaders=Epoch([samples]))
+    RunFolder(folder).write_config(settings)
+    trainer.save_checkpoint(folder / CHECKPOINT)
+    return model.eval()
+
+
+def published(path, directory):
+    """The id of the run that a store has of a finished folder."""
+    folder = RunFolder(path)
+    folder.describe(About("r", {}))
+    folder.record("finished")
+    MlflowView(experiment="e", directory=directory).publish(folder)
+    return folder.published()["run_id"]
+
+
+def motion(model, n, m):
+    q0 = torch.linspace(0.1, 0.4, 2 * n).view(2, n).to(model.input_matrix)
+    u = torch.linspace(-1, 1, 2 * 4 * m).view(2, 4, m).to(model.input_matrix)
+    return model.rollout(q0, -q0, u)
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory):
+    """Where runs are tracked."""
+    return tmp_path_factory.mktemp("mlruns")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    return tmp_path / "run"
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("model", MODELS)
+def test_the_same_model_comes_back(folder, model, system):
+    trained = made(folder, config(model, system))
+    n, m = trained.input_matrix.shape
+    back = load(folder)
+    assert not back.training
+    assert torch.equal(motion(trained, n, m).q, motion(back, n, m).q)
+    assert torch.equal(motion(trained, n, m).v, motion(back, n, m).v)
+
+
+def test_in_another_process_by_folder_and_by_id(folder, tmp_path, directory):
+    expected = motion(made(folder, config()), 1, 1).q
+    run_id = published(folder, directory)
+    code = (
+        "import sys, symo_exp\n"
+        "assert 'torch' not in sys.modules\n"
+        "run, directory, out = sys.argv[1:]\n"
+        "a, b = symo_exp.load(run, directory=directory), symo_exp.load('run')\n"
+        "import torch\n"
+        "q0 = torch.linspace(0.1, 0.4, 2).view(2, 1)\n"
+        "u = torch.linspace(-1, 1, 8).view(2, 4, 1)\n"
+        "torch.save([x.rollout(q0, -q0, u).q for x in (a, b)], out)"
+    )
+    arguments = [run_id, str(directory), str(tmp_path / "q.pt")]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    for found in torch.load(tmp_path / "q.pt"):
+        assert torch.equal(found, expected)
+
+
+def test_double_precision_keeps_the_weights_and_does_not_round_the_input_matrix(folder):
+    trained = made(folder, config("node"))
+    back = load(folder, dtype=torch.float64)
+    assert {p.dtype for p in back.parameters()} == {torch.float64}
+    for mine, theirs in zip(trained.parameters(), back.parameters(), strict=True):
+        assert torch.equal(mine.double(), theirs)
+    assert torch.allclose(motion(trained, 1, 1).q.double(), motion(back, 1, 1).q, atol=1e-5)
+
+
+def test_the_package_offers_it(folder):
+    made(folder, config())
+    # the function, whatever module was imported before
+    assert callable(symo_exp.load)
+    assert symo_exp.load(folder).time_step == 0.1
+    assert {"load", "__version__"} <= set(dir(symo_exp))
+    assert symo_exp.__version__[0].isdigit()
+    with pytest.raises(AttributeError, match="no attribute 'lod'"):
+        symo_exp.lod  # noqa: B018
+
+
+def sentence(folder, **options):
+    with pytest.raises(ConfigError) as caught:
+        load(folder, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def edited(folder, change):
+    made(folder, config())
+    settings = config()
+    change(settings)
+    (folder / "config.yaml").write_text(yaml.safe_dump(settings))
+    return sentence(folder)
+
+
+HARM = {"_target_": "os.mkdir", "path": "harm"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: c["model"].update(root=HARM),
+        lambda c: c["model"].update(_target_="subprocess.run"),
+        lambda c: c["model"].update(fallback=[{"deep": HARM}]),
+        lambda c: c["system"].update(HARM),
+        lambda c: c["model"].update(root={**HARM, "_target_": "symo_exp.systems.base.os.mkdir"}),
+        lambda c: c["model"].update(root={**HARM, "_target_": "symo_exp.systems.base.math.sqrt"}),
+        lambda c: c["model"].update(root={"_target_": "symo_exp.mechanics.lagrangian.matvec"}),
+        lambda c: c["model"].update(root={"_target_": "torch.hub.load", "repo": "x"}),
+        lambda c: c["model"].update(_target_=["os.mkdir"]),
+        lambda c: c["model"].update(_target_="symo_exp.models.nothing.Here"),
+        lambda c: c["model"].update(root="${oc.create:{_target_: os.mkdir, path: harm}}"),
+        lambda c: c.pop("model"),
+        lambda c: c.update(system=3),
+    ],
+)
+def test_a_configuration_runs_nothing_but_models(folder, change, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    edited(folder, change)
+    assert not (tmp_path / "harm").exists()
+
+
+def test_weights_of_another_shape(folder):
+    assert "does not fit" in edited(folder, lambda c: c["model"].update(width=9))
+
+
+def test_a_model_that_is_not_learned_needs_no_weights(folder):
+    """The true system as a model: its configuration is all of it."""
+    system = SYSTEMS["pendulum"]
+    truth = {
+        "_target_": "symo_exp.models.true.TrueOde", "integrator": EXPLICIT, "lagrangian": system,
+    }  # fmt: skip
+    RunFolder(folder).write_config({"system": system, "model": truth})
+    model, q0 = load(folder), torch.tensor([[0.3]])
+    after = model.step(q0, 0.0 * q0)
+    assert model.mass_matrix(q0).item() == pytest.approx(1.5 / 3)
+    assert model.energy(after.q, after.v).item() == pytest.approx(model.energy(q0, 0.0 * q0).item())
+    assert after.v.item() > 0.1
+
+
+def test_what_is_missing_is_said(folder, tmp_path):
+    assert "no config.yaml" in sentence(folder)
+    RunFolder(folder).write_config(config())
+    assert "has the run been trained?" in sentence(folder)
+    assert "neither a run folder nor" in sentence("no/such/run")
+    assert "no tracking store" in sentence("0" * 32, directory=tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_run_that_the_store_does_not_know(folder, directory):
+    run_id = published(folder, directory)
+    assert "gives no model" in sentence("0" * 32, directory=directory)
+    assert "gives no model" in sentence(run_id, directory=directory)
+
+
+class Pickled:
+    def __reduce__(self):
+        import os
+
+        return os.mkdir, ("harm",)
+
+
+@pytest.mark.parametrize("damage", ["empty", "half", "text", "other", "pickle", "bare"])
+def test_a_damaged_checkpoint_is_one_line_and_nothing_is_unpickled(
+    folder, damage, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    made(folder, config())
+    path = folder / CHECKPOINT
+    whole = path.read_bytes()
+    if damage in ("empty", "half", "text"):
+        path.write_bytes({"empty": b"", "half": whole[: len(whole) // 2], "text": b"hi"}[damage])
+    elif damage == "other":
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("a", "b")
+    else:
+        torch.save({"state_dict": Pickled() if damage == "pickle" else {"a": 1}}, path)
+    message = sentence(folder)
+    assert "last.ckpt" in message
+    assert not (tmp_path / "harm").exists()

@@ -1,0 +1,128 @@
+"""Every file of the configuration composes, passes the checks and builds what it names."""
+
+import pytest
+import torch
+import yaml
+
+from symo_exp.errors import ConfigError
+from symo_exp.runs.folder import RunFolder
+from symo_exp.shipped import CONF, SWEEPS
+from symo_exp.sweep.help import description
+from symo_exp.sweep.recipe import build
+from symo_exp.thesis.published import published
+from tests.jobs import job_of, jobs_of
+from tests.tables import choices, variational_integrators
+
+GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")})
+CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
+SHIPPED = [*CONF.rglob("*.yaml"), *SWEEPS.glob("*.yaml")]
+
+
+def build_all(*argv: str, folder) -> list:
+    return [build(job.config, RunFolder(folder / str(i))) for i, job in enumerate(jobs_of(*argv))]
+
+
+@pytest.mark.parametrize(("group", "choice"), CHOICES)
+def test_every_choice_builds(group, choice, workplace):
+    words = [f"{group}={choice}"]
+    if words == ["data=recorded"]:
+        rows = [f"{i},{0.1 * k},{0.01 * k},0" for i in range(3) for k in range(5)]
+        (workplace / "mine.csv").write_text("\n".join(["trajectory,t,q_theta,u_0", *rows]))
+        words.append("data.path=mine.csv")
+    if group == "integrator" and choice not in variational_integrators():
+        words.append("model=node")
+    if words == ["model=true_ode"]:
+        words.append("integrator=rk4")
+    if group == "optimizer":
+        words.append("dtype=float64")  # some need it
+    if words == ["trainer=gpu"] and not torch.cuda.is_available():
+        with pytest.raises(ConfigError, match="no GPU"):
+            build_all(*words, folder=workplace)
+        return
+    (parts,) = build_all(*words, folder=workplace)
+    assert parts.model.coordinates == parts.system.coordinates
+
+
+@pytest.mark.parametrize("preset", ["default", "thesis"])
+@pytest.mark.parametrize("model", choices("model"))
+def test_every_model_builds_for_every_system(model, preset, workplace):
+    systems = ",".join(choices("system"))
+    parts = build_all(
+        f"model={model}", f"preset={preset}", "-m", f"system={systems}", folder=workplace
+    )
+    assert len({type(p.system) for p in parts}) == len(choices("system"))
+
+
+ONE_SWEEP = sorted({f.stem for f in SWEEPS.glob("*.yaml")} - {"thesis", "search"})
+"""But for a list of others, and for one that another sweeper does: `test_search` runs it."""
+
+
+@pytest.mark.parametrize("sweep", ONE_SWEEP)
+def test_every_sweep_has_jobs_that_pass(sweep, workplace):
+    jobs = jobs_of("-cn", sweep, "system=pendulum")  # the others: every model, every system
+    assert len({job.folder.path for job in jobs}) == len(jobs) > 1
+
+
+@pytest.mark.parametrize("pair", choices("pair"))
+def test_a_pair_is_a_model_and_an_integrator_by_one_name(pair, workplace):
+    """The same folder, thus the same run, whichever way it is asked for."""
+    by_pair = job_of(f"pair={pair}", "system=acrobot", "seed=1")
+    choices_ = yaml.safe_load((CONF / "pair" / f"{pair}.yaml").read_text()) or {"defaults": []}
+    words = [
+        f"{group.removeprefix('override /')}={choice}"
+        for entry in choices_["defaults"]
+        for group, choice in entry.items()
+    ]
+    assert pair == "none" or pair == "_".join(word.partition("=")[2] for word in words)
+    by_groups = job_of(*words, "system=acrobot", "seed=1")
+    assert by_pair.folder.path == by_groups.folder.path
+
+
+@pytest.mark.parametrize("sweep", ["data_size", "tables", "noise"])
+def test_sweeps_share_their_runs(sweep, workplace):
+    """A run at 32 trajectories without noise is one run, in every sweep and typed by hand."""
+    narrow = ["system=pendulum", "pair=node_rk4,symo_midpoint", "seed=0,1"]
+    jobs = jobs_of("-cn", sweep, *narrow)
+    typed = "experiment=thesis model=node integrator=rk4 system=pendulum data.n_traj=32 seed=1"
+    assert job_of(*typed.split()).folder.path in [job.folder.path for job in jobs]
+
+
+def test_a_pair_goes_with_a_preset(workplace):
+    job = job_of("preset=fast", "pair=symo_midpoint")
+    assert job.config.integrator.variational._target_.endswith("VariationalMidpoint")
+    assert job.config.optimizer._target_.endswith("Chained")
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda f: f"{f.parent.name}/{f.stem}")
+def test_every_file_says_what_it_is(file):
+    assert description(file)
+
+
+def test_thesis_and_default_protocol(workplace):
+    """The settings that the thesis states, and the ones in which the default differs from it."""
+    words = ["model=e2e_symo", "system=acrobot", "-m", "preset=default,thesis"]
+    default, thesis = (job.config for job in jobs_of(*words))
+    for config in default, thesis:
+        assert (config.model.width, config.optimizer.lr) == (256, 1e-3)
+        assert config.trainer.max_epochs == 2000
+        assert config.data.batch_size is None
+        assert (config.scheduler.patience, config.scheduler.factor) == (50, 0.7)
+        assert (config.root.training.tolerance, config.root.training.max_iterations) == (1e-5, 10)
+    assert (default.model.scheduler_monitor, default.data.monitor) == ("train_loss", "val")
+    assert (thesis.model.scheduler_monitor, thesis.data.monitor) == ("val_loss", "test")
+    assert thesis.trainer.validate_every == 1
+    assert (thesis.root.rollout.tolerance, thesis.root.rollout.max_iterations) == (1e-4, 10)
+    assert default.root.rollout.tolerance <= 1e-9
+    assert thesis.integrator.sensitivity == "adjoint"
+    assert (thesis.data.solver.method, thesis.data.solver.rtol) == ("RK45", 1e-3)
+    pendulum = job_of("system=pendulum").config
+    assert (pendulum.model.width, pendulum.optimizer.lr) == (128, 1e-4)
+
+
+RATES = published()[["system", "noise_std", "learning_rate"]].drop_duplicates()
+
+
+@pytest.mark.parametrize(("system", "noise_std", "learning_rate"), RATES.to_numpy().tolist())
+def test_the_learning_rates_are_the_published_ones(system, noise_std, learning_rate, workplace):
+    job = job_of(f"system={system}", f"data.noise_std={noise_std}")
+    assert job.config.optimizer.lr == learning_rate

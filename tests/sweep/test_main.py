@@ -1,0 +1,303 @@
+"""The command line: help, refusals, runs, sweeps, failures, exit codes."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from symo_exp.__main__ import main
+from symo_exp.runs.folder import RunFolder
+from symo_exp.shipped import CONF, SWEEPS
+from symo_exp.sweep.sweeper import Sweep
+from symo_exp.sweep.table import MEASURES
+from tests.jobs import job_of, jobs_of
+from tests.tiny import TINY
+
+QUIET = [*TINY, "logger=none", "pictures=false"]
+LIGHT = (
+    "import sys; from symo_exp.__main__ import main; code = main(sys.argv[1:]); "
+    "heavy = {'torch', 'lightning', 'mlflow', 'pandas', 'matplotlib'} & set(sys.modules); "
+    "sys.exit(f'{code} {heavy}' if code or heavy else 0)"
+)
+"""A command in a process that ends well only if nothing heavy was imported."""
+
+# what is typed, and words that the one line of the answer must have
+BAD = [
+    # keys
+    ("data.ntraj=8", "data.ntraj", "data.n_traj"),
+    ("n_traj=8", "n_traj", "data.n_traj"),
+    ("modle=symo", "modle", "model"),
+    ("+data.x=1", "data.x", "n_traj"),
+    ("++model.dept=2", "model.dept", "model.depth"),
+    ("+optimizer.learning_rate=1", "optimizer.learning_rate", "lr"),
+    ("+root.training.stoping=row", "root.training.stoping", "root.training.stopping"),
+    ("+nonsense.deep.inside=1", "nonsense", ""),
+    ("+data.solver.metod=RK45", "data.solver.metod", "data.solver.method"),
+    ("hydra.sweep.dirr=x", "dirr", ""),
+    ("data.n_traj", "data.n_traj", "data.n_traj="),
+    # choices
+    ("model=symoo", "symoo", "e2e_symo, l_node, node, symo"),
+    ("system=pendulun", "pendulun", "did you mean pendulum"),
+    ("integrator=rk5", "rk5", "midpoint, rk4"),
+    ("integrator=null", "null", "midpoint, rk4"),
+    ("+model=symo", "model", ""),
+    ("model=node,l_node model.sensitivity=adjoint", "model.sensitivity", ""),
+    ("hydra/launcher=jobli", "jobli", "joblib"),
+    ("dtype=float16", "float16", "float32, float64"),
+    ("model.scheduler_monitor=loss", "loss", ""),
+    ("root.training.stopping=never", "never", "row or batch"),
+    ("model=node integrator.sensitivity=magic", "magic", "direct or adjoint"),
+    ("data.monitor=train", "train", "val"),
+    ("trainer.accelerator=tpu", "tpu", "cpu or gpu"),
+    # values
+    ("data.n_traj=0", "0", "1 to 128"),
+    ("data.n_traj=129", "129", "1 to 128"),
+    ("data.n_traj=8.5", "8.5", "whole number"),
+    ("data.n_traj=many", "many", "whole number"),
+    ("data.n_traj=null", "null", "whole number"),
+    ("data.n_traj=[8]", "data.n_traj", "whole number"),
+    ("data.noise_std=-1", "-1", "at least 0"),
+    ("data.noise_std=nan", "nan", ""),
+    ("data.batch_size=0", "0", "at least 1"),
+    ("data.shuffle=perhaps", "perhaps", "true or false"),
+    ("data.solver.rtol=-1", "rtol", ""),
+    ("trainer.max_epochs=-1", "-1", "at least 1"),
+    ("trainer.max_epochs=0", "0", "at least 1"),
+    ("trainer.validate_every=0", "0", "at least 1"),
+    ("trainer.threads=0", "0", "at least 1"),
+    ("trainer.checkpoint_every=-1", "-1", "seconds"),
+    ("optimizer.lr=-1", "-1", "learning rate"),
+    ("optimizer.lr=fast", "fast", "number"),
+    ("model.width=0", "width", "0"),
+    ("model.depth=0", "depth", "0"),
+    ("model.width=wide", "wide", "whole number"),
+    ("root.training.tolerance=0", "tolerance", "0"),
+    ("root.training.max_iterations=0", "max_iterations", "0"),
+    ("system.mass=-1", "system.mass", "-1"),
+    ("system.time_step=0", "system.time_step", "0"),
+    ("seed=-1", "-1", "seed"),
+    ("seed=first", "first", "whole number"),
+    # combinations
+    ("model=symo integrator=rk4", "integrator=rk4", "integrator=midpoint"),
+    ("model=e2e_symo integrator=rk4", "integrator=rk4", "integrator=midpoint"),
+    ("data=recorded", "data.path", ""),
+    ("data=recorded data.path=nowhere.csv", "nowhere.csv", ""),
+    # places
+    ("output_dir=/dev/null/here", "/dev/null", "output_dir"),
+    ("logger.tracking_uri=http://127.0.0.1:9", "127.0.0.1:9", "tracking"),
+    ("logger.tracking_uri=sqlite:////dev/null/x/y.db", "/dev/null", ""),
+    ("logger.tracking_uri=carrier://pigeon", "carrier", "sqlite"),
+    ("--foo", "--foo", "-h"),
+    ("--config-dir nowhere", "nowhere", ""),
+    ("-cn nothing", "nothing", ""),
+    # what a configuration must not run
+    ("model._target_=os.system", "os.system", "refused"),
+    ("model._target_=symo_exp.files.os.system", "os.system", "refused"),
+    ("optimizer._target_=torch.hub.load", "torch.hub.load", "refused"),
+    ("optimizer._target_=torch.optim.Adom", "Adom", "cannot be found"),
+    # the last job of a sweep
+    ("-m data.n_traj=8,16,0", "data.n_traj=0", "1 to 128"),
+    ("-m data.n_traj=8 model=node,symo integrator=rk4", "model=symo", "integrator=midpoint"),
+    ("-m data.n_traj=8,8", "data.n_traj=8", "same run"),
+    ("-m model=node,symoo", "symoo", "symo"),
+    ("-cn smoke data.noise_std=0,-1", "noise_std=-1", "at least 0"),
+]
+
+
+@pytest.mark.parametrize(("typed", "given", "wanted"), BAD, ids=[typed for typed, *_ in BAD])
+def test_bad_input_is_refused_in_a_line(typed, given, wanted, workplace, capsys, monkeypatch):
+    monkeypatch.setenv("HOME", str(workplace))  # where the cache would be
+    monkeypatch.setattr(Sweep, "_launch_all", lambda *_: pytest.fail("it started"))
+    code = main(typed.split())
+    out, err = capsys.readouterr()
+    assert code == 2, err
+    lines = err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("symo_exp: error: ")
+    assert given in lines[0]
+    assert wanted in lines[0]
+    assert out == ""
+    assert list(workplace.rglob("*.ckpt")) + list(workplace.rglob("*.npz")) == []
+
+
+def test_help_shows_every_choice_with_a_line(workplace, capsys):
+    assert main(["-h"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    for file in [*CONF.glob("*/*.yaml"), *SWEEPS.glob("*.yaml")]:
+        assert any(line[0] == file.stem and len(line) > 2 for line in lines if line), file
+
+
+def test_help_and_settings_come_without_the_heavy_libraries(workplace):
+    for words in (["-h"], ["model=node", "--cfg", "job"]):
+        done = subprocess.run(
+            [sys.executable, "-c", LIGHT, *words], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    assert "symo_exp.models.node.NODE" in done.stdout
+
+
+def test_overrides_may_stand_on_both_sides_of_an_option():
+    jobs = jobs_of("model=e2e_symo", "system=acrobot", "-m", "data.n_traj=8,16,32,64,128")
+    assert [job.config.data.n_traj for job in jobs] == [8, 16, 32, 64, 128]
+    assert {job.config.model._target_ for job in jobs} == {"symo_exp.models.e2e_symo.E2ESyMo"}
+    assert {job.config.system._target_ for job in jobs} == {"symo_exp.systems.acrobot.Acrobot"}
+    assert [job.label for job in jobs] == [f"data.n_traj={n}" for n in (8, 16, 32, 64, 128)]
+
+
+def test_values_are_set_as_hydra_sets_them(workplace):
+    """What the composer saves by sharing files changes nothing of what comes out."""
+    words = ["model=node", "system=acrobot", "data.n_traj=8", "model.width=7", "seed=3",
+             "optimizer.lr=1e-3", "data.solver={rtol: 1e-3}"]  # fmt: skip
+    shared = jobs_of(*words, "gradient_clip=1,2")
+    alone = [job_of(*words, f"++gradient_clip={x}") for x in (1, 2)]
+    for one, other in zip(shared, alone, strict=True):
+        assert one.config == other.config
+        assert one.folder.path == other.folder.path
+
+
+def test_a_folder_belongs_to_what_is_computed(workplace):
+    def folder(*words):
+        return job_of(*words).folder.path
+
+    same = ["trainer.progress=false", "logger=none", "pictures=false", "study=forced"]
+    assert folder("seed=1") == folder("seed=1", *same) == folder("-m", "seed=1")
+    assert folder("data.noise_std=0") == folder("data.noise_std=0.0") == folder()
+    names = [folder(), folder("seed=1"), folder("data.n_traj=8"), folder("optimizer.lr=1e-3")]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], ""),
+        (["seed=1", "data.n_traj=8", "data.noise_std=1e-3", "model=node", "pictures=false"], ""),
+        (["pair=l_node_rk4", "system=acrobot"], ""),
+        (["preset=fast"], "fast"),
+        (["preset=thesis", "trainer.max_epochs=3"], "thesis, trainer.max_epochs=3"),
+        (["scheduler=cosine"], "scheduler=cosine"),
+        (["learning_rate=1e-2"], "learning_rate=0.01"),
+        (["model.width=7", "data.n_test=9"], "data.n_test=9, model.width=7"),
+        (
+            ["-cn", "demo", "model=node", "data.n_traj=8", "hydra/launcher=basic"],
+            "trainer.max_epochs=200",
+        ),
+    ],
+)
+def test_a_run_says_how_it_differs_from_what_ships(words, told, workplace, monkeypatch):
+    found = []
+
+    def told_of(config, folder, choices):
+        found.append(job._about(config, choices).variant)
+
+    from symo_exp.sweep import job
+
+    monkeypatch.setattr(job, "_do", told_of)
+    monkeypatch.setattr(Sweep, "_check", lambda *_, **__: None)
+    main([*words, "logger=none"])
+    assert found == [told]
+
+
+def test_a_model_that_is_not_learned_is_measured_without_training(workplace):
+    assert main(["pair=true_variational_midpoint", *QUIET]) == 0
+    (folder,) = map(RunFolder, (workplace / "outputs" / "default").glob("*"))
+    assert folder.measures()["inertia_mse"] == 0.0
+    assert folder.measures()["test_mse"] > 0.0
+    assert not (folder / "checkpoints").exists()
+
+
+def test_a_run_ends_in_one_line(workplace, capsys):
+    assert main([*QUIET, "model=symo"]) == 0
+    out, _ = capsys.readouterr()
+    (line,) = out.strip().splitlines()
+    assert all(name in line for name in MEASURES)
+    (folder,) = (workplace / "outputs" / "default").glob("symo-pendulum-*")
+    assert str(folder.relative_to(workplace)) in line
+    assert RunFolder(folder).outcome().status == "finished"
+
+
+def test_the_same_command_gives_the_same_numbers(workplace, capsys):
+    numbers = []
+    for _ in range(2):
+        assert main([*QUIET, "model=e2e_symo", "resume=false"]) == 0
+        (file,) = workplace.rglob("metrics.json")
+        numbers.append(json.loads(file.read_text()))
+    assert numbers[0] == numbers[1]
+
+
+def test_what_is_finished_is_not_done_again(workplace, capsys, monkeypatch):
+    words = [*QUIET, "model=node", "-m"]
+    assert main([*words, "seed=0"]) == 0
+    (first,) = workplace.rglob("outcome.json")
+    known = first.stat().st_mtime_ns
+    capsys.readouterr()
+    assert main([*words, "seed=0,1"]) == 0
+    out, _ = capsys.readouterr()
+    assert "1 of 2 runs are finished already" in out
+    assert len([line for line in out.splitlines() if line.startswith("seed=")]) == 2
+    assert first.stat().st_mtime_ns == known
+    assert len([*workplace.glob("outputs/default/*/outcome.json")]) == 2
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Sweep, "_launch_all", lambda *_: pytest.fail("it started"))
+        assert main([*words, "seed=0,1"]) == 0
+        assert main([*QUIET, "model=node"]) == 0  # the same run outside of the sweep
+    assert "finished already" in capsys.readouterr().out
+
+    assert main([*words, "seed=0", "resume=false"]) == 0
+    assert first.stat().st_mtime_ns != known
+
+
+def test_a_finished_command_ends_without_the_heavy_libraries(workplace):
+    assert main([*QUIET, "model=node"]) == 0
+    done = subprocess.run(
+        [sys.executable, "-c", LIGHT, *QUIET, "model=node"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_failing_job_does_not_stop_the_others(workplace, capsys):
+    # a rate of 1e30 overflows in the first steps
+    code = main([*QUIET, "model=node", "-m", "optimizer.lr=1e-3,1e30,1e-4"])
+    out, _ = capsys.readouterr()
+    assert code == 1
+    files = (workplace / "outputs" / "default").glob("*/outcome.json")
+    outcomes = {file.parent: RunFolder(file.parent).outcome() for file in files}
+    assert sorted(o.status for o in outcomes.values()) == ["failed", "finished", "finished"]
+    ((folder, failed),) = [(f, o) for f, o in outcomes.items() if o.status == "failed"]
+    assert "loss" in failed.reason
+    assert "optimizer.lr" in failed.reason  # what to try
+    (line,) = [line for line in out.splitlines() if line.startswith("failed: ")]
+    assert "optimizer.lr=1e+30" in line
+    log = folder / "symo_exp.log"
+    assert str(log) in line
+    assert "Traceback" in log.read_text()
+    assert "Traceback" not in out
+
+
+def test_an_unforeseen_error_is_a_line_and_an_exit_code(workplace, capsys, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr("symo_exp.sweep.recipe.evaluate", broken)
+    assert main(QUIET) == 1
+    out, err = capsys.readouterr()
+    assert "ZeroDivisionError: oh" in err
+    assert "Traceback" not in out + err
+
+
+def test_a_multirun_is_one_parent_with_its_children(workplace, capsys):
+    words = [*TINY, "pictures=false", "experiment=study", "model=node", "-m", "seed=0,1"]
+    assert main(words) == 0
+    assert "seed=1" in capsys.readouterr().out
+    from mlflow import MlflowClient
+
+    client = MlflowClient(f"sqlite:///{workplace}/mlruns/mlflow.db")
+    experiment = client.get_experiment_by_name("study")
+    runs = client.search_runs([experiment.experiment_id])
+    assert {r.info.status for r in runs} == {"FINISHED"}
+    (parent,) = [r for r in runs if "mlflow.parentRunId" not in r.data.tags]
+    children = [r for r in runs if r is not parent]
+    assert {r.data.tags["mlflow.parentRunId"] for r in children} == {parent.info.run_id}
+    assert sorted(r.data.params["seed"] for r in children) == ["0", "1"]
+    assert all("test_mse" in r.data.metrics for r in children)

@@ -1,0 +1,68 @@
+"""A name that stands for several sweeps."""
+
+import pytest
+
+from symo_exp.__main__ import main
+from symo_exp.shipped import SWEEPS
+from symo_exp.sweep.command import Command
+from symo_exp.sweep.sweeper import Sweep
+
+ONE = """defaults: [config, {override logger: none}, _self_]
+hydra: {sweeper: {params: {data.n_traj: "8,16"}}}
+"""
+
+
+@pytest.fixture
+def folder(workplace):
+    (workplace / "mine").mkdir()
+    for name in ("a", "b"):
+        (workplace / "mine" / f"{name}.yaml").write_text(ONE)
+    (workplace / "mine" / "both.yaml").write_text("sweeps: [a, b]\n")
+    return workplace / "mine"
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """The jobs that would be launched, sweep by sweep; they leave no outcome, so they fail."""
+    found = []
+    monkeypatch.setattr(Sweep, "_check", lambda *_, **__: None)
+    monkeypatch.setattr(Sweep, "_launch_all", lambda _, jobs: found.append(len(jobs)))
+    return found
+
+
+def test_the_thesis_is_all_that_its_figures_need():
+    names = {command.name for command in Command(["-cn", "thesis"]).several()}
+    others = {file.stem for file in SWEEPS.glob("*.yaml")}
+    assert names == others - {"thesis", "smoke", "demo", "accuracy", "search"}
+    assert Command(["-cn", "tables"]).several() == Command([]).several() == []
+
+
+def test_all_are_run_and_a_failure_does_not_stop_the_next(folder, started, capsys):
+    assert main(["--config-dir", str(folder), "-cn", "both"]) == 1
+    assert started == [2, 2]
+    assert capsys.readouterr().out.count("== ") == 2
+
+
+def test_the_command_line_narrows_them_all(folder, started):
+    main(["--config-dir", str(folder), "-cn", "both", "data.n_traj=8", "seed=0,1,2"])
+    assert started == [3, 3]
+
+
+@pytest.mark.parametrize(
+    ("content", "wanted"),
+    [("sweeps: [a, nothing]", "nothing"), ("sweeps: 3", "list of names"),
+     ("sweeps: [both]", "both"), ("sweeps: [a", "cannot be read")],
+)  # fmt: skip
+def test_a_list_that_cannot_be_is_refused(content, wanted, folder, started, capsys):
+    (folder / "both.yaml").write_text(content)
+    assert main(["--config-dir", str(folder), "-cn", "both"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert wanted in line
+    assert started == []
+
+
+def test_a_word_that_the_last_cannot_take_is_found_before_the_first(folder, started, capsys):
+    (folder / "b.yaml").write_text(ONE.replace("data.n_traj", "data.n_trajs"))
+    assert main(["--config-dir", str(folder), "-cn", "both"]) == 2
+    assert "data.n_trajs" in capsys.readouterr().err
+    assert started == []
