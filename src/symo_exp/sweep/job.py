@@ -73,7 +73,7 @@ def is_done(config: DictConfig, folder: RunFolder) -> bool:
     if folder.outcome().status != "finished":
         return False
     drawn = not config.pictures or (folder / PICTURES).exists()
-    return drawn and not folder.missing_studies(plain(config)["study"])
+    return drawn and not folder.missing_studies(plain(config.study))
 
 
 def debugging() -> bool:

@@ -54,7 +54,8 @@ class Sweep:
         """The exit code. Raises ``ConfigError`` before anything starts."""
         jobs = self._plan(arguments, params)
         finished = [job for job in jobs if job.config.resume and is_done(job.config, job.folder)]
-        todo = [job for job in jobs if job not in finished]
+        done = {job.folder.path for job in finished}
+        todo = [job for job in jobs if job.folder.path not in done]
         self._check(todo, labelled=len(jobs) > 1)
         if check_only:
             return 0
