@@ -12,7 +12,7 @@ import torch
 
 from symo_exp.data.noise import add_noise
 from symo_exp.data.windows import windows
-from symo_exp.mechanics.types import Trajectories, Windows
+from symo_exp.mechanics.types import Trajectories, Trajectory, Windows
 from symo_exp.systems.checks import one_of, real, whole
 
 Item = TypeVar("Item")
@@ -103,6 +103,19 @@ class DataModule(lightning.LightningDataModule, ABC):
         self.train = self._windows(_rows(self.train_trajectories, kept))
         self.val = self._windows(self.val_trajectories)
         self.test = self._windows(self.test_trajectories)
+
+    def trajectories(self, part: Literal["train", "held_out", "val", "test"]) -> list[Trajectory]:
+        """The trajectories of a part, of any lengths, float64: what was cut into its windows.
+
+        "train" goes without those that are "held_out".
+        """
+        kept = self.n_traj - self.held_out
+        return {
+            "train": lambda: self.train_trajectories.each()[:kept],
+            "held_out": lambda: self.train_trajectories.each()[kept:],
+            "val": lambda: self.val_trajectories.each(),
+            "test": lambda: self.test_trajectories.each(),
+        }[part]()
 
     def batches(self, epoch: int) -> list[Windows]:
         """The mini-batches of an epoch: a permutation that follows from the seed and the epoch."""

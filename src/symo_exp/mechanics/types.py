@@ -47,3 +47,15 @@ class Trajectories(NamedTuple):
     q: Float[Tensor, "trajectories nodes n"]
     v: Float[Tensor, "trajectories nodes n"]
     u: Float[Tensor, "trajectories nodes m"]
+
+    def each(self) -> list[Trajectory]:
+        """One by one."""
+        return [Trajectory(*fields) for fields in zip(*self, strict=True)]
+
+
+class Trajectory(NamedTuple):
+    """One motion: its nodes are one time step apart."""
+
+    q: Float[Tensor, "nodes n"]
+    v: Float[Tensor, "nodes n"]
+    u: Float[Tensor, "nodes m"]
