@@ -20,7 +20,7 @@ RULES = {
         {"torch", "jaxtyping", "numpy", "scipy", "gymnasium", "pygame", "PIL", "yaml"},
     ),
     "nets": ({"mechanics"}, {"torch", "jaxtyping"}),
-    "optim": ({"mechanics", "nets"}, {"torch", "jaxtyping"}),
+    "optim": ({"mechanics", "nets"}, {"torch", "jaxtyping", "numpy", "scipy"}),
     "models": (
         {"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "lightning", "torchdiffeq", "numpy"},
     ),

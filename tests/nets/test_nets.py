@@ -10,6 +10,7 @@ from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 from tests.learned import learned_lagrangian
 
 ANGULAR = [(True,), (False,), (False, True), (True, True), (True, False, True), (True,) * 4]
+CASES = [(angular, harmonics) for angular in ANGULAR for harmonics in (0, 2)]
 
 
 class Plain(Lagrangian):
@@ -24,9 +25,10 @@ class Plain(Lagrangian):
 Plain.__abstractmethods__ = frozenset()
 
 
-@pytest.fixture(params=ANGULAR, ids=str)
+@pytest.fixture(params=CASES, ids=str)
 def learned(request):
-    return learned_lagrangian(request.param)
+    angular, harmonics = request.param
+    return learned_lagrangian(angular, harmonics=harmonics)
 
 
 def points(learned):
@@ -39,7 +41,7 @@ def points(learned):
 def test_closed_forms_and_their_derivatives_are_those_of_autograd(learned, quantity):
     q, v = points(learned)
     closed, plain = (getattr(x, quantity)(q, v) for x in (learned, Plain(learned)))
-    inputs = [q, v, *learned.net.parameters()]
+    inputs = [q, v, *learned.parameters()]
     weights = [torch.randn_like(x) for x in closed]
 
     def pullback(outputs):

@@ -152,9 +152,9 @@ class Basis:
     ) -> Float[Tensor, "variables variables batch n n"]:
         """``D_b D_a L_d``."""
         aa, ab, ba, _ = (product.to(mass) for product in self._products)
-        qq, vq = (x.unflatten(0, (len(self.b), -1)) for x in curvature)
+        qq, vq, qv = (x.unflatten(0, (len(self.b), -1)) for x in curvature)
         sums = h * torch.tensordot(aa, qq, 1)
-        sums += torch.tensordot(ab, vq.mT, 1) + torch.tensordot(ba, vq, 1)
+        sums += torch.tensordot(ab, qv, 1) + torch.tensordot(ba, vq, 1)
         return self._square(sums) + self.inertia(mass, h)
 
     def inertia(self, mass: Tensor, h: float) -> Float[Tensor, "variables variables batch n n"]:

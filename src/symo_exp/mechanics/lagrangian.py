@@ -20,12 +20,17 @@ class Gradients(NamedTuple):
 
 
 class Curvature(NamedTuple):
-    """Second derivatives of ``ℒ`` with respect to the configuration."""
+    """Second derivatives of ``ℒ``, but for ``∂²ℒ/∂v² = H``.
+
+    With dissipation ``ℒ_q`` stands for ``ℒ_q + F_d``, and ``qv`` is no longer ``vqᵀ``.
+    """
 
     qq: Float[Tensor, "batch n n"]
     """``∂²ℒ/∂qᵢ∂qⱼ``."""
     vq: Float[Tensor, "batch n n"]
     """``∂²ℒ/∂vᵢ∂qⱼ = (∂H/∂qⱼ v)ᵢ``."""
+    qv: Float[Tensor, "batch n n"]
+    """``∂²ℒ/∂qᵢ∂vⱼ``."""
 
 
 class Rates(NamedTuple):
@@ -152,7 +157,8 @@ class AutodiffExpansion(Expansion):
         with torch.enable_grad():
             q = self._q.clone().requires_grad_()
             gradients = self._lagrangian.gradients(q, self._v)
-            return Curvature(*(_jacobian(y, q).detach() for y in (gradients.q, gradients.v)))
+            qq, vq = (jacobian(y, q).detach() for y in (gradients.q, gradients.v))
+        return Curvature(qq, vq, vq.mT)
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         return self._lagrangian.gradients(q, v)
@@ -193,7 +199,9 @@ def solve(
     return torch.linalg.solve_ex(matrix, vector.unsqueeze(-1))[0].squeeze(-1)
 
 
-def _jacobian(y: Tensor, x: Tensor) -> Tensor:
+def jacobian(
+    y: Float[Tensor, "batch k"], x: Float[Tensor, "batch n"]
+) -> Float[Tensor, "batch k n"]:
     """``∂y_bi/∂x_bj`` of a function that acts row by row."""
     if not y.requires_grad:  # a constant inertia
         return x.new_zeros(len(x), y.shape[1], x.shape[1])

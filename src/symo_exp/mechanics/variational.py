@@ -149,9 +149,9 @@ class MidpointExpansion(DiscreteExpansion):
         self.values = _midpoint_slots(at.values.q, at.values.v, h)
 
     def d2d1(self) -> Tensor:
-        """``h/4 ℒ_qq + ½ (ℒ_vq)ᵀ − ½ ℒ_vq − H/h`` at the midpoint."""
+        """``h/4 ℒ_qq + ½ ℒ_qv − ½ ℒ_vq − H/h`` at the midpoint."""
         curvature = self._at.curvature()
-        skew = 0.5 * (curvature.vq.mT - curvature.vq)
+        skew = 0.5 * (curvature.qv - curvature.vq)
         return (self._h / 4) * curvature.qq + skew - self._at.mass() / self._h
 
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:

@@ -4,9 +4,9 @@ from typing import Any, Literal
 
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.base import VariationalModel
+from symo_exp.models.learned import MakesDissipation, learned_lagrangian
 from symo_exp.models.learner import Learner
 from symo_exp.models.objectives import RootError
-from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
 class E2ESyMo(VariationalModel, Learner):
@@ -22,11 +22,18 @@ class E2ESyMo(VariationalModel, Learner):
         width: int,
         depth: int = 2,
         initial_inertia: float | None = 1.0,
+        harmonics: int = 0,
+        dissipation: MakesDissipation | None = None,
         **base: Any,
     ) -> None:
         """``guess`` and ``fallback`` are those of ``RootError``."""
-        lagrangian = StructuredLagrangian(
-            angular=coordinates.angular, width=width, depth=depth, initial_inertia=initial_inertia
+        lagrangian = learned_lagrangian(
+            coordinates,
+            width=width,
+            depth=depth,
+            initial_inertia=initial_inertia,
+            harmonics=harmonics,
+            dissipation=dissipation,
         )
         objective = RootError(guess=guess, fallback=fallback)
         super().__init__(lagrangian, objective, coordinates=coordinates, **base)

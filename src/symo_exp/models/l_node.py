@@ -7,9 +7,9 @@ from torch import Tensor
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.base import ExplicitModel
 from symo_exp.models.fields import EulerLagrangeAcceleration
+from symo_exp.models.learned import MakesDissipation, learned_lagrangian
 from symo_exp.models.learner import Learner
 from symo_exp.models.objectives import StateError
-from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
 class LNODE(ExplicitModel, Learner):
@@ -24,10 +24,17 @@ class LNODE(ExplicitModel, Learner):
         width: int,
         depth: int = 2,
         initial_inertia: float | None = 1.0,
+        harmonics: int = 0,
+        dissipation: MakesDissipation | None = None,
         **base: Any,
     ) -> None:
-        lagrangian = StructuredLagrangian(
-            angular=coordinates.angular, width=width, depth=depth, initial_inertia=initial_inertia
+        lagrangian = learned_lagrangian(
+            coordinates,
+            width=width,
+            depth=depth,
+            initial_inertia=initial_inertia,
+            harmonics=harmonics,
+            dissipation=dissipation,
         )
         field = EulerLagrangeAcceleration(lagrangian, input_matrix)
         super().__init__(field, StateError(), coordinates=coordinates, **base)

@@ -4,9 +4,9 @@ from typing import Any
 
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.base import VariationalModel
+from symo_exp.models.learned import MakesDissipation, learned_lagrangian
 from symo_exp.models.learner import Learner
 from symo_exp.models.objectives import Objective, Residual
-from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
 class SyMo(VariationalModel, Learner):
@@ -21,10 +21,17 @@ class SyMo(VariationalModel, Learner):
         width: int,
         depth: int = 2,
         initial_inertia: float | None = 1.0,
+        harmonics: int = 0,
+        dissipation: MakesDissipation | None = None,
         **base: Any,
     ) -> None:
         """``objective`` is one of a variational flow, ``Residual`` if left out."""
-        lagrangian = StructuredLagrangian(
-            angular=coordinates.angular, width=width, depth=depth, initial_inertia=initial_inertia
+        lagrangian = learned_lagrangian(
+            coordinates,
+            width=width,
+            depth=depth,
+            initial_inertia=initial_inertia,
+            harmonics=harmonics,
+            dissipation=dissipation,
         )
         super().__init__(lagrangian, objective or Residual(), coordinates=coordinates, **base)

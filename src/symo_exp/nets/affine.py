@@ -11,7 +11,7 @@ samples row ``r`` belongs to sample ``r mod N``.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -68,10 +68,21 @@ class _Record:
 _record: _Record | None = None
 
 
+class Linearised(NamedTuple):
+    """Residuals of independent samples, and their derivatives sample by sample."""
+
+    residuals: Float[Tensor, "samples residuals"]
+    parameters: Float[Tensor, "samples residuals parameters"]
+    inputs: tuple[Float[Tensor, "samples residuals size"], ...]
+
+
 def parameter_jacobian(
-    function: Callable[[], Float[Tensor, "samples residuals"]], parameters: Sequence[Tensor]
-) -> tuple[Float[Tensor, "samples residuals"], Float[Tensor, "samples residuals parameters"]]:
-    """The residuals of independent samples and their derivatives in all parameters, flattened.
+    function: Callable[[], Float[Tensor, "samples residuals"]],
+    parameters: Sequence[Tensor],
+    inputs: Sequence[Float[Tensor, "samples size"]] = (),
+) -> Linearised:
+    """The residuals of independent samples and their derivatives in all parameters, flattened, and
+    in ``inputs``, of which ``function`` makes them row by row.
 
     One backward pass for each residual of a sample. ``function`` may use the parameters through
     this module only; anything else is found out and refused.
@@ -85,19 +96,27 @@ def parameter_jacobian(
             residuals = function()
         samples, count = residuals.shape
         jacobian = residuals.new_zeros(samples, count, sum(p.numel() for p in parameters))
+        by_input = tuple(residuals.new_zeros(samples, count, x.shape[1]) for x in inputs)
         for k in range(count):
             _record.pairs.clear()
             summed = torch.autograd.grad(
-                residuals[:, k].sum(), parameters, retain_graph=k + 1 < count, allow_unused=True
+                residuals[:, k].sum(),
+                (*inputs, *parameters),
+                retain_graph=k + 1 < count,
+                allow_unused=True,
             )
-            if any(gradient is not None for gradient in summed):
+            for target, gradient in zip(by_input, summed, strict=False):
+                if gradient is not None:
+                    target[:, k] = gradient
+            if any(gradient is not None for gradient in summed[len(inputs) :]):
                 raise RuntimeError("a parameter is used outside nets.affine: no Jacobian by sample")
             _assemble(_record.pairs, parameters, jacobian[:, k])
     finally:
         _record = None
-    return residuals.detach(), jacobian
+    return Linearised(residuals.detach(), jacobian, by_input)
 
 
+@torch.no_grad()
 def _assemble(
     pairs: dict[int, list[Pair]],
     parameters: Sequence[Tensor],

@@ -13,6 +13,9 @@ Derivatives are closed forms instead of repeated automatic differentiation. With
   ``∂φ/∂W_l = d_l h_{l−1}'ᵀ + D_l h_{l−1}ᵀ``, ``∂φ/∂b_l = D_l``;
 * ``ℒ_{q_i q_j} = o_iᵀ F_oo o_j + Σ_l Σ (−2 h_l d_l) z_{l,i} z_{l,j} + x̄ · s_ij``, with ``n``
   tangent passes along the coordinates and ``F_oo`` the second derivative of ``ℒ`` in the outputs.
+
+With ``harmonics`` the outputs are ``MLP(s(q)) + S φ(q)``, ``φ`` the first harmonics of the angles:
+a linear layer beside the network, with the same derivatives by the same rules.
 """
 
 from __future__ import annotations
@@ -38,6 +41,7 @@ from symo_exp.mechanics.lagrangian import (
 from symo_exp.nets.affine import bias_gradient, linear, shift, weight_gradient
 from symo_exp.nets.cholesky import CholeskyHead, HeadPoint
 from symo_exp.nets.embedding import Embedding, Features
+from symo_exp.nets.harmonics import Harmonics
 from symo_exp.nets.jet import tanh_jet_layer
 from symo_exp.nets.mlp import MLP
 
@@ -52,7 +56,13 @@ class StructuredLagrangian(nn.Module, Lagrangian):
     weak potential. Without it the last layer starts uniform in ``±1/√width``, PyTorch's default,
     as in the published code of the thesis, whose text has Xavier weights there too: these would
     often lead to a nearly singular ``H`` whose accelerations fly off.
+
+    ``harmonics`` is how many angles a harmonic couples at most; 0: none. Their weights ``S`` start
+    at zero.
     """
+
+    skip: nn.Parameter | None
+    """``S``."""
 
     def __init__(
         self,
@@ -61,6 +71,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         width: int,
         depth: int = 2,
         initial_inertia: float | None = 1.0,
+        harmonics: int = 0,
     ) -> None:
         super().__init__()
         if initial_inertia is not None and not initial_inertia > 0.0:
@@ -72,6 +83,9 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         self.net = MLP(
             inputs=self.embedding.size, outputs=self.head.outputs, width=width, depth=depth
         )
+        self.harmonics = Harmonics(angular=angular, order=harmonics)
+        size = self.harmonics.size
+        self.skip = nn.Parameter(torch.zeros(self.head.outputs, size)) if size else None
         last, bias = self.net.weights[-1], self.net.biases[-1]
         if initial_inertia is None:
             bound = 1.0 / math.sqrt(width)
@@ -83,10 +97,16 @@ class StructuredLagrangian(nn.Module, Lagrangian):
                 bias.copy_(self.head.outputs_of(math.sqrt(initial_inertia)))
 
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
-        return self.head.mass(self.head.factor(self.net(self.embedding(q).x)))
+        return self.head.mass(self.head.factor(self._outputs(q)))
 
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
-        return self.net(self.embedding(q).x)[:, -1]
+        return self._outputs(q)[:, -1]
+
+    def _outputs(self, q: Tensor) -> Tensor:
+        outputs: Tensor = self.net(self.embedding(q).x)
+        if self.skip is None:
+            return outputs
+        return outputs + linear(self.harmonics(q).x, self.skip)
 
     def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
         at = self.expand(q, v)
@@ -103,7 +123,11 @@ class StructuredLagrangian(nn.Module, Lagrangian):
             x = torch.tanh(torch.addmm(bias, x, weight.T))
             hidden.append(x)
             slopes.append(1.0 - x * x)
-        head = self.head.point(torch.addmm(last_bias, x, last.T), v.detach())
+        outputs, waves = torch.addmm(last_bias, x, last.T), None
+        if self.skip is not None:
+            waves = self.harmonics(q.detach())
+            outputs = torch.addmm(outputs, waves.x, self.skip.T)
+        head = self.head.point(outputs, v.detach())
         output_cotangent = self.head.cotangent(head)
         cotangents: list[Tensor] = []
         back, above = output_cotangent, last
@@ -119,6 +143,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
             output_cotangent,
             tuple(cotangents),
             back @ above,
+            waves,
         )
         return StructuredExpansion(self, passes)
 
@@ -136,6 +161,11 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         for w, b in hidden:
             jet = tanh_jet_layer(jet, w, b)
         jet = linear(jet.flatten(0, 1), weight).unflatten(0, (n + 1, -1))
+        if self.skip is not None:
+            waves = self.harmonics(q)
+            rates = self.harmonics.basis_tangents(waves).transpose(0, 1)
+            beside = torch.cat((waves.x.unsqueeze(0), rates))
+            jet = jet + linear(beside.flatten(0, 1), self.skip).unflatten(0, (n + 1, -1))
         outputs, partials = shift(jet[0], bias), jet[1:]
         factor = head.factor(outputs)
         partial_factors = head.factor_tangent(head.slope(outputs), partials)  # (n, B, n, n)
@@ -164,6 +194,8 @@ class _Passes(NamedTuple):
     """``d_l = ∂ℒ/∂z_l``."""
     feature_cotangent: Tensor
     """``x̄ = ∂ℒ/∂s``."""
+    waves: Features | None
+    """``φ``."""
 
 
 class StructuredExpansion(Expansion):
@@ -173,10 +205,11 @@ class StructuredExpansion(Expansion):
         self._lagrangian, self._passes = lagrangian, passes
         self._rates: tuple[Tensor, ...] = ()
         """``∂z_l/∂q`` and ``∂o/∂q``, (B, n, ·) each, once ``curvature`` has needed them."""
-        self.values = Gradients(
-            lagrangian.embedding.to_coordinates(passes.features.dx * passes.feature_cotangent),
-            lagrangian.head.momentum(passes.head),
-        )
+        dq = lagrangian.embedding.to_coordinates(passes.features.dx * passes.feature_cotangent)
+        if passes.waves is not None and lagrangian.skip is not None:
+            slopes = passes.waves.dx * (passes.output_cotangent @ lagrangian.skip)
+            dq = dq + lagrangian.harmonics.to_coordinates(slopes)
+        self.values = Gradients(dq, lagrangian.head.momentum(passes.head))
 
     def mass(self) -> Tensor:
         return self._lagrangian.head.mass(self._passes.head.factor)
@@ -198,13 +231,18 @@ class StructuredExpansion(Expansion):
             tangents = z * slope.unsqueeze(1)
             rates.append(z)
         rates.append(tangents @ last.T)
+        harmonics, skip = self._lagrangian.harmonics, self._lagrangian.skip
+        if at.waves is not None and skip is not None:
+            qq = qq + harmonics.curvature(at.waves, at.output_cotangent @ skip)
+            rates[-1] = rates[-1] + harmonics.basis_tangents(at.waves) @ skip.T
         self._rates = tuple(rates)
         outputs_qq, vq = head.curvature(at.head, rates[-1])
-        return Curvature(qq + outputs_qq, vq)
+        return Curvature(qq + outputs_qq, vq, vq.mT)
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         weights, biases = zip(*self._lagrangian.net.layers(), strict=True)
-        return Gradients(*_DifferentiableGradients.apply(self, q, v, *weights, *biases))
+        skip = self._lagrangian.skip
+        return Gradients(*_DifferentiableGradients.apply(self, q, v, skip, *weights, *biases))
 
     def rows(self, index: Tensor) -> StructuredExpansion:
         return StructuredExpansion(self._lagrangian, _map(lambda x: x[index], self._passes))
@@ -214,10 +252,8 @@ class StructuredExpansion(Expansion):
         passes = _map(lambda x, y: x.index_copy(0, index, y), self._passes, other._passes)
         return StructuredExpansion(self._lagrangian, passes)
 
-    def pullback(
-        self, a: Tensor, b: Tensor, *, to_point: bool
-    ) -> tuple[Tensor | None, Tensor | None, list[Tensor | None], list[Tensor | None]]:
-        """Gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩`` in ``q``, ``v``, weights and biases.
+    def pullback(self, a: Tensor, b: Tensor, *, to_point: bool) -> tuple[Tensor | None, ...]:
+        """Gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩`` in ``q``, ``v``, ``S``, weights and biases.
 
         Those in ``q`` and ``v`` are left out unless asked for by ``to_point``.
         """
@@ -234,9 +270,17 @@ class StructuredExpansion(Expansion):
             bends.append(-2.0 * z * h * d)
             tangents.append(z * slope)
         rates = along[-1] if along else tangents[-1] @ weights[-1].T
+        harmonics, skip, waves = self._lagrangian.harmonics, self._lagrangian.skip, at.waves
+        if waves is not None and skip is not None:
+            wave_rates = waves.dx * harmonics.spread(a)
+            if not along:
+                rates = rates + wave_rates @ skip.T
         back, velocity = self._lagrangian.head.directional_cotangents(at.head, rates, b)
         inputs = (at.features.x, *at.hidden)
         own = (*at.cotangents, at.output_cotangent)
+        output_back, skip_gradient = back, None
+        if waves is not None and skip is not None:
+            skip_gradient = weight_gradient(skip, (own[-1], wave_rates), (back, waves.x))
         weight_gradients: list[Tensor | None] = []
         bias_gradients: list[Tensor | None] = []
         for layer in range(len(weights) - 1, -1, -1):
@@ -245,11 +289,16 @@ class StructuredExpansion(Expansion):
             bias_gradients.insert(0, bias_gradient(biases[layer], back))
             if layer > 0:
                 back = torch.addcmul(bends[layer - 1], back @ weights[layer], at.slopes[layer - 1])
+        gradients = skip_gradient, *weight_gradients, *bias_gradients
         if not to_point:
-            return None, None, weight_gradients, bias_gradients
+            return None, None, *gradients
         second = embedding.second(at.features) * at.feature_cotangent * direction
         configuration = embedding.to_coordinates((back @ weights[0]) * at.features.dx + second)
-        return configuration, velocity, weight_gradients, bias_gradients
+        if waves is not None and skip is not None:
+            slopes = (output_back @ skip) * waves.dx
+            bent = (own[-1] @ skip) * waves.x * harmonics.spread(a)
+            configuration = configuration + harmonics.to_coordinates(slopes - bent)
+        return configuration, velocity, *gradients
 
 
 class _DifferentiableGradients(torch.autograd.Function):
@@ -257,7 +306,7 @@ class _DifferentiableGradients(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, at: StructuredExpansion, q: Tensor, v: Tensor, *parameters: Tensor
+        ctx: Any, at: StructuredExpansion, q: Tensor, v: Tensor, *parameters: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         ctx.at = at
         return at.values.q.clone(), at.values.v.clone()
@@ -266,13 +315,14 @@ class _DifferentiableGradients(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, a: Tensor, b: Tensor) -> Any:
         to_point = ctx.needs_input_grad[1] or ctx.needs_input_grad[2]
-        configuration, velocity, weights, biases = ctx.at.pullback(a, b, to_point=to_point)
-        return None, configuration, velocity, *weights, *biases
+        return None, *ctx.at.pullback(a, b, to_point=to_point)
 
 
 def _map(function: Any, *trees: Any) -> Any:
     """Apply a function to the tensors of equal nested tuples."""
     first = trees[0]
+    if first is None:
+        return None
     if isinstance(first, Tensor):
         return function(*trees)
     mapped = (_map(function, *branches) for branches in zip(*trees, strict=True))

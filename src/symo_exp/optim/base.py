@@ -23,6 +23,9 @@ class Problem(Protocol):
 
     gradient_clip: float | None
 
+    @property
+    def reads_velocity(self) -> bool: ...
+
     def parameters(self) -> Iterable[Tensor]: ...
 
     def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]: ...

@@ -99,7 +99,7 @@ class LevenbergMarquardt(EpochOptimizer):
 
     def _linearised(self, model: Problem, samples: Windows) -> tuple[Tensor, Tensor]:
         """``r`` and ``J``, a row each residual."""
-        r, jacobian = parameter_jacobian(lambda: model.residuals(samples), self.parameters)
+        r, jacobian, _ = parameter_jacobian(lambda: model.residuals(samples), self.parameters)
         return r.flatten(), jacobian.flatten(0, 1)
 
     def _loss(self, model: Problem, samples: Windows) -> Tensor:

@@ -1,0 +1,118 @@
+"""Learned dissipation: friction by its coefficients, and what they cannot say by a network."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.lagrangian import matvec, vecmat
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.affine import shift
+from symo_exp.nets.embedding import Embedding
+from symo_exp.nets.mlp import MLP
+from symo_exp.nets.roles import mark
+
+VELOCITY = 5.0
+"""Velocity [rad/s] that a network sees as 1."""
+START = 0.01
+"""Friction coefficients at the start of training [N m s, N m]."""
+
+
+class LearnedDissipation(nn.Module, Dissipation):
+    """``F_d = −Aᵀ (D A v + c ∘ tanh(A v / ε_v)) − L_D(q, v) L_D(q, v)ᵀ v``, dissipative by design.
+
+    ``D = L Lᵀ`` is positive semidefinite, ``c = softplus(·) ≥ 0``; ``L_D`` is a network with one
+    hidden tanh layer of ``width`` units that reads ``s(q)`` and ``v/5``, lower triangular. ``A``
+    takes coordinates to joints: themselves, or with ``joints="neighbours"`` the differences
+    ``v₁, v₂ − v₁, …`` of a chain whose angles are absolute. ``ε_v`` is learned too; it starts at
+    ``rest_velocity`` [rad/s].
+    """
+
+    def __init__(
+        self,
+        *,
+        coordinates: Coordinates,
+        viscous: bool = True,
+        coulomb: bool = False,
+        width: int = 0,
+        joints: str = "own",
+        rest_velocity: float = 0.1,
+    ) -> None:
+        super().__init__()
+        if joints not in ("own", "neighbours"):
+            raise ConfigError(f"dissipation.joints={joints}: expected own or neighbours")
+        if not rest_velocity > 0.0:
+            raise ConfigError(f"dissipation.rest_velocity={rest_velocity}: expected above 0")
+        n = coordinates.n
+        chain = torch.eye(n) - torch.diag(torch.ones(n - 1), -1)
+        self.joints: Tensor
+        self.register_buffer("joints", chain if joints == "neighbours" else torch.eye(n), False)
+        self._triangle = _Triangle(n)
+        entries = self._triangle.entries
+        self.viscous = self.coulomb = self.log_rest = self.net = None
+        if viscous:
+            self.viscous = nn.Parameter(self._triangle.flat(math.sqrt(START) * torch.eye(n)))
+        if coulomb:
+            self.coulomb = nn.Parameter(torch.full((n,), math.log(math.expm1(START))))
+            self.log_rest = nn.Parameter(torch.full((n,), math.log(rest_velocity)))
+        if width > 0:
+            self.embedding = Embedding(angular=coordinates.angular)
+            inputs = self.embedding.size + n
+            self.net = MLP(inputs=inputs, outputs=entries, width=width, depth=1)
+            with torch.no_grad():  # a product: at zero it would have no slope
+                self.net.weights[-1].mul_(0.1)
+
+        mark(
+            [p for p in (self.viscous, self.coulomb, self.log_rest) if p is not None], "coefficient"
+        )
+        mark(self.net.parameters() if self.net is not None else (), "late")
+
+    def force(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n"]:
+        rate, found = matvec(self.joints, v), torch.zeros_like(v)
+        if self.viscous is not None:
+            factor = self._triangle.square(_rows(self.viscous, len(v)))
+            found = found - matvec(factor, vecmat(rate, factor))
+        if self.coulomb is not None and self.log_rest is not None:
+            c = nn.functional.softplus(_rows(self.coulomb, len(v)))
+            found = found - c * torch.tanh(rate / _rows(self.log_rest, len(v)).exp())
+        found = vecmat(found, self.joints)
+        if self.net is not None:
+            entries = self.net(torch.cat((self.embedding(q).x, v / VELOCITY), dim=1))
+            factor = self._triangle.square(entries)
+            found = found - matvec(factor, vecmat(v, factor))
+        return found
+
+
+class _Triangle(nn.Module):
+    """Lower triangular matrices of ``n`` rows as vectors of their entries."""
+
+    place: Tensor
+
+    def __init__(self, n: int) -> None:
+        super().__init__()
+        self.entries = n * (n + 1) // 2
+        row, column = torch.tril_indices(n, n)
+        place = torch.full((n, n), self.entries)  # above the diagonal: the zero at the end
+        place[row, column] = torch.arange(self.entries)
+        self.register_buffer("place", place, persistent=False)
+
+    def square(self, flat: Float[Tensor, "batch entries"]) -> Float[Tensor, "batch n n"]:
+        """The matrices of such vectors."""
+        padded = torch.cat((flat, torch.zeros_like(flat[:, :1])), dim=1)
+        return padded[:, self.place]
+
+    def flat(self, matrix: Float[Tensor, "n n"]) -> Float[Tensor, " entries"]:
+        """The vector of a matrix."""
+        return matrix[tuple(torch.tril_indices(*matrix.shape))]
+
+
+def _rows(parameter: Tensor, batch: int) -> Tensor:
+    """A parameter in each row, so that its derivatives can be had by row."""
+    return shift(parameter.new_zeros(batch, len(parameter)), parameter)

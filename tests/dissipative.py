@@ -1,0 +1,38 @@
+"""Lagrangians with dissipation, true and learned, at any n."""
+
+import torch
+
+from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.dissipation import LearnedDissipation
+from tests.chain import ChainPendulum
+from tests.learned import learned_lagrangian
+
+
+def friction(n: int, rest_velocity: float = 0.5) -> Friction:
+    """Coupled viscous and dry friction."""
+    factor = 0.3 * torch.eye(n, dtype=torch.float64) + 0.1
+    dry = torch.linspace(0.1, 0.3, n, dtype=torch.float64)
+    return Friction(factor @ factor.T, dry, rest_velocity)
+
+
+def dissipative_chain(n: int, rest_velocity: float = 0.5) -> DissipativeLagrangian:
+    return DissipativeLagrangian(ChainPendulum(n), friction(n, rest_velocity))
+
+
+def learned_dissipation(n: int, *, joints: str = "own") -> LearnedDissipation:
+    """Of all kinds together, with random coefficients."""
+    torch.manual_seed(n)
+    coordinates = Coordinates(tuple(f"q{i}" for i in range(n)), (True, False, True)[:n])
+    found = LearnedDissipation(
+        coordinates=coordinates, viscous=True, coulomb=True, width=5, joints=joints
+    ).double()
+    with torch.no_grad():
+        for p in found.parameters():
+            p += 0.3 * torch.randn_like(p)
+    return found
+
+
+def dissipative_net(n: int) -> DissipativeLagrangian:
+    conservative = learned_lagrangian((True, False, True)[:n], harmonics=2)
+    return DissipativeLagrangian(conservative, learned_dissipation(n, joints="neighbours"))
