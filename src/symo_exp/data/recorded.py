@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from symo_exp.data.base import DataModule, Splits
+from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.header import few
 from symo_exp.data.parts import divided
 from symo_exp.data.resample import Samples, resample
@@ -89,6 +90,8 @@ class RecordedData(DataModule):
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
         self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
         self._report = list(_report(where, table.recordings, table.unread, parts, system.time_step))
+        self._sampled = [recording.samples for recording in parts["train"]]
+        self._system = system
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
         super().__init__(n_traj=n_traj, batch_size=batch_size, **base)
@@ -106,9 +109,18 @@ class RecordedData(DataModule):
 
     def setup(self, stage: str | None = None) -> None:
         if not hasattr(self, "train"):
-            for line in self._report:
+            for line in (*self._report, *self.diagnosis().lines()):
                 log.info(line)
         super().setup(stage)
+
+    def diagnosis(self) -> Diagnosis:
+        """What the training trajectories can teach."""
+        h, sampled = self._system.time_step, self._sampled
+        motions = [(q.numpy(), u.numpy()) for q, _, u in self._splits.train]
+        gap = float(np.median(np.concatenate([np.diff(samples.t) for samples in sampled])))
+        with np.errstate(all="ignore"):  # of numbers beyond all measure
+            raw = [samples.q for samples in sampled]
+            return diagnose(motions, raw, self._system.coordinates, h, samples=h / gap)
 
 
 class Nodes:
@@ -183,18 +195,19 @@ def _report(
 ) -> Iterator[str]:  # fmt: skip
     """What was read, what was not, and what was done to the times; a line each."""
     used = [r for part in parts.values() for r in part]
+    others = sorted({r.part or r.label for r in recordings} - {r.part or r.label for r in used})
     text = ", ".join(f"{len(part)} {name}" for name, part in parts.items())
-    others = len(recordings) - len(used)
-    yield f"{where}: trajectories: {text}" + (f"; {others} more are not used" if others else "")
+    left = len(recordings) - len(used)
+    hint = f" ({few(others)})" if others else ""
+    yield f"{where}: {text}" + (f"; not used: {left}{hint}" if left else "")
     if unread:
-        yield f"{where}: columns that are not read: {few(unread)}"
+        yield f"columns that are not read: {few(unread)}"
     gaps = [np.diff(r.samples.t) for r in used if not _equal(r.samples.t, h)]
     if gaps:
         usual = sorted(float(np.median(g)) for g in gaps)
         rate = f"{usual[0]:.3g}" + (f" to {usual[-1]:.3g}" if usual[-1] > 1.01 * usual[0] else "")
         largest = max(float(g.max()) for g in gaps)
         yield (
-            f"{where}: {len(gaps)} of {len(used)} trajectories resampled from steps of {rate} s "
-            f"(the longest {largest:.3g} s) to {h:g} s: configurations by local cubics, inputs "
-            "averaged over a step"
+            f"resampled: {len(gaps)} of {len(used)} trajectories from {rate} s (the longest gap "
+            f"{largest:.3g} s) to {h:g} s, by local cubics; inputs averaged over a step"
         )
