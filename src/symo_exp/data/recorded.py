@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, final
 
@@ -132,7 +133,11 @@ class Nodes:
     def of(self, recording: Recording) -> Trajectory:
         """Raises ``ConfigError`` where angles are wrapped or samples too far apart."""
         where, h = f"{self._where}: trajectory {recording.label}", self._h
-        samples = self._unwrapped(where, recording.samples)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._of(where, recording.samples, h)
+
+    def _of(self, where: str, samples: Samples, h: float) -> Trajectory:
+        samples = self._unwrapped(where, samples)
         if not _equal(samples.t, h):
             _check_gaps(where, samples.t, h)
             samples = resample(samples, h)
@@ -143,6 +148,8 @@ class Nodes:
                 )
         q, u = samples.q, samples.u
         v = central_differences(q, h) if samples.v is None else samples.v
+        if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
+            raise ConfigError(f"{where} has numbers too large to reckon with")
         return Trajectory(*(torch.tensor(field) for field in (q, v, u)))
 
     def _unwrapped(self, where: str, samples: Samples) -> Samples:
@@ -195,11 +202,10 @@ def _report(
 ) -> Iterator[str]:  # fmt: skip
     """What was read, what was not, and what was done to the times; a line each."""
     used = [r for part in parts.values() for r in part]
-    others = sorted({r.part or r.label for r in recordings} - {r.part or r.label for r in used})
     text = ", ".join(f"{len(part)} {name}" for name, part in parts.items())
-    left = len(recordings) - len(used)
-    hint = f" ({few(others)})" if others else ""
-    yield f"{where}: {text}" + (f"; not used: {left}{hint}" if left else "")
+    others = Counter(r.part for r in recordings) - Counter(r.part for r in used)
+    hint = ", ".join(f"{count} {part}".rstrip() for part, count in others.items())
+    yield f"{where}: {text}" + (f"; not used: {hint}" if hint else "")
     if unread:
         yield f"columns that are not read: {few(unread)}"
     gaps = [np.diff(r.samples.t) for r in used if not _equal(r.samples.t, h)]
