@@ -101,10 +101,13 @@ def diagnose(
     """``motions`` at nodes ``time_step`` apart, ``raw`` (T', n) the configurations as sampled,
     ``samples`` of them in a step."""
     second = [np.diff(q, 2, axis=0) for q, _ in motions]
-    curvature = np.sqrt(np.mean(np.concatenate(second) ** 2, axis=0))
     noise = np.array([noise_of(columns) for columns in _columns(raw)])
     # a cubic fitted to N equal steps has 9/4N of their variance in its middle
     blur = noise * np.sqrt(min(1.0, 2.25 / samples))
+    power = (
+        np.mean(np.concatenate(second) ** 2, axis=0) - 6 * blur**2
+    )  # second differences of noise
+    curvature = np.sqrt(np.maximum(power, 0.01 * blur**2))
     return Diagnosis(
         coordinates,
         time_step,
@@ -167,17 +170,19 @@ def explained(
     if len(table) < 20 or not (np.isfinite(table).all() and np.ptp(table[:, :n], axis=0).all()):
         return None
     target, terms = (x / np.sqrt(np.mean(x**2, axis=0) + 1e-300) for x in np.split(table, [n], 1))
-    left = min(_left_out(terms, target, ridge) for ridge in 10.0 ** np.arange(-8, 3))
-    return max(0.0, 1.0 - left)
+    return max(0.0, 1.0 - _left_out(terms, target))
 
 
-def _left_out(x: np.ndarray, y: np.ndarray, ridge: float) -> float:
-    """Mean square of leave-one-out errors of the regression of ``y`` on ``x``."""
+def _left_out(x: np.ndarray, y: np.ndarray) -> float:
+    """Mean square of leave-one-out errors of a regression of ``y`` on ``x``, at the best ridge."""
     left, scales, _ = np.linalg.svd(x, full_matrices=False)
-    shrunk = left * (scales**2 / (scales**2 + ridge * len(x)))
-    weight = np.maximum(1 - np.sum(shrunk * left, axis=1), 1e-9)
-    error = (y - shrunk @ (left.T @ y)) / weight[:, None]
-    return float(np.mean(error**2))
+    found = []
+    for ridge in 10.0 ** np.arange(-8, 3):
+        shrunk = left * (scales**2 / (scales**2 + ridge * len(x)))
+        weight = np.maximum(1 - np.sum(shrunk * left, axis=1), 1e-9)
+        error = (y - shrunk @ (left.T @ y)) / weight[:, None]
+        found.append(float(np.mean(error**2)))
+    return min(found)
 
 
 def _terms(q: np.ndarray, v: np.ndarray, u: np.ndarray, coordinates: Coordinates) -> np.ndarray:
