@@ -54,7 +54,7 @@ def data(system: Oscillator, h: float, steps: int = 30, batch: int = 3) -> Data:
     nodes = [system.flow(q, v, h * k) for k in range(steps + 2)]
     q, v = (torch.stack(x, dim=1) for x in zip(*nodes, strict=True))
     trajectories = Trajectories(q, v, torch.zeros_like(q[..., :1]))
-    samples = windows(trajectories)
+    samples = windows(trajectories.each())
     return Data(samples, samples, trajectories)
 
 

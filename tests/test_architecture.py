@@ -42,7 +42,8 @@ RULES = {
         {"report", "data", "systems", "tracking"}, {"torch", "numpy", "pandas", "jaxtyping"},
     ),
     "sweep": (
-        {"runs", "tracking", "training", "evaluation", "report"},
+        # the columns of a recording are part of a configuration
+        {"runs", "tracking", "training", "evaluation", "report", "data"},
         {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
     ),
 }  # fmt: skip

@@ -17,7 +17,8 @@ def test_the_wheel_carries_settings_and_sweeps(tmp_path):
         for file in (ROOT / folder).rglob("*.yaml"):
             assert f"symo_exp/{file.relative_to(ROOT)}" in carried
     assert "symo_exp/__main__.py" in carried
-    assert not [name for name in carried if name.startswith(("tests", "benchmarks"))]
+    assert not [name for name in carried if name.startswith(("tests", "benchmarks", "recordings"))]
+    assert not [name for name in carried if name.endswith(".parquet")]
 
 
 def test_tested_versions_are_pinned_and_torch_without_a_build_tag():

@@ -6,3 +6,6 @@ class ConfigError(ValueError):
 
     The entry point prints the message without a traceback and exits with code 2.
     """
+
+    def __init__(self, message: object) -> None:
+        super().__init__(" ".join(str(message).split()))  # what a user gave may have more lines

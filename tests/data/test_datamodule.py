@@ -13,7 +13,7 @@ from symo_exp.data import datamodule
 from symo_exp.data.base import DataModule
 from symo_exp.data.cache import key
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.types import Trajectories, Windows
+from symo_exp.mechanics.types import Windows
 from symo_exp.systems.base import SamplingBox
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
@@ -33,8 +33,8 @@ def test_sizes_and_types() -> None:
     assert (data.integration.u == 0).all()
     assert [len(w.q) for w in (data.train, data.val, data.test)] == [16, 12, 16]
     assert data.train.q.dtype == data.test.q.dtype == torch.float32
-    assert data.test_trajectories.q.dtype == data.train_trajectories.q.dtype == torch.float64
-    assert data.train_trajectories.q.shape == (4, 6, 2)
+    assert data.test_trajectories[0].q.dtype == data.train_trajectories[0].q.dtype == torch.float64
+    assert [t.q.shape for t in data.train_trajectories] == [(6, 2)] * 4
     assert ready(dtype="float64").train.v.dtype == torch.float64
 
 
@@ -42,8 +42,9 @@ def test_reproducible_bit_for_bit(tmp_path: Path) -> None:
     made = ready(cache_dir=None)
     again, read = ready(cache_dir=tmp_path), ready(cache_dir=tmp_path)
     for data in (again, read):
-        for name in ("train", "val", "test", "integration", "test_trajectories"):
+        for name in ("train", "val", "test", "integration"):
             assert equal(getattr(made, name), getattr(data, name)), name
+        assert all(map(equal, made.test_trajectories, data.test_trajectories))
 
 
 def test_smaller_training_sets_are_prefixes() -> None:
@@ -56,10 +57,9 @@ def test_smaller_training_sets_are_prefixes() -> None:
 
 def test_the_sets_share_no_start_and_follow_the_seed() -> None:
     data, other = ready(), ready(seed=1)
-    starts = [t.q[:, 0] for t in (data.train_trajectories, data.val_trajectories)]
-    starts += [data.test_trajectories.q[:, 0], data.integration.q[:, 0]]
-    starts += [other.train_trajectories.q[:, 0]]
-    rows = torch.cat(starts)
+    sets = [data.train_trajectories, data.val_trajectories, data.test_trajectories]
+    sets += [data.integration.each(), other.train_trajectories]
+    rows = torch.stack([trajectory.q[0] for part in sets for trajectory in part])
     assert len(torch.unique(rows, dim=0)) == len(rows)
 
 
@@ -75,8 +75,8 @@ def test_only_training_data_are_noisy() -> None:
     assert not torch.equal(both.test.q, clean.test.q)
     assert equal(both.val, clean.val)
     assert equal(both.integration, clean.integration)
-    difference = (both.test_trajectories.q - clean.test_trajectories.q)[:, :, 0]
-    other = (noisy.train_trajectories.q - clean.train_trajectories.q)[:, :, 0]
+    difference = both.test_trajectories[0].q - clean.test_trajectories[0].q
+    other = noisy.train_trajectories[0].q - clean.train_trajectories[0].q
     assert not torch.allclose(difference, other)  # noise of their own
 
 
@@ -304,9 +304,9 @@ def test_default_sizes_are_those_of_the_thesis() -> None:
 
 def test_trajectories_start_where_windows_do() -> None:
     data = ready()
-    assert isinstance(data.test_trajectories, Trajectories)
-    torch.testing.assert_close(data.test.q_prev[0].double(), data.test_trajectories.q[0, 0])
-    torch.testing.assert_close(data.test.v_next[3].double(), data.test_trajectories.v[0, 5])
+    first = data.test_trajectories[0]
+    torch.testing.assert_close(data.test.q_prev[0].double(), first.q[0])
+    torch.testing.assert_close(data.test.v_next[3].double(), first.v[5])
 
 
 def test_held_out_trajectories_come_from_the_training_budget() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 
@@ -39,14 +40,15 @@ def test_round_trip(system: System, suffix: str, tmp_path: Path) -> None:
     truth, path = trajectories(system), tmp_path / f"mine{suffix}"
     write(path, truth, system.coordinates, system.time_step)
     data = recorded(system, path, n_val=1, n_test=2, n_integration=1, dtype="float64")
-    for found, rows in [
-        (data.train_trajectories, slice(0, 3)),
-        (data.val_trajectories, slice(3, 4)),
-        (data.test_trajectories, slice(4, 6)),
-        (data.integration, slice(4, 5)),
-    ]:
-        for field, expected in zip(found, truth, strict=True):
-            torch.testing.assert_close(field, expected[rows], rtol=1e-12, atol=1e-14)
+    parts = [data.trajectories(part) for part in ("train", "val", "test")]
+    found = [*itertools.chain(*parts), *data.integration.each()]
+    assert [len(part) for part in parts] == [3, 1, 2]
+    for field, expected in (
+        pair
+        for one, i in zip(found, [0, 1, 2, 3, 4, 5, 4], strict=True)
+        for pair in zip(one, truth.each()[i], strict=True)
+    ):
+        torch.testing.assert_close(field, expected, rtol=1e-12, atol=1e-14)
     assert len(data.train.q) == 3 * 8
     assert sum(len(batch.q) for batch in data.batches(0)) == 24
 
@@ -83,7 +85,7 @@ def test_without_velocities_central_differences(tmp_path: Path) -> None:
         write(tmp_path / "x.parquet", truth, system.coordinates, h)
         table = pd.read_parquet(tmp_path / "x.parquet").drop(columns="v_theta_1")
         found = recorded(system, save(table, tmp_path), n_traj=2, dtype="float64")
-        errors.append((found.train_trajectories.v - truth.v[:2]).abs().max().item())
+        errors.append((found.trajectories("train")[0].v - truth.v[0]).abs().max().item())
     assert 3 < errors[0] / errors[1] < 5
 
 
@@ -92,20 +94,20 @@ def test_without_inputs_they_are_zero(table: pd.DataFrame, tmp_path: Path) -> No
     assert (data.train.u == 0).all()
 
 
-def test_unequal_lengths_are_cut_into_pieces(table: pd.DataFrame, tmp_path: Path) -> None:
+def test_no_tail_of_ragged_trajectories_is_lost(table: pd.DataFrame, tmp_path: Path) -> None:
     short = table.drop(index=range(12, 20))  # the second trajectory keeps two nodes
     with pytest.raises(ConfigError, match="trajectory 1 has 2 node"):
         recorded(stated("cartpole"), save(short, tmp_path))
-    short = table.drop(index=range(17, 20))
-    with pytest.raises(ConfigError, match=r"data\.segment=null.*7 to 10 nodes"):
-        recorded(stated("cartpole"), save(short, tmp_path))
-    data = recorded(stated("cartpole"), save(short, tmp_path), segment=4, n_traj=2, dtype="float64")
-    # 10 nodes give pieces at 0, 2, 4, 6; 7 nodes give them at 0, 2.
-    assert data.train_trajectories.q.shape == (6, 4, 2)
-    whole = recorded(stated("cartpole"), save(table, tmp_path), n_traj=1, dtype="float64")
-    for piece, window in zip(data.train, whole.train, strict=True):
-        assert torch.equal(piece[:8], window)  # no window is lost
-    assert data.integration.q.shape == (1, 10, 2)
+    short = table.drop(index=[*range(17, 20), *range(43, 50)])
+    data, whole = (
+        recorded(stated("cartpole"), save(t, tmp_path), n_test=2) for t in (short, table)
+    )
+    assert [len(t.q) for t in data.trajectories("train")] == [10, 7, 10]
+    rows = torch.tensor([*range(13), *range(16, 24)])
+    for window, full in zip(data.train, whole.train, strict=True):
+        assert torch.equal(window, full[rows])
+    assert data.integration.q.shape == (2, 3, 2)  # up to the end of the shortest
+    assert data.counts == {"train": 3, "val": 1, "test": 2, "integration": 2}
 
 
 @pytest.mark.parametrize(
@@ -114,9 +116,13 @@ def test_unequal_lengths_are_cut_into_pieces(table: pd.DataFrame, tmp_path: Path
         (lambda t: t.drop(columns="q_theta"), "no column q_theta"),
         (lambda t: t.drop(columns="v_x"), "no column v_x"),
         (lambda t: t.drop(columns="t"), "no column t"),
-        (lambda t: t.drop(columns="trajectory"), "no column trajectory"),
+        (lambda t: t.drop(columns="trajectory").iloc[:9], "number trajectories apart"),
+        (
+            lambda t: t.drop(columns="trajectory"),
+            "steps by 0 s at t=0; each time may be there once",
+        ),
         (lambda t: t.assign(t=2 * t["t"]), "steps by 0.1 s"),
-        (lambda t: t.drop(index=4), "trajectory 0 steps by 0.1 s at t=0.15"),
+        (lambda t: t.drop(index=[4, 5, 6]), "trajectory 0 steps by 0.2 s at t=0.15"),
         (lambda t: pd.concat([t, t.iloc[:1]]), "trajectory 0 steps by 0 s"),
         (lambda t: t.assign(q_x=t["q_x"].where(t.index != 3)), "q_x is empty or not finite"),
         (lambda t: t.assign(q_x="high"), "q_x holds something that is no number"),
@@ -164,5 +170,3 @@ def test_unreadable_files_are_refused_in_one_line(
 def test_too_many_training_trajectories_are_refused(table: pd.DataFrame, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"data\.n_traj=5: expected a whole number from 1 to 4"):
         RecordedData(system=stated("cartpole"), path=save(table, tmp_path), n_traj=5)
-    with pytest.raises(ConfigError, match=r"data\.segment=11: no training trajectory"):
-        RecordedData(system=stated("cartpole"), path=save(table, tmp_path), segment=11)

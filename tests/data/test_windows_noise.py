@@ -8,7 +8,7 @@ import torch
 
 from symo_exp.data.noise import add_noise
 from symo_exp.data.windows import windows
-from symo_exp.mechanics.types import Trajectories
+from symo_exp.mechanics.types import Trajectories, Trajectory
 
 
 def labelled(count: int = 3, nodes: int = 7, n: int = 2, m: int = 1) -> Trajectories:
@@ -21,8 +21,12 @@ def labelled(count: int = 3, nodes: int = 7, n: int = 2, m: int = 1) -> Trajecto
     return Trajectories(field(1, n), field(2, n), field(3, m))
 
 
+def stacked(trajectories: list[Trajectory]) -> Trajectories:
+    return Trajectories(*map(torch.stack, zip(*trajectories, strict=True)))
+
+
 def test_windows_hold_the_nodes_they_name() -> None:
-    cut = windows(labelled())
+    cut = windows(labelled().each())
     assert all(len(field) == 3 * 5 for field in cut)
     row = 5 + 2  # second trajectory, third window
     for name, kind, node in [
@@ -39,15 +43,24 @@ def test_windows_hold_the_nodes_they_name() -> None:
 
 
 def test_every_window_once_and_none_across_trajectories() -> None:
-    cut = windows(labelled())
+    cut = windows(labelled().each())
     assert len(torch.unique(cut.q_prev[:, 0])) == 15
     assert ((cut.q_next - cut.q_prev) == 20).all()
+
+
+def test_windows_of_ragged_trajectories_lose_no_tail() -> None:
+    first, second, third = labelled().each()
+    short = Trajectory(*(field[:3] for field in second))
+    cut = windows([first, short, third])
+    rows = torch.cat([torch.arange(5), torch.tensor([5]), torch.arange(10, 15)])
+    for field, whole in zip(cut, windows(labelled().each()), strict=True):
+        assert torch.equal(field, whole[rows])
 
 
 def test_noise_has_the_variance_asked_for() -> None:
     """The sample variance of N normals is within 5 √(2/N) of 1."""
     zero = Trajectories(*(torch.zeros(128, 34, k, dtype=torch.float64) for k in (2, 2, 1)))
-    noisy = add_noise(zero, 5e-3, 0)
+    noisy = stacked(add_noise(zero.each(), 5e-3, 0))
     for field in (noisy.q, noisy.v):
         for component in (field[..., 0], field[..., 1]):
             scaled = component.flatten() / 5e-3
@@ -63,18 +76,19 @@ def test_noise_has_the_variance_asked_for() -> None:
 
 def test_noise_of_a_trajectory_does_not_depend_on_the_others_and_scales() -> None:
     clean = labelled(6)
-    few = Trajectories(*(field[:2] for field in clean))
-    torch.testing.assert_close(
-        add_noise(clean, 0.1, 3).v[:2], add_noise(few, 0.1, 3).v, rtol=0, atol=0
-    )
-    torch.testing.assert_close(
-        10 * (add_noise(clean, 0.1, 3).q - clean.q), add_noise(clean, 1.0, 3).q - clean.q
-    )
+    small, large = (stacked(add_noise(clean.each(), std, 3)) for std in (0.1, 1.0))
+    few = stacked(add_noise(clean.each()[:2], 0.1, 3))
+    torch.testing.assert_close(small.v[:2], few.v, rtol=0, atol=0)
+    torch.testing.assert_close(10 * (small.q - clean.q), large.q - clean.q)
 
 
 @pytest.mark.parametrize("seed", [1, (0, 1)])
 def test_noise_is_decided_by_its_seed(seed: int | tuple[int, int]) -> None:
     clean = labelled()
-    assert torch.equal(add_noise(clean, 0.1, seed).q, add_noise(clean, 0.1, seed).q)
-    assert not torch.equal(add_noise(clean, 0.1, seed).q, add_noise(clean, 0.1, 0).q)
-    assert torch.equal(add_noise(clean, 0.0, seed).q, clean.q)
+
+    def noisy(std: float, seed: int | tuple[int, int]) -> torch.Tensor:
+        return stacked(add_noise(clean.each(), std, seed)).q
+
+    assert torch.equal(noisy(0.1, seed), noisy(0.1, seed))
+    assert not torch.equal(noisy(0.1, seed), noisy(0.1, 0))
+    assert torch.equal(noisy(0.0, seed), clean.q)

@@ -83,6 +83,10 @@ BAD = [
     ("model=e2e_symo integrator=rk4", "integrator=rk4", "integrator=midpoint"),
     ("data=recorded", "data.path", ""),
     ("data=recorded data.path=nowhere.csv", "nowhere.csv", ""),
+    ("system=recorded", "system.time_step", ""),
+    ("system=recorded system.time_step=0.1", "system=recorded", "data=recorded data.path=FILE"),
+    ("system=recorded system.time_step=0.1 data=recorded data.path=no.csv", "no.csv", "No such"),
+    ("data=recorded data.path=nowhere.csv data.columns=t", "nowhere.csv", ""),
     # places
     ("output_dir=/dev/null/here", "/dev/null", "output_dir"),
     ("logger.tracking_uri=http://127.0.0.1:9", "127.0.0.1:9", "tracking"),

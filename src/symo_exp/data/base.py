@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import lightning
@@ -21,9 +21,9 @@ Item = TypeVar("Item")
 class Splits(NamedTuple):
     """The trajectories of an experiment, float64 and without added noise."""
 
-    train: Trajectories
-    val: Trajectories
-    test: Trajectories
+    train: list[Trajectory]
+    val: list[Trajectory]
+    test: list[Trajectory]
     integration: Trajectories
 
 
@@ -31,8 +31,8 @@ class DataModule(lightning.LightningDataModule, ABC):
     """Named windows of trajectories, in memory, in an order that only the seed decides.
 
     After ``setup()``: ``train``, ``val`` and ``test`` (``Windows`` in ``dtype``);
-    ``train_trajectories``, ``val_trajectories`` and ``test_trajectories``, the same data before
-    they were cut, and ``integration``, all float64. It needs no Trainer.
+    ``train_trajectories``, ``val_trajectories`` and ``test_trajectories``, lists of what they were
+    cut from, of any lengths, and ``integration``, all float64. It needs no Trainer.
 
     ``n_traj`` is the number of training trajectories, the first of all there are. Noise of
     standard deviation ``noise_std`` is added to the training data, and with ``noise_test`` to the
@@ -69,7 +69,8 @@ class DataModule(lightning.LightningDataModule, ABC):
         self.noise_seed = whole("data.noise_seed", noise_seed, low=0, high=2**32 - 1)
         name = one_of("data.dtype", str(dtype).removeprefix("torch."), ("float32", "float64"))
         self.dtype: torch.dtype = getattr(torch, name)
-        self.monitor = one_of("data.monitor", monitor, ("val", "test", "held_out"))
+        one_of("data.monitor", monitor, ("val", "test", "held_out"))
+        self.monitor = monitor
         if 0.0 < held_out < 1.0:
             held_out = max(1, round(held_out * n_traj))
         low = 1 if monitor == "held_out" else 0
@@ -93,14 +94,13 @@ class DataModule(lightning.LightningDataModule, ABC):
         if hasattr(self, "train"):
             return
         splits = self.load()
-        train = _rows(splits.train, slice(self.n_traj))
+        train = splits.train[: self.n_traj]
         self.train_trajectories = add_noise(train, self.noise_std, [self.noise_seed, 0])
         self.val_trajectories = splits.val
         std = self.noise_std if self.noise_test else 0.0
         self.test_trajectories = add_noise(splits.test, std, [self.noise_seed, 1])
         self.integration = splits.integration
-        kept = slice(self.n_traj - self.held_out)
-        self.train = self._windows(_rows(self.train_trajectories, kept))
+        self.train = self._windows(self.trajectories("train"))
         self.val = self._windows(self.val_trajectories)
         self.test = self._windows(self.test_trajectories)
 
@@ -111,11 +111,11 @@ class DataModule(lightning.LightningDataModule, ABC):
         """
         kept = self.n_traj - self.held_out
         return {
-            "train": lambda: self.train_trajectories.each()[:kept],
-            "held_out": lambda: self.train_trajectories.each()[kept:],
-            "val": lambda: self.val_trajectories.each(),
-            "test": lambda: self.test_trajectories.each(),
-        }[part]()
+            "train": self.train_trajectories[:kept],
+            "held_out": self.train_trajectories[kept:],
+            "val": self.val_trajectories,
+            "test": self.test_trajectories,
+        }[part]
 
     def batches(self, epoch: int) -> list[Windows]:
         """The mini-batches of an epoch: a permutation that follows from the seed and the epoch."""
@@ -146,15 +146,9 @@ class DataModule(lightning.LightningDataModule, ABC):
         return batch
 
     def _watched(self) -> Windows:
-        held_out = slice(self.n_traj - self.held_out, None)
-        source = {
-            "val": self.val_trajectories,
-            "test": self.test_trajectories,
-            "held_out": _rows(self.train_trajectories, held_out),
-        }[self.monitor]
-        return self._windows(_rows(source, slice(self.monitor_trajectories)))
+        return self._windows(self.trajectories(self.monitor)[: self.monitor_trajectories])
 
-    def _windows(self, trajectories: Trajectories) -> Windows:
+    def _windows(self, trajectories: Sequence[Trajectory]) -> Windows:
         return Windows(*(field.to(self.dtype) for field in windows(trajectories)))
 
     def _placed(self, name: str, make: Callable[[], Windows]) -> Windows:
@@ -165,10 +159,6 @@ class DataModule(lightning.LightningDataModule, ABC):
             samples = Windows(*(field.to(device) for field in make()))
             self._on_device[name] = (device, samples)
         return samples
-
-
-def _rows(trajectories: Trajectories, rows: slice) -> Trajectories:
-    return Trajectories(*(field[rows] for field in trajectories))
 
 
 class Once(Generic[Item]):

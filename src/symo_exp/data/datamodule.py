@@ -104,12 +104,11 @@ class TrajectoryData(DataModule):
 
     def load(self) -> Splits:
         arrays = self._arrays()
-        return Splits(
-            *(
-                Trajectories(*(torch.from_numpy(arrays[f"{split}_{x}"]) for x in FIELDS))
-                for split in Splits._fields
-            )
+        train, val, test, integration = (
+            Trajectories(*(torch.from_numpy(arrays[f"{split}_{x}"]) for x in FIELDS))
+            for split in Splits._fields
         )
+        return Splits(train.each(), val.each(), test.each(), integration)
 
     def _arrays(self) -> Mapping[str, np.ndarray]:
         if self.cache is None:

@@ -2,52 +2,64 @@
 
 from __future__ import annotations
 
+import logging
+import math
 import os
-from pathlib import Path
-from typing import Any, NamedTuple, final
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, final
 
 import numpy as np
-import pandas as pd
 import torch
 
 from symo_exp.data.base import DataModule, Splits
+from symo_exp.data.diagnose import Diagnosis, diagnose
+from symo_exp.data.header import few
+from symo_exp.data.parts import divided
+from symo_exp.data.resample import Samples, resample
+from symo_exp.data.table import Recording, read, write
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.types import Coordinates, Trajectories
+from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.systems.base import System
 from symo_exp.systems.checks import whole
 
+__all__ = ["RecordedData", "central_differences", "write"]
+
+log = logging.getLogger(__name__)
+
 TIME_TOLERANCE = 1e-3
-"""How far a recorded step may be from ``system.time_step``, as a share of it."""
-
-
-class Recording(NamedTuple):
-    """One recorded trajectory: its label and arrays (T, n), (T, n), (T, m)."""
-
-    label: object
-    q: np.ndarray
-    v: np.ndarray
-    u: np.ndarray
+"""How far a recorded step may be from ``system.time_step``, as a share of it, to be one."""
+LONGEST_GAP = 3
+"""Steps over which a motion is interpolated, at most."""
+BATCHES = 8
+"""In an epoch, unless their size is given."""
 
 
 @final
 class RecordedData(DataModule):
     """Recorded trajectories in the place of simulated ones.
 
-    ``path`` is a ``.parquet`` or ``.csv`` table with one row a node and the columns
+    ``path`` is a ``.parquet`` or ``.csv`` table with one row a sample and the columns
 
     - ``trajectory``: which trajectory the row belongs to, a number or a name;
-    - ``t``: time [s], in equal steps of ``system.time_step``;
-    - ``q_<name>``: one for each coordinate of the system; angles [rad] must not be wrapped;
-    - ``v_<name>``: velocities; without any, central differences of the positions;
-    - ``u_0``, ``u_1``, …: the controls at the nodes; without any, zero.
+    - ``split``, if there is one: ``train``, ``val`` or ``test``, the same all along a trajectory;
+      those of any other split are not used;
+    - ``t``: time [s];
+    - ``q_<name>``: one for each coordinate of the system; angles [rad] go on beyond a turn, or are
+      ``wrapped``, whatever the interval;
+    - ``v_<name>``: velocities; without any, they come from the configurations;
+    - ``u_<name>``: the inputs, ``u_0``, ``u_1``, … of a system that does not name its own; without
+      any, zero.
 
-    Trajectories count in the order in which they first appear: the last ``n_test`` are for
-    testing, the ``n_val`` before them for validation, and training takes the first ``n_traj`` of
-    the others (``None``: all). They must be equally long, unless ``segment`` cuts each into pieces
-    of that many nodes which overlap by two, so that no window is lost but in a last, shorter
-    piece; ``n_traj`` counts trajectories before they are cut, ``base`` (the other arguments of
-    ``DataModule``) after. Rollouts are held against the first
-    ``n_integration`` test trajectories, uncut, up to the end of the shortest.
+    ``columns`` maps names of this list to those of the table. Equal steps of ``system.time_step``
+    are taken as they are, other times resampled (``data.resample``).
+
+    Trajectories may differ in length. ``train``, ``val`` and ``test`` list them, else ``split``
+    says which is which, else the last ``n_test`` are for testing, the ``n_val`` before them for
+    validation (``None``: one each) and the others for training, which takes the first ``n_traj``
+    (``None``: all). Rollouts are held against the first ``n_integration`` test trajectories, up to
+    the end of the shortest. An epoch has batches of ``batch_size`` samples, ``None``: an eighth of
+    them. ``base`` holds the other arguments of ``DataModule``.
     """
 
     def __init__(
@@ -55,115 +67,103 @@ class RecordedData(DataModule):
         *,
         system: System,
         path: str | os.PathLike[str],
+        columns: Mapping[str, str] | None = None,
+        wrapped: bool = False,
+        train: Sequence[str | int] | None = None,
+        val: Sequence[str | int] | None = None,
+        test: Sequence[str | int] | None = None,
         n_traj: int | None = None,
-        n_val: int = 1,
-        n_test: int = 1,
+        n_val: int | None = None,
+        n_test: int | None = None,
         n_integration: int = 16,
-        segment: int | None = None,
+        batch_size: int | None = None,
         **base: Any,
     ) -> None:
-        whole("data.n_val", n_val)
-        whole("data.n_test", n_test)
         whole("data.n_integration", n_integration)
-        if segment is not None:
-            whole("data.segment", segment, low=3)
-        recordings = read(path, system)
-        available = len(recordings) - n_val - n_test
-        if available < 1:
-            raise ConfigError(
-                f"data.path={path} has {len(recordings)} trajectories, too few for "
-                f"data.n_val={n_val}, data.n_test={n_test} and at least one to train on"
-            )
+        where = f"data.path={path}"
+        table = read(path, system, columns)
+        named = {"train": train, "val": val, "test": test}
+        parts = divided(where, table.recordings, named, n_val, n_test)
+        available = len(parts["train"])
         n_traj = whole("data.n_traj", available if n_traj is None else n_traj, high=available)
-        test = recordings[-n_test:]
-        shortest = min(len(r.q) for r in test[:n_integration])
-        self._splits = Splits(
-            train=_stack(recordings[:n_traj], segment, "training"),
-            val=_stack(recordings[available : available + n_val], segment, "validation"),
-            test=_stack(test, segment, "test"),
-            integration=_trajectories(_cut(test[:n_integration], shortest)),
-        )
-        super().__init__(n_traj=self.counts["train"], **base)
+        parts["train"] = parts["train"][:n_traj]
+        nodes = Nodes(where, system.coordinates, system.time_step, wrapped)
+        found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
+        self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
+        self._report = list(_report(where, table.recordings, table.unread, parts, system.time_step))
+        self._sampled = [recording.samples for recording in parts["train"]]
+        self._system = system
+        if batch_size is None:
+            batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
+        super().__init__(n_traj=n_traj, batch_size=batch_size, **base)
 
     @property
     def counts(self) -> dict[str, int]:
-        return {name: len(split.q) for name, split in self._splits._asdict().items()}
+        train, val, test, integration = self._splits
+        return {
+            "train": len(train), "val": len(val), "test": len(test),
+            "integration": len(integration.q),
+        }  # fmt: skip
 
     def load(self) -> Splits:
         return self._splits
 
+    def setup(self, stage: str | None = None) -> None:
+        if not hasattr(self, "train"):
+            for line in (*self._report, *self.diagnosis().lines()):
+                log.info(line)
+        super().setup(stage)
 
-def write(
-    path: str | os.PathLike[str],
-    trajectories: Trajectories,
-    coordinates: Coordinates,
-    time_step: float,
-) -> None:
-    """Trajectories as a table that ``read`` takes."""
-    count, nodes, _ = trajectories.q.shape
-    columns: dict[str, np.ndarray] = {
-        "trajectory": np.repeat(np.arange(count), nodes),
-        "t": np.tile(time_step * np.arange(nodes), count),
-    }
-    for field in ("q", "v"):
-        values = getattr(trajectories, field).flatten(0, 1).numpy()
-        columns |= {f"{field}_{name}": values[:, i] for i, name in enumerate(coordinates.names)}
-    u = trajectories.u.flatten(0, 1).numpy()
-    columns |= {f"u_{i}": u[:, i] for i in range(u.shape[1])}
-    table = pd.DataFrame(columns)
-    if Path(path).suffix == ".csv":
-        table.to_csv(path, index=False)
-    else:
-        table.to_parquet(path, index=False)
+    def diagnosis(self) -> Diagnosis:
+        """What the training trajectories can teach."""
+        h, sampled = self._system.time_step, self._sampled
+        motions = [(q.numpy(), u.numpy()) for q, _, u in self._splits.train]
+        gap = float(np.median(np.concatenate([np.diff(samples.t) for samples in sampled])))
+        with np.errstate(all="ignore"):  # of numbers beyond all measure
+            raw = [samples.q for samples in sampled]
+            return diagnose(motions, raw, self._system.coordinates, h, samples=h / gap)
 
 
-def read(path: str | os.PathLike[str], system: System) -> list[Recording]:
-    """The trajectories of a table in order of appearance; anything amiss is a ``ConfigError``."""
-    table = _table(Path(path).expanduser())
-    where = f"data.path={path}"
-    names = system.coordinates.names
-    q_columns = [f"q_{name}" for name in names]
-    v_columns = [f"v_{name}" for name in names]
-    u_columns = [f"u_{i}" for i in range(system.input_matrix.shape[1])]
-    v_given = any(column in table for column in v_columns)
-    u_given = any(column in table for column in u_columns)
-    wanted = ["t", *q_columns, *(v_columns if v_given else []), *(u_columns if u_given else [])]
-    missing = [column for column in ["trajectory", *wanted] if column not in table]
-    if missing:
-        raise ConfigError(
-            f"{where}: no column {', '.join(missing)}; it has {', '.join(map(str, table.columns))}"
-        )
-    if table["trajectory"].isna().any():
-        raise ConfigError(f"{where}: rows without a trajectory")
-    for column in wanted:
-        try:
-            values = table[column].to_numpy(dtype=np.float64, na_value=np.nan)
-        except (ValueError, TypeError):
+class Nodes:
+    """Recordings as trajectories with nodes a time step ``h`` apart."""
+
+    def __init__(self, where: str, coordinates: Coordinates, h: float, wrapped: bool) -> None:
+        self._where, self._coordinates, self._h, self._wrapped = where, coordinates, h, wrapped
+
+    def of(self, recording: Recording) -> Trajectory:
+        """Raises ``ConfigError`` where angles are wrapped or samples too far apart."""
+        where, h = f"{self._where}: trajectory {recording.label}", self._h
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._of(where, recording.samples, h)
+
+    def _of(self, where: str, samples: Samples, h: float) -> Trajectory:
+        samples = self._unwrapped(where, samples)
+        if not _equal(samples.t, h):
+            _check_gaps(where, samples.t, h)
+            samples = resample(samples, h)
+            if len(samples.t) < 3:
+                raise ConfigError(
+                    f"{where} lasts for {len(samples.t)} node(s) at system.time_step={h:g}; "
+                    "a sample needs 3"
+                )
+        q, u = samples.q, samples.u
+        v = central_differences(q, h) if samples.v is None else samples.v
+        if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
+            raise ConfigError(f"{where} has numbers too large to reckon with")
+        return Trajectory(*(torch.tensor(field) for field in (q, v, u)))
+
+    def _unwrapped(self, where: str, samples: Samples) -> Samples:
+        q, angular = samples.q, np.array(self._coordinates.angular)
+        if self._wrapped:
+            return samples._replace(q=np.where(angular, np.unwrap(q, axis=0), q))
+        turns = np.where(angular, np.abs(np.diff(q, axis=0)).max(0), 0)
+        if turns.max() > np.pi:
+            name = self._coordinates.names[int(turns.argmax())]
             raise ConfigError(
-                f"{where}: column {column} holds something that is no number"
-            ) from None
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
-            raise ConfigError(
-                f"{where}: column {column} is empty or not finite in {len(bad)} row(s), "
-                f"first in data row {bad[0] + 1}"
+                f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
+                "wrapped (data.wrapped=true mends them) and be in radians"
             )
-        table[column] = values
-    recordings = []
-    for label, rows in table.groupby("trajectory", sort=False):
-        rows = rows.sort_values("t", kind="stable")
-        _check_times(where, label, rows["t"].to_numpy(), system.time_step)
-        q = rows[q_columns].to_numpy()
-        _check_angles(where, label, q, system.coordinates)
-        recordings.append(
-            Recording(
-                label,
-                q,
-                rows[v_columns].to_numpy() if v_given else central_differences(q, system.time_step),
-                rows[u_columns].to_numpy() if u_given else np.zeros((len(q), len(u_columns))),
-            )
-        )
-    return recordings
+        return samples
 
 
 def central_differences(q: np.ndarray, h: float) -> np.ndarray:
@@ -171,64 +171,49 @@ def central_differences(q: np.ndarray, h: float) -> np.ndarray:
     return np.asarray(np.gradient(q, h, axis=0, edge_order=2))
 
 
-def _table(path: Path) -> pd.DataFrame:
-    if path.suffix not in (".parquet", ".csv"):
-        raise ConfigError(f"data.path={path}: expected a file that ends in .parquet or .csv")
-    try:
-        return pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
-    except (OSError, ValueError, UnicodeDecodeError) as error:  # those of pandas and Arrow too
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise ConfigError(f"data.path={path}: cannot be read ({reason})") from error
+def _equal(t: np.ndarray, h: float) -> bool:
+    return bool((np.abs(np.diff(t) - h) <= TIME_TOLERANCE * h).all())
 
 
-def _check_times(where: str, label: object, t: np.ndarray, h: float) -> None:
-    if len(t) < 3:
-        raise ConfigError(f"{where}: trajectory {label} has {len(t)} node(s); a sample needs 3")
+def _check_gaps(where: str, t: np.ndarray, h: float) -> None:
     gaps = np.diff(t)
-    worst = int(np.argmax(np.abs(gaps - h)))
-    if abs(gaps[worst] - h) > TIME_TOLERANCE * h:
+    usual, worst = float(np.median(gaps)), int(np.argmax(gaps))
+    if usual > h * (1 + TIME_TOLERANCE):
         raise ConfigError(
-            f"{where}: trajectory {label} steps by {gaps[worst]:.6g} s at t={t[worst]:.6g}, "
-            f"but system.time_step={h:g}; set system.time_step or resample to equal steps"
+            f"{where} steps by {usual:.6g} s, but system.time_step={h:g}, which may not be finer "
+            f"than the recording; set system.time_step={usual:.3g} or more"
+        )
+    if gaps[worst] > LONGEST_GAP * h:
+        raise ConfigError(
+            f"{where} steps by {gaps[worst]:.6g} s at t={t[worst]:.6g}, too much at "
+            f"system.time_step={h:g} (three steps are the most); make it two trajectories there"
         )
 
 
-def _check_angles(where: str, label: object, q: np.ndarray, coordinates: Coordinates) -> None:
-    for name, angular, turn in zip(*coordinates, np.abs(np.diff(q, axis=0)).max(0), strict=True):
-        if angular and turn > np.pi:
-            raise ConfigError(
-                f"{where}: trajectory {label} turns q_{name} by {turn:.3g} rad in one step; angles "
-                "must not be wrapped (numpy.unwrap mends them) and be in radians"
-            )
+def _shortest(trajectories: Sequence[Trajectory]) -> Trajectories:
+    nodes = min(len(t.q) for t in trajectories)
+    fields = zip(*trajectories, strict=True)
+    return Trajectories(*(torch.stack([x[:nodes] for x in field]) for field in fields))
 
 
-def _stack(recordings: list[Recording], segment: int | None, purpose: str) -> Trajectories:
-    if segment is None:
-        lengths = sorted({len(r.q) for r in recordings})
-        if len(lengths) > 1:
-            raise ConfigError(
-                f"data.segment=null, but the {purpose} trajectories have {lengths[0]} to "
-                f"{lengths[-1]} nodes; set data.segment to cut them into equal pieces"
-            )
-        return _trajectories(recordings)
-    pieces = _cut(recordings, segment)
-    if not pieces:
-        raise ConfigError(
-            f"data.segment={segment}: no {purpose} trajectory has as many nodes, "
-            f"the longest has {max(len(r.q) for r in recordings)}"
+def _report(
+    where: str, recordings: Sequence[Recording], unread: Sequence[str],
+    parts: Mapping[str, Sequence[Recording]], h: float,
+) -> Iterator[str]:  # fmt: skip
+    """What was read, what was not, and what was done to the times; a line each."""
+    used = [r for part in parts.values() for r in part]
+    text = ", ".join(f"{len(part)} {name}" for name, part in parts.items())
+    others = Counter(r.part for r in recordings) - Counter(r.part for r in used)
+    hint = ", ".join(f"{count} {part}".rstrip() for part, count in others.items())
+    yield f"{where}: {text}" + (f"; not used: {hint}" if hint else "")
+    if unread:
+        yield f"columns that are not read: {few(unread)}"
+    gaps = [np.diff(r.samples.t) for r in used if not _equal(r.samples.t, h)]
+    if gaps:
+        usual = sorted(float(np.median(g)) for g in gaps)
+        rate = f"{usual[0]:.3g}" + (f" to {usual[-1]:.3g}" if usual[-1] > 1.01 * usual[0] else "")
+        largest = max(float(g.max()) for g in gaps)
+        yield (
+            f"resampled: {len(gaps)} of {len(used)} trajectories from {rate} s (the longest gap "
+            f"{largest:.3g} s) to {h:g} s, by local cubics; inputs averaged over a step"
         )
-    return _trajectories(pieces)
-
-
-def _cut(recordings: list[Recording], nodes: int) -> list[Recording]:
-    """Pieces of ``nodes`` nodes; the next begins two nodes before the end of the last."""
-    return [
-        Recording(r.label, *(field[start : start + nodes] for field in r[1:]))
-        for r in recordings
-        for start in range(0, len(r.q) - nodes + 1, nodes - 2)
-    ]
-
-
-def _trajectories(recordings: list[Recording]) -> Trajectories:
-    fields = zip(*(recording[1:] for recording in recordings), strict=True)
-    return Trajectories(*(torch.from_numpy(np.stack(field)) for field in fields))

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from torch import Tensor
+from collections.abc import Sequence
 
-from symo_exp.mechanics.types import Trajectories, Windows
+import torch
+
+from symo_exp.mechanics.types import Trajectory, Windows
 
 
-def windows(trajectories: Trajectories) -> Windows:
+def windows(trajectories: Sequence[Trajectory]) -> Windows:
     """All windows of three consecutive nodes: T nodes give T − 2, one trajectory after another."""
-    count = trajectories.q.shape[1] - 2
+    return Windows(*(torch.cat(fields) for fields in zip(*map(_cut, trajectories), strict=True)))
 
-    def at(field: Tensor, node: int) -> Tensor:
-        return field[:, node : node + count].flatten(0, 1)
 
-    q, v, u = trajectories
+def _cut(trajectory: Trajectory) -> Windows:
+    q, v, u = trajectory
     return Windows(
-        q_prev=at(q, 0),
-        q=at(q, 1),
-        q_next=at(q, 2),
-        v=at(v, 1),
-        v_next=at(v, 2),
-        u_prev=at(u, 0),
-        u=at(u, 1),
-        u_next=at(u, 2),
-    )
+        q_prev=q[:-2], q=q[1:-1], q_next=q[2:], v=v[1:-1], v_next=v[2:],
+        u_prev=u[:-2], u=u[1:-1], u_next=u[2:],
+    )  # fmt: skip

@@ -92,6 +92,8 @@ def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") ->
         if OmegaConf.is_interpolation(config, key):
             continue  # checked where it points to
         value = config[key]
+        if parameters is not None and _free(parameters.get(key)):
+            continue
         below = known.get(key) if known is not None and key in known else None
         for item in value if isinstance(value, ListConfig) else [value]:
             if isinstance(item, DictConfig):
@@ -145,6 +147,12 @@ def _hints(call: Callable[..., Any]) -> dict[str, Any]:
         return typing.get_type_hints(call)
     except (NameError, TypeError):  # names that only a type checker imports
         return {}
+
+
+def _free(hint: Any) -> bool:
+    """Whether a setting is a mapping whose keys are the user's."""
+    kinds = {typing.get_origin(option) for option in (hint, *typing.get_args(hint))}
+    return Mapping in kinds
 
 
 def _locate(target: str, path: str) -> Callable[..., Any]:

@@ -122,7 +122,20 @@ def run_folder(*, _root_: DictConfig) -> str:
     return f"{choices.model}-{choices.system}-{digest(values)}"
 
 
+def recorded_columns(kind: str, *, _root_: DictConfig) -> list[str]:
+    """The names of a recording's coordinates ("q") or inputs ("u"), none without a recording.
+
+    So the configuration of a run is whole, and a trained model is loaded without its data."""
+    from symo_exp.data.header import header, names
+
+    data = _root_.data
+    if "path" not in data:
+        return []
+    return list(names(kind, header(data.path, data.get("columns"))))
+
+
 OmegaConf.register_new_resolver("run_folder", run_folder, replace=True)
+OmegaConf.register_new_resolver("recorded_columns", recorded_columns, replace=True)
 OmegaConf.register_new_resolver(
     "if", lambda condition, then, otherwise: then if condition else otherwise, replace=True
 )

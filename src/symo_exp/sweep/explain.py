@@ -113,8 +113,17 @@ def _names(config: DictConfig, path: str = "") -> Iterator[str]:
 
 def one_line(error: BaseException) -> str:
     """The message of an error in a line, with that of its cause where it adds something."""
+    error = refused(error) or error
     cause = error.__cause__
     text = str(error)
     if not isinstance(error, ConfigError) and cause is not None and str(cause) not in text:
         text = f"{text}: {cause}"
     return " ".join(text.split())
+
+
+def refused(error: BaseException) -> ConfigError | None:
+    """What a resolver refused, which OmegaConf wraps."""
+    inner: BaseException | None = error
+    while isinstance(inner, OmegaConfBaseException):
+        inner = inner.__cause__ or inner.__context__
+    return inner if isinstance(inner, ConfigError) else None

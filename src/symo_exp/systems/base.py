@@ -85,6 +85,11 @@ class System(ABC):
         """``B`` in the generalised force ``B u``, float64."""
 
     @property
+    def inputs(self) -> Sequence[str]:
+        """The names of the controls."""
+        return tuple(map(str, range(self.input_matrix.shape[1])))
+
+    @property
     def lagrangian(self) -> Lagrangian | None:
         """The true Lagrangian."""
         return None

@@ -1,0 +1,75 @@
+"""Recorded times onto equal steps."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+DENSE = 1 / 3
+"""Samples closer than this share of a step are fitted by polynomials, others interpolated."""
+ENOUGH = 5
+"""Samples that a cubic polynomial is fitted to, at least."""
+
+
+class Samples(NamedTuple):
+    """``t`` (T,), ``q`` (T, n), ``u`` (T, m), and ``v`` (T, n) where it was measured."""
+
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray | None
+    u: np.ndarray
+
+
+def resample(samples: Samples, h: float) -> Samples:
+    """The motion at nodes ``h`` apart, estimated from samples at rising times.
+
+    Configurations and measured velocities are those of cubic polynomials fitted by least squares
+    to the samples within ``h / 2`` of a node, or ``h`` where these are too few or all on one side,
+    or of a cubic spline where those are, too; without measured velocities, the slopes of these.
+    Inputs, linear between samples, are averaged over ``h`` around a node, so that their impulse is
+    the recorded one. The first node is ``h / 2`` after the first sample, so that there are samples
+    on both sides, unless they are sparse.
+    """
+    t, q, v, u = samples
+    lead = h / 2 if np.median(np.diff(t)) <= DENSE * h * (1 + 1e-3) else 0.0
+    count = int(np.floor((t[-1] - t[0] - 2 * lead) / h + 1e-6)) + 1
+    nodes = t[0] + lead + h * np.arange(count)
+    place, slope = fitted(t, q, nodes, h)
+    velocity = slope if v is None else fitted(t, v, nodes, h)[0]
+    return Samples(nodes, place, velocity, averaged(t, u, nodes, h))
+
+
+def fitted(
+    t: np.ndarray, x: np.ndarray, nodes: np.ndarray, h: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values and slopes (K, n) at the nodes of local cubic polynomials through ``x`` (T, n)."""
+    spline = CubicSpline(t, x)
+    value, slope = spline(nodes), spline(nodes, 1)
+    for reach in (h, h / 2):  # the closer fit, where there is one, has the last word
+        low = np.searchsorted(t, nodes - reach * (1 + 1e-6))
+        high = np.searchsorted(t, nodes + reach * (1 + 1e-6))
+        index = low[:, None] + np.arange((high - low).max(initial=0))
+        inside = index < high[:, None]
+        index = np.minimum(index, len(t) - 1)
+        s = (t[index] - nodes[:, None]) / reach
+        basis = s[..., None] ** np.arange(4) * inside[..., None]
+        many = np.flatnonzero(inside.sum(1) >= ENOUGH)
+        basis, samples = basis[many], x[index[many]]
+        inverse = np.linalg.inv(basis.swapaxes(1, 2) @ basis)
+        fit = inverse @ (basis.swapaxes(1, 2) @ samples)
+        good = inverse[:, 0, 0] <= 1  # no noisier than one sample
+        value[many[good]], slope[many[good]] = fit[good, 0], fit[good, 1] / reach
+    return value, slope
+
+
+def averaged(t: np.ndarray, u: np.ndarray, nodes: np.ndarray, h: float) -> np.ndarray:
+    """Means (K, m) over ``h`` around the nodes of ``u`` (T, m), linear between the samples."""
+    edges = np.clip(np.stack([nodes - h / 2, nodes + h / 2]), t[0], t[-1])
+    k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 2)
+    steps, rises = np.diff(t)[:, None], np.diff(u, axis=0)
+    until = np.concatenate([np.zeros_like(u[:1]), np.cumsum(steps * (u[1:] + u[:-1]) / 2, axis=0)])
+    past = (edges - t[k])[..., None]
+    impulse = until[k] + past * (u[k] + past * rises[k] / steps[k] / 2)
+    return np.asarray((impulse[1] - impulse[0]) / (edges[1] - edges[0])[:, None])

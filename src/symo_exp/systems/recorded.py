@@ -1,0 +1,76 @@
+"""A machine of which nothing is known but recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.systems.base import System
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recorded(System):
+    """Coordinates ``names`` and inputs ``inputs``, as the columns of a recording name them.
+
+    ``angular`` says which coordinates are angles [rad]: ``"all"``, ``"none"`` or their names.
+    ``input_matrix`` is ``B`` (n, m) of the generalised force ``B u``; ``None`` is the identity,
+    which there has to be an input for each coordinate for. Without inputs it is (n, 0).
+    """
+
+    names: Sequence[str]
+    angular: str | Sequence[str] | None = None
+    inputs: Sequence[str] = ()
+    input_matrix: Any = None
+
+    def __post_init__(self) -> None:
+        names, inputs = (tuple(map(str, given)) for given in (self.names, self.inputs))
+        if not names:
+            raise ConfigError(
+                "system=recorded has no coordinates: it goes with data=recorded data.path=FILE, "
+                "a table with columns q_<name> (data.columns renames others)"
+            )
+        angular = _angular(self.angular, names)
+        matrix = _matrix(self.input_matrix, names, inputs)
+        vars(self).update(names=names, angular=angular, inputs=inputs, input_matrix=matrix)
+        super().__post_init__()
+
+    @property
+    def coordinates(self) -> Coordinates:
+        assert self.angular is not None
+        return Coordinates(tuple(self.names), tuple(name in self.angular for name in self.names))
+
+
+def _angular(given: object, names: tuple[str, ...]) -> tuple[str, ...]:
+    if given in ("all", "none"):
+        return names if given == "all" else ()
+    chosen = [given] if isinstance(given, str) else given
+    if isinstance(chosen, Sequence) and set(chosen) <= set(names):
+        return tuple(chosen)
+    raise ConfigError(
+        f"system.angular={'null' if given is None else given}: which of {', '.join(names)} are "
+        "angles? all, none or a list of names"
+    )
+
+
+def _matrix(given: object, names: tuple[str, ...], inputs: tuple[str, ...]) -> torch.Tensor:
+    n, m = len(names), len(inputs)
+    if given is None and m in (0, n):
+        return torch.eye(n, m, dtype=torch.float64)
+    try:
+        matrix = torch.tensor([[float(x) for x in row] for row in given], dtype=torch.float64)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        matrix = torch.empty(0, 0)
+    if tuple(matrix.shape) == (n, m) and matrix.isfinite().all():
+        return matrix
+    example = [[int(i == n - m + j) for j in range(m)] for i in range(n)]
+    raise ConfigError(
+        f"system.input_matrix={'null' if given is None else given}: say how the {m} input(s) "
+        f"({', '.join(inputs)}) drive the {n} coordinate(s) ({', '.join(names)}), a row for each "
+        f"coordinate, such as system.input_matrix={str(example).replace(' ', '')}"
+    )

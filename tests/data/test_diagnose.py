@@ -1,0 +1,100 @@
+"""What is said of recordings before training, where the truth is known."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from symo_exp.data.diagnose import Diagnosis, diagnose, encoder_of, noise_of
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.systems.simulation import Solver, simulate_driven
+from tests.chain import ChainPendulum
+
+H = 0.02
+
+
+@cache
+def motions(n: int, torque: float, count: int = 5, nodes: int = 120):
+    """Of a chain that is driven by smooth torques."""
+    system = ChainPendulum(n, time_step=H)
+    q0, v0, _ = system.box.points(count, 1)
+    wave = torch.arange(1, count * n + 1).reshape(count, n).double()
+
+    def drive(t: float) -> torch.Tensor:
+        return torque * torch.sin(2 * t * (1 + 0.3 * wave) + wave)
+
+    solver = Solver("DOP853", 1e-6, 1e-6)
+    q, _, u = simulate_driven(system, 0.5 * q0, 0.3 * v0, drive, nodes, solver)
+    return system, [(a.numpy(), b.numpy()) for a, b in zip(q, u, strict=True)]
+
+
+def found(n: int, torque: float, noise: float = 0.0, told: float = 1.0) -> Diagnosis:
+    system, clean = motions(n, torque)
+    rng = np.random.default_rng(0)
+    noisy = [(q + noise * rng.standard_normal(q.shape), told * u) for q, u in clean]
+    return diagnose(noisy, [q for q, _ in noisy], system.coordinates, H)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_inputs_that_move_a_machine_explain_its_motion(n: int) -> None:
+    driven, untold = found(n, 5.0), found(n, 5.0, told=0.0)
+    assert driven.explained > 0.95
+    assert driven.free < driven.explained - 0.1
+    assert driven.fixes_scale
+    assert untold.explained == pytest.approx(driven.free)
+    assert not untold.driven
+    assert not untold.fixes_scale
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_free_motion_is_explained_without_inputs_and_fixes_no_scale(n: int) -> None:
+    free = found(n, 0.0)
+    assert free.explained > 0.9
+    assert not free.fixes_scale
+    assert "no inputs" in free.lines()[-1]
+
+
+def test_inputs_of_another_machine_explain_nothing() -> None:
+    system, clean = motions(1, 5.0)
+    inputs = [np.random.default_rng(k).standard_normal(u.shape) for k, (_, u) in enumerate(clean)]
+    mixed = [(q, u) for (q, _), u in zip(clean, inputs, strict=True)]
+    wrong = diagnose(mixed, [q for q, _ in mixed], system.coordinates, H)
+    assert wrong.explained < wrong.free + 0.05
+    assert not wrong.fixes_scale
+    assert "doubtful" in wrong.lines()[-1]
+
+
+@pytest.mark.parametrize("std", [1e-4, 1e-3, 1e-2])
+def test_noise_is_estimated(std: float) -> None:
+    np.testing.assert_allclose(found(2, 5.0, std).noise, std, rtol=0.15)
+
+
+def test_an_encoder_is_seen_and_no_other() -> None:
+    q = np.sin(np.linspace(0, 20, 4000))
+    assert encoder_of([q]) == 0
+    assert encoder_of([np.round(q / 0.003) * 0.003]) == pytest.approx(0.003)
+    assert noise_of([q]) < 1e-9
+    assert encoder_of([np.zeros(9)]) == 0
+
+
+def test_whether_the_step_suits() -> None:
+    good = found(1, 0.0)
+    assert "suits" in good.lines()[2]
+    assert "is fine" in found(1, 0.0, 3e-2).lines()[2]
+    coarse = dataclasses.replace(good, turn=np.array([1.0]))
+    assert "is coarse" in coarse.lines()[2]
+    slides = dataclasses.replace(coarse, coordinates=Coordinates(("x",), (False,)))
+    assert "suits" in slides.lines()[2]
+
+
+def test_too_little_is_said_to_be_too_little() -> None:
+    tiny = diagnose(
+        [(np.zeros((3, 1)), np.zeros((3, 0)))], [np.zeros((3, 1))], Coordinates(("x",), (True,)), H
+    )
+    assert tiny.explained is None
+    assert len(tiny.lines()) == 4
+    assert not any("\n" in line for line in tiny.lines())

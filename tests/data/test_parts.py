@@ -1,0 +1,152 @@
+"""Which recording is for what, and which column: what a table and a user say of it."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from symo_exp.data.header import header, names
+from symo_exp.data.recorded import RecordedData
+from symo_exp.errors import ConfigError
+from symo_exp.systems.recorded import Recorded
+
+H = 0.1
+SPLITS = {"a": "test", "b": "train", "c": "extra", "d": "val", "e": "train"}
+
+
+def table(n: int = 2) -> pd.DataFrame:
+    t = H * np.arange(8)
+    parts = []
+    for k, (label, split) in enumerate(SPLITS.items()):
+        columns = {"trajectory": label, "split": split, "t": t, "note": "spare"}
+        columns |= {f"q_arm{i}": np.sin(t + k + i) for i in range(n)}
+        columns |= {f"u_motor{i}": np.cos(t + k) for i in range(n)}
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+def read(given: pd.DataFrame, folder: Path, columns=None, angular="all", matrix=None, **more):
+    path = folder / "mine.parquet"
+    given.to_parquet(path, index=False)
+    found = header(path, columns)
+    system = Recorded(
+        time_step=H, names=names("q", found), inputs=names("u", found), angular=angular,
+        input_matrix=matrix,
+    )  # fmt: skip
+    data = RecordedData(system=system, path=path, columns=columns, dtype="float64", **more)
+    data.setup()
+    return data
+
+
+def first(data: RecordedData, part: str) -> list[float]:
+    return [t.q[0, 0].item() for t in data.trajectories(part)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "wanted"),
+    [
+        ({}, ("be", "d", "a")),
+        ({"n_traj": 1}, ("b", "d", "a")),
+        ({"n_test": 2}, ("ab", "c", "de")),
+        ({"test": ["c"]}, ("be", "d", "c")),
+        ({"test": ["e"]}, ("b", "d", "e")),
+        ({"train": ["a"], "val": "b", "test": ["c", "d"]}, ("a", "b", "cd")),
+    ],
+)
+def test_parts(settings: dict, wanted: tuple, tmp_path: Path) -> None:
+    data = read(table(), tmp_path, **settings)
+    for part, labels in zip(("train", "val", "test"), wanted, strict=True):
+        expected = [np.sin("abcde".index(label)) for label in labels]
+        assert first(data, part) == pytest.approx(expected), part
+
+
+def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> None:
+    data = read(table().drop(columns="split"), tmp_path, val=["b"], test=["c"])
+    assert first(data, "train") == pytest.approx([np.sin(k) for k in (0, 3, 4)])
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "message"),
+    [
+        ({}, {"test": ["z"]}, "has no trajectory z; it has a, b, c, d, e"),
+        ({}, {"test": ["a"], "val": ["a"]}, "trajectory a is named twice"),
+        ({}, {"test": []}, "data.test=[]: expected the names"),
+        ({}, {"test": ["a"], "n_val": 1}, "leave out n_val"),
+        ({"split": "train"}, {}, "no trajectory for val; its column split has train"),
+        ({"split": ["train", "test"] * 20}, {}, "trajectory a is of the splits train, test"),
+        ({"q_": 0.0}, {}, "system.input_matrix=null: say how the 2 input(s) (motor0, motor1)"),
+        ({"v_leg": 0.0}, {}, "column v_leg is of no coordinate of the system (arm0, arm1)"),
+        ({}, {"angular": None}, "system.angular=null: which of arm0, arm1 are angles?"),
+        ({}, {"angular": ["leg"]}, "which of arm0, arm1 are angles?"),
+        ({"u_motor2": 0.0}, {}, "such as system.input_matrix=[[0,1,0],[0,0,1]]"),
+        ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
+        ({}, {"columns": {"q_arm2": "gone"}}, "has no column gone to be q_arm2"),
+        ({}, {"columns": {"leg": "note"}}, "leg=note cannot be"),
+        ({}, {"columns": {"v_a": "note", "v_b": "note"}}, "one column cannot be two"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(change, settings, message, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as error:
+        read(table().assign(**change), tmp_path, **settings)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_coordinates_and_inputs_are_those_of_the_columns(n: int, tmp_path: Path) -> None:
+    data = read(table(n), tmp_path, angular=["arm0"])
+    system = data._system
+    assert system.coordinates.names == tuple(f"arm{i}" for i in range(n))
+    assert system.coordinates.angular == tuple(i == 0 for i in range(n))
+    assert torch.equal(system.input_matrix, torch.eye(n, dtype=torch.float64))
+    one = data.trajectories("train")[0].u
+    torch.testing.assert_close(one[:, 0], torch.cos(H * torch.arange(8).double() + 1))
+    free = read(table(n).drop(columns=[f"u_motor{i}" for i in range(n)]), tmp_path)
+    assert free._system.input_matrix.shape == (n, 0)
+    assert free.train.u.shape == (12, 0)
+
+
+def test_fewer_inputs_than_coordinates(tmp_path: Path) -> None:
+    data = read(table().drop(columns="u_motor0"), tmp_path, matrix=[[0], [1]])
+    assert data._system.input_matrix.tolist() == [[0.0], [1.0]]
+
+
+def test_columns_are_mapped(tmp_path: Path) -> None:
+    theirs = {"t": "time", "trajectory": "run", "q_arm0": "shoulder"}
+    other = table().rename(columns=theirs).assign(t="not the time")
+    found, plain = read(other, tmp_path, columns=theirs), read(table(), tmp_path)
+    for a, b in zip(found.train, plain.train, strict=True):
+        assert torch.equal(a, b)
+
+
+def test_wrapped_angles_are_unwrapped_where_they_are_angles(tmp_path: Path) -> None:
+    turning = table().assign(q_arm0=lambda t: 9 * t["t"], q_arm1=lambda t: 9 * t["t"])
+    jumping = turning.assign(q_arm0=lambda t: (t["q_arm0"] + np.pi) % (2 * np.pi) - np.pi)
+    plain = read(turning, tmp_path, angular=["arm0"])
+    with pytest.raises(ConfigError, match=r"data\.wrapped=true mends"):
+        read(jumping, tmp_path, angular=["arm0"])
+    found = read(jumping, tmp_path, angular=["arm0"], wrapped=True)
+    torch.testing.assert_close(found.train.q, plain.train.q)
+
+
+def test_the_log_says_what_was_done(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    faster = table()
+    faster["t"] /= 2
+    with caplog.at_level(logging.INFO):
+        read(faster, tmp_path)
+    lines = [record.getMessage() for record in caplog.records]
+    assert lines[0].endswith("2 train, 1 val, 1 test; not used: 1 extra")
+    assert lines[1] == "columns that are not read: note"
+    assert lines[2].startswith(
+        "resampled: 4 of 4 trajectories from 0.05 s (the longest gap 0.05 s)"
+    )
+    assert [line.split(":")[0] for line in lines[3:]] == ["inputs", "noise", "time step", "scale"]
+
+
+def test_a_batch_is_an_eighth_of_the_samples(tmp_path: Path) -> None:
+    assert len(read(table(), tmp_path).batches(0)) == 6  # of 12 samples, two each
+    assert len(read(table(), tmp_path, batch_size=5).batches(0)) == 3
