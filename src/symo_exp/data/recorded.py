@@ -50,6 +50,8 @@ class RecordedData(DataModule):
     ``n_integration`` test trajectories, uncut, up to the end of the shortest.
     """
 
+    recorded = True
+
     def __init__(
         self,
         *,

@@ -92,7 +92,7 @@ class Predictions:
         """Until the error, root mean square over coordinates, exceeds 0.1 [rad, m]."""
         error = self.errors()
         left = (error.sqrt() > VALID_ERROR) | error.isnan()
-        return (left.cumsum(1) == 0).sum(1) * self.time_step
+        return (left.cumsum(1) == 0).sum(1).double() * self.time_step
 
     def measures(self) -> dict[str, float]:
         """``rmse_<T>s``, ``pooled_rmse_<T>s`` [rad, m] and ``valid_s`` (docs/metrics.md)."""
@@ -130,8 +130,11 @@ def predict(model: RollsOut, windows: Windows, time_step: float, place: Tensor) 
 
     ``place`` is a tensor of the precision and on the device in which the model works.
     """
-    chunks = zip(*(field.to(place).split(CHUNK) for field in windows[3:]), strict=True)
-    parts = [_roll_out(model, *chunk, windows.lead, time_step) for chunk in chunks]
+    q_true, v_true, inputs = (x.to(place).split(CHUNK) for x in (windows.q, windows.v, windows.u))
+    parts = [
+        _roll_out(model, *chunk, windows.lead, time_step)
+        for chunk in zip(q_true, v_true, inputs, strict=True)
+    ]
     q, v = (torch.cat(field) for field in zip(*parts, strict=True))
     return Predictions(time_step, windows, q, v)
 
