@@ -23,7 +23,7 @@ RECORDINGS = ROOT / "recordings"
 SETTINGS = {
     file.stem: settings
     for file in sorted((ROOT / "conf" / "reference").glob("*.yaml"))
-    if "_target_" in (settings := yaml.safe_load(file.read_text(encoding="utf-8")))
+    if (settings := yaml.safe_load(file.read_text(encoding="utf-8")))  # not those of none
 }
 H = 0.02
 SHARES = {

@@ -85,10 +85,23 @@ def test_what_a_system_or_a_run_does_not_have_is_not_drawn(tmp_path):
     unseen = SimpleNamespace(coordinates=unseen.coordinates, skeleton=lambda q: None)
     rollouts = dataclasses.replace(made(SYSTEMS["pendulum"]), energy=None)
     found = pictures.draw_run(
-        knowing(SYSTEMS["pendulum"], None), unseen, Evaluation({}, rollouts), method="node", title="t",
-        folder=tmp_path,
+        knowing(SYSTEMS["pendulum"], None), unseen, Evaluation({}, rollouts), method="node",
+        title="t", folder=tmp_path,
     )  # fmt: skip
     assert [path.name for path in found] == ["trajectories.png", "phase_portrait.png"]
+
+
+def test_recordings_have_pictures_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "save", lambda figure, folder, formats: [figure.key])
+    monkeypatch.setattr(pictures.recordings, "figures", lambda model, found, *names: [found])
+    unseen = SimpleNamespace(skeleton=lambda q: None)
+    rollouts = dataclasses.replace(made(SYSTEMS["pendulum"]), energy=None)
+    found = pictures.draw_run(
+        knowing(SYSTEMS["pendulum"], None), unseen,
+        Evaluation({}, rollouts, SimpleNamespace(key="windows")), method="node", title="t",
+        folder=tmp_path,
+    )  # fmt: skip
+    assert found == ["trajectories", "phase_portrait", "windows"]
 
 
 def test_a_potential_is_compared_up_to_its_constant_and_nothing_else_is_aligned():

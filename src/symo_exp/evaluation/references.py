@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.explicit import RK4
 
 SUBSTEPS = 10
@@ -22,6 +23,22 @@ class Reference(Protocol):
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"], u: Float[Tensor, "batch m"]
     ) -> Float[Tensor, "batch n"]:
         """``v̇`` of a batch of states under the controls ``u``."""
+
+
+def check_fit(reference: Reference, n: int, m: int) -> None:
+    """Refuse a reference that is not one of ``n`` coordinates and ``m`` inputs."""
+    q, u = torch.zeros(1, n, dtype=torch.float64), torch.zeros(1, m, dtype=torch.float64)
+    reason = "it gives no finite acceleration at rest"
+    try:
+        found = reference.acceleration(q, q, u)
+        if found.shape == q.shape and found.isfinite().all():
+            return
+    except (AttributeError, RuntimeError, ValueError, TypeError, IndexError) as error:
+        reason = str(error).partition("\n")[0]
+    raise ConfigError(
+        f"reference: {type(reference).__name__} does not fit a system of {n} coordinate(s) and "
+        f"{m} input(s) ({reason}); choose that of the machine, or reference=none"
+    )
 
 
 class Path(NamedTuple):

@@ -19,6 +19,7 @@ from symo_exp import code
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.recordings import Recorded
+from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.evaluation.study import afresh
 from symo_exp.runs.digest import digest
@@ -98,7 +99,7 @@ def build(config: DictConfig, folder: RunFolder) -> Parts:
             input_matrix=system.input_matrix,
             time_step=system.time_step,
         )
-    reference = make(config, "reference") if "reference" in config else None
+    reference = _reference(config, system, data) if "reference" in config else None
     for name in config.study:
         make(config.study, name)
     tracker = make(config, "logger")
@@ -118,6 +119,14 @@ def build(config: DictConfig, folder: RunFolder) -> Parts:
     except (ValueError, TypeError, RuntimeError) as error:
         raise ConfigError(f"optimizer or scheduler: {error}") from error
     return Parts(system, data, model, tracker, trainer, reference)
+
+
+def _reference(config: DictConfig, system: Any, data: Any) -> Any:
+    reference = make(config, "reference")
+    if not data.recorded:
+        raise ConfigError("reference: models of recordings are held to it, with data=recorded")
+    check_fit(reference, *system.input_matrix.shape)
+    return reference
 
 
 def make(config: DictConfig, group: str, **given: Any) -> Any:
