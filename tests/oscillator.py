@@ -45,6 +45,7 @@ class Data(NamedTuple):
     train: Windows
     test: Windows
     integration: Trajectories
+    recorded = False
 
 
 def data(system: Oscillator, h: float, steps: int = 30, batch: int = 3) -> Data:

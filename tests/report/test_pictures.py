@@ -8,7 +8,8 @@ import pytest
 import torch
 from PIL import Image
 
-from symo_exp.evaluation.evaluate import Rollouts
+from symo_exp.evaluation.evaluate import Evaluation
+from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.report import pictures
 from symo_exp.report.animation import animate
 from symo_exp.report.looks import look
@@ -66,8 +67,9 @@ def test_a_prediction_that_is_lost_is_drawn_as_far_as_it_goes(lost, tmp_path):
     for field in (rollouts.q, rollouts.v, rollouts.energy):
         field[:, 9:] = lost
     found = pictures.draw_run(
-        knowing(system, None), system, rollouts, method="node", title="lost", folder=tmp_path
-    )
+        knowing(system, None), system, Evaluation({}, rollouts), method="node", title="lost",
+        folder=tmp_path,
+    )  # fmt: skip
     assert [path.name for path in found] == [*(f"{k}.png" for k in KEYS[:3]), "animation.gif"]
     for path in found:
         with Image.open(path) as image:
@@ -83,10 +85,23 @@ def test_what_a_system_or_a_run_does_not_have_is_not_drawn(tmp_path):
     unseen = SimpleNamespace(coordinates=unseen.coordinates, skeleton=lambda q: None)
     rollouts = dataclasses.replace(made(SYSTEMS["pendulum"]), energy=None)
     found = pictures.draw_run(
-        knowing(SYSTEMS["pendulum"], None), unseen, rollouts, method="node", title="t",
-        folder=tmp_path,
+        knowing(SYSTEMS["pendulum"], None), unseen, Evaluation({}, rollouts), method="node",
+        title="t", folder=tmp_path,
     )  # fmt: skip
     assert [path.name for path in found] == ["trajectories.png", "phase_portrait.png"]
+
+
+def test_recordings_have_pictures_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures, "save", lambda figure, folder, formats: [figure.key])
+    monkeypatch.setattr(pictures.recordings, "figures", lambda model, found, *names: [found])
+    unseen = SimpleNamespace(skeleton=lambda q: None)
+    rollouts = dataclasses.replace(made(SYSTEMS["pendulum"]), energy=None)
+    found = pictures.draw_run(
+        knowing(SYSTEMS["pendulum"], None), unseen,
+        Evaluation({}, rollouts, SimpleNamespace(key="windows")), method="node", title="t",
+        folder=tmp_path,
+    )  # fmt: skip
+    assert found == ["trajectories", "phase_portrait", "windows"]
 
 
 def test_a_potential_is_compared_up_to_its_constant_and_nothing_else_is_aligned():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 import lightning
 import torch
@@ -43,6 +43,9 @@ class DataModule(lightning.LightningDataModule, ABC):
     that share of them (at least one); ``monitor="held_out"`` watches them, so that a stopping rule
     costs no data beyond ``n_traj``.
     """
+
+    recorded: ClassVar[bool] = False
+    """Whether somebody measured these motions."""
 
     def __init__(
         self,

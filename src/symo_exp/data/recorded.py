@@ -62,6 +62,8 @@ class RecordedData(DataModule):
     them. ``base`` holds the other arguments of ``DataModule``.
     """
 
+    recorded = True
+
     def __init__(
         self,
         *,

@@ -13,6 +13,8 @@ import torch
 
 from symo_exp.evaluation import measures
 from symo_exp.evaluation.protocols import Data, Model
+from symo_exp.evaluation.recordings import Recorded, on_recordings
+from symo_exp.evaluation.references import Reference
 from symo_exp.evaluation.rollouts import CHUNK, Rollouts, along, roll_out
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Windows
@@ -33,15 +35,23 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The measures by name (docs/metrics.md) and the rollouts behind them."""
+    """The measures by name (docs/metrics.md) and the rollouts behind them.
+
+    ``recorded`` are the windows of recorded trajectories, ``None`` of simulated ones.
+    """
 
     measures: dict[str, float]
     rollouts: Rollouts
+    recorded: Recorded | None = None
 
 
 @torch.no_grad()
-def evaluate(model: Model, system: System, data: Data) -> Evaluation:
+def evaluate(
+    model: Model, system: System, data: Data, reference: Reference | None = None
+) -> Evaluation:
     """Measure a trained model on its data and against what is known of the true ``system``.
+
+    Recordings are predicted window by window, too (``horizon``), by the ``reference`` as well.
 
     In float64 with converged roots, whatever the model was trained with, so that the measures
     tell the learned model and not the tolerance. Divergence gives infinite measures.
@@ -52,7 +62,10 @@ def evaluate(model: Model, system: System, data: Data) -> Evaluation:
     found: dict[str, float] = {}
     for measure in (one_step, rollout, energy, inertia):
         found |= measure(case)
-    return Evaluation(found, rollouts)
+    if not data.recorded:
+        return Evaluation(found, rollouts)
+    errors, recorded = on_recordings(model, data.trajectories("test"), reference)
+    return Evaluation(found | errors, rollouts, recorded)
 
 
 def one_step(case: Case) -> dict[str, float]:

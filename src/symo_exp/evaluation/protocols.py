@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Literal, Protocol
 
 from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
+from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory, Windows
 
 
 class States(Protocol):
@@ -63,6 +63,13 @@ class Model(Protocol):
 
 class Data(Protocol):
     """Training samples as the model saw them, samples of unseen trajectories, long trajectories."""
+
+    @property
+    def recorded(self) -> bool:
+        """Whether somebody measured these motions."""
+
+    def trajectories(self, part: Literal["train", "held_out", "val", "test"]) -> list[Trajectory]:
+        """Whole trajectories, of any lengths."""
 
     @property
     def train(self) -> Windows: ...

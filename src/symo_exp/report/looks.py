@@ -67,6 +67,10 @@ MEASURES = {
     "inertia_mse": ("inertia MSE", "kg², kg² m², kg² m⁴"),
     "inertia_mse_aligned": ("inertia MSE on the true path", "kg², kg² m², kg² m⁴"),
     "valid_steps": ("valid steps", ""),
+    "rmse_0.5s": ("RMSE to 0.5 s, median window", "rad, m"),
+    "rmse_1s": ("RMSE to 1 s, median window", "rad, m"),
+    "rmse_2s": ("RMSE to 2 s, median window", "rad, m"),
+    "valid_s": ("valid time", "s"),
     "energy_mse_fd": ("energy MSE, finite differences", "J²"),
     "training_seconds": ("training", "s"),
 }

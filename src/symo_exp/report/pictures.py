@@ -8,10 +8,12 @@ import numpy as np
 import pandas as pd
 from torch import Tensor
 
-from symo_exp.evaluation.evaluate import Rollouts
+from symo_exp.evaluation.evaluate import Evaluation
 from symo_exp.evaluation.learned import beside_true
 from symo_exp.evaluation.measures import squared_error
 from symo_exp.evaluation.protocols import Model
+from symo_exp.evaluation.rollouts import Rollouts
+from symo_exp.report import recordings
 from symo_exp.report.animation import animate
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import TRUTH, axis_label, look
@@ -26,13 +28,16 @@ DRAWN = 1e-16, 1e30
 
 
 def draw_run(
-    model: Model, system: System, rollouts: Rollouts, *, method: str, title: str, folder: Path
+    model: Model, system: System, found: Evaluation, *, method: str, title: str, folder: Path
 ) -> list[Path]:
     """Write all pictures of a run into ``folder``; without a skeleton there is no animation.
 
     ``method`` chooses the look, ``title`` is what the run is called.
     """
+    rollouts = found.rollouts
     made = figures(model, system, rollouts, method, title)
+    if found.recorded is not None:
+        made += recordings.figures(model, found.recorded, method, title)
     paths = [path for figure in made for path in save(figure, folder, ["png"])]
     if system.skeleton(rollouts.q_true[0, 0]) is not None:
         which = ranking(rollouts)["median"]

@@ -8,7 +8,7 @@
 | ``series.csv`` | a row for each epoch (``runs.series``) | while it trains |
 | ``checkpoints/`` | the state of the training | while it trains |
 | ``metrics.json`` | the measures | at the end |
-| ``rollouts.parquet``, ``pictures/``, ``studies/`` | the numbers behind them | at the end |
+| ``*.parquet``, ``pictures/``, ``studies/`` | the numbers behind them | at the end |
 | ``published.json`` | a cache: the store that has all of this already | by the tracker |
 
 A process that works on the run holds the lock of its folder. A run that says ``running`` while
@@ -39,8 +39,8 @@ log = logging.getLogger(__name__)
 
 CONFIG, CHECKPOINTS, CHECKPOINT = "config.yaml", "checkpoints", "checkpoints/last.ckpt"
 SERIES, MEASURES, ROLLOUTS = "series.csv", "metrics.json", "rollouts.parquet"
-PICTURES, STUDIES, LOG = "pictures", "studies", "symo_exp.log"
-FILES = (CONFIG, SERIES, CHECKPOINT, MEASURES, ROLLOUTS, PICTURES, STUDIES)
+WINDOWS, PICTURES, STUDIES, LOG = "windows.parquet", "pictures", "studies", "symo_exp.log"
+FILES = (CONFIG, SERIES, CHECKPOINT, MEASURES, ROLLOUTS, WINDOWS, PICTURES, STUDIES)
 """What a store keeps of a run besides its numbers."""
 ABOUT, OUTCOME, PUBLISHED = "run.json", "outcome.json", "published.json"
 
@@ -182,6 +182,14 @@ class RunFolder:
 
         text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
         write_whole(self / CONFIG, lambda file: file.write_text(text, encoding="utf-8"))
+
+    def reference(self) -> Any:
+        """The settings of what the run was held to; ``None`` without any."""
+        import yaml
+
+        there = (self / CONFIG).exists()
+        config = yaml.safe_load((self / CONFIG).read_text(encoding="utf-8")) if there else None
+        return (config or {}).get("reference")
 
     def write_table(self, name: str, columns: Mapping[str, Any]) -> None:
         """Columns of equal length as a Parquet file."""

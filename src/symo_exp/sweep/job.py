@@ -73,6 +73,8 @@ def is_done(config: DictConfig, folder: RunFolder) -> bool:
     if folder.outcome().status != "finished":
         return False
     drawn = not config.pictures or (folder / PICTURES).exists()
+    if plain(config).get("reference") != folder.reference():
+        return False
     return drawn and not folder.missing_studies(plain(config.study))
 
 

@@ -18,9 +18,20 @@ from omegaconf import DictConfig
 from symo_exp import code
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
+from symo_exp.evaluation.recordings import Recorded
+from symo_exp.evaluation.references import check_fit
+from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.evaluation.study import afresh
 from symo_exp.runs.digest import digest
-from symo_exp.runs.folder import CHECKPOINTS, PICTURES, ROLLOUTS, SERIES, About, RunFolder
+from symo_exp.runs.folder import (
+    CHECKPOINTS,
+    PICTURES,
+    ROLLOUTS,
+    SERIES,
+    WINDOWS,
+    About,
+    RunFolder,
+)
 from symo_exp.runs.series import Series
 from symo_exp.sweep.compose import plain
 from symo_exp.sweep.table import one_line
@@ -38,6 +49,7 @@ class Parts(NamedTuple):
     model: Any
     tracker: Any
     trainer: lightning.Trainer
+    reference: Any = None
 
 
 def run(
@@ -50,16 +62,18 @@ def run(
     """
     start = time.perf_counter()
     folder.mark_published(None)
+    measured = trained and folder.reference() == plain(config).get("reference")
     folder.write_config(plain(config))
     folder.describe(about)
     _announce(parts.tracker, folder)
     with default_dtype(config.dtype):
         _train(parts, folder / CHECKPOINTS, digest(plain(config)))
-        drawn = not config.pictures or (folder / PICTURES).exists()
-        if not trained or not drawn:
-            evaluation = evaluate(parts.model.cpu(), parts.system, parts.data)
-            columns = evaluation.rollouts.columns()
-            folder.write_table(ROLLOUTS, {name: x.numpy() for name, x in columns.items()})
+        drawn = not config.pictures or ((folder / PICTURES).exists() and measured)
+        if not measured or not drawn:
+            evaluation = evaluate(parts.model.cpu(), parts.system, parts.data, parts.reference)
+            _tell(folder, ROLLOUTS, evaluation.rollouts)
+            if evaluation.recorded is not None:
+                _tell(folder, WINDOWS, evaluation.recorded)
             if not drawn:
                 _draw(parts, evaluation, about, folder / PICTURES)
             folder.write_measures(evaluation.measures)
@@ -85,6 +99,7 @@ def build(config: DictConfig, folder: RunFolder) -> Parts:
             input_matrix=system.input_matrix,
             time_step=system.time_step,
         )
+    reference = _reference(config, system, data) if "reference" in config else None
     for name in config.study:
         make(config.study, name)
     tracker = make(config, "logger")
@@ -103,7 +118,15 @@ def build(config: DictConfig, folder: RunFolder) -> Parts:
             model.configure_optimizers()
     except (ValueError, TypeError, RuntimeError) as error:
         raise ConfigError(f"optimizer or scheduler: {error}") from error
-    return Parts(system, data, model, tracker, trainer)
+    return Parts(system, data, model, tracker, trainer, reference)
+
+
+def _reference(config: DictConfig, system: Any, data: Any) -> Any:
+    reference = make(config, "reference")
+    if not data.recorded:
+        raise ConfigError("reference: models of recordings are held to it, with data=recorded")
+    check_fit(reference, *system.input_matrix.shape)
+    return reference
 
 
 def make(config: DictConfig, group: str, **given: Any) -> Any:
@@ -159,6 +182,10 @@ def _train(parts: Parts, folder: Path, run: str) -> None:
     stopping.raise_if_requested()
 
 
+def _tell(folder: RunFolder, name: str, found: Rollouts | Recorded) -> None:
+    folder.write_table(name, {key: x.numpy() for key, x in found.columns().items()})
+
+
 def _draw(parts: Parts, evaluation: Evaluation, about: About, folder: Path) -> None:
     """The pictures of a run. Nothing of it is lost if they cannot be drawn."""
     from symo_exp.report.pictures import draw_run
@@ -166,9 +193,7 @@ def _draw(parts: Parts, evaluation: Evaluation, about: About, folder: Path) -> N
     folder.mkdir(parents=True, exist_ok=True)
     model, method = parts.model.for_evaluation(), str(about.parameters["model"])
     try:
-        draw_run(
-            model, parts.system, evaluation.rollouts, method=method, title=about.name, folder=folder
-        )
+        draw_run(model, parts.system, evaluation, method=method, title=about.name, folder=folder)
     except Exception:
         log.warning("the pictures could not be drawn", exc_info=True)
 

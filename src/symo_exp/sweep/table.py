@@ -13,21 +13,26 @@ from symo_exp.training import stopping
 
 MEASURES = ("train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse")
 """The five that a line shows; the others are in the files of the run."""
+RECORDED = "rmse_2s"
+"""Of runs on recordings it is shown, too."""
 SECONDS = 0.5
 
 
 def one_line(measures: Mapping[str, float]) -> str:
-    """The five measures, those that there are."""
-    return "  ".join(f"{name} {measures[name]:.3g}" for name in MEASURES if name in measures)
+    """The measures that a line shows, those that there are."""
+    names = (name for name in (*MEASURES, RECORDED) if name in measures)
+    return "  ".join(f"{name} {measures[name]:.3g}" for name in names)
 
 
 def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     """A row for each run, and for those that are not finished the reason and the log."""
-    rows, failures = [["run", *MEASURES, "seconds"]], []
+    recorded = any(RECORDED in folder.measures() for folder in folders)
+    shown = (*MEASURES, RECORDED) if recorded else MEASURES
+    rows, failures = [["run", *shown, "seconds"]], []
     for label, folder in zip(labels, folders, strict=True):
         outcome, measures = folder.outcome(), folder.measures()
         finished = outcome.status == "finished"
-        cells = (measures.get(name) if finished else None for name in MEASURES)
+        cells = (measures.get(name) if finished else None for name in shown)
         numbers = ["-" if x is None else f"{x:.3g}" for x in cells]
         rows.append([label, *numbers, f"{outcome.seconds:.0f}"])
         if not finished:

@@ -1,0 +1,80 @@
+"""What a learned model is held to: motion at constant velocity, and models that others made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.explicit import RK4
+
+SUBSTEPS = 10
+"""Of a reference in a time step: its error shall be its own, not the integrator's."""
+
+
+class Reference(Protocol):
+    """A model in continuous time, whatever is known of it (``conf/reference``)."""
+
+    def acceleration(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"], u: Float[Tensor, "batch m"]
+    ) -> Float[Tensor, "batch n"]:
+        """``v̇`` of a batch of states under the controls ``u``."""
+
+
+def check_fit(reference: Reference, n: int, m: int) -> None:
+    """Refuse a reference that is not one of ``n`` coordinates and ``m`` inputs."""
+    q, u = torch.zeros(1, n, dtype=torch.float64), torch.zeros(1, m, dtype=torch.float64)
+    reason = "it gives no finite acceleration at rest"
+    try:
+        found = reference.acceleration(q, q, u)
+        if found.shape == q.shape and found.isfinite().all():
+            return
+    except (AttributeError, RuntimeError, ValueError, TypeError, IndexError) as error:
+        reason = str(error).partition("\n")[0]
+    raise ConfigError(
+        f"reference: {type(reference).__name__} does not fit a system of {n} coordinate(s) and "
+        f"{m} input(s) ({reason}); choose that of the machine, or reference=none"
+    )
+
+
+class Path(NamedTuple):
+    """A rollout, start included."""
+
+    q: Float[Tensor, "batch nodes n"]
+    v: Float[Tensor, "batch nodes n"]
+
+
+@dataclass(frozen=True)
+class ConstantVelocity:
+    """``q_k = q_0 + k h v_0``: what one would say of a motion without any model."""
+
+    time_step: float
+
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Path:
+        t = self.time_step * torch.arange(u.shape[1]).to(q0)
+        v = v0[:, None].expand(-1, len(t), -1)
+        return Path(q0[:, None] + t[:, None] * v, v)
+
+
+@dataclass(frozen=True)
+class Continuous:
+    """A reference over time steps: Runge-Kutta of order 4, the input linear between nodes."""
+
+    reference: Reference
+    time_step: float
+
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Path:
+        method, h = RK4(), self.time_step / SUBSTEPS
+        q, v = [q0], [v0]
+        for before, after in zip(u[:, :-1].unbind(1), u[:, 1:].unbind(1), strict=True):
+            state, slope = (q[-1], v[-1]), (after - before) / SUBSTEPS
+            for i in range(SUBSTEPS):
+                ends = before + i * slope, before + (i + 1) * slope
+                state = method.step(self.reference.acceleration, *state, *ends, h)
+            q.append(state[0])
+            v.append(state[1])
+        return Path(torch.stack(q, 1), torch.stack(v, 1))

@@ -1,0 +1,99 @@
+"""Pictures of a run on recordings: its windows, and the dissipation that it has learned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import torch
+from torch import Tensor
+
+from symo_exp.evaluation.horizon import HORIZONS
+from symo_exp.evaluation.protocols import Model
+from symo_exp.evaluation.recordings import Recorded
+from symo_exp.evaluation.rollouts import along
+from symo_exp.report.figures import Figure, Panel
+from symo_exp.report.looks import Pair, axis_label, symbol
+from symo_exp.report.motions import over_time, rows
+
+REFERENCE: Pair = ("reference", "")
+Force = Callable[[Tensor, Tensor], Tensor]
+"""The generalised force of dissipation at a batch of states."""
+
+
+def figures(model: Model, found: Recorded, method: str, title: str) -> list[Figure]:
+    """The windows; where the model has a dissipation, what it does in them."""
+    made = [windows(found, method, title)]
+    force: Force | None = getattr(model, "dissipation", None)
+    if force is not None:
+        made.append(dissipation(model, force, found, method, title))
+    return made
+
+
+def ranking(found: Recorded) -> dict[str, int]:
+    """The windows that are predicted ``best``, ``median`` and ``worst``."""
+    order = found.model.rmse(HORIZONS[-1]).argsort(stable=True).tolist()
+    return {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
+
+
+def windows(found: Recorded, method: str, title: str) -> Figure:
+    """Every coordinate over time, prediction on measurement, and the error below."""
+    table, errors = _table(found), found.model.rmse(HORIZONS[-1]).tolist()
+    chosen = {which: table[table.window == at] for which, at in ranking(found).items()}
+    above, below = [], []
+    for name, angular in zip(*found.coordinates, strict=True):
+        for which, one in chosen.items():
+            label, error = axis_label(name, angular=angular), errors[one.window.iloc[0]]
+            said = f"{which} of {len(errors)}: RMSE {error:.2g}"
+            panel = over_time({(method, ""): one}, f"q_{name}", f"q_true_{name}", label, said)
+            above.append(_beside(panel, one, f"q_reference_{name}"))
+    for one in (_with_errors(found, one) for one in chosen.values()):
+        said = f"trajectory {one.trajectory.iloc[0]} from {one.start.iloc[0]:.2f} s"
+        panel = over_time({(method, ""): one}, "error", None, "RMS error", said, log=True)
+        below.append(_beside(panel, one, "error_reference"))
+    return Figure("windows", f"{title}: windows of the recordings", "", above + below)
+
+
+def dissipation(model: Model, force: Force, found: Recorded, method: str, title: str) -> Figure:
+    """Its generalised force over velocity in all windows, and over time in the median one."""
+    place, v, pair = model.input_matrix, found.model.v, (method, "")
+    finite = (found.model.q + v + found.model.q_true).isfinite().all(2, keepdim=True)
+    states = (x.where(finite, 0.0).to(place) for x in (found.model.q, v))
+    with torch.no_grad():
+        values = along(force, *states).cpu().where(finite, torch.nan)
+    which, nodes = ranking(found)["median"], np.arange(v.shape[1])
+    panels = []
+    for i, (name, angular) in enumerate(zip(*found.coordinates, strict=True)):
+        label = f"F of {symbol(name)} [{'N m' if angular else 'N'}]"
+        speed = axis_label(name, velocity=True, angular=angular)
+        cloud = rows(v[..., i].flatten(), values[..., i].flatten(), pair, 10_000)
+        line = rows(found.model.time_step * nodes, values[which, :, i], pair)
+        panels += [
+            Panel("all windows", speed, label, cloud, y_log=False, mark="points"),
+            Panel("window of median error", "time [s]", label, line, y_log=False, mark="line"),
+        ]
+    return Figure("dissipation", f"{title}: learned dissipation", "", panels, columns=2)
+
+
+def _beside(panel: Panel, table: pd.DataFrame, column: str) -> Panel:
+    """The panel with what a reference says, if there is one."""
+    if column not in table:
+        return panel
+    other = rows(table.t, table[column], REFERENCE).assign(source="floor")
+    return replace(panel, rows=pd.concat([panel.rows, other]))
+
+
+def _with_errors(found: Recorded, table: pd.DataFrame) -> pd.DataFrame:
+    """``error`` of the predicted nodes, and ``error_reference`` where there is one."""
+    names, errors = found.coordinates.names, {}
+    for suffix in ("", "_reference"):
+        if f"q{suffix}_{names[0]}" in table:
+            squares = [(table[f"q{suffix}_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names]
+            errors[f"error{suffix}"] = np.sqrt(sum(squares) / len(names))
+    return table.assign(**errors)[1:]
+
+
+def _table(found: Recorded) -> pd.DataFrame:
+    return pd.DataFrame({name: column.numpy() for name, column in found.columns().items()})

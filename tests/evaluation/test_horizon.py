@@ -1,0 +1,187 @@
+"""Errors over horizons: what the protocol says of models whose motions are known."""
+
+import math
+from dataclasses import dataclass
+
+import pytest
+import torch
+
+from symo_exp.evaluation.horizon import HORIZONS, cut, predict
+from symo_exp.evaluation.references import ConstantVelocity, Path
+from symo_exp.evaluation.starts import fitted_start
+from symo_exp.mechanics.types import Trajectory
+
+H = 0.02
+PLACE = torch.zeros(1, dtype=torch.float64)
+BOTH = pytest.mark.parametrize("run_in", [True, False], ids=["fitted", "measured"])
+EACH_N = pytest.mark.parametrize("n", [1, 2, 3])
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Pendulums of any number, coupled by springs, over steps that cost nothing."""
+
+    gravity: float = 10.0
+
+    def rollout(self, q0, v0, u):
+        q, v = [q0], [v0]
+        for k in range(u.shape[1] - 1):
+            spring = 3.0 * (q[-1].mean(1, keepdim=True) - q[-1])
+            v.append(v[-1] + H * (u[:, k] + spring - self.gravity * q[-1].sin()))
+            q.append(q[-1] + H * v[-1])
+        return Path(torch.stack(q, 1), torch.stack(v, 1))
+
+
+def swings(n: int, *seconds: float) -> tuple[Chain, list[Trajectory]]:
+    """``n`` pendulums under inputs, and its motions of so many seconds."""
+    model, generator = Chain(), torch.Generator().manual_seed(n)
+    nodes = [round(duration / H) + 1 for duration in seconds]
+    q, v, phase = torch.randn(3, len(nodes), n, dtype=torch.float64, generator=generator)
+    t = H * torch.arange(max(nodes), dtype=torch.float64)[:, None]
+    u = torch.sin(3.0 * t + phase[:, None])
+    path = model.rollout(q, v, u)
+    return model, [
+        Trajectory(*(x[i, :count] for x in (path.q, path.v, u))) for i, count in enumerate(nodes)
+    ]
+
+
+@EACH_N
+@BOTH
+def test_the_true_model_has_no_error(n, run_in):
+    model, motions = swings(n, 3.0, 2.4)
+    windows = cut(motions, H, run_in=run_in)
+    found = predict(model, windows, H, PLACE).measures()
+    assert found.pop("valid_s") == HORIZONS[-1]
+    assert max(found.values()) < 1e-6, found
+
+
+@EACH_N
+def test_a_fitted_start_finds_the_true_one_from_noisy_configurations(n):
+    """Its error is that of least squares: near the noise in q, noise over the run-in in v."""
+    model, motions = swings(n, *[0.2] * 40)
+    q, v, u = (torch.stack(x) for x in zip(*motions, strict=True))
+    generator = torch.Generator().manual_seed(0)
+    noise = 1e-3 * torch.randn(q.shape, dtype=torch.float64, generator=generator)
+    start = fitted_start(model, q + noise, u, H)
+    assert (start.q - q[:, 0]).square().mean().sqrt() < 1e-3
+    assert (start.v - v[:, 0]).square().mean().sqrt() < 1e-3 / 0.1
+    exact = fitted_start(model, q, u, H)
+    assert torch.allclose(exact.v, v[:, 0], atol=1e-6)
+
+
+def test_the_fitted_start_reads_no_velocity():
+    model, motions = swings(2, 3.0)
+    wrong = [motion._replace(v=motion.v + 1.0) for motion in motions]
+    fitted, measured = (
+        predict(model, cut(wrong, H, run_in=run_in), H, PLACE).measures()["rmse_1s"]
+        for run_in in (True, False)
+    )
+    assert fitted < 1e-6 < 1e-2 < measured
+
+
+@dataclass(frozen=True)
+class Off:
+    """A model at rest at a distance from what it starts from; after ``seconds`` it is lost."""
+
+    distance: float = 0.0
+    seconds: float = math.inf
+
+    def rollout(self, q0, v0, u):
+        q = q0[:, None].repeat(1, u.shape[1], 1) + self.distance
+        q[:, round(min(self.seconds, 1e3) / H) + 1 :] = torch.nan
+        return Path(q, torch.zeros_like(q))
+
+
+def steady(*seconds: float, n: int = 2) -> list[Trajectory]:
+    """Motions at a speed of 0.5 in the first coordinate and of 0 in the others."""
+    motions = []
+    for duration in seconds:
+        t = H * torch.arange(round(duration / H) + 1, dtype=torch.float64)[:, None]
+        v = torch.zeros(len(t), n, dtype=torch.float64)
+        v[:, 0] = 0.5
+        motions.append(Trajectory(v * t, v, torch.zeros_like(t)))
+    return motions
+
+
+@BOTH
+def test_constant_velocity_is_right_about_a_steady_motion(run_in):
+    found = predict(ConstantVelocity(H), cut(steady(3.0), H, run_in=run_in), H, PLACE).measures()
+    assert found.pop("valid_s") == HORIZONS[-1]
+    assert max(found.values()) < 1e-9
+
+
+@EACH_N
+def test_errors_are_root_mean_squares_over_coordinates_and_time(n):
+    """A model at rest is wrong by 0.5 t in one of n coordinates."""
+    found = predict(Off(), cut(steady(3.0, n=n), H, run_in=False), H, PLACE).measures()
+    for seconds in HORIZONS:
+        steps = torch.arange(1, round(seconds / H) + 1)
+        expected = ((0.5 * H * steps).square().mean() / n).sqrt().item()
+        assert found[f"rmse_{seconds:g}s"] == pytest.approx(expected)
+        assert found[f"pooled_rmse_{seconds:g}s"] == pytest.approx(expected)
+    assert found["valid_s"] == pytest.approx(H * math.floor(0.1 * n**0.5 / (0.5 * H) + 1e-9))
+
+
+@BOTH
+def test_a_model_that_diverges_has_infinite_errors_from_then_on(run_in):
+    lost = Off(seconds=1.2)
+    found = predict(lost, cut(steady(3.0), H, run_in=run_in), H, PLACE).measures()
+    assert not any(math.isnan(value) for value in found.values())
+    assert found["rmse_2s"] == found["pooled_rmse_2s"] == math.inf
+    assert found["rmse_0.5s"] < 1.0
+
+
+def test_a_model_that_never_moves_finitely_is_no_error_of_the_protocol():
+    found = predict(Off(math.nan), cut(steady(3.0), H, run_in=True), H, PLACE).measures()
+    assert found.pop("valid_s") == 0.0
+    assert set(found.values()) == {math.inf}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "run_in", "expected"),
+    [
+        ((2.0,), False, [(0, 0)]),
+        ((2.5,), False, [(0, 0), (0, 12), (0, 24)]),
+        ((2.5,), True, [(0, 9), (0, 21)]),
+        ((1.0, 2.5), True, [(0, 9), (1, 9), (1, 21)]),
+        ((0.18,), True, []),
+        ((0.3,), True, [(0, 9)]),
+    ],
+)
+def test_where_windows_are(seconds, run_in, expected):
+    found = cut([m._replace(q=10 * m.q) for m in steady(*seconds)], H, run_in=run_in)
+    there = [] if found is None else [(int(a), int(b)) for a, b in zip(*found[:2], strict=True)]
+    assert there == expected
+
+
+def test_windows_in_which_nothing_moves_are_left_out():
+    (motion,) = steady(6.0)
+    stopped = motion._replace(q=motion.q.clamp(max=1.0))  # from 2 s on
+    found = cut([stopped], H, run_in=False)
+    assert (found.first * H).max() <= 1.6 + 1e-9
+    assert cut([motion._replace(q=0.0 * motion.q)], H, run_in=False) is None
+
+
+@BOTH
+def test_a_short_trajectory_counts_with_what_it_has(run_in):
+    """Padding is neither an error nor valid time, and the others are as without it."""
+    model, motions = swings(2, 1.0, 3.0)
+    bent = Chain(gravity=12.0)
+    together, alone = (
+        predict(bent, cut(some, H, run_in=run_in), H, PLACE) for some in (motions, motions[1:])
+    )
+    assert torch.allclose(together.q[1:], alone.q)
+    lead = 0.18 if run_in else 0.0
+    assert predict(model, cut(motions, H, run_in=run_in), H, PLACE).valid_seconds()[0].item() == (
+        pytest.approx(1.0 - lead)
+    )
+    assert together.rmse(2.0)[0] == together.rmse(1.0)[0]
+    assert together.rmse(2.0).isfinite().all()
+
+
+@BOTH
+def test_one_window_after_the_other_is_predicted_as_all_at_once(run_in, monkeypatch):
+    windows = cut(steady(3.0), H, run_in=run_in)
+    expected = predict(ConstantVelocity(H), windows, H, PLACE).q
+    monkeypatch.setattr("symo_exp.evaluation.horizon.CHUNK", 1)
+    assert torch.equal(predict(ConstantVelocity(H), windows, H, PLACE).q, expected)

@@ -1,0 +1,84 @@
+"""Pictures of recorded motions, for 1, 2 and 3 degrees of freedom."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from symo_exp.evaluation.recordings import on_recordings
+from symo_exp.evaluation.references import ConstantVelocity, Path
+from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.report import recordings
+from symo_exp.report.paper import save
+
+H = 0.02
+
+
+@pytest.fixture(autouse=True)
+def _coarse(monkeypatch):
+    monkeypatch.setattr("symo_exp.evaluation.references.SUBSTEPS", 1)
+
+
+def recorded(n: int, lost: float = 0.0, **more: object):
+    """A model of constant velocity, lost from a time on in windows that begin far out."""
+
+    def rollout(q0, v0, u):
+        path = ConstantVelocity(H).rollout(q0, v0, u)
+        far = (q0.abs().sum(1) > 0.6 * n)[:, None, None] & (torch.arange(u.shape[1]) > 20)[:, None]
+        return Path(*(torch.where(far, lost, x) for x in path)) if lost else path
+
+    t = H * torch.arange(200, dtype=torch.float64)[:, None]
+    speed = 1.0 + torch.arange(n, dtype=torch.float64)
+    q, v = torch.sin(speed * t), speed * torch.cos(speed * t)
+    trajectories = [Trajectory(q, v, 0.0 * q), Trajectory(q[:60], v[:60], 0.0 * q[:60])]
+    model = SimpleNamespace(
+        coordinates=Coordinates(tuple(f"theta_{i + 1}" for i in range(n)), (True,) * n),
+        time_step=H, input_matrix=torch.eye(n, dtype=torch.float64), rollout=rollout, **more,
+    )  # fmt: skip
+    reference = SimpleNamespace(acceleration=lambda q, v, u: -q)
+    return model, *on_recordings(model, trajectories, reference)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_windows_show_prediction_measurement_and_reference(n):
+    model, _, found = recorded(n)
+    (figure,) = recordings.figures(model, found, "symo", "run")
+    assert len(figure.panels) == 3 * (n + 1)
+    for panel in figure.panels[: 3 * n]:
+        assert {one.source for one in panel.series()} == {"truth", "ours", "floor"}
+    errors = found.model.rmse(2.0)
+    chosen = recordings.ranking(found)
+    assert errors[chosen["best"]] == errors.min()
+    assert errors[chosen["worst"]] == errors.max()
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_dissipation_is_drawn_over_velocity_and_time(n):
+    model, _, found = recorded(n, dissipation=lambda q, v: -0.3 * v)
+    _, figure = recordings.figures(model, found, "symo", "run")
+    assert len(figure.panels) == 2 * n
+    for over_velocity in figure.panels[::2]:
+        assert torch.allclose(
+            torch.tensor(over_velocity.rows.y.dropna().to_numpy()),
+            torch.tensor(-0.3 * over_velocity.rows.x[over_velocity.rows.y.notna()].to_numpy()),
+        )
+
+
+@pytest.mark.parametrize("lost", [math.nan, 1e300])
+def test_what_is_lost_is_drawn_as_far_as_it_goes(lost, tmp_path):
+    model, measures, found = recorded(2, lost=lost, dissipation=lambda q, v: -0.3 * v)
+    assert measures["pooled_rmse_2s"] > 1e100
+    made = recordings.figures(model, found, "node", "lost")
+    assert [path.name for figure in made for path in save(figure, tmp_path, ["png"])] == [
+        "windows.png", "dissipation.png",
+    ]  # fmt: skip
+
+
+def test_the_table_has_no_rows_after_the_end_of_a_trajectory():
+    _, measures, found = recorded(2)
+    columns = found.columns()
+    assert columns["q_true_theta_1"].isfinite().all()
+    short = columns["trajectory"] == 1
+    assert short.sum() == 60 - 9
+    assert columns["window"].max() + 1 == measures["windows"]

@@ -1,0 +1,85 @@
+"""Runs on recordings: measured window by window, held to a reference, drawn."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from symo_exp.__main__ import main
+from symo_exp.runs.folder import RunFolder
+
+WORDS = [
+    "system=pendulum", "system.time_step=0.02", "data=recorded", "data.path=mine.csv",
+    "model=node", "model.width=8", "trainer.max_epochs=2", "logger=none",
+]  # fmt: skip
+
+
+@pytest.fixture
+def recordings(workplace):
+    """Four swings of 2.4 s of a pendulum, somebody's."""
+    t = 0.02 * np.arange(121)
+    swings = [a * np.cos(5.0 * t + a) for a in (1.0, 1.2, 1.4, 1.6)]
+    tables = [
+        pd.DataFrame({"trajectory": i, "t": t, "q_theta": q, "u_0": 0.1 * np.sin(t)})
+        for i, q in enumerate(swings)
+    ]
+    pd.concat(tables).to_csv("mine.csv", index=False)
+    return workplace
+
+
+def only(workplace) -> RunFolder:
+    (path,) = (workplace / "outputs" / "default").glob("*-*")
+    return RunFolder(path)
+
+
+def test_another_reference_measures_a_finished_run_again_and_does_not_train_it(
+    recordings, monkeypatch
+):
+    monkeypatch.setattr("symo_exp.evaluation.references.SUBSTEPS", 1)
+    assert main([*WORDS, "pictures=false"]) == 0
+    folder = only(recordings)
+    before = folder.measures()
+    assert before["rmse_2s"] > 0.0
+    assert before["windows"] >= 1.0
+    assert not [name for name in before if name.startswith("reference")]
+    trained = (folder / "checkpoints" / "last.ckpt").stat().st_mtime_ns
+
+    held = [*WORDS, "pictures=false", "reference=motor_pendulum"]
+    assert main(held) == 0
+    after = only(recordings).measures()
+    assert after["reference_rmse_2s"] > 0.0
+    assert {name: after[name] for name in before} == pytest.approx(before, nan_ok=True)
+    assert (folder / "checkpoints" / "last.ckpt").stat().st_mtime_ns == trained
+    measured = (folder / "metrics.json").stat().st_mtime_ns
+    assert main(held) == 0
+    assert (folder / "metrics.json").stat().st_mtime_ns == measured
+
+    table = pd.read_parquet(folder / "windows.parquet")
+    assert list(table) == [
+        "window", "trajectory", "start", "t",
+        "q_theta", "v_theta", "q_true_theta", "v_true_theta", "q_reference_theta",
+    ]  # fmt: skip
+    predicted = table[table.t > 0]
+    for who in ("", "reference_"):
+        error = (predicted[f"q_{who}theta"] - predicted.q_true_theta) ** 2
+        assert after[f"{who}pooled_rmse_2s"] == pytest.approx(math.sqrt(error.mean()))
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["reference=motor_double_pendulum"], "does not fit a system of 1 coordinate(s)"),
+        (["reference=free_triple_pendulum"], "does not fit a system of 1 coordinate(s)"),
+        (["reference=motor_pendulum", "reference.inertia=heavy"], "reference.inertia"),
+        (["reference=motor_pendulum", "reference.gears=2"], "reference.gears"),
+        (["reference=pendulum"], "motor_pendulum"),
+        (["reference=motor_pendulum", "data=simulated"], "data=recorded"),
+    ],
+)
+def test_a_reference_that_cannot_be_is_refused_before_any_work(words, wanted, recordings, capsys):
+    given = WORDS if "data=simulated" not in words else [*WORDS[:2], *WORDS[4:]]
+    assert main([*given, *words]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert wanted in line
+    assert not (recordings / "outputs").exists() or not [*recordings.glob("outputs/*/*/*.ckpt")]
