@@ -40,6 +40,9 @@ def recorded(n: int, lost: float = 0.0, **more: object):
     return model, *on_recordings(model, trajectories, reference)
 
 
+DAMPED = SimpleNamespace(force=lambda q, v: -0.3 * v)
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_windows_show_prediction_measurement_and_reference(n):
     model, _, found = recorded(n)
@@ -55,7 +58,7 @@ def test_windows_show_prediction_measurement_and_reference(n):
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_dissipation_is_drawn_over_velocity_and_time(n):
-    model, _, found = recorded(n, dissipation=lambda q, v: -0.3 * v)
+    model, _, found = recorded(n, dissipation=DAMPED)
     _, figure = recordings.figures(model, found, "symo", "run")
     assert len(figure.panels) == 2 * n
     for over_velocity in figure.panels[::2]:
@@ -67,7 +70,7 @@ def test_a_dissipation_is_drawn_over_velocity_and_time(n):
 
 @pytest.mark.parametrize("lost", [math.nan, 1e300])
 def test_what_is_lost_is_drawn_as_far_as_it_goes(lost, tmp_path):
-    model, measures, found = recorded(2, lost=lost, dissipation=lambda q, v: -0.3 * v)
+    model, measures, found = recorded(2, lost=lost, dissipation=DAMPED)
     assert measures["pooled_rmse_2s"] > 1e100
     made = recordings.figures(model, found, "node", "lost")
     assert [path.name for figure in made for path in save(figure, tmp_path, ["png"])] == [

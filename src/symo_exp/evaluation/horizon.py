@@ -96,10 +96,10 @@ class Predictions:
 
     def measures(self) -> dict[str, float]:
         """``rmse_<T>s``, ``pooled_rmse_<T>s`` [rad, m] and ``valid_s`` (docs/metrics.md)."""
-        found = {"valid_s": _median(self.valid_seconds())}
+        found = {"valid_s": median(self.valid_seconds())}
         for seconds in HORIZONS:
             name = f"rmse_{seconds:g}s"
-            found[name] = _median(self.rmse(seconds))
+            found[name] = median(self.rmse(seconds))
             found[f"pooled_{name}"] = self._until(seconds).nanmean().sqrt().item()
         return found
 
@@ -165,7 +165,7 @@ def _padded(pieces: Sequence[Tensor]) -> Tensor:
     return torch.nn.utils.rnn.pad_sequence(double, batch_first=True, padding_value=torch.nan)
 
 
-def _median(values: Tensor) -> float:
-    """The mean of the two in the middle where their number is even."""
+def median(values: Tensor) -> float:
+    """The median, the mean of the two in the middle where their number is even."""
     ordered = values.double().sort().values
     return (0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2])).item()

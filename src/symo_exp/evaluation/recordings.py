@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from symo_exp.evaluation.horizon import Predictions, cut, predict
+from symo_exp.evaluation.horizon import HORIZONS, Predictions, cut, median, predict
 from symo_exp.evaluation.protocols import Model
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
 from symo_exp.evaluation.starts import RollsOut
@@ -45,6 +46,23 @@ class Recorded:
             for i, name in enumerate(self.coordinates.names):
                 table[f"{field}_{name}"] = values[..., i]
         return {name: values[there] for name, values in table.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOutErrors:
+    """What a training on recordings is judged by: the geometric mean of the errors ``rmse_<T>s``
+    [rad, m] of a model's rollouts over held-out motions, from fitted starts.
+
+    Infinite where no motion has a window.
+    """
+
+    def __call__(self, model: Model, trajectories: Sequence[Trajectory]) -> float:
+        windows = cut(trajectories, model.time_step, run_in=True)
+        if windows is None:
+            return math.inf
+        found = predict(model, windows, model.time_step, model.input_matrix)
+        errors = [median(found.rmse(seconds)) for seconds in HORIZONS]
+        return math.prod(errors) ** (1 / len(errors))
 
 
 def on_recordings(

@@ -10,6 +10,7 @@ import lightning
 import torch
 from torch import Tensor
 
+from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.roots import RootFinder
@@ -62,6 +63,11 @@ class DynamicsModel(lightning.LightningModule):
     def lagrangian(self) -> Lagrangian | None:
         """The learned Lagrangian, where the method has one."""
         return self.flow.lagrangian
+
+    @property
+    def dissipation(self) -> Dissipation | None:
+        """The learned dissipation, where there is one."""
+        return getattr(self.lagrangian, "dissipation", None)
 
     def step(self, q: Array, v: Array, u: Array = None, u_next: Array = None) -> Step:
         """The state one time step later, differentiable in all arguments.

@@ -28,6 +28,9 @@ class Learner(DynamicsModel):
     and the statistics of the objective (``newton_iterations`` and ``newton_failed``, means over
     rows and steps, where roots are found). In ``compiled``, "training step" takes the place of
     ``uncompiled_training``, "validation" that of ``loss``.
+
+    ``val_loss`` is the loss on held-out samples, or what ``validation`` makes of the model and of
+    the held-out trajectories.
     """
 
     def __init__(
@@ -40,11 +43,13 @@ class Learner(DynamicsModel):
         scheduler: Callable[[Optimizer], LRScheduler] | None = None,
         scheduler_monitor: Literal["train_loss", "val_loss"] = "train_loss",
         gradient_clip: float | None = None,
+        validation: Callable[[DynamicsModel, Any], float] | None = None,
         **base: Any,
     ) -> None:
         super().__init__(flow, **base)
         if gradient_clip is not None and not gradient_clip > 0.0:
             raise ValueError(f"gradient_clip must be positive or null, got {gradient_clip}")
+        self._validation = validation
         self.objective, self.gradient_clip = objective, gradient_clip
         self.automatic_optimization = False
         self._optimizer, self._scheduler = optimizer, scheduler
@@ -102,7 +107,10 @@ class Learner(DynamicsModel):
         self._statistics = {}
         rate = optimizer.param_groups[0]["lr"]
         if isinstance(optimizer, EpochOptimizer):
-            results = optimizer.epoch(self, batches)
+            whole = optimizer.reads_trajectories
+            data: Any = self.trainer
+            given = data.datamodule.trajectories("train") if whole else batches
+            results = optimizer.epoch(self, given)
             self.trainer.should_stop |= optimizer.finished
         else:
             results = minibatches(optimizer, self, batches)
@@ -122,7 +130,11 @@ class Learner(DynamicsModel):
         self.trainer.callback_metrics["train_loss"] = mean
 
     def validation_step(self, windows: Windows, _: int) -> None:
-        loss = self.validation_loss(windows)
+        if self._validation is None:
+            loss = self.validation_loss(windows)
+        else:
+            data = self.trainer.datamodule  # type: ignore[attr-defined]
+            loss = torch.tensor(self._validation(self, data.trajectories(data.monitor)))
         self.log("val_loss", loss, batch_size=1)
         if self.trainer.sanity_checking:
             return

@@ -29,8 +29,8 @@ class LearnedDissipation(nn.Module, Dissipation):
     ``D = L Lᵀ`` is positive semidefinite, ``c = softplus(·) ≥ 0``; ``L_D`` is a network with one
     hidden tanh layer of ``width`` units that reads ``s(q)`` and ``v/5``, lower triangular. ``A``
     takes coordinates to joints: themselves, or with ``joints="neighbours"`` the differences
-    ``v₁, v₂ − v₁, …`` of a chain whose angles are absolute. ``ε_v`` is learned too; it starts at
-    ``rest_velocity`` [rad/s].
+    ``v₁, v₂ − v₁, …`` of a chain whose angles are absolute. ``ε_v`` is learned too, beginning at
+    ``rest_velocity`` and never below a fifth of it [rad/s]: a jump no root finder would like.
     """
 
     def __init__(
@@ -54,12 +54,13 @@ class LearnedDissipation(nn.Module, Dissipation):
         self.register_buffer("joints", chain if joints == "neighbours" else torch.eye(n), False)
         self._triangle = _Triangle(n)
         entries = self._triangle.entries
-        self.viscous = self.coulomb = self.log_rest = self.net = None
+        self.viscous = self.coulomb = self.rest = self.net = None
         if viscous:
             self.viscous = nn.Parameter(self._triangle.flat(math.sqrt(START) * torch.eye(n)))
         if coulomb:
             self.coulomb = nn.Parameter(torch.full((n,), math.log(math.expm1(START))))
-            self.log_rest = nn.Parameter(torch.full((n,), math.log(rest_velocity)))
+            self.rest = nn.Parameter(torch.zeros(n))
+            self._rest_velocity = rest_velocity
         if width > 0:
             self.embedding = Embedding(angular=coordinates.angular)
             inputs = self.embedding.size + n
@@ -67,9 +68,7 @@ class LearnedDissipation(nn.Module, Dissipation):
             with torch.no_grad():  # a product: at zero it would have no slope
                 self.net.weights[-1].mul_(0.1)
 
-        mark(
-            [p for p in (self.viscous, self.coulomb, self.log_rest) if p is not None], "coefficient"
-        )
+        mark([p for p in (self.viscous, self.coulomb) if p is not None], "coefficient")
         mark(self.net.parameters() if self.net is not None else (), "late")
 
     def force(
@@ -79,9 +78,10 @@ class LearnedDissipation(nn.Module, Dissipation):
         if self.viscous is not None:
             factor = self._triangle.square(_rows(self.viscous, len(v)))
             found = found - matvec(factor, vecmat(rate, factor))
-        if self.coulomb is not None and self.log_rest is not None:
+        if self.coulomb is not None and self.rest is not None:
             c = nn.functional.softplus(_rows(self.coulomb, len(v)))
-            found = found - c * torch.tanh(rate / _rows(self.log_rest, len(v)).exp())
+            rest = self._rest_velocity * (0.2 + 0.8 * _rows(self.rest, len(v)).exp())
+            found = found - c * torch.tanh(rate / rest)
         found = vecmat(found, self.joints)
         if self.net is not None:
             entries = self.net(torch.cat((self.embedding(q).x, v / VELOCITY), dim=1))

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Literal
 
 from torch import Tensor
 
-_ROLE = "symo_exp_role"
+Role = Literal["coefficient", "late"]
 
 
-def mark(parameters: Iterable[Tensor], role: str) -> None:
-    """Say that parameters are "coefficient"s (a physical number, not to be drawn to zero) or
-    "late" (best left alone until the others have found their place)."""
+def mark(parameters: Iterable[Tensor], role: Role) -> None:
+    """Say that parameters are "coefficient"s (physical numbers, not to be drawn to zero) or "late"
+    (best left alone until the others have found their place). Their present values are kept."""
     for parameter in parameters:
-        setattr(parameter, _ROLE, role)
+        vars(parameter)["symo_exp_role"] = role
+        vars(parameter)["symo_exp_start"] = parameter.detach().clone()
 
 
 def is_coefficient(parameter: Tensor) -> bool:
     """Whether a parameter is a physical number."""
-    return getattr(parameter, _ROLE, "") == "coefficient"
+    return vars(parameter).get("symo_exp_role") == "coefficient"
 
 
 def is_late(parameter: Tensor) -> bool:
     """Whether a parameter joins last."""
-    return getattr(parameter, _ROLE, "") == "late"
+    return vars(parameter).get("symo_exp_role") == "late"
+
+
+def start(parameter: Tensor) -> Tensor:
+    """The value that a marked parameter had."""
+    kept: Tensor = vars(parameter)["symo_exp_start"]
+    return kept.to(parameter)

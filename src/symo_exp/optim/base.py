@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import torch
 from jaxtyping import Float
@@ -45,6 +45,9 @@ class EpochOptimizer(Optimizer, ABC):
     ``patience`` losses that do not improve by a hundredth the training is ``finished``.
     """
 
+    reads_trajectories: ClassVar[bool] = False
+    """Whether ``epoch`` is given whole trajectories instead of mini batches."""
+
     def __init__(self, params: Iterable[Tensor], *, patience: int) -> None:
         if patience < 1:
             raise ConfigError(f"optimizer.patience={patience}: expected at least 1")
@@ -55,7 +58,7 @@ class EpochOptimizer(Optimizer, ABC):
         self.memory: dict[str, Any] = {"best": math.inf, "waited": 0, "weights": None}
 
     @abstractmethod
-    def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
+    def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
         """One epoch; returns at least ``train_loss``, here the loss that it began with."""
 
     def validated(self, loss: Tensor) -> None:

@@ -26,7 +26,8 @@ Force = Callable[[Tensor, Tensor], Tensor]
 def figures(model: Model, found: Recorded, method: str, title: str) -> list[Figure]:
     """The windows; where the model has a dissipation, what it does in them."""
     made = [windows(found, method, title)]
-    force: Force | None = getattr(model, "dissipation", None)
+    learned = getattr(model, "dissipation", None)
+    force: Force | None = learned and learned.force
     if force is not None:
         made.append(dissipation(model, force, found, method, title))
     return made

@@ -19,14 +19,16 @@ from symo_exp.runs.folder import CHECKPOINT, CONFIG
 HOMES = ("symo_exp.systems.", "symo_exp.models.", "symo_exp.mechanics.", "symo_exp.nets.")
 """Where the classes of a model come from. A run folder is data: it must not run anything else."""
 
+TRAINING = {"optimizer", "scheduler", "validation"}
+"""Settings of a model that it needs to be trained only."""
+
 
 def from_folder(
     folder: Path, dtype: torch.dtype | None = None, device: str | torch.device = "cpu"
 ) -> DynamicsModel:
     """In evaluation mode; ``dtype`` is that of the training unless given."""
     config = _read_config(folder / CONFIG)
-    # an optimizer and its schedule belong to the training
-    plan = {k: v for k, v in config["model"].items() if k not in ("optimizer", "scheduler")}
+    plan = {k: v for k, v in config["model"].items() if k not in TRAINING}
     _check([config["system"], plan], folder)
     system = hydra.utils.instantiate(config["system"])
     build = hydra.utils.instantiate({**plan, "_partial_": True})

@@ -1,0 +1,113 @@
+"""Residuals along trajectories: each reads three consecutive nodes, so that all is banded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.linalg import lapack
+from torch import Tensor
+
+from symo_exp.mechanics.types import Trajectory, Windows
+
+
+class Chain(NamedTuple):
+    """The nodes of trajectories of any lengths, one after another, and the windows over them.
+
+    ``x`` is what is measured at a node: the configuration, or with ``velocities`` the state.
+    """
+
+    x: Float[Tensor, "nodes d"]
+    u: Float[Tensor, "nodes m"]
+    centre: Int[Tensor, " windows"]
+    """The middle node of each window."""
+    n: int
+
+    @staticmethod
+    def of(trajectories: Sequence[Trajectory], *, velocities: bool) -> Chain:
+        """Windows go over every trajectory but not from one to the next."""
+        q, v, u = (torch.cat(fields) for fields in zip(*trajectories, strict=True))
+        ends = np.cumsum([len(t.q) for t in trajectories])
+        starts = ends - [len(t.q) for t in trajectories]
+        centre = torch.cat([torch.arange(a + 1, b - 1) for a, b in zip(starts, ends, strict=True)])
+        x = torch.cat((q, v), dim=1) if velocities else q
+        return Chain(x, u, centre, q.shape[1])
+
+    def stencil(self, x: Float[Tensor, "nodes d"]) -> tuple[Tensor, Tensor, Tensor]:
+        """The three nodes of every window, (windows, d) each."""
+        return x[self.centre - 1], x[self.centre], x[self.centre + 1]
+
+    def windows(self, before: Tensor, at: Tensor, after: Tensor) -> Windows:
+        """Samples whose three nodes are these; without velocities these are zero."""
+        n, none = self.n, torch.zeros_like(at[:, : self.n])
+        v, v_next = (x[:, n:] if x.shape[1] > n else none for x in (at, after))
+        u = (self.u[self.centre + shift] for shift in (-1, 0, 1))
+        return Windows(before[:, :n], at[:, :n], after[:, :n], v, v_next, *u)
+
+    def spread(
+        self, jacobians: Sequence[Float[Tensor, "windows k d"]], y: Float[Tensor, "windows k"]
+    ) -> Float[Tensor, "nodes d"]:
+        """``Jᵀ y`` with the derivatives of every window in its three nodes."""
+        total = torch.zeros_like(self.x)
+        for shift, jacobian in zip((-1, 0, 1), jacobians, strict=True):
+            total.index_add_(0, self.centre + shift, (jacobian * y.unsqueeze(-1)).sum(1))
+        return total
+
+    def apply(
+        self, jacobians: Sequence[Float[Tensor, "windows k d"]], x: Float[Tensor, "nodes d"]
+    ) -> Float[Tensor, "windows k"]:
+        """``J x``."""
+        parts = zip(jacobians, self.stencil(x), strict=True)
+        return sum(((j * y.unsqueeze(1)).sum(-1) for j, y in parts), torch.zeros(()).to(x))
+
+    def factor(self, jacobians: Sequence[Float[Tensor, "windows k d"]], own: float) -> BandFactor:
+        """The Cholesky factor of ``J Jᵀ + own I``; windows two apart share a node at most."""
+        a, b, c = jacobians
+        joined = self.centre.diff() == 1  # windows of one trajectory
+        second = joined[1:] & joined[:-1]
+        blocks = (
+            a @ a.mT + b @ b.mT + c @ c.mT,
+            (a[1:] @ b[:-1].mT + b[1:] @ c[:-1].mT) * joined.view(-1, 1, 1),
+            (a[2:] @ c[:-2].mT) * second.view(-1, 1, 1),
+        )
+        return BandFactor(blocks, own)
+
+
+class BandFactor:
+    """``S = L Lᵀ`` of a symmetric matrix of blocks ``(k, k)``, ``(k+1, k)`` and ``(k+2, k)``."""
+
+    def __init__(self, blocks: Sequence[Float[Tensor, "blocks m m"]], own: float) -> None:
+        """``own`` is added to the diagonal. Raises ``ArithmeticError`` where there is no factor."""
+        count, m, _ = blocks[0].shape
+        self._like, self._shape = blocks[0], (count, m)
+        band = np.zeros((len(blocks) * m, count, m))
+        for offset, block in enumerate(blocks):
+            values = block.numpy()
+            for i in range(m):
+                for j in range(m):
+                    if offset * m + i >= j:
+                        band[offset * m + i - j, : len(values), j] = values[:, i, j]
+        flat = np.asfortranarray(band.reshape(len(blocks) * m, -1))
+        flat[0] += own
+        self._band, info = lapack.dpbtrf(flat, lower=1, overwrite_ab=1)
+        if info != 0:
+            raise ArithmeticError("the matrix is not positive definite")
+
+    def whiten(self, x: Float[Tensor, "blocks m *k"]) -> Tensor:
+        """``L⁻¹ x``."""
+        return self._solve(x, b"N")
+
+    def solve(self, x: Float[Tensor, "blocks m"]) -> Float[Tensor, "blocks m"]:
+        """``S⁻¹ x``."""
+        return self._solve(self._solve(x, b"N"), b"T").view(self._shape)
+
+    def _solve(self, x: Tensor, transposed: bytes) -> Tensor:
+        rows = x.reshape(self._shape[0] * self._shape[1], -1).numpy()
+        found, info = lapack.dtbtrs(self._band, rows, uplo=b"L", trans=transposed)
+        if info != 0:
+            raise ArithmeticError("the matrix is singular")
+        result = torch.from_numpy(np.ascontiguousarray(found))
+        return result.squeeze(1) if x.ndim <= 2 and result.shape[1] == 1 else result

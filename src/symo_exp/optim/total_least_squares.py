@@ -1,0 +1,136 @@
+"""Total least squares along noisy trajectories: stages, and what is remembered between epochs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Trajectory
+from symo_exp.nets.roles import is_coefficient, is_late, start
+from symo_exp.optim.banded import Chain
+from symo_exp.optim.base import EpochOptimizer, Problem
+from symo_exp.optim.smoothing import FLAT, Smoothing, smoothed
+
+
+class Stage(NamedTuple):
+    """Some epochs at one ``ε``; ``None``: the nodes are held where smoothing left them."""
+
+    epsilon: float | None
+    late: bool
+    """Whether the late parameters move as well."""
+
+
+class TotalLeastSquares(EpochOptimizer):
+    """``min Σ|x − y|²/σ² + Σ|r|²/(ε σ)² + Σ_g α_g |θ_g|²`` over the nodes ``x`` and parameters.
+
+    ``y`` are the measured nodes of all trajectories, ``r(x; θ)`` the residuals of the model on
+    three consecutive ones: the noise in the data is estimated with the model instead of being
+    learned (errors in variables, a weak constraint). See ``smoothing.Smoothing`` for a step.
+
+    The nodes are smoothed first. In the first epoch the parameters take ``warm_up`` steps of Adam,
+    its ``rate`` along a half cosine, then they are improved for the rest of ``start`` epochs with
+    the nodes held. Each ε of ``epsilons`` has ``epochs``. Where a model has late parameters, these
+    are zero so far; they join in a second round, with each ``ε ≤ late_from``. The parameters that
+    are best on held-out data are kept, wherever they come from.
+    """
+
+    reads_trajectories = True
+
+    def __init__(
+        self,
+        params: Iterable[Tensor],
+        *,
+        epsilons: Sequence[float] = (1.0, 0.3, 0.1, 0.03),
+        start: int = 15,
+        epochs: int = 15,
+        late_from: float = 0.3,
+        warm_up: int = 300,
+        rate: float = 1e-2,
+        damping: float = 1e-2,
+        trials: int = 14,
+        velocity_weight: float = 1.0,
+        seed: int = 0,
+    ) -> None:
+        """``velocity_weight`` is the noise of velocities over that of configurations [1/s]."""
+        super().__init__(params, patience=10**9)
+        counts = ("start", start), ("epochs", epochs), ("trials", trials)
+        sizes = ("damping", damping), ("rate", rate), ("velocity_weight", velocity_weight)
+        for name, value in (*counts, *sizes, *(("epsilons", e) for e in epsilons)):
+            if not value > 0:
+                raise ConfigError(f"optimizer.{name}={value}: expected a number above 0")
+        if any(p.dtype != torch.float64 for p in self.parameters):
+            raise ConfigError("total least squares squares its condition: it needs dtype=float64")
+        self.start, self.epochs, self.trials, self.damping = start, epochs, trials, damping
+        self.warm_up, self.rate, self.seed = warm_up, rate, seed
+        self.velocity_weight = velocity_weight
+        late = any(map(is_late, self.parameters))
+        rounds = [Stage(e, False) for e in epsilons]
+        again = [Stage(e, True) for e in epsilons if e <= late_from] if late else []
+        self.stages = [Stage(None, False), *rounds, *again]
+        precision = [FLAT if is_coefficient(p) else 1.0 for p in self.parameters]
+        self.memory |= {
+            "epoch": 0,
+            "damping": damping,
+            "nodes": None,
+            "noise": 1.0,
+            "precision": torch.tensor(precision, dtype=torch.float64),
+        }
+
+    @property
+    def total_epochs(self) -> int:
+        """How many epochs all stages have."""
+        return self.start + self.epochs * (len(self.stages) - 1)
+
+    def stage(self, epoch: int) -> Stage:
+        """That of an epoch, the first being 0."""
+        return self.stages[0 if epoch < self.start else 1 + (epoch - self.start) // self.epochs]
+
+    def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
+        """One accepted step; ``batches`` are whole trajectories."""
+        trajectories: Sequence[Trajectory] = batches
+        chain, memory = Chain.of(trajectories, velocities=model.reads_velocity), self.memory
+        epoch = memory["epoch"]
+        stage = self.stage(epoch)
+        before = self.stage(epoch - 1) if epoch else None
+        if before is None:
+            memory["nodes"] = smoothed(trajectories, model.reads_velocity)
+            self._set_late(to_start=False)
+            self._warm(model, chain)
+        elif before != stage:
+            memory["damping"] = min(memory["damping"], self.damping)
+            if stage.late and not before.late:
+                self._set_late(to_start=True)
+        memory["epoch"] = epoch + 1
+        found = Smoothing(self, model, chain, stage.epsilon, late=stage.late).step()
+        self.finished = memory["epoch"] >= self.total_epochs
+        return {name: torch.tensor(x, dtype=torch.float64) for name, x in found.items()}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        super().load_state_dict(state_dict)
+        self.finished = self.memory["epoch"] >= self.total_epochs
+
+    @torch.no_grad()
+    def _set_late(self, *, to_start: bool) -> None:
+        """Late parameters to where they start, or to zero."""
+        for p in filter(is_late, self.parameters):
+            p.copy_(start(p) if to_start else torch.zeros_like(p))
+
+    def _warm(self, model: Problem, chain: Chain) -> None:
+        """Adam on the smoothed nodes: into the basin that the second-order steps refine."""
+        if self.warm_up < 1:
+            return
+        samples = chain.windows(*chain.stencil(self.memory["nodes"]))
+        early = [p for p in self.parameters if not is_late(p)]
+        adam = torch.optim.Adam(early, lr=self.rate)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, self.warm_up)
+        generator = torch.Generator().manual_seed(self.seed)
+        for _ in range(self.warm_up):
+            rows = torch.randint(0, len(samples.q), (256,), generator=generator)
+            model.loss_and_gradients(samples.rows(rows))
+            if all(p.grad is None or bool(p.grad.isfinite().all()) for p in early):
+                adam.step()
+            schedule.step()

@@ -1,0 +1,186 @@
+"""Total least squares: bands, what it recovers from noise, stages, and resuming."""
+
+import copy
+
+import pytest
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.models.l_node import LNODE
+from symo_exp.models.objectives import PreconditionedResidual
+from symo_exp.models.symo import SyMo
+from symo_exp.models.true import TrueVariational
+from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.optim.banded import Chain
+from symo_exp.optim.total_least_squares import TotalLeastSquares
+from tests.chain import ChainPendulum
+from tests.tables import explicit_integrators
+
+H = 0.05
+NOISE = 5e-3
+ROOT = Newton(tolerance=1e-11, max_iterations=30)
+
+
+def lengths(*nodes, n=2, noise=0.0):
+    """Trajectories of a damped chain under a constant torque, of these lengths."""
+    truth = DissipativeLagrangian(
+        ChainPendulum(n), Friction(0.2 * torch.eye(n).double(), torch.full((n,), 0.3), 0.1)
+    )
+    system = ChainPendulum(n)
+    model = TrueVariational(
+        lagrangian=truth, coordinates=system.coordinates, input_matrix=system.input_matrix,
+        time_step=H, integrator=Galerkin(stages=2), root=ROOT, evaluation_dtype="float64",
+    ).double()  # fmt: skip
+    generator = torch.Generator().manual_seed(7)
+    q, v, u = torch.randn(3, len(nodes), n, dtype=torch.float64, generator=generator)
+    inputs = (3.0 * u).unsqueeze(1).expand(-1, max(nodes), -1)
+    path = model.rollout(q, v, inputs)
+    error = noise * torch.randn(path.q.shape, dtype=torch.float64, generator=generator)
+    found = zip(path.q + error, path.v, inputs, nodes, strict=True)
+    return [Trajectory(q[:k], v[:k], u[:k]) for q, v, u, k in found]
+
+
+def symo(n=2, **settings):
+    torch.manual_seed(0)
+    system = ChainPendulum(n)
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        return SyMo(
+            coordinates=system.coordinates, input_matrix=system.input_matrix, time_step=H,
+            objective=PreconditionedResidual(), integrator=Galerkin(stages=2), root=ROOT,
+            width=4, depth=1, harmonics=2, **settings,
+        )  # fmt: skip
+    finally:
+        torch.set_default_dtype(before)
+
+
+def friction(**settings):
+    return lambda *, coordinates: LearnedDissipation(
+        coordinates=coordinates, viscous=True, coulomb=True, **settings
+    )
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_the_band_is_that_of_the_whole_matrix(d):
+    """``J Jᵀ + ε² I`` over trajectories of several lengths, and its Cholesky factor."""
+    trajectories = [
+        Trajectory(*(torch.randn(k, w, dtype=torch.float64) for w in (d, d, 0))) for k in (3, 7, 4)
+    ]
+    chain = Chain.of(trajectories, velocities=False)
+    windows, k = len(chain.centre), 2
+    jacobians = [torch.randn(windows, k, d, dtype=torch.float64) for _ in range(3)]
+    whole = torch.zeros(windows, k, len(chain.x), d, dtype=torch.float64)
+    for shift, jacobian in zip((-1, 0, 1), jacobians, strict=True):
+        whole[torch.arange(windows), :, chain.centre + shift] = jacobian
+    matrix = whole.flatten(2).flatten(0, 1)
+    assert windows == 1 + 5 + 2
+    x, y = torch.randn_like(chain.x), torch.randn(windows, k, dtype=torch.float64)
+    torch.testing.assert_close(chain.apply(jacobians, x).flatten(), matrix @ x.flatten())
+    torch.testing.assert_close(chain.spread(jacobians, y).flatten(), matrix.T @ y.flatten())
+    full = matrix @ matrix.T + 0.09 * torch.eye(len(matrix), dtype=torch.float64)
+    factor = chain.factor(jacobians, 0.09)
+    torch.testing.assert_close(factor.solve(y).flatten(), torch.linalg.solve(full, y.flatten()))
+    white = factor.whiten(torch.eye(len(matrix), dtype=torch.float64).view(windows, k, -1))
+    torch.testing.assert_close(white, torch.linalg.cholesky(full).inverse(), atol=1e-9, rtol=1e-9)
+
+
+def train(model, trajectories, **settings):
+    optimizer = TotalLeastSquares(model.parameters(), **settings)
+    found = []
+    while not optimizer.finished:
+        found.append(optimizer.epoch(model, trajectories))
+    return optimizer, found
+
+
+@pytest.fixture(scope="module")
+def smoothed():
+    """A pendulum learned from noisy configurations: data without and with noise, and the result."""
+    nodes = (60, 80, 50, 70)
+    clean, noisy = lengths(*nodes, n=1), lengths(*nodes, n=1, noise=NOISE)
+    model = symo(1, dissipation=friction())
+    optimizer, found = train(model, noisy, epsilons=(0.3, 0.1), epochs=10, warm_up=100)
+    return model, clean, noisy, optimizer, found
+
+
+def test_friction_and_noise_are_recovered_from_configurations_alone(smoothed):
+    """D = 0.2 and c = 0.3; forced, so that the scale is determined."""
+    model, *_, found = smoothed
+    assert float(found[-1]["noise_estimate"]) == pytest.approx(NOISE, rel=0.3)
+    v = torch.tensor([[1.0], [3.0]], dtype=torch.float64)
+    force = model.dissipation.force(torch.zeros_like(v), v)
+    torch.testing.assert_close(force, -0.2 * v - 0.3, rtol=0.05, atol=0)
+
+
+def test_the_nodes_are_nearer_to_the_truth_than_the_data(smoothed):
+    _, clean, noisy, optimizer, _ = smoothed
+    truth, data = (torch.cat([t.q for t in x]) for x in (clean, noisy))
+    error, before = (optimizer.memory["nodes"] - truth).std(), (data - truth).std()
+    assert error < 0.5 * before
+
+
+def test_a_step_never_raises_the_objective_and_ends_by_itself():
+    _, found = train(symo(1), lengths(20, 20, n=1), epsilons=(1.0,), start=6, epochs=4, warm_up=20)
+    losses = [float(x["train_loss"]) for x in found[:6]]
+    assert losses == sorted(losses, reverse=True)
+    assert len(found) == 10
+
+
+def test_late_parameters_are_zero_until_their_stage():
+    model = symo(1, dissipation=friction(width=3))
+    net = list(model.dissipation.net.parameters())
+    optimizer = TotalLeastSquares(
+        model.parameters(), epsilons=(1.0, 0.3), start=2, epochs=2, warm_up=5
+    )
+    trajectories, seen = lengths(20, 20, n=1), []
+    while not optimizer.finished:
+        optimizer.epoch(model, trajectories)
+        seen.append(any(bool(p.any()) for p in net))
+    assert seen == [False] * 6 + [True] * 2
+
+
+def test_it_goes_on_from_what_it_remembers_bit_for_bit():
+    trajectories = lengths(20, 25, noise=1e-3)
+    settings = {"epsilons": (1.0, 0.3), "start": 3, "epochs": 3, "warm_up": 10}
+    model = symo(dissipation=friction(width=2))
+    optimizer = TotalLeastSquares(model.parameters(), **settings)
+    kept = None
+    while not optimizer.finished:
+        if optimizer.memory["epoch"] == 7:
+            kept = copy.deepcopy((optimizer.state_dict(), model.state_dict()))
+        optimizer.epoch(model, trajectories)
+    again = symo(dissipation=friction(width=2))
+    resumed = TotalLeastSquares(again.parameters(), **settings)
+    again.load_state_dict(kept[1])
+    resumed.load_state_dict(kept[0])
+    while not resumed.finished:
+        resumed.epoch(again, trajectories)
+    assert torch.equal(resumed.flat(), optimizer.flat())
+    assert torch.equal(resumed.memory["nodes"], optimizer.memory["nodes"])
+
+
+def test_a_method_that_reads_velocities_has_states_for_nodes():
+    torch.manual_seed(0)
+    model = LNODE(
+        coordinates=Coordinates(("a", "b"), (True, True)), width=4, time_step=H,
+        input_matrix=ChainPendulum(2).input_matrix, integrator=explicit_integrators()["rk4"],
+    ).double()  # fmt: skip
+    trajectories = lengths(20, 20, noise=1e-3)
+    optimizer, found = train(model, trajectories, epsilons=(1.0,), start=4, epochs=3, warm_up=10)
+    assert optimizer.memory["nodes"].shape == (40, 4)
+    assert float(found[-1]["train_loss"]) < float(found[0]["train_loss"])
+
+
+@pytest.mark.parametrize("wrong", [{"epsilons": (1.0, 0.0)}, {"start": 0}, {"velocity_weight": -1}])
+def test_bad_settings_are_refused_in_a_line(wrong):
+    with pytest.raises(ConfigError, match=f"optimizer.{next(iter(wrong))}"):
+        TotalLeastSquares(symo().parameters(), **wrong)
+
+
+def test_single_precision_is_refused():
+    with pytest.raises(ConfigError, match="float64"):
+        TotalLeastSquares(symo().float().parameters())
