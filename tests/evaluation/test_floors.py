@@ -1,5 +1,6 @@
 """The true Lagrangian in an integrator: what is left is that integrator's own error."""
 
+import dataclasses
 import functools
 
 import pytest
@@ -59,6 +60,24 @@ def test_the_one_step_error_of_the_truth_is_the_known_floor_of_the_integrator(na
     # half a step of mismatch, not the motion, is what finite differences measure
     assert midpoint["energy_mse"] < 0.1 * midpoint["energy_mse_fd"]
     assert torch.get_default_dtype() == torch.float32
+
+
+def test_a_true_system_with_friction_has_its_floor_too_and_loses_the_energy_it_should():
+    system = dataclasses.replace(systems()["cartpole"], viscous=[0.3, 0.01], coulomb=[0.1, 0.0])
+    sets = TrajectoryData(
+        system=system, n_traj=1, n_val=1, n_test=32, n_train_max=1, n_integration=4,
+        integration_steps=60, dtype="float64",
+    )  # fmt: skip
+    sets.setup("test")
+    frictionless = dict(given(system), lagrangian=systems()["cartpole"])
+    found, without = (
+        evaluate(TrueVariational(integrator=Galerkin(stages=2), root=ROOT, **one), system, sets)
+        for one in (given(system), frictionless)
+    )
+    assert found.measures["test_mse"] < 1e-3 * without.measures["test_mse"]
+    assert found.measures["energy_mse"] < 1e-4 * without.measures["energy_mse"]
+    energy = found.rollouts.energy_true
+    assert (energy[:, -1] < energy[:, 0]).all()
 
 
 @pytest.mark.parametrize("name", FLOORS)

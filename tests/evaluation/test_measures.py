@@ -25,7 +25,7 @@ def test_rollout_errors_keep_trajectories_apart():
     predicted = torch.tensor([[[1.0], [3.0]], [[0.0], [2.0]]])
     assert measures.rollout_mse(predicted, torch.zeros(2, 2, 1)).tolist() == [5.0, 2.0]
     energy = torch.tensor([[2.0, 4.0], [1.0, 1.0]])
-    assert measures.rollout_energy_mse(energy, torch.tensor([1.0, 1.0])).tolist() == [5.0, 0.0]
+    assert measures.rollout_energy_mse(energy, torch.ones_like(energy)).tolist() == [5.0, 0.0]
 
 
 def test_a_prediction_is_valid_until_its_error_first_exceeds_a_tenth():

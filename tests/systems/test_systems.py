@@ -11,18 +11,22 @@ import torch
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
+from symo_exp.evaluation.rollouts import along
+from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.acrobot import Acrobot
 from symo_exp.systems.base import LagrangianSystem, SamplingBox
 from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.pendulum import Pendulum
+from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
 from tests.systems.every import SYSTEMS, points
 from tests.tables import systems as configured
 from tests.unknown import Unknown
 
+FRICTION = {"viscous": [0.1, 0.2], "coulomb": [0.0, 0.3]}
 every_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
@@ -133,7 +137,8 @@ def test_declarations_agree(name: str) -> None:
     assert len(system.coordinates.names) == len(system.coordinates.angular) == n
     assert len(set(system.coordinates.names)) == n
     assert [len(ranges) for ranges in system.box] == [n, n, m]
-    own = {field.name for field in dataclasses.fields(system)} - {"time_step", "box", "links"}
+    shared = {field.name for field in dataclasses.fields(LagrangianSystem)} | {"links"}
+    own = {field.name for field in dataclasses.fields(system)} - shared
     assert set(system.units()) == own
     assert all(system.units().values())
 
@@ -229,12 +234,37 @@ def test_the_table_is_the_folder_of_the_configuration() -> None:
 
 
 def test_whatever_decides_the_motion_is_in_the_identity() -> None:
-    system = stated("cartpole")
-    assert system.identity() == stated("cartpole").identity()
+    system = stated("cartpole", viscous=[0.1, 0.2], coulomb=[0.0, 0.3])
+    assert system.identity() == stated("cartpole", **FRICTION).identity()
     for field in dataclasses.fields(system):
         value = getattr(system, field.name)
-        other = value._replace(u=((-1.0, 1.0),)) if field.name == "box" else 1.01 * value
-        assert stated("cartpole", **{field.name: other}).identity() != system.identity()
+        if field.name == "box":
+            other = value._replace(u=((-1.0, 1.0),))
+        else:
+            other = tuple(1.01 * x for x in value) if isinstance(value, tuple) else 1.01 * value
+        assert stated("cartpole", **FRICTION | {field.name: other}).identity() != system.identity()
+
+
+@every_system
+def test_friction_joins_the_forces_and_takes_energy(name: str) -> None:
+    system = SYSTEMS[name]
+    n = system.coordinates.n
+    d, c = [0.1 * (i + 1) for i in range(n)], [0.2] * n
+    damped = dataclasses.replace(system, viscous=d, coulomb=c)
+    q, v, u = points(system)
+    force = -torch.tensor(d) * v - 0.2 * torch.tanh(v / 0.05)
+    expected = acceleration(system, q, v, generalised_force(system.input_matrix, u) + force)
+    torch.testing.assert_close(damped.acceleration(q, v, u), expected)
+    at_rest = torch.zeros_like(u[:4])
+    path = simulate(damped, q[:4], v[:4], at_rest, 20, Solver())
+    energy = along(damped.energy, path.q, path.v)
+    assert (energy.diff(dim=1) < 0).all()
+
+
+@pytest.mark.parametrize("given", [[0.1], [0.1, -0.2], 0.1, [0.1, math.nan]])
+def test_friction_coefficients_are_one_for_each_coordinate(given: object) -> None:
+    with pytest.raises(ConfigError, match=r"system\.viscous=.*2 number"):
+        stated("cartpole", viscous=given)
 
 
 def test_what_is_not_known_of_a_system_is_none() -> None:

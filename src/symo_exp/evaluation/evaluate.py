@@ -16,6 +16,7 @@ from symo_exp.evaluation.protocols import Data, Model
 from symo_exp.evaluation.recordings import Recorded, on_recordings
 from symo_exp.evaluation.references import Reference
 from symo_exp.evaluation.rollouts import CHUNK, Rollouts, along, roll_out
+from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Windows
 from symo_exp.systems.base import System
@@ -96,19 +97,22 @@ def rollout(case: Case) -> dict[str, float]:
 
 
 def energy(case: Case) -> dict[str, float]:
-    """Distance of the true energy from the start's; under an input nothing is conserved."""
+    """Distance of the true energy from the start's, or where friction takes it from that of the
+    true motion; under an input nothing is conserved."""
     motion = case.rollouts
     driven = case.data.integration.u.any()
     if case.truth is None or motion.energy is None or motion.energy_true is None or driven:
         return {}
-    initial = motion.energy_true[:, 0]
+    expected = motion.energy_true[:, 1:]
+    if not isinstance(case.truth, DissipativeLagrangian):
+        expected = motion.energy_true[:, :1].expand_as(expected)
     found = measures.mean_and_std(
-        "energy", measures.rollout_energy_mse(motion.energy[:, 1:], initial)
+        "energy", measures.rollout_energy_mse(motion.energy[:, 1:], expected)
     )
     if not case.model.reads_velocity:
         v = measures.finite_difference_velocity(motion.q, motion.time_step)
         values = along(case.truth.energy, motion.q[:, 1:], v)
-        found["energy_mse_fd"] = measures.rollout_energy_mse(values, initial).mean().item()
+        found["energy_mse_fd"] = measures.rollout_energy_mse(values, expected).mean().item()
     return found
 
 

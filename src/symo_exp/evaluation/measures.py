@@ -48,10 +48,13 @@ def valid_steps(
 
 
 def rollout_energy_mse(
-    energy: Float[Tensor, "trajectories steps"], initial: Float[Tensor, " trajectories"]
+    energy: Float[Tensor, "trajectories steps"], expected: Float[Tensor, "trajectories steps"]
 ) -> Float[Tensor, " trajectories"]:
-    """``mean_t (E(q̂_t, v̂_t) − E₀)²`` [J²] of each trajectory, ``E`` of the true system."""
-    return squared_error(energy, initial[:, None]).mean(1)
+    """``mean_t (E(q̂_t, v̂_t) − E_t)²`` [J²] of each trajectory, ``E`` of the true system.
+
+    ``E_t`` is the energy at the start, which is kept, or that of the true motion under friction.
+    """
+    return squared_error(energy, expected).mean(1)
 
 
 def rollout_inertia_mse(

@@ -17,14 +17,20 @@ from symo_exp.models.fields import EulerLagrangeAcceleration
 class TrueVariational(VariationalModel):
     """A given Lagrangian in a variational integrator: what SyMo and E2E-SyMo would best be."""
 
-    def __init__(self, *, lagrangian: Lagrangian, width: int | None = None, **base: Any) -> None:
-        super().__init__(lagrangian, **base)
+    def __init__(self, *, lagrangian: Any, width: int | None = None, **base: Any) -> None:
+        super().__init__(_of(lagrangian), **base)
 
 
 class TrueOde(ExplicitModel):
     """A given Lagrangian in a Runge-Kutta method: what L-NODE, and NODE, would best be."""
 
     def __init__(
-        self, *, lagrangian: Lagrangian, input_matrix: Tensor, width: int | None = None, **base: Any
+        self, *, lagrangian: Any, input_matrix: Tensor, width: int | None = None, **base: Any
     ) -> None:
-        super().__init__(EulerLagrangeAcceleration(lagrangian, input_matrix), **base)
+        super().__init__(EulerLagrangeAcceleration(_of(lagrangian), input_matrix), **base)
+
+
+def _of(given: Any) -> Lagrangian:
+    """A Lagrangian, or that of a system, which knows its friction."""
+    found: Lagrangian = getattr(given, "lagrangian", given)
+    return found

@@ -58,8 +58,9 @@ class Smoothing:
 
     eliminate the nodes, ``(J_θᵀ S⁻¹ J_θ + σ² α + λ diag) δ = −J_θᵀ S⁻¹ e − σ² α θ`` moves the
     parameters, and ``x = y − J_xᵀ S⁻¹ (e + J_θ δ)`` puts the nodes back, once more with the
-    residuals there. A step that lowers the objective is taken. ``S`` is banded: all takes time
-    linear in the nodes.
+    residuals there. A step that lowers the objective is taken; after some that do not the nodes,
+    too, go a part of their way only, for dry friction bends the residuals within a step. ``S`` is
+    banded: all takes time linear in the nodes.
 
     Noise and priors, a group for each parameter tensor, come from the evidence (MacKay 1992):
     ``γ_g = Σ_{i∈g} 1 − α_g (G/σ² + α)⁻¹ᵢᵢ``, ``α_g = γ_g/|θ_g|²``, ``σ² = χ²/(M − γ)``.
@@ -88,7 +89,9 @@ class Smoothing:
             delta, foreseen = self._update(at, theta)
             if delta is not None:
                 owner.place(theta + delta)
-                there, r_there = self._arrived(at, delta)
+                there = x + min(1.0, 0.5 ** (trial - 2)) * (self._arrived(at, delta) - x)
+                with torch.no_grad():
+                    r_there = self._residuals(self._chain.stencil(there))
                 objective = self._objective(there, r_there, theta + delta)
                 if objective < before:
                     gain = (before - objective) / max(foreseen, 1e-300)
@@ -158,8 +161,8 @@ class Smoothing:
             return held
         return self._chain.x - self._weight * self._chain.spread(at.by_x, at.factor.solve(e))
 
-    def _arrived(self, at: Linear, delta: Tensor) -> tuple[Tensor, Tensor]:
-        """The nodes that go with the parameters in place, and the residuals there."""
+    def _arrived(self, at: Linear, delta: Tensor) -> Tensor:
+        """The nodes that go with the parameters in place."""
         x = self._nodes(at, at.e + at.by_theta @ delta)
         if at.factor is not None:
             r, _, by_x = self._differentiated(x, ())
@@ -168,8 +171,7 @@ class Smoothing:
                 x = self._nodes(at._replace(by_x=by_x, factor=factor), e)
             except ArithmeticError:  # too far: the objective will say so
                 pass
-        with torch.no_grad():
-            return x, self._residuals(self._chain.stencil(x))
+        return x
 
     def _objective(self, x: Tensor, r: Tensor, theta: Tensor) -> float:
         """``σ²`` times what is minimised."""

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
 from symo_exp.mechanics.types import Coordinates
@@ -117,16 +118,42 @@ class System(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class LagrangianSystem(System, Lagrangian):
-    """A system whose Lagrangian is known: ``d/dt ∂ℒ/∂v − ∂ℒ/∂q = B u``.
+    """A system whose Lagrangian is known: ``d/dt ∂ℒ/∂v − ∂ℒ/∂q = F_d + B u``.
 
-    A subclass gives ``mass_matrix`` and ``potential`` and, to be drawn, ``skeleton``.
+    A subclass gives ``mass_matrix`` and ``potential`` and, to be drawn, ``skeleton``. Friction is
+    ``F_d = −d ∘ v − c ∘ tanh(v / ε_v)`` with coefficients for every coordinate: ``viscous`` d
+    [N m s], ``coulomb`` c [N m] and ``rest_velocity`` ε_v [rad/s]; without them there is none.
     """
 
     box: SamplingBox = field()  # without it there is nothing to simulate
+    viscous: tuple[float, ...] | None = None
+    coulomb: tuple[float, ...] | None = None
+    rest_velocity: float = 0.05
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        n = self.coordinates.n
+        for name in ("viscous", "coulomb"):
+            given = getattr(self, name)
+            if given is not None:
+                vars(self)[name] = _coefficients(name, given, n)
+        vars(self)["rest_velocity"] = real("system.rest_velocity", self.rest_velocity, above=0)
+
+    @cached_property
+    def lagrangian(self) -> Lagrangian:
+        """The true Lagrangian, with the friction where there is any."""
+        if not self._friction:
+            return self
+        none = (0.0,) * self.coordinates.n
+        d, c = (torch.tensor(x or none, dtype=torch.float64) for x in (self.viscous, self.coulomb))
+        return DissipativeLagrangian(self, Friction(torch.diag(d), c, self.rest_velocity))
 
     @property
-    def lagrangian(self) -> Lagrangian:
-        return self
+    def _friction(self) -> dict[str, object]:
+        """The coefficients that are not zero."""
+        given = {"viscous": self.viscous, "coulomb": self.coulomb}
+        found: dict[str, object] = {name: list(x) for name, x in given.items() if x and any(x)}
+        return found | ({"rest_velocity": self.rest_velocity} if "coulomb" in found else {})
 
     def acceleration(
         self,
@@ -134,8 +161,8 @@ class LagrangianSystem(System, Lagrangian):
         v: Float[Tensor, "batch n"],
         u: Float[Tensor, "batch m"],
     ) -> Float[Tensor, "batch n"]:
-        """``v̇ = H⁻¹ (B u − Ḣ v + ∂ℒ/∂q)``."""
-        return acceleration(self, q, v, generalised_force(self.input_matrix.to(u), u))
+        """``v̇ = H⁻¹ (B u + F_d − Ḣ v + ∂ℒ/∂q)``."""
+        return acceleration(self.lagrangian, q, v, generalised_force(self.input_matrix.to(u), u))
 
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
         """The terms of the equations of motion; without a graph where none is wanted."""
@@ -153,8 +180,10 @@ class LagrangianSystem(System, Lagrangian):
     def identity(self) -> dict[str, object]:
         """Everything that decides how this system moves, as plain values."""
         kind, units = type(self), self.units()
-        own = [f.name for f in fields(self) if f.name not in ("time_step", "box")]
+        shared = {f.name for f in fields(LagrangianSystem)}
+        own = [f.name for f in fields(self) if f.name not in shared]
         return {
+            **self._friction,
             "class": f"{kind.__module__}.{kind.__qualname__}",
             "parameters": {name: [getattr(self, name), units.get(name, "")] for name in own},
             "coordinates": list(self.coordinates.names),
@@ -170,6 +199,18 @@ class LagrangianSystem(System, Lagrangian):
         with torch.no_grad():
             values = self.acceleration(*self.box.points(64, seed=0)).flatten().tolist()
         return hashlib.sha256(" ".join(f"{x:.9e}" for x in values).encode()).hexdigest()[:16]
+
+
+def _coefficients(name: str, given: Sequence[float], n: int) -> tuple[float, ...]:
+    try:
+        values = tuple(float(x) for x in given)
+    except (TypeError, ValueError):
+        values = ()
+    if len(values) != n or not all(0.0 <= x < math.inf for x in values):
+        raise ConfigError(
+            f"system.{name}={given}: expected a list of {n} number(s), 0 or more: one a coordinate"
+        )
+    return values
 
 
 def _box(given: SamplingBox | Mapping[str, Sequence[Range]], n: int, m: int) -> SamplingBox:
