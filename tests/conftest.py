@@ -8,6 +8,8 @@ import pytest
 import torch
 from jaxtyping import install_import_hook
 
+from tests import shapes
+
 # The shapes in the signatures of the mathematics are checked wherever a test calls it. (Not in
 # modules of protocols, which beartype cannot check.)
 install_import_hook(
@@ -18,13 +20,18 @@ install_import_hook(
         "symo_exp.nets",
         "symo_exp.evaluation.measures",
     ],
-    "beartype.beartype",
+    "tests.shapes.checked",
 )
 
 
 @pytest.fixture(autouse=True, scope="session")
 def _one_thread():
     torch.set_num_threads(1)
+
+
+@pytest.fixture(autouse=True)
+def _shapes():
+    shapes.begin()
 
 
 @pytest.fixture

@@ -72,9 +72,10 @@ class Composer:
         return Job(label, overrides, _without_hydra(config), files, choices, folder)
 
     def options(self, group: str) -> list[str]:
-        """The files of a group; none if it is a setting."""
+        """The files of a group; none if it is a setting, whose name may have a dot."""
         if group not in self._options:
-            self._options[group] = self.loader.get_group_options(group)
+            dotted = "." in group
+            self._options[group] = [] if dotted else self.loader.get_group_options(group)
         return self._options[group]
 
     def files(self, *choices: str) -> DictConfig:

@@ -1,0 +1,34 @@
+"""Shapes that signatures state are checked while tests run: in each test's first calls, since what
+a rollout repeats a thousand times need not be looked at so often."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from beartype import beartype
+from jaxtyping import config
+
+CALLS = 100
+_left = CALLS
+
+
+def begin() -> None:
+    """Another test: check again."""
+    global _left
+    _left = CALLS
+    config.update("jaxtyping_disable", False)
+
+
+def checked(function: Callable[..., Any]) -> Callable[..., Any]:
+    """What jaxtyping's import hook puts around each function."""
+    check = beartype(function)
+
+    @functools.wraps(function)
+    def counted(*args: Any, **kwargs: Any) -> Any:
+        global _left
+        _left -= 1
+        if _left <= 0:
+            config.update("jaxtyping_disable", True)
+        return check(*args, **kwargs)
+
+    return counted
