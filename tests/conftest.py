@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import os
+import shutil
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
 
@@ -41,3 +42,20 @@ def workplace(tmp_path, monkeypatch):
     for name in ("MLFLOW_TRACKING_URI", "SYMO_EXP_DEBUG", "HYDRA_FULL_ERROR"):
         monkeypatch.delenv(name, raising=False)
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def database(tmp_path_factory):
+    """A store made once, then copied: MLflow takes seconds to make one."""
+    from symo_exp.tracking.store import connect, find
+
+    store = find(None, tmp_path_factory.mktemp("template"))
+    connect(store)
+    return store.database
+
+
+@pytest.fixture
+def with_a_store(workplace, database):
+    """A store where commands look for one."""
+    (workplace / "mlruns").mkdir()
+    shutil.copy(database, workplace / "mlruns" / "mlflow.db")

@@ -13,7 +13,7 @@ from symo_exp.thesis.published import published
 from tests.jobs import job_of, jobs_of
 from tests.tables import choices, variational_integrators
 
-GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")})
+GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")} - {"pair"})
 CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
 SHIPPED = [*CONF.rglob("*.yaml"), *SWEEPS.glob("*.yaml")]
 
@@ -59,7 +59,9 @@ ONE_SWEEP = sorted({f.stem for f in SWEEPS.glob("*.yaml")} - {"thesis", "search"
 
 @pytest.mark.parametrize("sweep", ONE_SWEEP)
 def test_every_sweep_has_jobs_that_pass(sweep, workplace):
-    jobs = jobs_of("-cn", sweep, "system=pendulum")  # the others: every model, every system
+    jobs = jobs_of(
+        "-cn", sweep, "system=pendulum", "seed=0"
+    )  # the others: every model, every system
     assert len({job.folder.path for job in jobs}) == len(jobs) > 1
 
 

@@ -1,6 +1,9 @@
 """The command line: help, refusals, runs, sweeps, failures, exit codes."""
 
+import contextlib
+import io
 import json
+import shutil
 import subprocess
 import sys
 
@@ -227,25 +230,44 @@ def test_a_model_that_is_not_learned_is_measured_without_training(workplace):
     assert not (folder / "checkpoints").exists()
 
 
-def test_a_run_ends_in_one_line(workplace, capsys):
-    assert main([*QUIET, "model=symo"]) == 0
-    out, _ = capsys.readouterr()
-    (line,) = out.strip().splitlines()
+ONE = [*QUIET, "model=e2e_symo"]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Where a run was done, and what was said of it."""
+    place, said = tmp_path_factory.mktemp("finished"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.chdir(place)
+        assert main(ONE) == 0
+    return place, said.getvalue()
+
+
+@pytest.fixture
+def again(finished, workplace):
+    """A copy of that place."""
+    shutil.copytree(finished[0], workplace, dirs_exist_ok=True)
+    (folder,) = (workplace / "outputs" / "default").glob("e2e_symo-pendulum-*")
+    return folder
+
+
+def test_a_run_ends_in_one_line(finished):
+    place, said = finished
+    (line,) = said.strip().splitlines()
     assert all(name in line for name in MEASURES)
-    (folder,) = (workplace / "outputs" / "default").glob("symo-pendulum-*")
-    assert str(folder.relative_to(workplace)) in line
+    (folder,) = (place / "outputs" / "default").glob("e2e_symo-pendulum-*")
+    assert str(folder.relative_to(place)) in line
     run = RunFolder(folder)
     assert run.outcome().status == "finished"
     assert "model.width=8" in run.about().variant
 
 
-def test_the_same_command_gives_the_same_numbers(workplace, capsys):
-    numbers = []
-    for _ in range(2):
-        assert main([*QUIET, "model=e2e_symo", "resume=false"]) == 0
-        (file,) = workplace.rglob("metrics.json")
-        numbers.append(json.loads(file.read_text()))
-    assert numbers[0] == numbers[1]
+def test_the_same_command_gives_the_same_numbers(again):
+    before = json.loads((again / "metrics.json").read_text())
+    known = again.joinpath("outcome.json").stat().st_mtime_ns
+    assert main([*ONE, "resume=false"]) == 0
+    assert json.loads((again / "metrics.json").read_text()) == before
+    assert again.joinpath("outcome.json").stat().st_mtime_ns != known
 
 
 def test_what_is_finished_is_not_done_again(workplace, capsys, monkeypatch):
@@ -267,15 +289,9 @@ def test_what_is_finished_is_not_done_again(workplace, capsys, monkeypatch):
         assert main([*QUIET, "model=node"]) == 0  # the same run outside of the sweep
     assert "finished already" in capsys.readouterr().out
 
-    assert main([*words, "seed=0", "resume=false"]) == 0
-    assert first.stat().st_mtime_ns != known
 
-
-def test_a_finished_command_ends_without_the_heavy_libraries(workplace):
-    assert main([*QUIET, "model=node"]) == 0
-    done = subprocess.run(
-        [sys.executable, "-c", LIGHT, *QUIET, "model=node"], capture_output=True, text=True
-    )
+def test_a_finished_command_ends_without_the_heavy_libraries(again):
+    done = subprocess.run([sys.executable, "-c", LIGHT, *ONE], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 
@@ -309,6 +325,7 @@ def test_an_unforeseen_error_is_a_line_and_an_exit_code(workplace, capsys, monke
     assert "Traceback" not in out + err
 
 
+@pytest.mark.usefixtures("with_a_store")
 def test_a_multirun_is_one_parent_with_its_children(workplace, capsys):
     words = [*TINY, "pictures=false", "experiment=study", "model=node", "-m", "seed=0,1"]
     assert main(words) == 0
