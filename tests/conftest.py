@@ -1,7 +1,6 @@
 """What all tests share."""
 
 import os
-import shutil
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported
 
@@ -10,6 +9,7 @@ import torch
 from jaxtyping import install_import_hook
 
 from tests import shapes
+from tests.tiny import copy_store
 
 # The shapes in the signatures of the mathematics are checked wherever a test calls it. (Not in
 # modules of protocols, which beartype cannot check.)
@@ -57,5 +57,4 @@ def database(tmp_path_factory):
 @pytest.fixture
 def with_a_store(workplace, database):
     """A store where commands look for one."""
-    (workplace / "mlruns").mkdir()
-    shutil.copy(database, workplace / "mlruns" / "mlflow.db")
+    copy_store(database, workplace)

@@ -2,6 +2,7 @@
 a rollout repeats a thousand times need not be looked at so often."""
 
 import functools
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -29,6 +30,10 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
         _left -= 1
         if _left <= 0:
             config.update("jaxtyping_disable", True)
-        return check(*args, **kwargs)
+        drawn = random.getstate()  # beartype draws which items of a list it looks at
+        try:
+            return check(*args, **kwargs)
+        finally:
+            random.setstate(drawn)
 
     return counted

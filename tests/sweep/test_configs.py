@@ -59,9 +59,8 @@ ONE_SWEEP = sorted({f.stem for f in SWEEPS.glob("*.yaml")} - {"thesis", "search"
 
 @pytest.mark.parametrize("sweep", ONE_SWEEP)
 def test_every_sweep_has_jobs_that_pass(sweep, workplace):
-    jobs = jobs_of(
-        "-cn", sweep, "system=pendulum", "seed=0"
-    )  # the others: every model, every system
+    """For one system and one seed: every model is built for every system above."""
+    jobs = jobs_of("-cn", sweep, "system=pendulum", "seed=0")
     assert len({job.folder.path for job in jobs}) == len(jobs) > 1
 
 
