@@ -88,16 +88,18 @@ class Composer:
         """Of Hydra's own part only what names a folder is kept: jobs are copies of this."""
         key = tuple(overrides)
         if key not in self._merged:
-            whole = self.loader.load_sweep_config(self.master, list(overrides))
-            own = OmegaConf.masked_copy(whole, [k for k in map(str, whole) if k != "hydra"])
-            raw: Any = OmegaConf.to_container(whole.hydra, resolve=False)
-            own["hydra"] = {
-                "sweep": raw["sweep"],
-                "runtime": {"choices": raw["runtime"]["choices"]},
-            }
-            OmegaConf.set_struct(own, True)
+            own = self.loader.load_sweep_config(self.master, list(overrides))
+            sweep, runtime = (own.hydra[k] for k in ("sweep", "runtime"))
+            raw = {"sweep": _raw(sweep), "runtime": {"choices": _raw(runtime.choices)}}
+            with open_dict(own):
+                del own["hydra"]
+                own["hydra"] = raw
             self._merged[key] = own
         return self._merged[key]
+
+
+def _raw(config: DictConfig) -> Any:
+    return OmegaConf.to_container(config, resolve=False)
 
 
 def _is_value(override: Override) -> bool:
