@@ -8,6 +8,9 @@ import pytest
 import torch
 from jaxtyping import install_import_hook
 
+from tests import shapes
+from tests.tiny import copy_store
+
 # The shapes in the signatures of the mathematics are checked wherever a test calls it. (Not in
 # modules of protocols, which beartype cannot check.)
 install_import_hook(
@@ -18,13 +21,18 @@ install_import_hook(
         "symo_exp.nets",
         "symo_exp.evaluation.measures",
     ],
-    "beartype.beartype",
+    "tests.shapes.checked",
 )
 
 
 @pytest.fixture(autouse=True, scope="session")
 def _one_thread():
     torch.set_num_threads(1)
+
+
+@pytest.fixture(autouse=True)
+def _shapes():
+    shapes.begin()
 
 
 @pytest.fixture
@@ -34,3 +42,19 @@ def workplace(tmp_path, monkeypatch):
     for name in ("MLFLOW_TRACKING_URI", "SYMO_EXP_DEBUG", "HYDRA_FULL_ERROR"):
         monkeypatch.delenv(name, raising=False)
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def database(tmp_path_factory):
+    """A store made once, then copied: MLflow takes seconds to make one."""
+    from symo_exp.tracking.store import connect, find
+
+    store = find(None, tmp_path_factory.mktemp("template"))
+    connect(store)
+    return store.database
+
+
+@pytest.fixture
+def with_a_store(workplace, database):
+    """A store where commands look for one."""
+    copy_store(database, workplace)

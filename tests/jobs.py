@@ -1,34 +1,86 @@
 """What a command would do, composed and checked, and nothing of it run."""
 
+from __future__ import annotations
+
 import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, NamedTuple
 from unittest import mock
 
+from hydra.core.global_hydra import GlobalHydra
+
+from symo_exp.errors import ConfigError
 from symo_exp.sweep.command import Command
 from symo_exp.sweep.compose import Job
-from symo_exp.sweep.explain import explained
+from symo_exp.sweep.explain import BAD_INPUT, explained
 from symo_exp.sweep.sweeper import Sweep
+
+
+class Kept(NamedTuple):
+    """A sweep as Hydra made it, and what the command line adds to."""
+
+    sweep: Sweep
+    params: Mapping[str, Any]
+    hydra: Any
+
+
+_kept: dict[tuple[object, ...], Kept] = {}
+"""By all that is Hydra's in a command: commands that differ in settings share what it composed."""
 
 
 def jobs_of(*words: str) -> list[Job]:
     """The jobs of ``python -m symo_exp`` with these words; ``ConfigError`` for a bad one."""
-    found: list[Job] = []
-
-    def keep(sweep, arguments, params, **_):
-        found.extend(sweep._plan(arguments, params))
-        return 0
-
-    command = Command(words)
-    root = logging.getLogger()
-    logs = mock.patch.multiple(root, handlers=[*root.handlers], level=root.level)
-    with mock.patch.object(Sweep, "run", keep), logs:  # Hydra sets up logs of its own
-        try:
-            command.execute()
-        except Exception as error:
-            raise explained(error, command) from error
-    return found
+    with planned(*words) as (_, jobs):
+        return jobs
 
 
 def job_of(*words: str) -> Job:
     """The only one."""
     (job,) = jobs_of(*words)
     return job
+
+
+def refusal(*words: str) -> str:
+    """What is said of a command that must not start."""
+    try:
+        with planned(*words) as (sweep, jobs):
+            sweep._check(jobs, labelled=len(jobs) > 1)
+    except ConfigError as error:
+        return str(error)
+    raise AssertionError(f"{words} are accepted")
+
+
+@contextmanager
+def planned(*words: str) -> Iterator[tuple[Sweep, list[Job]]]:
+    """The sweep of a command and its jobs, while Hydra is there to compose more."""
+    command = Command(words)
+    hydras = [word for word in command.overrides if word.lstrip("+~").startswith("hydra")]
+    settings = [word for word in command.overrides if word not in hydras]
+    options = [word for word in command.options if word not in ("-m", "--multirun")]
+    key = (*options, command.folder, *hydras)
+    try:
+        if key not in _kept:
+            _kept[key] = _compose(Command([*options, *hydras]))
+        sweep, params, hydra = _kept[key]
+        GlobalHydra.instance().initialize(hydra)
+        yield sweep, sweep._plan(settings, params)
+    except BAD_INPUT as error:
+        GlobalHydra.instance().clear()
+        raise explained(error, command) from error
+    finally:
+        GlobalHydra.instance().clear()
+
+
+def _compose(command: Command) -> Kept:
+    found: list[Kept] = []
+
+    def keep(sweep, arguments, params, **_):
+        found.append(Kept(sweep, params, GlobalHydra.instance().hydra))
+        return 0
+
+    root = logging.getLogger()
+    logs = mock.patch.multiple(root, handlers=[*root.handlers], level=root.level)
+    with mock.patch.object(Sweep, "run", keep), logs:  # Hydra sets up logs of its own
+        command.execute()
+    return found[0]

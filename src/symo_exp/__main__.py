@@ -71,15 +71,11 @@ def _execute(argv: list[str]) -> int:
 
 
 def _run(command: Command, *extra: str) -> int:
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-    from yaml import YAMLError
-
-    from symo_exp.sweep.explain import explained
+    from symo_exp.sweep.explain import BAD_INPUT, explained
 
     try:
         return command.execute(*extra)
-    except (HydraException, OmegaConfBaseException, YAMLError, RecursionError, ValueError) as error:
+    except BAD_INPUT as error:
         raise explained(error, command) from error
 
 

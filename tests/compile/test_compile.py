@@ -110,10 +110,12 @@ def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator):
     model, data = make(method, integrator, 3), windows(3)
     u = torch.randn(len(data.q), 4, 1, dtype=torch.float64)
     starts = (data.q, data.v, u), (data.q.T.contiguous().T, data.v, u[:, 1:])
-    expected = [model.rollout(*start) for start in starts]
     compile_rollout(model)
-    found = [model.rollout(*start) for start in starts]
     assert ("rollout" not in model.compiled) == (integrator in ("galerkin4", "galerkin6"))
+    if "rollout" not in model.compiled:
+        return
+    expected = [make(method, integrator, 3).rollout(*start) for start in starts]
+    found = [model.rollout(*start) for start in starts]
     torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)
     for other in (model.for_evaluation(), pickle.loads(pickle.dumps(model))):
         assert not other.compiled

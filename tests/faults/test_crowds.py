@@ -39,10 +39,11 @@ def test_eight_that_differ(tmp_path):
     assert len([*folder.glob("outputs/*/*-*/outcome.json")]) == 8
 
 
-def test_four_that_are_the_same(tmp_path):
+@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_some_that_are_the_same(count, tmp_path):
     """One does the work, the others wait for it."""
     folder = tmp_path / "new"
-    crowd(folder, [["seed=0"]] * 4)
+    crowd(folder, [["seed=0"]] * count)
     assert len(runs(folder)) == 1
     assert len([*folder.glob("outputs/*/*-*/outcome.json")]) == 1
 

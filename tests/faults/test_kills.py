@@ -10,7 +10,7 @@ from symo_exp.runs.folder import RunFolder
 from symo_exp.runs.series import TIME, read
 from symo_exp.tracking.store import connect, find
 from tests.faults.commands import Command, go
-from tests.tiny import TINY
+from tests.tiny import TINY, copy_store
 
 WORDS = [
     *TINY, "trainer.max_epochs=12", "trainer.validate_every=2", "trainer.checkpoint_every=0",
@@ -76,9 +76,11 @@ def left(folder):
     }  # fmt: skip
 
 
-def compare(tmp_path, words, kills, seed):
+def compare(tmp_path, words, kills, seed, database=None):
     for name in ("whole", "killed"):
         (tmp_path / name).mkdir()
+        if database is not None:
+            copy_store(database, tmp_path / name)
     go(tmp_path, "--version")  # now all is imported
     start = time.monotonic()
     code, said = go(tmp_path / "whole", *words)
@@ -93,8 +95,8 @@ def compare(tmp_path, words, kills, seed):
     assert len(whole["series"]) == len(whole["told"]["train_loss"]) == 12
 
 
-def test_two_kills(tmp_path):
-    compare(tmp_path, [*WORDS, "model=e2e_symo"], kills=2, seed=0)
+def test_a_kill(tmp_path, database):
+    compare(tmp_path, [*WORDS, "model=e2e_symo"], kills=1, seed=0, database=database)
 
 
 @pytest.mark.slow

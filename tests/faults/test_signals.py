@@ -9,6 +9,7 @@ import pytest
 from symo_exp.tracking.store import connect, find
 from tests.faults.commands import Command, go
 from tests.faults.test_kills import WORDS, left
+from tests.tiny import copy_store
 
 ENDLESS = [*WORDS, "model=node", "trainer.max_epochs=100000", "trainer.compile=false"]
 
@@ -30,7 +31,8 @@ def status(folder):
 @pytest.mark.parametrize(
     "signum", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
 )
-def test_one_signal(signum, tmp_path):
+def test_one_signal(signum, tmp_path, database):
+    copy_store(database, tmp_path)
     command = started(tmp_path)
     command.signal(signum)
     assert command.wait() == 128 + signum

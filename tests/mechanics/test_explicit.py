@@ -11,8 +11,12 @@ from tests.tables import explicit_integrators
 METHODS = explicit_integrators()
 
 
-@pytest.mark.parametrize("forced", [False, True], ids=["free", "forced"])
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("n", "forced"),
+    [(1, True), (2, True), (3, False),
+     *(pytest.param(n, forced, marks=pytest.mark.slow)
+       for n, forced in ((1, False), (2, False), (3, True)))],
+)  # fmt: skip
 @pytest.mark.parametrize("name", METHODS)
 @torch.no_grad()
 def test_order_of_convergence(name, n, forced):

@@ -28,18 +28,24 @@ class Reads(TorchDispatchMode):
         return function(*args, **(kwargs or {}))
 
 
+ONE = dict(reversed(combinations()))
+"""A method with one of its integrators."""
+
+
 def reads(model, steps):
     """In an epoch, after the first, in which optimisers make room."""
     optimizer = torch.optim.Adam(model.parameters(), fused=True)
-    batches = [windows(2, 12)] * steps
+    batches = [windows(2, 4)] * steps
     minibatches(optimizer, model, batches)
     with Reads() as counted:
         minibatches(optimizer, model, batches)
     return counted.count
 
 
-@pytest.mark.parametrize("clip", [None, 10.0])
-@pytest.mark.parametrize(("method", "integrator"), combinations())
+@pytest.mark.parametrize(
+    ("method", "integrator", "clip"),
+    [*((*pair, 10.0) for pair in combinations()), *((*pair, None) for pair in ONE.items())],
+)
 def test_a_step_reads_nothing_back_unless_it_finds_roots(method, integrator, clip, monkeypatch):
     told = partial(step_bounded, wait=False)
     monkeypatch.setattr(base, "step_bounded", lambda *it, wait: told(*it))

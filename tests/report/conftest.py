@@ -1,5 +1,5 @@
 """The stores of tests/tracking, for reports."""
 
-from tests.tracking.conftest import _no_ambient_tracking, database, store
+from tests.tracking.conftest import _no_ambient_tracking, store
 
-__all__ = ["_no_ambient_tracking", "database", "store"]
+__all__ = ["_no_ambient_tracking", "store"]

@@ -17,6 +17,7 @@ from symo_exp.runs.folder import CHECKPOINT, About, RunFolder
 from symo_exp.tracking.load import load
 from symo_exp.tracking.publish import MlflowView
 from tests.tables import stated
+from tests.tiny import copy_store
 
 SYSTEMS = {
     "pendulum": stated("pendulum") | {"mass": 1.5},
@@ -92,9 +93,11 @@ def motion(model, n, m):
 
 
 @pytest.fixture(scope="module")
-def directory(tmp_path_factory):
+def directory(tmp_path_factory, database):
     """Where runs are tracked."""
-    return tmp_path_factory.mktemp("mlruns")
+    place = tmp_path_factory.mktemp("place")
+    copy_store(database, place)
+    return place / "mlruns"
 
 
 @pytest.fixture

@@ -13,10 +13,8 @@ from symo_exp.thesis.published import published
 from tests.jobs import job_of, jobs_of
 from tests.tables import choices, known_systems, variational_integrators
 
-GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")})
-CHOICES = [  # a reference needs recordings: test_recordings
-    (group, choice) for group in GROUPS if group != "reference" for choice in choices(group)
-]
+GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")} - {"pair", "reference"})
+CHOICES = [(group, choice) for group in GROUPS for choice in choices(group)]
 SHIPPED = [*CONF.rglob("*.yaml"), *SWEEPS.glob("*.yaml")]
 
 
@@ -63,22 +61,33 @@ ONE_SWEEP = sorted({f.stem for f in SWEEPS.glob("*.yaml")} - {"thesis", "search"
 
 @pytest.mark.parametrize("sweep", ONE_SWEEP)
 def test_every_sweep_has_jobs_that_pass(sweep, workplace):
-    jobs = jobs_of("-cn", sweep, "system=pendulum")  # the others: every model, every system
+    """For one system and one seed: every model is built for every system above."""
+    jobs = jobs_of("-cn", sweep, "system=pendulum", "seed=0")
     assert len({job.folder.path for job in jobs}) == len(jobs) > 1
 
 
-@pytest.mark.parametrize("pair", choices("pair"))
-def test_a_pair_is_a_model_and_an_integrator_by_one_name(pair, workplace):
-    """The same folder, thus the same run, whichever way it is asked for."""
-    by_pair = job_of(f"pair={pair}", "system=acrobot", "seed=1")
-    choices_ = yaml.safe_load((CONF / "pair" / f"{pair}.yaml").read_text()) or {"defaults": []}
-    words = [
-        f"{group.removeprefix('override /')}={choice}"
-        for entry in choices_["defaults"]
-        for group, choice in entry.items()
-    ]
-    assert pair == "none" or pair == "_".join(word.partition("=")[2] for word in words)
-    by_groups = job_of(*words, "system=acrobot", "seed=1")
+PAIRS = sorted({*choices("pair")} - {"none"})
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_a_pair_is_a_model_and_an_integrator_by_one_name(pair):
+    model, integrator = halves(pair)
+    assert f"{model}_{integrator}" == pair
+
+
+def halves(pair):
+    content = yaml.safe_load((CONF / "pair" / f"{pair}.yaml").read_text())
+    model, integrator = content.pop("defaults")
+    assert not content
+    return model.pop("override /model"), integrator.pop("override /integrator")
+
+
+@pytest.mark.parametrize("pair", {pair.rpartition("_")[0]: pair for pair in PAIRS}.values())
+def test_a_run_is_the_same_by_its_pair_and_by_its_halves(pair, workplace):
+    model, integrator = halves(pair)
+    rest = ["system=acrobot", "seed=1"]
+    by_pair = job_of(f"pair={pair}", *rest)
+    by_groups = job_of(f"model={model}", f"integrator={integrator}", *rest)
     assert by_pair.folder.path == by_groups.folder.path
 
 

@@ -1,6 +1,9 @@
 """The command line: help, refusals, runs, sweeps, failures, exit codes."""
 
+import contextlib
+import io
 import json
+import shutil
 import subprocess
 import sys
 
@@ -9,9 +12,10 @@ import pytest
 from symo_exp.__main__ import main
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
+from symo_exp.sweep.job import _about
 from symo_exp.sweep.sweeper import Sweep
 from symo_exp.sweep.table import MEASURES
-from tests.jobs import job_of, jobs_of
+from tests.jobs import job_of, jobs_of, planned, refusal
 from tests.tiny import TINY
 
 QUIET = [*TINY, "logger=none", "pictures=false"]
@@ -35,14 +39,12 @@ BAD = [
     ("+nonsense.deep.inside=1", "nonsense", ""),
     ("+data.solver.metod=RK45", "data.solver.metod", "data.solver.method"),
     ("hydra.sweep.dirr=x", "dirr", ""),
-    ("data.n_traj", "data.n_traj", "data.n_traj="),
     # choices
     ("model=symoo", "symoo", "e2e_symo, l_node, node, symo"),
     ("system=pendulun", "pendulun", "did you mean pendulum"),
     ("integrator=rk5", "rk5", "midpoint, rk4"),
     ("integrator=null", "null", "midpoint, rk4"),
     ("+model=symo", "model", ""),
-    ("model=node,l_node model.sensitivity=adjoint", "model.sensitivity", ""),
     ("hydra/launcher=jobli", "jobli", "joblib"),
     ("dtype=float16", "float16", "float32, float64"),
     ("model.scheduler_monitor=loss", "loss", ""),
@@ -92,9 +94,6 @@ BAD = [
     ("logger.tracking_uri=http://127.0.0.1:9", "127.0.0.1:9", "tracking"),
     ("logger.tracking_uri=sqlite:////dev/null/x/y.db", "/dev/null", ""),
     ("logger.tracking_uri=carrier://pigeon", "carrier", "sqlite"),
-    ("--foo", "--foo", "-h"),
-    ("--config-dir nowhere", "nowhere", ""),
-    ("-cn nothing", "nothing", ""),
     # what a configuration must not run
     ("model._target_=os.system", "os.system", "refused"),
     ("model._target_=symo_exp.files.os.system", "os.system", "refused"),
@@ -109,20 +108,54 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("typed", "given", "wanted"), BAD, ids=[typed for typed, *_ in BAD])
-def test_bad_input_is_refused_in_a_line(typed, given, wanted, workplace, capsys, monkeypatch):
+ENDS = [
+    ("--foo", "--foo", "-h"),
+    ("-cn nothing", "nothing", ""),
+    ("--config-dir nowhere", "nowhere", ""),
+    ("data.n_traj", "data.n_traj", "data.n_traj="),
+    ("model=node,l_node model.sensitivity=adjoint", "model.sensitivity", ""),
+    # one of each place where a mistake is found in a job
+    *[row for row in BAD if row[0] in (
+        "modle=symo", "+data.x=1", "data.n_traj=0", "model=symo integrator=rk4",
+        "output_dir=/dev/null/here", "model._target_=os.system", "-m data.n_traj=8,16,0",
+    )],
+]  # fmt: skip
+"""What the command line itself gets wrong, before there is a job, and some of the others."""
+
+
+def nothing_is_left(workplace):
+    return [*workplace.rglob("*.ckpt"), *workplace.rglob("*.npz")] == []
+
+
+@pytest.fixture
+def home(workplace, monkeypatch):
     monkeypatch.setenv("HOME", str(workplace))  # where the cache would be
+    return workplace
+
+
+@pytest.mark.parametrize(("typed", "given", "wanted"), BAD, ids=[typed for typed, *_ in BAD])
+def test_bad_input_is_refused_in_a_line(typed, given, wanted, home):
+    line = refusal(*typed.split())
+    assert "\n" not in line
+    assert given in line
+    assert wanted in line
+    assert nothing_is_left(home)
+
+
+@pytest.mark.parametrize(("typed", "given", "wanted"), ENDS, ids=[typed for typed, *_ in ENDS])
+def test_a_refusal_is_all_that_is_said_and_an_exit_code(
+    typed, given, wanted, home, capsys, monkeypatch
+):
     monkeypatch.setattr(Sweep, "_launch_all", lambda *_: pytest.fail("it started"))
     code = main(typed.split())
     out, err = capsys.readouterr()
     assert code == 2, err
-    lines = err.strip().splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("symo_exp: error: ")
-    assert given in lines[0]
-    assert wanted in lines[0]
+    (line,) = err.strip().splitlines()
+    assert line.startswith("symo_exp: error: ")
+    assert given in line
+    assert wanted in line
     assert out == ""
-    assert list(workplace.rglob("*.ckpt")) + list(workplace.rglob("*.npz")) == []
+    assert nothing_is_left(home)
 
 
 def test_help_shows_every_choice_with_a_line(workplace, capsys):
@@ -188,18 +221,9 @@ def test_a_folder_belongs_to_what_is_computed(workplace):
         ),
     ],
 )
-def test_a_run_says_how_it_differs_from_what_ships(words, told, workplace, monkeypatch):
-    found = []
-
-    def told_of(config, folder, choices):
-        found.append(job._about(config, choices).variant)
-
-    from symo_exp.sweep import job
-
-    monkeypatch.setattr(job, "_do", told_of)
-    monkeypatch.setattr(Sweep, "_check", lambda *_, **__: None)
-    main([*words, "logger=none"])
-    assert found == [told]
+def test_a_run_says_how_it_differs_from_what_ships(words, told, workplace):
+    with planned(*words, "logger=none") as (_, (job,)):
+        assert _about(job.config, job.choices).variant == told
 
 
 def test_a_model_that_is_not_learned_is_measured_without_training(workplace):
@@ -210,23 +234,44 @@ def test_a_model_that_is_not_learned_is_measured_without_training(workplace):
     assert not (folder / "checkpoints").exists()
 
 
-def test_a_run_ends_in_one_line(workplace, capsys):
-    assert main([*QUIET, "model=symo"]) == 0
-    out, _ = capsys.readouterr()
-    (line,) = out.strip().splitlines()
+ONE = [*QUIET, "model=e2e_symo"]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Where a run was done, and what was said of it."""
+    place, said = tmp_path_factory.mktemp("finished"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.chdir(place)
+        assert main(ONE) == 0
+    return place, said.getvalue()
+
+
+@pytest.fixture
+def again(finished, workplace):
+    """A copy of that place."""
+    shutil.copytree(finished[0], workplace, dirs_exist_ok=True)
+    (folder,) = (workplace / "outputs" / "default").glob("e2e_symo-pendulum-*")
+    return folder
+
+
+def test_a_run_ends_in_one_line(finished):
+    place, said = finished
+    (line,) = said.strip().splitlines()
     assert all(name in line for name in MEASURES)
-    (folder,) = (workplace / "outputs" / "default").glob("symo-pendulum-*")
-    assert str(folder.relative_to(workplace)) in line
-    assert RunFolder(folder).outcome().status == "finished"
+    (folder,) = (place / "outputs" / "default").glob("e2e_symo-pendulum-*")
+    assert str(folder.relative_to(place)) in line
+    run = RunFolder(folder)
+    assert run.outcome().status == "finished"
+    assert "model.width=8" in run.about().variant
 
 
-def test_the_same_command_gives_the_same_numbers(workplace, capsys):
-    numbers = []
-    for _ in range(2):
-        assert main([*QUIET, "model=e2e_symo", "resume=false"]) == 0
-        (file,) = workplace.rglob("metrics.json")
-        numbers.append(json.loads(file.read_text()))
-    assert numbers[0] == numbers[1]
+def test_the_same_command_gives_the_same_numbers(again):
+    before = json.loads((again / "metrics.json").read_text())
+    known = again.joinpath("outcome.json").stat().st_mtime_ns
+    assert main([*ONE, "resume=false"]) == 0
+    assert json.loads((again / "metrics.json").read_text()) == before
+    assert again.joinpath("outcome.json").stat().st_mtime_ns != known
 
 
 def test_what_is_finished_is_not_done_again(workplace, capsys, monkeypatch):
@@ -248,15 +293,9 @@ def test_what_is_finished_is_not_done_again(workplace, capsys, monkeypatch):
         assert main([*QUIET, "model=node"]) == 0  # the same run outside of the sweep
     assert "finished already" in capsys.readouterr().out
 
-    assert main([*words, "seed=0", "resume=false"]) == 0
-    assert first.stat().st_mtime_ns != known
 
-
-def test_a_finished_command_ends_without_the_heavy_libraries(workplace):
-    assert main([*QUIET, "model=node"]) == 0
-    done = subprocess.run(
-        [sys.executable, "-c", LIGHT, *QUIET, "model=node"], capture_output=True, text=True
-    )
+def test_a_finished_command_ends_without_the_heavy_libraries(again):
+    done = subprocess.run([sys.executable, "-c", LIGHT, *ONE], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 
@@ -290,6 +329,7 @@ def test_an_unforeseen_error_is_a_line_and_an_exit_code(workplace, capsys, monke
     assert "Traceback" not in out + err
 
 
+@pytest.mark.usefixtures("with_a_store")
 def test_a_multirun_is_one_parent_with_its_children(workplace, capsys):
     words = [*TINY, "pictures=false", "experiment=study", "model=node", "-m", "seed=0,1"]
     assert main(words) == 0

@@ -8,6 +8,9 @@ import torch
 import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
+from symo_exp.runs.folder import About
+from symo_exp.sweep.recipe import build, run
+from tests.jobs import job_of, refusal
 from tests.tiny import TINY
 
 CLASSES = '''
@@ -111,10 +114,11 @@ def mine(workplace):
 
 
 @pytest.mark.parametrize("what", ADDED)
-def test_one_class_and_one_file_is_all(what, mine, workplace, capsys):
-    words = ["--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET]
-    assert main(words) == 0
-    (folder,) = (workplace / "outputs" / "default").glob("*-*")
+def test_one_class_and_one_file_is_all(what, mine):
+    """Composed and checked as by a command, which `test_a_run_is_not_believed` gives."""
+    job = job_of("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
+    folder = job.folder.path
+    run(build(job.config, job.folder), job.config, job.folder, About("a b", {}))
     found = json.loads((folder / "metrics.json").read_text())
     assert found["test_mse"] >= 0.0
     model = symo_exp.load(folder, code="mine_own")
@@ -151,16 +155,13 @@ def test_a_run_is_not_believed_that_it_may_run_code(mine, workplace, monkeypatch
 
 
 @pytest.mark.parametrize(("word", "wanted"), [("code=nowhere", "not a folder"), ("code=3", "code")])
-def test_a_folder_that_is_none(word, wanted, workplace, capsys):
-    assert main([word, "model=node", *QUIET]) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert wanted in line
+def test_a_folder_that_is_none(word, wanted, workplace):
+    assert wanted in refusal(word, "model=node", *QUIET)
 
 
-def test_only_what_the_folder_defines_may_be_named(mine, workplace, capsys):
+def test_only_what_the_folder_defines_may_be_named(mine):
     (mine / "subprocess.py").write_text("")  # a name is not enough
     text = FILES["objective/scaled.yaml"].replace("mine.Scaled", "subprocess.Popen")
     (mine / "objective" / "scaled.yaml").write_text(text)
     words = ["--config-dir", "mine_own", "code=mine_own", "objective=scaled", "model=symo"]
-    assert main([*words, *QUIET]) == 2
-    assert "refused" in capsys.readouterr().err
+    assert "refused" in refusal(*words, *QUIET)

@@ -1,19 +1,11 @@
-"""A database made once, then copied: MLflow takes seconds to make one."""
+"""A store of its own for each test."""
 
 import shutil
 from pathlib import Path
 
 import pytest
 
-from symo_exp.tracking.store import Store, connect, find
-
-
-@pytest.fixture(scope="session")
-def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    store = find(None, tmp_path_factory.mktemp("template"))
-    connect(store)
-    assert store.database is not None
-    return store.database
+from symo_exp.tracking.store import Store, find
 
 
 @pytest.fixture(autouse=True)

@@ -22,18 +22,16 @@ import logging
 import math
 import os
 import shutil
-import socket
-import time
-import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from filelock import FileLock, Timeout
 
 from symo_exp.files import write_whole
+from symo_exp.runs.outcome import About, Outcome, Status, this_process
 
 log = logging.getLogger(__name__)
 
@@ -44,36 +42,7 @@ FILES = (CONFIG, SERIES, CHECKPOINT, MEASURES, ROLLOUTS, WINDOWS, PICTURES, STUD
 """What a store keeps of a run besides its numbers."""
 ABOUT, OUTCOME, PUBLISHED = "run.json", "outcome.json", "published.json"
 
-Status = Literal["waiting", "running", "finished", "failed", "refused", "interrupted"]
 DIED = "its process was killed, perhaps for want of memory"
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How far a run has come; one that ended otherwise than ``finished`` says why.
-
-    ``process`` names who works on it, for a person to look for: that it lives, only the lock says.
-    """
-
-    status: Status
-    reason: str = ""
-    seconds: float = 0.0
-    process: dict[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class About:
-    """What was asked for. ``parameters`` are flat; ``variant`` says in which of them the run
-    differs from the files that ship, beyond what tables have columns for; ``sweep`` is the identity
-    of the sweep that it was part of first."""
-
-    name: str
-    parameters: dict[str, Any]
-    variant: str = ""
-    sweep: str = ""
-    tags: dict[str, str] = field(default_factory=dict)
-    started: float = field(default_factory=time.time)
-    identity: str = field(default_factory=lambda: uuid.uuid4().hex)
 
 
 class RunFolder:
@@ -139,7 +108,7 @@ class RunFolder:
             return Outcome("waiting", "it did not run")
 
     def record(self, status: Status, reason: str = "", seconds: float = 0.0) -> None:
-        process = _this_process() if status == "running" else {}
+        process = this_process() if status == "running" else {}
         self._write(OUTCOME, asdict(Outcome(status, reason, seconds, process)))
 
     def forget_outcome(self) -> None:
@@ -251,10 +220,3 @@ class RunFolder:
 def _finite(measures: Mapping[str, float]) -> dict[str, float | str]:
     """``"inf"`` and ``"nan"`` as words, since JSON has no such numbers."""
     return {k: x if math.isfinite(x) else str(float(x)) for k, x in measures.items()}
-
-
-def _this_process() -> dict[str, str]:
-    array, number = os.environ.get("SLURM_ARRAY_JOB_ID"), os.environ.get("SLURM_ARRAY_TASK_ID")
-    job = f"{array}_{number}" if array else os.environ.get("SLURM_JOB_ID", "")
-    named = {"host": socket.gethostname(), "pid": str(os.getpid())}
-    return named | ({"slurm_job": job} if job else {})

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from symo_exp.runs.digest import digest
 from symo_exp.runs.folder import RunFolder
@@ -66,15 +66,18 @@ class Composer:
             for override in (o for o in parsed if o not in chosen):
                 OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
         else:
-            config = self._merge(overrides)
+            config = copy.deepcopy(self._merge(overrides))
         choices = dict(config.hydra.runtime.choices)
         folder = RunFolder(f"{config.hydra.sweep.dir}/{config.hydra.sweep.subdir}")
-        return Job(label, overrides, _without_hydra(config), files, choices, folder)
+        with open_dict(config):
+            del config["hydra"]
+        return Job(label, overrides, config, files, choices, folder)
 
     def options(self, group: str) -> list[str]:
-        """The files of a group; none if it is a setting."""
+        """The files of a group; none if it is a setting, whose name may have a dot."""
         if group not in self._options:
-            self._options[group] = self.loader.get_group_options(group)
+            dotted = "." in group
+            self._options[group] = [] if dotted else self.loader.get_group_options(group)
         return self._options[group]
 
     def files(self, *choices: str) -> DictConfig:
@@ -85,26 +88,22 @@ class Composer:
         """Of Hydra's own part only what names a folder is kept: jobs are copies of this."""
         key = tuple(overrides)
         if key not in self._merged:
-            whole = self.loader.load_sweep_config(self.master, list(overrides))
-            own = OmegaConf.masked_copy(whole, [k for k in map(str, whole) if k != "hydra"])
-            raw: Any = OmegaConf.to_container(whole.hydra, resolve=False)
-            own["hydra"] = {
-                "sweep": raw["sweep"],
-                "runtime": {"choices": raw["runtime"]["choices"]},
-            }
-            OmegaConf.set_struct(own, True)
+            own = self.loader.load_sweep_config(self.master, list(overrides))
+            sweep, runtime = (own.hydra[k] for k in ("sweep", "runtime"))
+            raw = {"sweep": _raw(sweep), "runtime": {"choices": _raw(runtime.choices)}}
+            with open_dict(own):
+                del own["hydra"]
+                own["hydra"] = raw
             self._merged[key] = own
         return self._merged[key]
 
 
+def _raw(config: DictConfig) -> Any:
+    return OmegaConf.to_container(config, resolve=False)
+
+
 def _is_value(override: Override) -> bool:
     return not (override.is_add() or override.is_force_add() or override.is_delete())
-
-
-def _without_hydra(config: DictConfig) -> DictConfig:
-    own = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
-    OmegaConf.set_struct(own, True)
-    return own
 
 
 def plain(config: DictConfig) -> dict[str, Any]:
@@ -117,8 +116,11 @@ def plain(config: DictConfig) -> dict[str, Any]:
 def run_folder(*, _root_: DictConfig) -> str:
     """The name of a run's folder: what was run, and a digest of what shapes its result."""
     choices = _root_.hydra.runtime.choices
-    keys = [key for key in map(str, _root_) if key != "hydra"]
-    values: Any = OmegaConf.to_container(OmegaConf.masked_copy(_root_, keys), resolve=True)
+    nodes = {str(key): value for key, value in _root_.items() if key != "hydra"}
+    values: Any = {
+        key: OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+        for key, value in nodes.items()
+    }
     return f"{choices.model}-{choices.system}-{digest(values)}"
 
 

@@ -13,6 +13,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from symo_exp.errors import ConfigError
 from symo_exp.shipped import CONF
@@ -21,6 +22,10 @@ from symo_exp.sweep.checks import closest, has, unknown_key
 if TYPE_CHECKING:
     from symo_exp.sweep.command import Command
 
+BAD_INPUT = (
+    ConfigError, HydraException, OmegaConfBaseException, YAMLError, RecursionError, ValueError,
+)  # fmt: skip
+"""What is raised of a command or a file that cannot be."""
 EXTRAS = {"submitit": ("submitit_slurm", "cluster"), "optuna": ("optuna", "optuna")}
 """By the beginning of a choice: the choice that is there when its extra is installed, and which."""
 
@@ -55,7 +60,8 @@ def blamed(error: BaseException, overrides: Sequence[str], loader: ConfigLoader)
 
 
 def _check(overrides: Sequence[Override], loader: ConfigLoader) -> None:
-    groups = {o.key_or_group: loader.get_group_options(o.key_or_group) for o in overrides}
+    names = {o.key_or_group for o in overrides}
+    groups = {name: [] if "." in name else loader.get_group_options(name) for name in names}
     choices = [o for o in overrides if groups[o.key_or_group] and not o.is_sweep_override()]
     for override in overrides:
         if options := groups[override.key_or_group]:

@@ -26,9 +26,11 @@ def variant(config: DictConfig, choices: Mapping[str, Any], compose: Compose) ->
         for group, choice in choices.items()
         if isinstance(choice, str) and "/" not in group and group not in {*INCIDENTAL, "pair"}
     }
-    usual_choices = compose(told).hydra.runtime.choices
+    usual = compose(told)
+    usual_choices = usual.hydra.runtime.choices
     others = [f"{g}={c}" for g, c in sorted(groups.items()) if usual_choices.get(g) != c]
-    usual = compose([*told, *others])
+    if others:
+        usual = compose([*told, *others])
     OmegaConf.set_struct(usual, False)
     for name in TOLD:
         value = OmegaConf.select(config, name, default=None)

@@ -42,21 +42,17 @@ def make_trainer(
     Checkpoints go to ``folder`` and say that they belong to ``run``. The ``callbacks`` of the
     caller come first.
     """
-    for name, value in {"max_epochs": max_epochs, "validate_every": validate_every}.items():
+    counts = {"max_epochs": max_epochs, "validate_every": validate_every, "threads": threads}
+    for name, value in counts.items():
         if value < 1:
             raise ConfigError(f"trainer.{name}={value} must be at least 1")
     if not checkpoint_every >= 0:
         raise ConfigError(f"trainer.checkpoint_every={checkpoint_every} must be 0 or more seconds")
-    if threads < 1:
-        raise ConfigError(f"trainer.threads={threads} must be at least 1")
     if compile not in (True, False, "auto"):
         raise ConfigError(f"trainer.compile={compile} must be true, false or auto")
-    if accelerator == "gpu" and not torch.cuda.is_available():
-        raise ConfigError("trainer.accelerator=gpu, but PyTorch finds no GPU here; use trainer=cpu")
-    torch.set_num_threads(threads)
-    keep_freed_memory()
-    _silence()
+    _settle(accelerator, threads)
     checkpoint = Checkpoint(folder, checkpoint_every, run)
+    ours = [StopOnDivergence(checkpoint), checkpoint, FinishEpochs(), CompileTraining(compile)]
     return lightning.Trainer(
         accelerator=accelerator,
         devices=1,
@@ -65,14 +61,7 @@ def make_trainer(
         num_sanity_val_steps=0,
         inference_mode=False,  # a Lagrangian is differentiated in validation, too
         logger=False,
-        callbacks=[
-            *callbacks,
-            StopOnDivergence(checkpoint),
-            checkpoint,
-            FinishEpochs(),
-            CompileTraining(compile),
-            *([ProgressBar()] if progress else []),
-        ],
+        callbacks=[*callbacks, *ours, *([ProgressBar()] if progress else [])],
         # on a cluster, too, a run is one process: Lightning's own ways of queueing it again and
         # of choosing a checkpoint would get in the way of ours
         plugins=[WholeFiles(), LightningEnvironment()],
@@ -83,8 +72,13 @@ def make_trainer(
     )
 
 
-def _silence() -> None:
-    """Advice of Lightning that does not apply: to data in memory, an item an epoch, one process."""
+def _settle(accelerator: str, threads: int) -> None:
+    """What holds for the whole process."""
+    if accelerator == "gpu" and not torch.cuda.is_available():
+        raise ConfigError("trainer.accelerator=gpu, but PyTorch finds no GPU here; use trainer=cpu")
+    torch.set_num_threads(threads)
+    keep_freed_memory()
+    # advice of Lightning that does not apply: to data in memory, an item an epoch, one process
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
     advice = ("does not have many workers", "number of training batches", "LeafSpec", "`srun`")
