@@ -85,6 +85,8 @@ class DissipativeLagrangian(nn.Module, Lagrangian):
 class DissipativeExpansion(Expansion):
     """A Lagrangian around ``(q, v)``, with the force there."""
 
+    dissipates = True
+
     def __init__(self, at: Expansion, dissipation: Dissipation, q: Tensor, v: Tensor) -> None:
         self._at, self._dissipation, self._q, self._v = at, dissipation, q, v
         with torch.no_grad():
@@ -101,6 +103,11 @@ class DissipativeExpansion(Expansion):
             force_q, force_v = (jacobian(force, x).detach() for x in (q, v))
         qq, vq, qv = self._at.curvature()
         return Curvature(qq + force_q, vq, qv + force_v)
+
+    def damping(self) -> Tensor:
+        with torch.enable_grad():
+            v = self._v.clone().requires_grad_()
+            return jacobian(self._dissipation.force(self._q, v), v).detach()
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         dq, p = self._at.gradients(q, v)

@@ -39,10 +39,11 @@ class Galerkin(VariationalIntegrator):
     """The Galerkin variational integrator with ``stages`` = s Gauss points, order 2s.
 
     The inner coefficients start at zero and are improved by Newton's method with the inertia's
-    part of the Hessian, ``Σᵢ bᵢ Pⱼ Pₗ Hᵢ / h``, which is nearly diagonal and always regular, until
-    the last update is below ``tolerance`` of the displacement or ``max_iterations`` are done. Each
-    update gains two to three digits at usual step sizes. A row that an update makes worse keeps its
-    coefficients: a network without training may have such rows.
+    part of the Hessian, ``Σᵢ bᵢ Pⱼ Pₗ Hᵢ / h``, which is nearly diagonal and always regular, and
+    with that of friction, until the last update is below ``tolerance`` of the displacement or
+    ``max_iterations`` are done. Each update gains two to three digits at usual step sizes. A row
+    that an update makes worse keeps its coefficients (a network without training may have such
+    rows) and with friction tries a part of it.
     """
 
     def __init__(self, *, stages: int, tolerance: float = 1e-12, max_iterations: int = 12) -> None:
@@ -73,13 +74,14 @@ class Galerkin(VariationalIntegrator):
         if self.stages == 1:
             return at
         tolerance = max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps)
+        share = torch.ones_like(q0[:, :1])  # of the update that a row takes
         for _ in range(self.max_iterations):
             update = at.update()
             reach = (q1 - q0).abs().amax(-1) + at.inner.abs().amax((0, -1))
             open_ = ~(update.abs().amax((0, -1)) <= tolerance * reach)
             if not bool(open_.any()):
                 break
-            c = at.inner - update
+            c = at.inner - share * update
             there = GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
             better = there.imbalance() <= at.imbalance()
             if bool(better.all()):
@@ -87,8 +89,10 @@ class Galerkin(VariationalIntegrator):
             elif bool((better & open_).any()):
                 index = better.nonzero().squeeze(-1)
                 at = at.replace(index, there.rows(index))
-            else:
+            elif not at.dissipates:
                 break
+            if at.dissipates:
+                share = torch.where(better.unsqueeze(-1), 1.0, 0.25 * share)
         return at
 
     def converged(self) -> Galerkin:
@@ -162,6 +166,11 @@ class Basis:
         bb = self._products[3].to(mass) / h
         return self._square(torch.tensordot(bb, mass.unflatten(0, (len(self.b), -1)), 1))
 
+    def damping(self, rate: Tensor) -> Float[Tensor, "variables variables batch n n"]:
+        """The part of a force with ``∂F/∂v``, ``Σᵢ bᵢ α_a β_b (∂F/∂v)ᵢ``."""
+        ab = self._products[1].to(rate)
+        return self._square(torch.tensordot(ab, rate.unflatten(0, (len(self.b), -1)), 1))
+
     def _square(self, x: Tensor) -> Tensor:
         return x.unflatten(0, (len(self.alpha), len(self.alpha)))
 
@@ -209,10 +218,19 @@ class GalerkinExpansion(DiscreteExpansion):
         return GalerkinExpansion(basis, lagrangian.expand(*basis.path(q0, q1, c, h)), c, pull, h)
 
     def update(self) -> Float[Tensor, "inner batch n"]:
-        """What Newton's method with the inertia's part of ``W_cc`` takes away from ``c``."""
-        inertia = self._basis.inertia(self._at.mass(), self._h)[1:-1, 1:-1]
-        step = torch.linalg.solve_ex(_matrix(inertia), _column(self.stationarity))[0]
+        """What Newton's method takes away from ``c``, with the part of the inertia in ``W_cc`` and
+        that of friction, which is the larger one where a motion comes to rest."""
+        w = self._basis.inertia(self._at.mass(), self._h)
+        if self.dissipates:
+            w = w + self._basis.damping(self._at.damping())
+        w = w[1:-1, 1:-1]
+        step = torch.linalg.solve_ex(_matrix(w), _column(self.stationarity))[0]
         return _blocks(step.squeeze(-1), len(self.inner))
+
+    @property
+    def dissipates(self) -> bool:
+        """Whether a force bends within a step, as dry friction does: updates may go too far."""
+        return self._at.dissipates
 
     def imbalance(self) -> Float[Tensor, " batch"]:
         """The largest entry of ``stationarity`` of a row."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -62,6 +62,13 @@ class Expansion(ABC):
     @abstractmethod
     def curvature(self) -> Curvature:
         """Second derivatives at the point, without a graph."""
+
+    dissipates: ClassVar[bool] = False
+    """Whether a dissipative force ``F_d`` belongs to ``ℒ``."""
+
+    def damping(self) -> Float[Tensor, "batch n n"]:
+        """``∂F_d/∂v``, without a graph."""
+        raise TypeError("there is no dissipation")
 
     @abstractmethod
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
