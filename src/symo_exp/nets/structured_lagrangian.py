@@ -61,8 +61,8 @@ class StructuredLagrangian(nn.Module, Lagrangian):
     at zero.
     """
 
-    skip: nn.Parameter | None
-    """``S``."""
+    skip: Any
+    """``S``, a parameter; ``None`` without harmonics."""
 
     def __init__(
         self,
@@ -123,10 +123,10 @@ class StructuredLagrangian(nn.Module, Lagrangian):
             x = torch.tanh(torch.addmm(bias, x, weight.T))
             hidden.append(x)
             slopes.append(1.0 - x * x)
-        outputs, waves = torch.addmm(last_bias, x, last.T), None
-        if self.skip is not None:
-            waves = self.harmonics(q.detach())
-            outputs = torch.addmm(outputs, waves.x, self.skip.T)
+        outputs = torch.addmm(last_bias, x, last.T)
+        waves = () if self.skip is None else (self.harmonics(q.detach()),)
+        for wave in waves:
+            outputs = torch.addmm(outputs, wave.x, self.skip.T)
         head = self.head.point(outputs, v.detach())
         output_cotangent = self.head.cotangent(head)
         cotangents: list[Tensor] = []
@@ -194,8 +194,8 @@ class _Passes(NamedTuple):
     """``d_l = ∂ℒ/∂z_l``."""
     feature_cotangent: Tensor
     """``x̄ = ∂ℒ/∂s``."""
-    waves: Features | None
-    """``φ``."""
+    waves: tuple[Features, ...]
+    """``φ``, where there is any."""
 
 
 class StructuredExpansion(Expansion):
@@ -206,8 +206,8 @@ class StructuredExpansion(Expansion):
         self._rates: tuple[Tensor, ...] = ()
         """``∂z_l/∂q`` and ``∂o/∂q``, (B, n, ·) each, once ``curvature`` has needed them."""
         dq = lagrangian.embedding.to_coordinates(passes.features.dx * passes.feature_cotangent)
-        if passes.waves is not None and lagrangian.skip is not None:
-            slopes = passes.waves.dx * (passes.output_cotangent @ lagrangian.skip)
+        for waves in passes.waves:
+            slopes = waves.dx * (passes.output_cotangent @ lagrangian.skip)
             dq = dq + lagrangian.harmonics.to_coordinates(slopes)
         self.values = Gradients(dq, lagrangian.head.momentum(passes.head))
 
@@ -232,9 +232,9 @@ class StructuredExpansion(Expansion):
             rates.append(z)
         rates.append(tangents @ last.T)
         harmonics, skip = self._lagrangian.harmonics, self._lagrangian.skip
-        if at.waves is not None and skip is not None:
-            qq = qq + harmonics.curvature(at.waves, at.output_cotangent @ skip)
-            rates[-1] = rates[-1] + harmonics.basis_tangents(at.waves) @ skip.T
+        for waves in at.waves:
+            qq = qq + harmonics.curvature(waves, at.output_cotangent @ skip)
+            rates[-1] = rates[-1] + harmonics.basis_tangents(waves) @ skip.T
         self._rates = tuple(rates)
         outputs_qq, vq = head.curvature(at.head, rates[-1])
         return Curvature(qq + outputs_qq, vq, vq.mT)
@@ -270,8 +270,8 @@ class StructuredExpansion(Expansion):
             bends.append(-2.0 * z * h * d)
             tangents.append(z * slope)
         rates = along[-1] if along else tangents[-1] @ weights[-1].T
-        harmonics, skip, waves = self._lagrangian.harmonics, self._lagrangian.skip, at.waves
-        if waves is not None and skip is not None:
+        harmonics, skip = self._lagrangian.harmonics, self._lagrangian.skip
+        for waves in at.waves:
             wave_rates = waves.dx * harmonics.spread(a)
             if not along:
                 rates = rates + wave_rates @ skip.T
@@ -279,7 +279,7 @@ class StructuredExpansion(Expansion):
         inputs = (at.features.x, *at.hidden)
         own = (*at.cotangents, at.output_cotangent)
         output_back, skip_gradient = back, None
-        if waves is not None and skip is not None:
+        for waves in at.waves:
             skip_gradient = weight_gradient(skip, (own[-1], wave_rates), (back, waves.x))
         weight_gradients: list[Tensor | None] = []
         bias_gradients: list[Tensor | None] = []
@@ -294,7 +294,7 @@ class StructuredExpansion(Expansion):
             return None, None, *gradients
         second = embedding.second(at.features) * at.feature_cotangent * direction
         configuration = embedding.to_coordinates((back @ weights[0]) * at.features.dx + second)
-        if waves is not None and skip is not None:
+        for waves in at.waves:
             slopes = (output_back @ skip) * waves.dx
             bent = (own[-1] @ skip) * waves.x * harmonics.spread(a)
             configuration = configuration + harmonics.to_coordinates(slopes - bent)
@@ -321,8 +321,6 @@ class _DifferentiableGradients(torch.autograd.Function):
 def _map(function: Any, *trees: Any) -> Any:
     """Apply a function to the tensors of equal nested tuples."""
     first = trees[0]
-    if first is None:
-        return None
     if isinstance(first, Tensor):
         return function(*trees)
     mapped = (_map(function, *branches) for branches in zip(*trees, strict=True))
