@@ -37,6 +37,7 @@ def test_the_readme_is_short_and_has_commands():
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_passes_the_checks(command, workplace):
     words = shlex.split(command)[3:]
+    (workplace / "mine.csv").write_text("trajectory,t,q_theta,u_0\n0,0,0,0\n")
     if {"-h", "--help", "search"} & set(words) or not Command(words).runs:
         return  # a search is tried in sweep/test_search
     assert jobs_of(*words)
