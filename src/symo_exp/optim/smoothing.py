@@ -89,7 +89,9 @@ class Smoothing:
             delta, foreseen = self._update(at, theta)
             if delta is not None:
                 owner.place(theta + delta)
-                there = x + min(1.0, 0.5 ** (trial - 2)) * (self._arrived(at, delta) - x)
+                share = 0.5 ** max(0, trial - 2)  # of the way that the nodes go
+                arrived = self._arrived(at, delta, once_more=share == 1.0)
+                there = x + share * (arrived - x)
                 with torch.no_grad():
                     r_there = self._residuals(self._chain.stencil(there))
                 objective = self._objective(there, r_there, theta + delta)
@@ -161,10 +163,11 @@ class Smoothing:
             return held
         return self._chain.x - self._weight * self._chain.spread(at.by_x, at.factor.solve(e))
 
-    def _arrived(self, at: Linear, delta: Tensor) -> Tensor:
-        """The nodes that go with the parameters in place."""
+    def _arrived(self, at: Linear, delta: Tensor, *, once_more: bool) -> Tensor:
+        """The nodes that go with the parameters in place; only the first of two steps is surely
+        one downhill."""
         x = self._nodes(at, at.e + at.by_theta @ delta)
-        if at.factor is not None:
+        if at.factor is not None and once_more:
             r, _, by_x = self._differentiated(x, ())
             try:
                 e, factor = self._eliminated(x, r, by_x)
