@@ -111,9 +111,6 @@ def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator):
     u = torch.randn(len(data.q), 4, 1, dtype=torch.float64)
     starts = (data.q, data.v, u), (data.q.T.contiguous().T, data.v, u[:, 1:])
     compile_rollout(model)
-    assert ("rollout" not in model.compiled) == (integrator in ("galerkin4", "galerkin6"))
-    if "rollout" not in model.compiled:
-        return
     expected = [make(method, integrator, 3).rollout(*start) for start in starts]
     found = [model.rollout(*start) for start in starts]
     torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)

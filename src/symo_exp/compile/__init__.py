@@ -15,7 +15,7 @@ from torch import Tensor
 from symo_exp.compile.inductor import CompilerError, compiler_available
 from symo_exp.compile.newton import RootLoss, VariationalAdvance
 from symo_exp.compile.program import Program
-from symo_exp.mechanics.roots import Newton, RootFinder
+from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Windows
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import ExplicitFlow, VariationalFlow
@@ -53,7 +53,9 @@ def compile_rollout(model: DynamicsModel) -> None:
     advance: Callable[..., Any] | None = None
     if model.learns and isinstance(flow, ExplicitFlow):
         advance = Program(model, flow.advance)
-    elif model.learns and isinstance(flow, VariationalFlow) and _bare(flow, flow.rollout_root):
+    elif (
+        model.learns and isinstance(flow, VariationalFlow) and isinstance(flow.rollout_root, Newton)
+    ):
         advance = VariationalAdvance(model, flow)
     if advance is None:
         log.warning("a step of this rollout is no fixed sequence of operations: not compiled")
@@ -89,11 +91,9 @@ def _loss(
     in the parameters."""
     flow, objective = model.flow, model.objective
     if isinstance(objective, RootError) and isinstance(flow, VariationalFlow):
-        return (
-            RootLoss(model, flow, objective, gradients=gradients)
-            if _bare(flow, flow.root)
-            else None
-        )
+        if not isinstance(flow.root, Newton) or flow.integrator.iterates:
+            return None
+        return RootLoss(model, flow, objective, gradients=gradients)
     if not objective.branch_free(flow):
         return None
 
@@ -108,8 +108,3 @@ def _loss(
         return value, statistics.open() if statistics.tensors else NOTHING
 
     return call
-
-
-def _bare(flow: VariationalFlow, root: RootFinder) -> bool:
-    """Whether a step is a fixed sequence of operations, repeated."""
-    return isinstance(root, Newton) and not flow.integrator.iterates

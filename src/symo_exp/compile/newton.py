@@ -26,8 +26,9 @@ class Iterate(NamedTuple):
     """The residual at one iterate ``x``, and the step of Newton's method from there."""
 
     x: Tensor
+    """``q_{k+1}``, and what the integrator solves for alongside."""
     after: DiscreteExpansion
-    """``L_d`` around ``(q_k, x)``."""
+    """``L_d`` around ``q_k`` and ``x``."""
     jacobian: Tensor
     next: Tensor
     """The next iterate."""
@@ -142,15 +143,17 @@ class VariationalAdvance:
 
     def _first(self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor) -> tuple[Tensor, ...]:
         guess = q + self._flow.time_step * self._flow.decode(q, p)
+        guess = self._flow.integrator.unknowns(guess)
         *_, following, _ = self._at(q, p, u, u_next, guess)
         return self._at(q, p, u, u_next, following)
 
     def _at(self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, x: Tensor) -> tuple[Tensor, ...]:
-        """The iterate ``x`` of ``q_{k+1}``, the momentum there, which rows are roots, the next
+        """``q_{k+1}`` of the iterate ``x``, the momentum there, which rows are roots, the next
         iterate, and whether every row is a root or was lost before."""
         flow, forces = self._flow, self._flow.forces(u, u_next)
         f0, f1 = flow.integrator.impulses(*forces, flow.time_step)
         at = iterate(flow.matching(q, p + f0, forces), flow.rollout_root, x)
         lost = ~(q.isfinite() & p.isfinite()).all(-1)
         over = (at.found | lost).all()
-        return x, at.after.values.d2 + f1, at.found, at.next.contiguous(), over
+        q_next = x[:, : q.shape[1]].contiguous()
+        return q_next, at.after.values.d2 + f1, at.found, at.next.contiguous(), over

@@ -36,6 +36,15 @@ class Dissipation(ABC):
     ) -> Float[Tensor, "batch n"]:
         """``F_d(q, v)`` [N or N m], differentiable in both."""
 
+    def derivatives(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
+        """``∂F_d/∂q`` and ``∂F_d/∂v`` without a graph, by automatic differentiation."""
+        with torch.enable_grad():
+            q, v = (x.detach().clone().requires_grad_() for x in (q, v))
+            force = self.force(q, v)
+            return jacobian(force, q).detach(), jacobian(force, v).detach()
+
 
 class Friction(Dissipation):
     """``F_d = −D v − c ∘ tanh(v / ε_v)``: viscous friction, and dry friction smoothed at rest."""
@@ -97,17 +106,12 @@ class DissipativeExpansion(Expansion):
         return self._at.mass()
 
     def curvature(self) -> Curvature:
-        with torch.enable_grad():
-            q, v = (x.clone().requires_grad_() for x in (self._q, self._v))
-            force = self._dissipation.force(q, v)
-            force_q, force_v = (jacobian(force, x).detach() for x in (q, v))
+        force_q, force_v = self._dissipation.derivatives(self._q, self._v)
         qq, vq, qv = self._at.curvature()
         return Curvature(qq + force_q, vq, qv + force_v)
 
     def damping(self) -> Tensor:
-        with torch.enable_grad():
-            v = self._v.clone().requires_grad_()
-            return jacobian(self._dissipation.force(self._q, v), v).detach()
+        return self._dissipation.derivatives(self._q, self._v)[1]
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         dq, p = self._at.gradients(q, v)

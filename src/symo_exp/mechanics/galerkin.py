@@ -38,12 +38,13 @@ from symo_exp.mechanics.variational import (
 class Galerkin(VariationalIntegrator):
     """The Galerkin variational integrator with ``stages`` = s Gauss points, order 2s.
 
-    The inner coefficients start at zero and are improved by Newton's method with the inertia's
-    part of the Hessian, ``Σᵢ bᵢ Pⱼ Pₗ Hᵢ / h``, which is nearly diagonal and always regular, and
-    with that of friction, until the last update is below ``tolerance`` of the displacement or
-    ``max_iterations`` are done. Each update gains two to three digits at usual step sizes. A row
-    that an update makes worse keeps its coefficients (a network without training may have such
-    rows) and with friction tries a part of it.
+    A step solves for ``(q₁, c)`` at once. Between two given configurations the inner coefficients
+    start at zero and are improved by Newton's method with the inertia's part of the Hessian,
+    ``Σᵢ bᵢ Pⱼ Pₗ Hᵢ / h``, which is nearly diagonal and always regular, and with that of friction,
+    until the last update is below ``tolerance`` of the displacement or ``max_iterations`` are done.
+    Each update gains two to three digits at usual step sizes. A row that an update makes worse
+    keeps its coefficients (a network without training may have such rows) and with friction tries
+    a part of it.
     """
 
     def __init__(self, *, stages: int, tolerance: float = 1e-12, max_iterations: int = 12) -> None:
@@ -94,6 +95,17 @@ class Galerkin(VariationalIntegrator):
             if at.dissipates:
                 share = torch.where(better.unsqueeze(-1), 1.0, 0.25 * share)
         return at
+
+    def unknowns(self, q1: Tensor) -> Tensor:
+        """``(q₁, c₁, …, c_{s−1})``, the coefficients zero."""
+        return torch.cat((q1, q1.new_zeros(len(q1), (self.stages - 1) * q1.shape[1])), dim=1)
+
+    @torch.no_grad()
+    def expand_at(
+        self, lagrangian: Lagrangian, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
+    ) -> GalerkinExpansion:
+        q1, c = x[:, : q0.shape[1]], _blocks(x[:, q0.shape[1] :], self.stages - 1)
+        return GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
 
     def converged(self) -> Galerkin:
         return Galerkin(stages=self.stages)
@@ -239,6 +251,13 @@ class GalerkinExpansion(DiscreteExpansion):
     def d2d1(self) -> Tensor:
         return self._condense()[0]
 
+    def mismatch(self, impulse: Tensor) -> Tensor:
+        return torch.cat((impulse + self.values.d1, _row(self.stationarity)), dim=1)
+
+    def mismatch_jacobian(self) -> Tensor:
+        w = self._hessian()
+        return _matrix(torch.cat((w[:-1, -1:], w[:-1, 1:-1]), dim=1))
+
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         basis, h = self._basis, self._h
         slopes = basis.slopes(self._at.gradients(*basis.path(q0, q1, self.inner, h)), h)
@@ -272,11 +291,14 @@ class GalerkinExpansion(DiscreteExpansion):
         points = torch.arange(len(self._basis.b), device=index.device) * len(self.values.d1)
         return (points.unsqueeze(-1) + index).flatten()
 
+    def _hessian(self) -> Float[Tensor, "variables variables batch n n"]:
+        return self._basis.hessian(self._at.curvature(), self._at.mass(), self._h)
+
     @torch.no_grad()
     def _condense(self) -> tuple[Tensor, Tensor]:
         """``D₂D₁L_d`` and ``W_ec W_cc⁻¹``."""
         if self._condensed is None:
-            w = self._basis.hessian(self._at.curvature(), self._at.mass(), self._h)
+            w = self._hessian()
             ends = w[[0, -1]][:, 1:-1]
             transfer = torch.linalg.solve_ex(_matrix(w[1:-1, 1:-1]), _matrix(ends), left=False)[0]
             n = w.shape[-1]

@@ -53,6 +53,14 @@ class DiscreteExpansion(ABC):
     def d2d1(self) -> Float[Tensor, "batch n n"]:
         """``∂²L_d/∂q₀ᵢ∂q₁ⱼ``, the Jacobian of the discrete Euler-Lagrange equations."""
 
+    def mismatch(self, impulse: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
+        """What a step makes vanish, ``impulse + D₁L_d``, and what else it solves alongside."""
+        return impulse + self.values.d1
+
+    def mismatch_jacobian(self) -> Float[Tensor, "batch k k"]:
+        """The derivative of ``mismatch`` in ``q₁`` and the other unknowns of a step."""
+        return self.d2d1()
+
     @abstractmethod
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         """The slot derivatives, differentiable; the arguments hold the values of the point."""
@@ -100,6 +108,21 @@ class VariationalIntegrator(ABC):
         forces: Forces | None = None,
     ) -> DiscreteExpansion:
         """``L_d`` around ``(q₀, q₁)``, as root finding needs it."""
+
+    def unknowns(self, q1: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
+        """What a step solves for, ``q₁`` first, before anything but ``q₁`` is known."""
+        return q1
+
+    def expand_at(
+        self,
+        lagrangian: Lagrangian,
+        q0: Float[Tensor, "batch n"],
+        x: Float[Tensor, "batch k"],
+        h: float,
+        forces: Forces | None = None,
+    ) -> DiscreteExpansion:
+        """``L_d`` around ``q₀`` and the unknowns ``x`` of a step."""
+        return self.expand(lagrangian, q0, x, h, forces)
 
     @abstractmethod
     def impulses(
@@ -172,7 +195,10 @@ def _midpoint_slots(dq: Tensor, p: Tensor, h: float) -> Slots:
 
 
 class MomentumMatching:
-    """``g(q₁) = p + D₁L_d(q₀, q₁) + f⁻ = 0``: the ``q₁`` for a momentum ``p`` at ``q₀``."""
+    """``g(q₁) = p + D₁L_d(q₀, q₁) + f⁻ = 0``: the ``q₁`` for a momentum ``p`` at ``q₀``.
+
+    An integrator that resolves the motion between them has its unknowns found alongside.
+    """
 
     def __init__(
         self,
@@ -188,23 +214,27 @@ class MomentumMatching:
         self._q0, self._impulse, self._h = q0.detach(), impulse.detach(), h
         self._forces = forces and Forces(forces.start.detach(), forces.end.detach())
 
+    def start(self, guess: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
+        """The unknowns with which the search for ``q₁`` starts."""
+        return self._integrator.unknowns(guess.detach())
+
     def at(self, x: Tensor, index: Tensor | None = None) -> MomentumMismatch:
         q0, impulse, forces = self._q0, self._impulse, self._forces
         if index is not None:
             q0, impulse, forces = q0[index], impulse[index], forces and forces.rows(index)
-        expansion = self._integrator.expand(self._lagrangian, q0, x, self._h, forces)
+        expansion = self._integrator.expand_at(self._lagrangian, q0, x, self._h, forces)
         return MomentumMismatch(expansion, impulse)
 
 
 class MomentumMismatch:
-    """The discrete Euler-Lagrange residual at one candidate ``q₁``."""
+    """The discrete Euler-Lagrange residual at one candidate."""
 
     def __init__(self, expansion: DiscreteExpansion, impulse: Tensor) -> None:
         self.expansion, self._impulse = expansion, impulse
-        self.residual = impulse + expansion.values.d1
+        self.residual = expansion.mismatch(impulse)
 
     def jacobian(self) -> Tensor:
-        return self.expansion.d2d1()
+        return self.expansion.mismatch_jacobian()
 
     def rows(self, index: Tensor) -> MomentumMismatch:
         return MomentumMismatch(self.expansion.rows(index), self._impulse[index])
@@ -240,11 +270,11 @@ def next_configuration(
     ``Root.converged``.
     """
     problem = MomentumMatching(integrator, lagrangian, q, impulse, h, forces)
-    root = root_finder.solve(problem, guess.detach())
+    root = root_finder.solve(problem, problem.start(guess))
+    x, at = root.x[:, : q.shape[1]], root.evaluation.expansion
     if not torch.is_grad_enabled():
-        return root.x, root
-    at = root.evaluation
-    return differentiable_root(root.x, at.expansion, at.jacobian(), q, impulse, forces), root
+        return x, root
+    return differentiable_root(x, at, at.d2d1(), q, impulse, forces), root
 
 
 def differentiable_root(
@@ -280,10 +310,8 @@ def variational_step(
     q_next, root = next_configuration(
         integrator, lagrangian, root_finder, q, p + f0, h, guess, forces=forces
     )
-    if torch.is_grad_enabled():
-        d2 = integrator.slots(lagrangian, q, q_next, h, forces).d2
-    else:
-        d2 = root.evaluation.expansion.values.d2
+    at = root.evaluation.expansion
+    d2 = (at.slots(q, q_next, forces) if torch.is_grad_enabled() else at.values).d2
     return VariationalStep(q_next, d2 + f1, root)
 
 

@@ -126,18 +126,19 @@ class RootError(Objective):
     def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:
         impulse = self.impulse(flow, windows, flow.expand_before(windows))
         problem = flow.matching(windows.q, impulse, flow.forces(windows.u, windows.u_next))
-        root = flow.root.solve(problem, self.initial_guess(windows))
-        at, ok = root.evaluation, root.converged
+        root = flow.root.solve(problem, problem.start(self.initial_guess(windows)))
+        at, ok = root.evaluation.expansion, root.converged
+        x = root.x[:, : windows.q.shape[1]]
         statistics = {
             "newton_iterations": root.iterations.float().mean(),
             "newton_failed": (~ok).float().mean(),
         }
         if not self.fallback or bool(ok.all()):
-            error = self.error(flow, windows, impulse, root.x, at.expansion, at.jacobian())
+            error = self.error(flow, windows, impulse, x, at, at.d2d1())
             return Residuals(error, statistics)
         found, lost = (rows.nonzero().squeeze(-1) for rows in (ok, ~ok))
-        at, data, x = at.rows(found), windows.rows(found), root.x[found]
-        known = self.error(flow, data, impulse[found], x, at.expansion, at.jacobian())
+        at, data = at.rows(found), windows.rows(found)
+        known = self.error(flow, data, impulse[found], x[found], at, at.d2d1())
         instead, _ = PreconditionedResidual()(flow, windows.rows(lost))
         error = torch.zeros_like(windows.q).index_copy(0, found, known)
         return Residuals(error.index_copy(0, lost, instead), statistics)

@@ -71,6 +71,41 @@ class LearnedDissipation(nn.Module, Dissipation):
         mark([p for p in (self.viscous, self.coulomb) if p is not None], "coefficient")
         mark(self.net.parameters() if self.net is not None else (), "late")
 
+    @torch.no_grad()
+    def derivatives(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
+        """``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
+        n, joints = v.shape[1], self.joints
+        by_v = v.new_zeros(len(v), n, n)
+        if self.viscous is not None:
+            factor = self._triangle.square(self.viscous.unsqueeze(0))
+            by_v = by_v - factor @ factor.mT
+        if self.coulomb is not None and self.rest is not None:
+            c, rest = self._dry(self.coulomb, self.rest)
+            by_v = by_v - torch.diag_embed(c / rest * (1.0 - torch.tanh(v @ joints.T / rest) ** 2))
+        by_v = joints.T @ by_v @ joints
+        if self.net is None:
+            return torch.zeros_like(by_v), by_v
+        (weight, bias), (last, last_bias) = self.net.layers()
+        features = self.embedding(q)
+        hidden = torch.tanh(torch.cat((features.x, v / VELOCITY), dim=1) @ weight.T + bias)
+        factor = self._triangle.square(hidden @ last.T + last_bias)
+        inputs = weight.T.expand(len(v), -1, -1)
+        by_s, by_rate = inputs.split((self.embedding.size, n), dim=1)
+        tangents = torch.cat(
+            (self.embedding.basis_tangents(features) @ by_s, by_rate / VELOCITY), 1
+        )
+        rates = (tangents * (1.0 - hidden * hidden).unsqueeze(1)) @ last.T
+        turned = self._triangle.square(rates.flatten(0, 1)).unflatten(0, rates.shape[:2])
+        x, y = v[:, None], vecmat(v, factor)[:, None]
+        found = -(matvec(turned, y) + matvec(factor[:, None], vecmat(x, turned))).mT
+        return found[..., :n], by_v + found[..., n:] - factor @ factor.mT
+
+    def _dry(self, coulomb: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
+        """``c`` and ``ε_v``."""
+        return nn.functional.softplus(coulomb), self._rest_velocity * (0.2 + 0.8 * rest.exp())
+
     def force(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
@@ -79,8 +114,7 @@ class LearnedDissipation(nn.Module, Dissipation):
             factor = self._triangle.square(_rows(self.viscous, len(v)))
             found = found - matvec(factor, vecmat(rate, factor))
         if self.coulomb is not None and self.rest is not None:
-            c = nn.functional.softplus(_rows(self.coulomb, len(v)))
-            rest = self._rest_velocity * (0.2 + 0.8 * _rows(self.rest, len(v)).exp())
+            c, rest = self._dry(*(_rows(x, len(v)) for x in (self.coulomb, self.rest)))
             found = found - c * torch.tanh(rate / rest)
         found = vecmat(found, self.joints)
         if self.net is not None:
