@@ -76,6 +76,17 @@ def test_names_order_and_extra_columns_do_not_matter(table: pd.DataFrame, tmp_pa
         torch.testing.assert_close(a, b)
 
 
+@pytest.mark.parametrize("index", [["t"], ["trajectory", "t"], []], ids="-".join)
+def test_an_index_written_along_is_read(
+    table: pd.DataFrame, index: list[str], tmp_path: Path
+) -> None:
+    plain, path = recorded(stated("cartpole"), save(table, tmp_path)), tmp_path / "indexed.parquet"
+    other = table.set_index(index) if index else table.set_index(table.index[::-1])
+    other.to_parquet(path)
+    for a, b in zip(plain.train, recorded(stated("cartpole"), path).train, strict=True):
+        torch.testing.assert_close(a, b)
+
+
 def test_without_velocities_central_differences(tmp_path: Path) -> None:
     """Second order: a quarter of the error at half the step."""
     errors = []

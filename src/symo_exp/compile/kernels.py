@@ -26,6 +26,17 @@ def addmm(x: Tensor, a: Tensor, b: Tensor, *, beta: float = 1.0, alpha: float = 
     return x + a @ b
 
 
+def bmm(a: Tensor, b: Tensor) -> Tensor:
+    """``A x``, ``xᵀ A`` and ``x yᵀ`` for a batch as sums, compiled into their neighbours."""
+    if a.shape[2] == 1:
+        return a * b
+    if b.shape[2] == 1:
+        return (a * b.mT).sum(2, keepdim=True)
+    if a.shape[1] == 1:
+        return (a.mT * b).sum(1, keepdim=True)
+    return NotImplemented
+
+
 def column_sums(
     x: Tensor, dim: list[int], keepdim: bool = False, *, dtype: torch.dtype | None = None
 ) -> Tensor:
@@ -73,6 +84,7 @@ TANH_BELOW = (
 CHEAPER: dict[Any, Callable[..., Any]] = {
     torch.ops.aten.mm.default: mm,
     torch.ops.aten.addmm.default: addmm,
+    torch.ops.aten.bmm.default: bmm,
     torch.ops.aten.tanh.default: tanh,
     torch.ops.aten.sum.dim_IntList: column_sums,
 }

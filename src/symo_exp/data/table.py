@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet
 
 from symo_exp.data.header import KINDS, OTHERS, few, header, located, readable
 from symo_exp.data.resample import Samples
@@ -60,12 +61,16 @@ def _read(
     if missing := [column for column in numbers if column not in found]:
         raise ConfigError(f"{where}: no column {', '.join(missing)}; it has {few(found)}")
     with readable(path):
-        table = pd.read_csv(file) if file.suffix == ".csv" else pd.read_parquet(file)
+        if file.suffix == ".csv":
+            table = pd.read_csv(file)
+        else:  # an index that was written along is a column like others
+            table = pyarrow.parquet.read_table(file).to_pandas(ignore_metadata=True)
         table.columns = pd.Index(found)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
     columns = Columns(where, wanted, len(inputs))
-    unread = [c.lstrip(".") for c in found if c not in numbers and c not in OTHERS]
+    known = {*numbers, *OTHERS}
+    unread = [c.lstrip(".") for c in found if c not in known and c[:8] != "__index_"]
     return Table(tuple(columns.apart(table)), tuple(unread))
 
 

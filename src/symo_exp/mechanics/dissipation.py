@@ -45,6 +45,12 @@ class Dissipation(ABC):
             force = self.force(q, v)
             return jacobian(force, q).detach(), jacobian(force, v).detach()
 
+    def damping(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n n"]:
+        """``∂F_d/∂v`` without a graph, or what of it may be stiff."""
+        return self.derivatives(q, v)[1]
+
 
 class Friction(Dissipation):
     """``F_d = −D v − c ∘ tanh(v / ε_v)``: viscous friction, and dry friction smoothed at rest."""
@@ -111,7 +117,7 @@ class DissipativeExpansion(Expansion):
         return Curvature(qq + force_q, vq, qv + force_v)
 
     def damping(self) -> Tensor:
-        return self._dissipation.derivatives(self._q, self._v)[1]
+        return self._dissipation.damping(self._q, self._v)
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         dq, p = self._at.gradients(q, v)

@@ -67,7 +67,7 @@ class Expansion(ABC):
     """Whether a dissipative force ``F_d`` belongs to ``ℒ``."""
 
     def damping(self) -> Float[Tensor, "batch n n"]:
-        """``∂F_d/∂v``, without a graph."""
+        """``∂F_d/∂v``, or what of it may be stiff, without a graph."""
         raise TypeError("there is no dissipation")
 
     @abstractmethod
@@ -185,18 +185,15 @@ class AutodiffExpansion(Expansion):
 def matvec(
     matrix: Float[Tensor, "*#batch n k"], vector: Float[Tensor, "*#batch k"]
 ) -> Float[Tensor, "*batch n"]:
-    """``A x`` for a batch of matrices and vectors.
-
-    For so small ones a sum is faster than the library's product, and can be compiled away.
-    """
-    return (matrix * vector.unsqueeze(-2)).sum(-1)
+    """``A x`` for a batch of matrices and vectors."""
+    return torch.matmul(matrix, vector.unsqueeze(-1)).squeeze(-1)
 
 
 def vecmat(
     vector: Float[Tensor, "*#batch n"], matrix: Float[Tensor, "*#batch n k"]
 ) -> Float[Tensor, "*batch k"]:
     """``xᵀ A``, likewise."""
-    return (vector.unsqueeze(-1) * matrix).sum(-2)
+    return torch.matmul(vector.unsqueeze(-2), matrix).squeeze(-2)
 
 
 def solve(

@@ -72,30 +72,35 @@ class LearnedDissipation(nn.Module, Dissipation):
         mark(self.net.parameters() if self.net is not None else (), "late")
 
     @torch.no_grad()
+    def damping(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n n"]:
+        """``∂F_d/∂v`` of the coefficients: the network is not stiff."""
+        found = torch.zeros(len(v), *self.joints.shape).to(v)
+        if self.viscous is not None:
+            factor = self._triangle.square(self.viscous.unsqueeze(0))
+            found = found - factor @ factor.mT
+        if self.coulomb is not None and self.rest is not None:
+            c, rest = self._dry(self.coulomb, self.rest)
+            slope = 1.0 - torch.tanh(v @ self.joints.T / rest).square()
+            found = found - torch.diag_embed(c / rest * slope)
+        return self.joints.T @ found @ self.joints
+
+    @torch.no_grad()
     def derivatives(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
         """``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
-        n, joints = v.shape[1], self.joints
-        by_v = v.new_zeros(len(v), n, n)
-        if self.viscous is not None:
-            factor = self._triangle.square(self.viscous.unsqueeze(0))
-            by_v = by_v - factor @ factor.mT
-        if self.coulomb is not None and self.rest is not None:
-            c, rest = self._dry(self.coulomb, self.rest)
-            by_v = by_v - torch.diag_embed(c / rest * (1.0 - torch.tanh(v @ joints.T / rest) ** 2))
-        by_v = joints.T @ by_v @ joints
+        by_v = self.damping(q, v)
         if self.net is None:
             return torch.zeros_like(by_v), by_v
         (weight, bias), (last, last_bias) = self.net.layers()
-        features = self.embedding(q)
+        features, n = self.embedding(q), v.shape[1]
         hidden = torch.tanh(torch.cat((features.x, v / VELOCITY), dim=1) @ weight.T + bias)
         factor = self._triangle.square(hidden @ last.T + last_bias)
-        inputs = weight.T.expand(len(v), -1, -1)
-        by_s, by_rate = inputs.split((self.embedding.size, n), dim=1)
-        tangents = torch.cat(
-            (self.embedding.basis_tangents(features) @ by_s, by_rate / VELOCITY), 1
-        )
+        by_s, by_rate = weight.T.split((self.embedding.size, n))
+        by_q = self.embedding.basis_tangents(features) @ by_s
+        tangents = torch.cat((by_q, (by_rate / VELOCITY).expand(len(v), -1, -1)), dim=1)
         rates = (tangents * (1.0 - hidden * hidden).unsqueeze(1)) @ last.T
         turned = self._triangle.square(rates.flatten(0, 1)).unflatten(0, rates.shape[:2])
         x, y = v[:, None], vecmat(v, factor)[:, None]
