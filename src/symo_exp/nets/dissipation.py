@@ -26,7 +26,9 @@ START = 0.01
 class LearnedDissipation(nn.Module, Dissipation):
     """``F_d = −Aᵀ (D A v + c ∘ tanh(A v / ε_v)) − L_D(q, v) L_D(q, v)ᵀ v``, dissipative by design.
 
-    ``D = L Lᵀ`` is positive semidefinite, ``c = softplus(·) ≥ 0``; ``L_D`` is a network with one
+    ``D = U diag(d) Uᵀ`` is positive semidefinite, ``U`` unit lower triangular, and ``c, d ≥ 0``, by
+    softplus: unlike a Cholesky factor's, the slope of ``d`` is of its own size where there is
+    hardly any friction. ``L_D`` is a network with one
     hidden tanh layer of ``width`` units that reads ``s(q)`` and ``v/5``, lower triangular. ``A``
     takes coordinates to joints: themselves, or with ``joints="neighbours"`` the differences
     ``v₁, v₂ − v₁, …`` of a chain whose angles are absolute. ``ε_v`` is learned too, beginning at
@@ -55,10 +57,11 @@ class LearnedDissipation(nn.Module, Dissipation):
         self._triangle = _Triangle(n)
         entries = self._triangle.entries
         self.viscous = self.coulomb = self.rest = self.net = None
+        start = math.log(math.expm1(START))
         if viscous:
-            self.viscous = nn.Parameter(self._triangle.flat(math.sqrt(START) * torch.eye(n)))
+            self.viscous = nn.Parameter(self._triangle.flat(start * torch.eye(n)))
         if coulomb:
-            self.coulomb = nn.Parameter(torch.full((n,), math.log(math.expm1(START))))
+            self.coulomb = nn.Parameter(torch.full((n,), start))
             self.rest = nn.Parameter(torch.zeros(n))
             self._rest_velocity = rest_velocity
         if width > 0:
@@ -78,8 +81,8 @@ class LearnedDissipation(nn.Module, Dissipation):
         """``∂F_d/∂v`` of the coefficients: the network is not stiff."""
         found = torch.zeros(len(v), *self.joints.shape).to(v)
         if self.viscous is not None:
-            factor = self._triangle.square(self.viscous.unsqueeze(0))
-            found = found - factor @ factor.mT
+            unit, d = self._factors(self.viscous.unsqueeze(0))
+            found = found - unit * d.unsqueeze(-2) @ unit.mT
         if self.coulomb is not None and self.rest is not None:
             c, rest = self._dry(self.coulomb, self.rest)
             slope = 1.0 - torch.tanh(v @ self.joints.T / rest).square()
@@ -107,6 +110,12 @@ class LearnedDissipation(nn.Module, Dissipation):
         found = -(matvec(turned, y) + matvec(factor[:, None], vecmat(x, turned))).mT
         return found[..., :n], by_v + found[..., n:] - factor @ factor.mT
 
+    def _factors(self, viscous: Tensor) -> tuple[Tensor, Tensor]:
+        """``U`` and ``d``."""
+        square = self._triangle.square(viscous)
+        d = nn.functional.softplus(square.diagonal(dim1=-2, dim2=-1))
+        return torch.tril(square, -1) + torch.eye(d.shape[-1]).to(d), d
+
     def _dry(self, coulomb: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
         """``c`` and ``ε_v``."""
         return nn.functional.softplus(coulomb), self._rest_velocity * (0.2 + 0.8 * rest.exp())
@@ -116,8 +125,8 @@ class LearnedDissipation(nn.Module, Dissipation):
     ) -> Float[Tensor, "batch n"]:
         rate, found = matvec(self.joints, v), torch.zeros_like(v)
         if self.viscous is not None:
-            factor = self._triangle.square(_rows(self.viscous, len(v)))
-            found = found - matvec(factor, vecmat(rate, factor))
+            unit, d = self._factors(_rows(self.viscous, len(v)))
+            found = found - matvec(unit, d * vecmat(rate, unit))
         if self.coulomb is not None and self.rest is not None:
             c, rest = self._dry(*(_rows(x, len(v)) for x in (self.coulomb, self.rest)))
             found = found - c * torch.tanh(rate / rest)

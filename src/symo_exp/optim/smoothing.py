@@ -23,6 +23,9 @@ LEAST, MOST = 1e-6, 1e6
 SUCCESS, FAILURE, SURPRISE = 1 / 3, 8.0, 2.5
 """What damping is multiplied by: after a step as foreseen, one refused, one that gains little."""
 
+TENTH, BEND = 0.1, 0.75
+"""Where on the way its bend is measured; the longest correction for it, twice, over the step."""
+
 
 class Owner(Protocol):
     """Whose step it is."""
@@ -45,10 +48,24 @@ class Linear(NamedTuple):
     by_x: tuple[Float[Tensor, "windows k d"], ...]
     factor: BandFactor | None
     """Of ``S``; ``None`` where the nodes are held."""
+    target: Float[Tensor, "nodes d"]
+    """``y``, or with damped nodes a point between ``y`` and ``x``."""
+    weight: float
+    """``1 + μ`` of the nodes' distance from there."""
     gram: Float[Tensor, "parameters parameters"]
     """``J_θᵀ S⁻¹ J_θ``."""
     gradient: Float[Tensor, " parameters"]
     """``J_θᵀ S⁻¹ e``."""
+
+
+class Move(NamedTuple):
+    """A trial."""
+
+    delta: Float[Tensor, " parameters"]
+    bend: Float[Tensor, "windows k"]
+    """``½ r''`` along it."""
+    foreseen: float
+    """By how much the objective should fall."""
 
 
 class Smoothing:
@@ -57,9 +74,11 @@ class Smoothing:
         e = r + J_x (y − x)        S = J_x J_xᵀ + ε² I
 
     eliminate the nodes, ``(J_θᵀ S⁻¹ J_θ + σ² α + λ diag) δ = −J_θᵀ S⁻¹ e − σ² α θ`` moves the
-    parameters, and ``x = y − J_xᵀ S⁻¹ (e + J_θ δ)`` puts the nodes back, once more with the
-    residuals there. A step that lowers the objective is taken; after some that do not the nodes,
-    too, go a part of their way only, for dry friction bends the residuals within a step. ``S`` is
+    parameters, and ``x = y − J_xᵀ S⁻¹ (e + J_θ δ)`` puts the nodes back. To second order, by
+    geodesic acceleration (Transtrum and Sethna 2012), ``½ r''`` along the step joins ``e``: valleys
+    are bent. The nodes are then put back once more with the residuals there. A step that lowers the
+    objective is taken, another tried again with more damping: ``λ``, or where the nodes alone would
+    go astray ``μ |x − x_before|²``, for dry friction bends the residuals within a step. ``S`` is
     banded: all takes time linear in the nodes.
 
     Noise and priors, a group for each parameter tensor, come from the evidence (MacKay 1992):
@@ -83,30 +102,34 @@ class Smoothing:
         """Tries steps with growing damping until one is taken; the numbers of the epoch."""
         owner, memory = self._owner, self._memory
         x, theta = memory["nodes"], owner.flat()
-        r, at = self._linearise(x)
+        r, by_theta, by_x = self._differentiated(x, owner.parameters)
+        by_theta = by_theta * self._moves
+        free = self._eliminated(x, r, by_theta, by_x, 0.0)
         objective = before = self._objective(x, r, theta)
         for trial in range(owner.trials):
-            delta, foreseen = self._update(at, theta)
-            if delta is not None:
-                owner.place(theta + delta)
-                share = 0.5 ** max(0, trial - 2)  # of the way that the nodes go
-                arrived = self._arrived(at, delta, once_more=share == 1.0)
-                there = x + share * (arrived - x)
-                with torch.no_grad():
-                    r_there = self._residuals(self._chain.stencil(there))
-                objective = self._objective(there, r_there, theta + delta)
+            held = memory["held"] if self._epsilon else 0.0
+            at = self._eliminated(x, r, by_theta, by_x, held) if held else free
+            move = self._move(at, x, r, theta)
+            if move is not None:
+                moved = theta + move.delta
+                owner.place(moved)
+                there, r_there = self._arrived(at, move)
+                objective = self._objective(there, r_there, moved)
                 if objective < before:
-                    gain = (before - objective) / max(foreseen, 1e-300)
-                    memory["nodes"], x, r, theta = there, there, r_there, theta + delta
+                    gain = (before - objective) / max(move.foreseen, 1e-300)
+                    memory["nodes"], x, r, theta = there, there, r_there, moved
                     if gain < 0.2:
                         memory["damping"] *= SURPRISE
                     elif gain > 0.6 and trial == 0:
                         memory["damping"] *= SUCCESS
+                        memory["held"] = held * SUCCESS if held > 1.0 else 0.0
                     break
-            memory["damping"] = min(memory["damping"] * FAILURE, 1e12)
-        else:
             owner.place(theta)
-        self._update_evidence(at.gram, x, r, theta)
+            if self._nodes_settle(at, before, theta):
+                memory["damping"] = min(memory["damping"] * FAILURE, 1e12)
+            else:
+                memory["held"] = min(max(held * FAILURE, 1.0), 1e12)
+        self._update_evidence(free.gram, x, r, theta)
         return {
             "train_loss": float(r.square().mean()),
             "noise_estimate": memory["noise"] ** 0.5,
@@ -127,54 +150,91 @@ class Smoothing:
         return r, by_theta, tuple(j * self._weight for j in by_x)
 
     def _eliminated(
-        self, x: Tensor, r: Tensor, by_x: Sequence[Tensor]
-    ) -> tuple[Tensor, BandFactor | None]:
-        """``e`` and the factor of ``S``."""
+        self, x: Tensor, r: Tensor, by_theta: Tensor, by_x: tuple[Tensor, ...], held: float
+    ) -> Linear:
+        """The problem without its nodes, these damped by ``μ = held``."""
+        weight = 1.0 + held
+        target = x + (self._chain.x - x) / weight
         if self._epsilon is None:
-            return r, None
-        e = r + self._chain.apply(by_x, (self._chain.x - x) / self._weight)
-        return e, self._chain.factor(by_x, self._epsilon**2)
+            e, factor = r, None
+            white, white_e = by_theta.flatten(0, 1), e.flatten()
+        else:
+            e, factor = self._factored(x, r, by_x, target, weight)
+            white, white_e = factor.whiten(by_theta), factor.whiten(e).flatten()
+        gram, gradient = white.T @ white, white.T @ white_e
+        return Linear(e, by_theta, by_x, factor, target, weight, gram, gradient)
 
-    def _linearise(self, x: Tensor) -> tuple[Tensor, Linear]:
-        r, by_theta, by_x = self._differentiated(x, self._owner.parameters)
-        by_theta = by_theta * self._moves
-        e, factor = self._eliminated(x, r, by_x)
-        white = by_theta.flatten(0, 1) if factor is None else factor.whiten(by_theta)
-        white_e = e.flatten() if factor is None else factor.whiten(e).flatten()
-        return r, Linear(e, by_theta, by_x, factor, white.T @ white, white.T @ white_e)
+    def _factored(
+        self, x: Tensor, r: Tensor, by_x: tuple[Tensor, ...], target: Tensor, weight: float
+    ) -> tuple[Tensor, BandFactor]:
+        """``e`` and the factor of ``S``."""
+        assert self._epsilon is not None
+        e = r + self._chain.apply(by_x, (target - x) / self._weight)
+        scaled = tuple(j / weight**0.5 for j in by_x)
+        return e, self._chain.factor(scaled, self._epsilon**2)
 
-    def _update(self, at: Linear, theta: Tensor) -> tuple[Tensor | None, float]:
-        """``δ``, and by how much the objective should fall."""
+    def _move(self, at: Linear, x: Tensor, r: Tensor, theta: Tensor) -> Move | None:
+        """The next trial; ``None`` where the equations have no factor or the way bends too much."""
         prior = self._memory["noise"] * self._memory["precision"][self._group]
         slope = (at.gradient + prior * theta) * self._moves
         diagonal = at.gram.diagonal()
         damping = self._memory["damping"] * (diagonal + 1e-6 * diagonal.amax())
-        damped = at.gram + torch.diag(prior + damping)
-        factor, info = torch.linalg.cholesky_ex(damped)
+        factor, info = torch.linalg.cholesky_ex(at.gram + torch.diag(prior + damping))
         if int(info) != 0:
-            return None, 0.0
+            return None
         delta = -torch.cholesky_solve(slope.unsqueeze(-1), factor).squeeze(-1)
-        return delta, float(-(slope @ delta) + damping @ delta.square())
+        foreseen = float(-(slope @ delta) + damping @ delta.square())
+        bend = self._bend(at, x, r, theta, delta)
+        pull = bend if at.factor is None else at.factor.solve(bend)
+        pulled = (at.by_theta.flatten(0, 1).T @ pull.flatten()).unsqueeze(-1)
+        turn = -torch.cholesky_solve(pulled, factor).squeeze(-1)
+        if not 4.0 * damping @ turn.square() <= BEND**2 * (damping @ delta.square()):
+            return Move(delta, torch.zeros_like(bend), foreseen)
+        return Move(delta + turn, bend, foreseen)
+
+    def _bend(
+        self, at: Linear, x: Tensor, r: Tensor, theta: Tensor, delta: Tensor
+    ) -> Float[Tensor, "windows k"]:
+        """``½ r''`` along the step, by residuals a tenth of the way."""
+        way = self._nodes(at, at.e + at.by_theta @ delta) - x
+        linear = at.by_theta @ delta + self._chain.apply(at.by_x, way / self._weight)
+        self._owner.place(theta + TENTH * delta)
+        with torch.no_grad():
+            there = self._residuals(self._chain.stencil(x + TENTH * way))
+        return (there - r - TENTH * linear) / TENTH**2
 
     def _nodes(self, at: Linear, e: Tensor) -> Float[Tensor, "nodes d"]:
         """``y − J_xᵀ S⁻¹ e``."""
         if at.factor is None:
             held: Tensor = self._memory["nodes"]
             return held
-        return self._chain.x - self._weight * self._chain.spread(at.by_x, at.factor.solve(e))
+        moved = self._chain.spread(at.by_x, at.factor.solve(e)) / at.weight
+        return at.target - self._weight * moved
 
-    def _arrived(self, at: Linear, delta: Tensor, *, once_more: bool) -> Tensor:
-        """The nodes that go with the parameters in place; only the first of two steps is surely
-        one downhill."""
-        x = self._nodes(at, at.e + at.by_theta @ delta)
-        if at.factor is not None and once_more:
-            r, _, by_x = self._differentiated(x, ())
-            try:
-                e, factor = self._eliminated(x, r, by_x)
-                x = self._nodes(at._replace(by_x=by_x, factor=factor), e)
-            except ArithmeticError:  # too far: the objective will say so
-                pass
-        return x
+    def _arrived(self, at: Linear, move: Move) -> tuple[Tensor, Tensor]:
+        """The nodes that go with the parameters in place, and the residuals there: after two steps
+        or after the first, which alone is surely downhill."""
+        x = self._nodes(at, at.e + at.by_theta @ move.delta + move.bend)
+        if at.factor is None:
+            with torch.no_grad():
+                return x, self._residuals(self._chain.stencil(x))
+        r, _, by_x = self._differentiated(x, ())
+        try:
+            e, factor = self._factored(x, r, by_x, at.target, at.weight)
+        except ArithmeticError:
+            return x, r
+        further = self._nodes(at._replace(by_x=by_x, factor=factor), e)
+        with torch.no_grad():
+            r_further = self._residuals(self._chain.stencil(further))
+        worse = self._misfit(further, r_further) > self._misfit(x, r)
+        return (x, r) if worse else (further, r_further)
+
+    def _nodes_settle(self, at: Linear, before: float, theta: Tensor) -> bool:
+        """Whether the nodes alone find their way, the parameters where they were."""
+        x = self._nodes(at, at.e)
+        with torch.no_grad():
+            r = self._residuals(self._chain.stencil(x))
+        return self._objective(x, r, theta) <= before * (1.0 + 1e-9)
 
     def _objective(self, x: Tensor, r: Tensor, theta: Tensor) -> float:
         """``σ²`` times what is minimised."""

@@ -75,6 +75,7 @@ class TotalLeastSquares(EpochOptimizer):
         self.memory |= {
             "epoch": 0,
             "damping": damping,
+            "held": 0.0,
             "nodes": None,
             "noise": 1.0,
             "precision": torch.tensor(precision, dtype=torch.float64),
@@ -101,7 +102,7 @@ class TotalLeastSquares(EpochOptimizer):
             self._set_late(to_start=False)
             self._warm(model, chain)
         elif before != stage:
-            memory["damping"] = min(memory["damping"], self.damping)
+            memory["damping"], memory["held"] = min(memory["damping"], self.damping), 0.0
             if stage.late and not before.late:
                 self._set_late(to_start=True)
         memory["epoch"] = epoch + 1
