@@ -125,9 +125,28 @@ def test_the_nodes_are_nearer_to_the_truth_than_the_data(smoothed):
 
 def test_a_step_never_raises_the_objective_and_ends_by_itself():
     _, found = train(symo(1), lengths(20, 20, n=1), epsilons=(1.0,), start=6, epochs=4, warm_up=20)
-    losses = [float(x["train_loss"]) for x in found[:6]]
-    assert losses == sorted(losses, reverse=True)
-    assert len(found) == 10
+    assert len(found) == 6 + 6 + 4  # two starts, and one epsilon
+    losses = [float(x["train_loss"]) for x in found]
+    for start in (losses[:6], losses[6:12]):
+        assert start == sorted(start, reverse=True)
+
+
+def test_the_better_of_two_starts_goes_on():
+    model, trajectories = symo(1), lengths(20, 20, n=1)
+    optimizer = TotalLeastSquares(model.parameters(), epsilons=(1.0,), start=3, epochs=1)
+    ends = []
+    for _ in range(6):
+        optimizer.epoch(model, trajectories)
+        ends.append((float(optimizer.memory["loss"]), optimizer.flat().clone()))
+    starts = [ends[2], ends[5]]
+    begun: list[torch.Tensor] = []
+    restore = optimizer._restore
+    optimizer._restore = lambda snapshot: begun.append(snapshot["parameters"]) or restore(snapshot)
+    optimizer.epoch(model, trajectories)
+    (_, best), (_, other) = sorted(starts, key=lambda end: end[0])
+    assert not torch.equal(best, other)
+    assert all(torch.equal(x, best) for x in begun)
+    assert bool(begun) == torch.equal(best, starts[0][1])
 
 
 def test_late_parameters_are_zero_until_their_stage():
@@ -140,7 +159,7 @@ def test_late_parameters_are_zero_until_their_stage():
     while not optimizer.finished:
         optimizer.epoch(model, trajectories)
         seen.append(any(bool(p.any()) for p in net))
-    assert seen == [False] * 6 + [True] * 2
+    assert seen == [False] * (2 * 2 + 2 * 2) + [True] * 2
 
 
 def test_it_goes_on_from_what_it_remembers_bit_for_bit():

@@ -234,7 +234,7 @@ class Smoothing:
         x = self._nodes(at, at.e)
         with torch.no_grad():
             r = self._residuals(self._chain.stencil(x))
-        return self._objective(x, r, theta) <= before * (1.0 + 1e-9)
+        return self._objective(x, r, theta) <= before * (1.0 + 1e-13)
 
     def _objective(self, x: Tensor, r: Tensor, theta: Tensor) -> float:
         """``σ²`` times what is minimised."""

@@ -20,8 +20,10 @@ class Stage(NamedTuple):
     """Some epochs at one ``ε``; ``None``: the nodes are held where smoothing left them."""
 
     epsilon: float | None
-    late: bool
+    late: bool = False
     """Whether the late parameters move as well."""
+    warmed: bool = False
+    """Whether it begins with steps of Adam from the initial parameters."""
 
 
 class TotalLeastSquares(EpochOptimizer):
@@ -31,11 +33,12 @@ class TotalLeastSquares(EpochOptimizer):
     three consecutive ones: the noise in the data is estimated with the model instead of being
     learned (errors in variables, a weak constraint). See ``smoothing.Smoothing`` for a step.
 
-    The nodes are smoothed first. In the first epoch the parameters take ``warm_up`` steps of Adam,
-    its ``rate`` along a half cosine, then they are improved for the rest of ``start`` epochs with
-    the nodes held. Each ε of ``epsilons`` has ``epochs``. Where a model has late parameters, these
-    are zero so far; they join in a second round, with each ``ε ≤ late_from``. The parameters that
-    are best on held-out data are kept, wherever they come from.
+    The nodes are smoothed first, and held for ``start`` epochs from the initial parameters and for
+    as many from where ``warm_up`` steps of Adam take these, its ``rate`` along a half cosine: now
+    the one, now the other is in the better basin, and what has the smaller residuals goes on. Each
+    ε of ``epsilons`` has ``epochs``. Where a model has late parameters, these are zero so far; they
+    join in a second round, with each ``ε ≤ late_from``. The parameters that are best on held-out
+    data are kept, wherever they come from.
     """
 
     reads_trajectories = True
@@ -68,9 +71,11 @@ class TotalLeastSquares(EpochOptimizer):
         self.warm_up, self.rate, self.seed = warm_up, rate, seed
         self.velocity_weight = velocity_weight
         late = any(map(is_late, self.parameters))
-        rounds = [Stage(e, False) for e in epsilons]
-        again = [Stage(e, True) for e in epsilons if e <= late_from] if late else []
-        self.stages = [Stage(None, False), *rounds, *again]
+        starts = [Stage(None), Stage(None, warmed=True)][: 2 if warm_up > 0 else 1]
+        rounds = [Stage(e) for e in epsilons]
+        again = [Stage(e, late=True) for e in epsilons if e <= late_from] if late else []
+        self.stages = [*starts, *rounds, *again]
+        self._starts = len(starts)
         precision = [FLAT if is_coefficient(p) else 1.0 for p in self.parameters]
         self.memory |= {
             "epoch": 0,
@@ -79,16 +84,21 @@ class TotalLeastSquares(EpochOptimizer):
             "nodes": None,
             "noise": 1.0,
             "precision": torch.tensor(precision, dtype=torch.float64),
+            "initial": None,
+            "rival": None,
         }
 
     @property
     def total_epochs(self) -> int:
         """How many epochs all stages have."""
-        return self.start + self.epochs * (len(self.stages) - 1)
+        return self.start * self._starts + self.epochs * (len(self.stages) - self._starts)
 
     def stage(self, epoch: int) -> Stage:
         """That of an epoch, the first being 0."""
-        return self.stages[0 if epoch < self.start else 1 + (epoch - self.start) // self.epochs]
+        beyond = epoch - self.start * self._starts
+        return self.stages[
+            epoch // self.start if beyond < 0 else self._starts + beyond // self.epochs
+        ]
 
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
         """One accepted step; ``batches`` are whole trajectories."""
@@ -100,19 +110,35 @@ class TotalLeastSquares(EpochOptimizer):
         if before is None:
             memory["nodes"] = smoothed(trajectories, model.reads_velocity)
             self._set_late(to_start=False)
-            self._warm(model, chain)
+            memory["initial"] = self._snapshot(0.0)
         elif before != stage:
             memory["damping"], memory["held"] = min(memory["damping"], self.damping), 0.0
-            if stage.late and not before.late:
+            if stage.warmed:
+                memory["rival"] = self._snapshot(memory["loss"])
+                self._restore(memory["initial"])
+                self._warm(model, chain)
+            elif before.warmed and memory["rival"]["loss"] < memory["loss"]:
+                self._restore(memory["rival"])
+            elif stage.late and not before.late:
                 self._set_late(to_start=True)
         memory["epoch"] = epoch + 1
         found = Smoothing(self, model, chain, stage.epsilon, late=stage.late).step()
+        memory["loss"] = found["train_loss"]
         self.finished = memory["epoch"] >= self.total_epochs
         return {name: torch.tensor(x, dtype=torch.float64) for name, x in found.items()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         super().load_state_dict(state_dict)
         self.finished = self.memory["epoch"] >= self.total_epochs
+
+    def _snapshot(self, loss: float) -> dict[str, Any]:
+        """Where the parameters are, and what is believed of them."""
+        kept = {name: self.memory[name] for name in ("damping", "noise", "precision")}
+        return {"loss": loss, "parameters": self.flat().clone(), **kept}
+
+    def _restore(self, snapshot: dict[str, Any]) -> None:
+        self.place(snapshot["parameters"])
+        self.memory |= {name: snapshot[name] for name in ("damping", "noise", "precision")}
 
     @torch.no_grad()
     def _set_late(self, *, to_start: bool) -> None:
@@ -121,9 +147,7 @@ class TotalLeastSquares(EpochOptimizer):
             p.copy_(start(p) if to_start else torch.zeros_like(p))
 
     def _warm(self, model: Problem, chain: Chain) -> None:
-        """Adam on the smoothed nodes: into the basin that the second-order steps refine."""
-        if self.warm_up < 1:
-            return
+        """Adam on the smoothed nodes."""
         samples = chain.windows(*chain.stencil(self.memory["nodes"]))
         early = [p for p in self.parameters if not is_late(p)]
         adam = torch.optim.Adam(early, lr=self.rate)
