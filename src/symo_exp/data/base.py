@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
 import lightning
 import torch
+from torch import Tensor
 
 from symo_exp.data.noise import add_noise
 from symo_exp.data.windows import windows
@@ -41,11 +42,14 @@ class DataModule(lightning.LightningDataModule, ABC):
     test trajectories are watched during training, the first ``monitor_trajectories`` of them.
     ``held_out`` takes that many trajectories out of the training set, its last ones, or below 1
     that share of them (at least one); ``monitor="held_out"`` watches them, so that a stopping rule
-    costs no data beyond ``n_traj``.
+    costs no data beyond ``n_traj``. With ``velocities="estimated"`` those of the training data are
+    central differences of the configurations, noise included, whatever was measured.
     """
 
     recorded: ClassVar[bool] = False
     """Whether somebody measured these motions."""
+    time_step: float
+    """Between two nodes [s]."""
 
     def __init__(
         self,
@@ -61,8 +65,10 @@ class DataModule(lightning.LightningDataModule, ABC):
         monitor: Literal["val", "test", "held_out"] = "val",
         monitor_trajectories: int | None = None,
         held_out: float = 0,
+        velocities: Literal["given", "estimated"] = "given",
     ) -> None:
         super().__init__()
+        self.velocities = one_of("data.velocities", velocities, ("given", "estimated"))
         self.n_traj = whole("data.n_traj", n_traj, low=1, high=self.counts["train"])
         self.noise_std = real("data.noise_std", noise_std, low=0)
         self.noise_test = noise_test
@@ -99,6 +105,11 @@ class DataModule(lightning.LightningDataModule, ABC):
         splits = self.load()
         train = splits.train[: self.n_traj]
         self.train_trajectories = add_noise(train, self.noise_std, [self.noise_seed, 0])
+        if self.velocities == "estimated":
+            self.train_trajectories = [
+                t._replace(v=central_differences(t.q, self.time_step))
+                for t in self.train_trajectories
+            ]
         self.val_trajectories = splits.val
         std = self.noise_std if self.noise_test else 0.0
         self.test_trajectories = add_noise(splits.test, std, [self.noise_seed, 1])
@@ -162,6 +173,11 @@ class DataModule(lightning.LightningDataModule, ABC):
             samples = Windows(*(field.to(device) for field in make()))
             self._on_device[name] = (device, samples)
         return samples
+
+
+def central_differences(q: Tensor, h: float) -> Tensor:
+    """``(q_{k+1} − q_{k−1}) / 2h``, and one-sided of second order at both ends."""
+    return torch.gradient(q, spacing=h, dim=0, edge_order=2)[0]
 
 
 class Once(Generic[Item]):

@@ -60,7 +60,7 @@ class TrajectoryData(DataModule):
                 f"data=simulated: the equations of {type(system).__name__} are not known; "
                 "learn from recordings (data=recorded)"
             )
-        self.system = system
+        self.system, self.time_step = system, system.time_step
         self._counts = {
             "train": whole("data.n_train_max", n_train_max),
             "val": whole("data.n_val", n_val),

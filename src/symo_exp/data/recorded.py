@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 import torch
 
-from symo_exp.data.base import DataModule, Splits
+from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.header import few
 from symo_exp.data.parts import divided
@@ -94,7 +94,7 @@ class RecordedData(DataModule):
         self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
         self._report = list(_report(where, table.recordings, table.unread, parts, system.time_step))
         self._sampled = [recording.samples for recording in parts["train"]]
-        self._system = system
+        self._system, self.time_step = system, system.time_step
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
         super().__init__(n_traj=n_traj, batch_size=batch_size, **base)
@@ -149,7 +149,9 @@ class Nodes:
                     "a sample needs 3"
                 )
         q, u = samples.q, samples.u
-        v = central_differences(q, h) if samples.v is None else samples.v
+        v = samples.v
+        if v is None:
+            v = central_differences(torch.from_numpy(q), h).numpy()
         if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
             raise ConfigError(f"{where} has numbers too large to reckon with")
         return Trajectory(*(torch.tensor(field) for field in (q, v, u)))
@@ -166,11 +168,6 @@ class Nodes:
                 "wrapped (data.wrapped=true mends them) and be in radians"
             )
         return samples
-
-
-def central_differences(q: np.ndarray, h: float) -> np.ndarray:
-    """``(q_{k+1} − q_{k−1}) / 2h``, and one-sided of second order at both ends."""
-    return np.asarray(np.gradient(q, h, axis=0, edge_order=2))
 
 
 def _equal(t: np.ndarray, h: float) -> bool:
