@@ -134,14 +134,12 @@ class RootError(Objective):
             "newton_failed": (~ok).float().mean(),
         }
         if not self.fallback or bool(ok.all()):
-            error = self.error(flow, windows, impulse, x, at, at.d2d1())
-            return Residuals(error, statistics)
-        found, lost = (rows.nonzero().squeeze(-1) for rows in (ok, ~ok))
-        at, data = at.rows(found), windows.rows(found)
-        known = self.error(flow, data, impulse[found], x[found], at, at.d2d1())
-        instead, _ = PreconditionedResidual()(flow, windows.rows(lost))
-        error = torch.zeros_like(windows.q).index_copy(0, found, known)
-        return Residuals(error.index_copy(0, lost, instead), statistics)
+            return Residuals(self.error(flow, windows, impulse, x, at, at.d2d1()), statistics)
+        # Every row goes both ways, so that each of them remains a row to whoever differentiates.
+        jacobian = torch.where(ok[:, None, None], at.d2d1(), torch.eye(x.shape[1]).to(x))
+        known = self.error(flow, windows, impulse, x, at, jacobian)
+        instead, _ = PreconditionedResidual()(flow, windows)
+        return Residuals(torch.where(ok[:, None], known, instead), statistics)
 
     def initial_guess(self, windows: Windows) -> Tensor:
         """Where the search starts."""
