@@ -1,21 +1,26 @@
-"""Tables of the runs of this folder.
+"""The tables of this folder from its runs.
 
     python results/hardware/table.py outputs > results/hardware/table.md
 
-Reads the finished runs of ``outputs/hardware_*``, and ``refitted.csv`` beside this file. Medians over
-seeds with the range of all of them; ``runs.csv`` beside this file gets every number.
+Reads the finished runs of ``outputs/hardware_*``, whose numbers it keeps in ``runs.csv``, and the
+makers' refitted equations in ``refitted.csv``, both beside this file. Without an argument it reads
+``runs.csv`` instead. Cells are medians over seeds and, in brackets, the range of all of them.
 """
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
+import yaml
 
+from symo_exp.report.tables import Table, markdown
 from symo_exp.runs.folder import RunFolder
 
 HERE = Path(__file__).parent
 MEASURES = ["rmse_0.5s", "rmse_1s", "rmse_2s", "pooled_rmse_2s", "valid_s"]
-NAMES = {
+STARTS = {"fitted": "", "measured": "_measured"}
+METHODS = {
     "symo": "SyMo",
     "symo-none": "SyMo, no dissipation",
     "symo-smoothed": "SyMo on smoothed data",
@@ -25,23 +30,80 @@ NAMES = {
     "l_node-estimated": "L-NODE, estimated velocities",
     "node": "NODE, measured velocities",
     "node-estimated": "NODE, estimated velocities",
+    "makers, refitted": "makers, refitted",
+    "makers": "makers",
+    "constant velocity": "constant velocity",
 }
+OTHERS = {"makers": "reference_", "constant velocity": "constant_velocity_"}
 
 
 def runs(outputs: Path) -> pd.DataFrame:
+    """A row a run and start; what every run was held to besides is a method of its own."""
     rows = []
     for path in sorted(outputs.glob("hardware_*/*")):
         folder = RunFolder(path)
-        if not folder.finished:
+        if folder.outcome().status != "finished":
             continue
-        config = folder.config()
-        machine = Path(config["data"]["path"]).stem
+        config, found = yaml.safe_load((path / "config.yaml").read_text()), folder.measures()
+        about = folder.about()
+        run = {"machine": Path(config["data"]["path"]).stem, "seed": config["seed"]}
+        seconds = pd.read_csv(path / "series.csv").training_seconds.max()
         method = path.parent.name.removeprefix("hardware_")
-        metrics = folder.metrics()
-        row = {"machine": machine, "method": method, "seed": config["seed"]}
-        rows.append(row | {key: metrics.get(key) for key in sorted(metrics)})
-    return pd.DataFrame(rows)
+        for start, suffix in STARTS.items():
+            for name, prefix in {method: "", **OTHERS}.items():
+                keys = {m: f"{prefix}{m}{suffix}" for m in MEASURES}
+                values = {m: found[key] for m, key in keys.items() if key in found}
+                own = {"seconds": seconds, "revision": revision(about)} if name == method else {}
+                rows.append(run | {"method": name, "start": start} | values | own)
+    return pd.DataFrame(rows).drop_duplicates(["machine", "method", "start", "seed"])
+
+
+def revision(about: object) -> str:
+    return str(getattr(about, "tags", {}).get("mlflow.source.git.commit", ""))[:7]
+
+
+def table(found: pd.DataFrame, machine: str, start: str) -> Table:
+    chosen = found[(found.machine == machine) & (found.start == start)]
+    makers = chosen[chosen.method == "makers"].iloc[0]
+    head = ["model", "seeds", *MEASURES, "makers' over its errors", "training [s]"]
+    rows = [line(chosen[chosen.method == key], name, makers) for key, name in METHODS.items()]
+    known = pd.DataFrame([row for row in rows if row], columns=head)
+    title = f"{machine.replace('_', ' ').capitalize()}, {start} start"
+    return Table(f"{machine}_{start}", title, known)
+
+
+def line(rows: pd.DataFrame, name: str, makers: pd.Series) -> list[str]:
+    if rows.empty:
+        return []
+    own = name not in OTHERS and "refitted" not in name
+    ratios = [makers[m] / rows[m].median() for m in MEASURES[:3]]
+    return [
+        name,
+        str(rows.seed.nunique()) if own else "",
+        *(cell(rows[m]) if own else f"{rows[m].median():.2g}" for m in MEASURES),
+        " / ".join(f"{ratio:.2g}" for ratio in ratios),
+        f"{rows.seconds.median():.0f}" if own else "",
+    ]
+
+
+def cell(values: pd.Series) -> str:
+    middle, low, high = (f"{x:.2g}" for x in (values.median(), values.min(), values.max()))
+    return middle if len(values) == 1 else f"{middle} [{low}, {high}]"
+
+
+def tables(found: pd.DataFrame) -> Iterator[str]:
+    for start in STARTS:
+        for machine in found.machine.unique():
+            yield markdown(table(found, machine, start))
 
 
 if __name__ == "__main__":
-    print(runs(Path(sys.argv[1])).to_string())
+    kept = HERE / "runs.csv"
+    if sys.argv[1:]:
+        runs(Path(sys.argv[1])).to_csv(kept, index=False, float_format="%.5g")
+    found = pd.read_csv(kept)
+    refitted = HERE / "refitted.csv"
+    if refitted.exists():
+        others = pd.read_csv(refitted).rename(columns={"model": "method"})
+        found = pd.concat([found, others[others.method == "makers, refitted"].assign(seed=0)])
+    print("\n".join(tables(found)))

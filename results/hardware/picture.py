@@ -1,0 +1,50 @@
+"""The picture of a machine: a window predicted open loop, and the errors in all of them.
+
+    python results/hardware/picture.py RUN FILE.png
+
+``RUN`` is the folder of a run on recordings that was held to a reference.
+"""
+
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+from symo_exp.report.looks import axis_label
+
+OURS, MAKERS = {"color": "C0"}, {"color": "C1", "linestyle": (0, (4, 2))}
+
+
+def error(table: pd.DataFrame, prefix: str, names: list[str]) -> pd.Series:
+    squares = [(table[f"{prefix}_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names]
+    return np.sqrt(sum(squares) / len(names))
+
+
+def draw(run: Path, file: Path) -> None:
+    table = pd.read_parquet(run / "windows.parquet")
+    names = [c[7:] for c in table if c.startswith("q_true_")]
+    table["ours"], table["makers"] = error(table, "q", names), error(table, "q_reference", names)
+    totals = table.groupby("window").ours.mean().sort_values()
+    one = table[table.window == totals.index[(len(totals) - 1) // 2]]
+    figure, (motion, errors) = plt.subplots(1, 2, figsize=(10, 3.2))
+    for i, name in enumerate(names):
+        motion.plot(
+            one.t, one[f"q_{name}"], lw=1.5, label=axis_label(name, angular=True), color=f"C{i + 2}"
+        )
+        motion.plot(one.t, one[f"q_true_{name}"], "k.", ms=3, label="" if i else "measured")
+    motion.set(xlabel="time [s]", ylabel="angle [rad]", title="measured, and predicted by SyMo")
+    motion.legend(frameon=False, fontsize=8)
+    for at, (_, rows) in enumerate(table[table.t > 0].groupby("window")):
+        errors.plot(rows.t, rows.makers, lw=1.2, label="" if at else "makers' model", **MAKERS)
+        errors.plot(rows.t, rows.ours, lw=1.2, label="" if at else "SyMo", **OURS)
+    errors.set(yscale="log", xlabel="time [s]", ylabel="error, RMS over angles [rad]")
+    errors.set_title(f"all {len(totals)} windows of the test part")
+    errors.legend(frameon=False, fontsize=8)
+    figure.tight_layout()
+    figure.savefig(file, dpi=110)
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]), Path(sys.argv[2]))
