@@ -4,7 +4,7 @@
 
 Reads the finished runs of ``outputs/hardware_*``, whose numbers it keeps in ``runs.csv``, and the
 makers' refitted equations in ``refitted.csv``, both beside this file. Without an argument it reads
-``runs.csv`` instead. Cells are medians over seeds and, in brackets, the range of all of them.
+``runs.csv``. Cells are medians over seeds and, in brackets, the range of all of them.
 """
 
 import sys

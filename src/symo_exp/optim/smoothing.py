@@ -7,19 +7,14 @@ from typing import Any, NamedTuple, Protocol
 
 import torch
 from jaxtyping import Float
-from scipy.interpolate import make_smoothing_spline
 from torch import Tensor
 
-from symo_exp.mechanics.types import Trajectory
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.roles import is_coefficient, is_late
 from symo_exp.optim.banded import BandFactor, Chain
 from symo_exp.optim.base import Problem
+from symo_exp.optim.evidence import evidence
 
-FLAT = 1e-6
-"""Prior precision of coefficients, which are hardly to be drawn to zero."""
-LEAST, MOST = 1e-6, 1e6
-"""Prior precisions that the evidence may ask for."""
 SUCCESS, FAILURE, SURPRISE = 1 / 3, 8.0, 2.5
 """What damping is multiplied by: after a step as foreseen, one refused, one that gains little."""
 
@@ -81,8 +76,7 @@ class Smoothing:
     go astray ``μ |x − x_before|²``, for dry friction bends the residuals within a step. ``S`` is
     banded: all takes time linear in the nodes.
 
-    Noise and priors, a group for each parameter tensor, come from the evidence (MacKay 1992):
-    ``γ_g = Σ_{i∈g} 1 − α_g (G/σ² + α)⁻¹ᵢᵢ``, ``α_g = γ_g/|θ_g|²``, ``σ² = χ²/(M − γ)``.
+    Noise, ``σ² = χ²/(M − γ)``, and priors of every tensor come from the ``evidence``.
     """
 
     def __init__(
@@ -95,6 +89,7 @@ class Smoothing:
         self._weight[chain.n :] = owner.velocity_weight
         sizes = torch.tensor([p.numel() for p in owner.parameters])
         self._group = torch.repeat_interleave(torch.arange(len(sizes)), sizes)
+        self._flat = torch.tensor([is_coefficient(p) for p in owner.parameters])
         moves = [late or not is_late(p) for p in owner.parameters]
         self._moves = torch.tensor(moves)[self._group]
 
@@ -105,7 +100,7 @@ class Smoothing:
         r, by_theta, by_x = self._differentiated(x, owner.parameters)
         by_theta = by_theta * self._moves
         free = self._eliminated(x, r, by_theta, by_x, 0.0)
-        objective = before = self._objective(x, r, theta)
+        before = self._objective(x, r, theta)
         for trial in range(owner.trials):
             held = memory["held"] if self._epsilon else 0.0
             at = self._eliminated(x, r, by_theta, by_x, held) if held else free
@@ -114,9 +109,9 @@ class Smoothing:
                 moved = theta + move.delta
                 owner.place(moved)
                 there, r_there = self._arrived(at, move)
-                objective = self._objective(there, r_there, moved)
-                if objective < before:
-                    gain = (before - objective) / max(move.foreseen, 1e-300)
+                fall = before - self._objective(there, r_there, moved)
+                if fall > 0.0:
+                    gain = fall / max(move.foreseen, 1e-300)
                     memory["nodes"], x, r, theta = there, there, r_there, moved
                     if gain < 0.2:
                         memory["damping"] *= SURPRISE
@@ -125,11 +120,11 @@ class Smoothing:
                         memory["held"] = held * SUCCESS if held > 1.0 else 0.0
                     break
             owner.place(theta)
-            if self._nodes_settle(at, before, theta):
+            if self._epsilon is None or self._nodes_settle(at, before, theta):
                 memory["damping"] = min(memory["damping"] * FAILURE, 1e12)
             else:
                 memory["held"] = min(max(held * FAILURE, 1.0), 1e12)
-        self._update_evidence(free.gram, x, r, theta)
+        self._weigh(free.gram, x, r, theta)
         return {
             "train_loss": float(r.square().mean()),
             "noise_estimate": memory["noise"] ** 0.5,
@@ -140,6 +135,10 @@ class Smoothing:
         """``r``, those of velocities over their weight."""
         found = self._model.residuals(self._chain.windows(*stencil))
         return found / self._weight[: found.shape[1]]
+
+    @torch.no_grad()
+    def _residuals_at(self, x: Tensor) -> Tensor:
+        return self._residuals(self._chain.stencil(x))
 
     def _differentiated(self, x: Tensor, parameters: Sequence[Tensor]) -> tuple[Any, ...]:
         """``r``, ``J_θ`` and ``J_x``."""
@@ -199,8 +198,7 @@ class Smoothing:
         way = self._nodes(at, at.e + at.by_theta @ delta) - x
         linear = at.by_theta @ delta + self._chain.apply(at.by_x, way / self._weight)
         self._owner.place(theta + TENTH * delta)
-        with torch.no_grad():
-            there = self._residuals(self._chain.stencil(x + TENTH * way))
+        there = self._residuals_at(x + TENTH * way)
         return (there - r - TENTH * linear) / TENTH**2
 
     def _nodes(self, at: Linear, e: Tensor) -> Float[Tensor, "nodes d"]:
@@ -216,25 +214,21 @@ class Smoothing:
         or after the first, which alone is surely downhill."""
         x = self._nodes(at, at.e + at.by_theta @ move.delta + move.bend)
         if at.factor is None:
-            with torch.no_grad():
-                return x, self._residuals(self._chain.stencil(x))
+            return x, self._residuals_at(x)
         r, _, by_x = self._differentiated(x, ())
         try:
             e, factor = self._factored(x, r, by_x, at.target, at.weight)
         except ArithmeticError:
             return x, r
         further = self._nodes(at._replace(by_x=by_x, factor=factor), e)
-        with torch.no_grad():
-            r_further = self._residuals(self._chain.stencil(further))
+        r_further = self._residuals_at(further)
         worse = self._misfit(further, r_further) > self._misfit(x, r)
         return (x, r) if worse else (further, r_further)
 
     def _nodes_settle(self, at: Linear, before: float, theta: Tensor) -> bool:
         """Whether the nodes alone find their way, the parameters where they were."""
         x = self._nodes(at, at.e)
-        with torch.no_grad():
-            r = self._residuals(self._chain.stencil(x))
-        return self._objective(x, r, theta) <= before * (1.0 + 1e-13)
+        return self._objective(x, self._residuals_at(x), theta) <= before * (1.0 + 1e-13)
 
     def _objective(self, x: Tensor, r: Tensor, theta: Tensor) -> float:
         """``σ²`` times what is minimised."""
@@ -248,34 +242,11 @@ class Smoothing:
         moved = ((x - self._chain.x) / self._weight).square().sum()
         return float(moved + r.square().sum() / self._epsilon**2)
 
-    def _update_evidence(self, gram: Tensor, x: Tensor, r: Tensor, theta: Tensor) -> None:
+    def _weigh(self, gram: Tensor, x: Tensor, r: Tensor, theta: Tensor) -> None:
         """New noise and priors; where the posterior has no factor, the old ones."""
-        memory, group = self._memory, self._group
-        precision = memory["precision"][group]
-        factor, info = torch.linalg.cholesky_ex(gram / memory["noise"] + torch.diag(precision))
-        if int(info) != 0:
-            return
-        determined = 1.0 - precision * torch.cholesky_inverse(factor).diagonal()
-        determined = determined.clamp(0.0, 1.0) * self._moves
-        gamma = torch.zeros_like(memory["precision"]).index_add_(0, group, determined)
-        size = torch.zeros_like(gamma).index_add_(0, group, theta.square())
-        flat = torch.tensor([is_coefficient(p) for p in self._owner.parameters])
-        found = (gamma / size).clamp(LEAST, MOST)
-        known = ~flat & (gamma > 0) & (size > 0)
-        memory["precision"] = torch.where(known, found, memory["precision"])
-        freedom = max(r.numel() - float(gamma.sum()), 0.1 * r.numel())
-        memory["noise"] = max(self._misfit(x, r) / freedom, 1e-24)
-
-
-def smoothed(trajectories: Sequence[Trajectory], velocities: bool) -> Float[Tensor, "nodes d"]:
-    """Every coordinate by a smoothing spline, as smooth as generalised cross-validation says."""
-    return torch.cat([_splines(t, velocities) for t in trajectories])
-
-
-def _splines(trajectory: Trajectory, velocities: bool) -> Tensor:
-    y = torch.cat((trajectory.q, trajectory.v), dim=1) if velocities else trajectory.q
-    if len(y) < 6:  # fewer than a spline needs
-        return y.double().clone()
-    time = torch.arange(len(y)).double().numpy()
-    columns = [make_smoothing_spline(time, c)(time) for c in y.double().T.numpy()]
-    return torch.stack([torch.as_tensor(c) for c in columns], dim=1)
+        noise, precision = self._memory["noise"], self._memory["precision"]
+        found = evidence(gram, noise, precision, theta, self._group, self._moves, self._flat)
+        if found is not None:
+            self._memory["precision"], determined = found
+            freedom = max(r.numel() - determined, 0.1 * r.numel())
+            self._memory["noise"] = max(self._misfit(x, r) / freedom, 1e-24)

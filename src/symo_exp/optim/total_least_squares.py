@@ -13,7 +13,9 @@ from symo_exp.mechanics.types import Trajectory
 from symo_exp.nets.roles import is_coefficient, is_late, start
 from symo_exp.optim.banded import Chain
 from symo_exp.optim.base import EpochOptimizer, Problem
-from symo_exp.optim.smoothing import FLAT, Smoothing, smoothed
+from symo_exp.optim.evidence import FLAT
+from symo_exp.optim.smoothing import Smoothing
+from symo_exp.optim.splines import smoothed
 
 
 class Stage(NamedTuple):
