@@ -18,8 +18,8 @@ from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.models.l_node import LNODE
 from symo_exp.models.node import NODE
+from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver
-from tests.chain import ChainPendulum
 from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 from tests.unknown import Unknown
 
