@@ -10,7 +10,7 @@ from typing import Any
 INCIDENTAL = {
     "hydra", "experiment", "output_dir", "logger", "resume", "study", "pictures", "code",
     "optimized_metric", "reference", "data.cache_dir", "trainer.progress",
-    "trainer.checkpoint_every", "system.model", "system.id",
+    "trainer.checkpoint_every",
 }  # fmt: skip
 """Settings, and groups of them, that change no number of a run."""
 
