@@ -30,7 +30,7 @@ def test_a_recording_of_ours_is_the_simulated_motion(workplace, capsys):
             torch.tensor(rows[list(names)].to_numpy()).unsqueeze(0)
             for names in (("q_x", "q_theta"), ("v_x", "v_theta"), ("u_0",))
         )
-        np.testing.assert_allclose(u[0, :-1, 0], np.sin(7 * q[0, :-1, 0]))
+        np.testing.assert_allclose(u[0, :-1, 0], np.sin(7 * q[0, :-1, 0].numpy()))
         path = simulate(cartpole, q[:, 0], v[:, 0], u, 6, Solver())
         torch.testing.assert_close(path.q, q, rtol=1e-6, atol=1e-6)
         torch.testing.assert_close(path.v, v, rtol=1e-6, atol=1e-6)
