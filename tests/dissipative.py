@@ -5,7 +5,7 @@ import torch
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
 
 

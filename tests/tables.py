@@ -45,5 +45,8 @@ def systems() -> dict[str, Any]:
 
 
 def known_systems() -> list[str]:
-    """Names of the systems that a file states whole; the other is known by a recording."""
-    return [name for name in choices("system") if name != "recorded"]
+    """Names of the systems that a file states whole; others are known by a recording or a model."""
+    files = {name: (CONF / "system" / f"{name}.yaml").read_text() for name in choices("system")}
+    return [
+        name for name, text in files.items() if "${mechanism:" not in text and "???" not in text
+    ]

@@ -17,7 +17,8 @@ RULES = {
     "mechanics": (set(), {"torch", "jaxtyping"}),
     "systems": (
         {"mechanics"},
-        {"torch", "jaxtyping", "numpy", "scipy", "gymnasium", "pygame", "PIL", "yaml"},
+        {"torch", "jaxtyping", "numpy", "scipy", "gymnasium", "pygame", "PIL", "yaml",
+         "mujoco"},
     ),
     "nets": ({"mechanics"}, {"torch", "jaxtyping"}),
     "optim": ({"mechanics", "nets"}, {"torch", "jaxtyping", "numpy", "scipy"}),
@@ -42,8 +43,8 @@ RULES = {
         {"report", "data", "systems", "tracking"}, {"torch", "numpy", "pandas", "jaxtyping"},
     ),
     "sweep": (
-        # the columns of a recording are part of a configuration
-        {"runs", "tracking", "training", "evaluation", "report", "data"},
+        # the columns of a recording and what a MuJoCo model says are part of a configuration
+        {"runs", "tracking", "training", "evaluation", "report", "data", "systems"},
         {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
     ),
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""``python -m symo_exp``: one run, or a sweep of runs.
+"""``python -m symo_exp``: one run, or a sweep of runs; ``record`` makes recordings.
 
 Exit codes: 0 all done, 1 a run failed, 2 bad input, 130 and 143 interrupted and terminated.
 PyTorch and the like take seconds to import, so they are imported where they are needed.
@@ -50,6 +50,10 @@ def _execute(argv: list[str]) -> int:
 
         print(f"symo_exp {version('symo_exp')}")
         return 0
+    if argv[:1] == ["record"]:
+        from symo_exp.record import main as record
+
+        return record(argv[1:])
     from symo_exp.sweep.command import CHECK_ONLY, Command
 
     command = Command([word for word in argv if word not in ("-h", "--help")])

@@ -19,7 +19,7 @@ WORDS = [
     "experiment=sweep",
 ]  # fmt: skip
 SLURM = ["hydra/launcher=submitit_slurm_cpu", "hydra.launcher.mem_gb=1"]
-CLOCKS = {"step_ms", "training_seconds"}
+CLOCKS = {"step_ms", "training_seconds", "peak_memory"}
 
 
 @pytest.fixture(scope="module")

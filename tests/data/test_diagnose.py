@@ -11,8 +11,8 @@ import torch
 
 from symo_exp.data.diagnose import Diagnosis, diagnose, encoder_of, noise_of
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver, simulate_driven
-from tests.chain import ChainPendulum
 
 H = 0.02
 

@@ -16,8 +16,8 @@ from symo_exp.data.header import header, names
 from symo_exp.data.recorded import RecordedData
 from symo_exp.errors import ConfigError
 from symo_exp.systems.base import System
+from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.recorded import Recorded
-from tests.chain import ChainPendulum
 
 H = 0.05
 Generator = np.random.Generator

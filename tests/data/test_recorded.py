@@ -16,9 +16,9 @@ from symo_exp.data.simulate import generate
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System
+from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
-from tests.chain import ChainPendulum
 
 
 def trajectories(system: System, count: int = 6, steps: int = 9) -> Trajectories:

@@ -18,13 +18,14 @@ from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.models.l_node import LNODE
 from symo_exp.models.node import NODE
+from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver
-from tests.chain import ChainPendulum
 from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 from tests.unknown import Unknown
 
 H = 0.1
 NAMES = {
+    "coordinates", "test_relative",
     "train_mse", "test_mse", "integration_mse", "integration_std", "integration_diverged",
     "integration_mse_100", "valid_steps",
     "energy_mse", "energy_std", "test_mse_state", "integration_mse_state",
@@ -44,13 +45,19 @@ def test_the_exact_flow_has_no_error(n: int):
     assert set(evaluation.measures) == NAMES | INERTIA
     errors = dict(evaluation.measures)
     assert errors.pop("valid_steps") == evaluation.rollouts.q.shape[1] - 1
+    assert errors.pop("coordinates") == n
+    assert errors.pop("test_relative") < 1e-12
     assert all(value < 1e-20 for value in errors.values()), errors
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_constant_bias_is_the_one_step_error(n: int):
     system = oscillator(n)
-    found = result(Exact(system, system, H, bias=1e-3)).measures
+    evaluation = result(Exact(system, system, H, bias=1e-3))
+    found = evaluation.measures
+    moved = data(system, H).test
+    motion = (moved.q_next - moved.q).square().mean().sqrt().item()
+    assert found["test_relative"] == pytest.approx(1e-3 / motion)
     assert found["test_mse"] == pytest.approx(1e-6)
     assert found["train_mse"] == pytest.approx(1e-6)
     assert found["test_mse_state"] == pytest.approx(0.5e-6)  # the velocity is right

@@ -15,8 +15,8 @@ from symo_exp.evaluation.horizon import HORIZONS, cut, predict
 from symo_exp.evaluation.references import ConstantVelocity, Continuous
 from symo_exp.mechanics.lagrangian import Lagrangian, solve
 from symo_exp.mechanics.types import Trajectory
+from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.rigs import FreeChain
-from tests.chain import ChainPendulum
 
 ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"

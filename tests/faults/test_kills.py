@@ -16,7 +16,7 @@ WORDS = [
     *TINY, "trainer.max_epochs=12", "trainer.validate_every=2", "trainer.checkpoint_every=0",
     "pictures=false", "logger.flush_seconds=0.2",
 ]  # fmt: skip
-CLOCKS = {TIME, "step_ms", "training_seconds"}
+CLOCKS = {TIME, "step_ms", "training_seconds", "peak_memory"}
 METHODS = [
     "model=node integrator=rk4",
     "model=l_node",

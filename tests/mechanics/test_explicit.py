@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from symo_exp.mechanics.euler_lagrange import acceleration
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
 from tests.mechanics.motions import DURATION, force_at, order, reference, start
 from tests.tables import explicit_integrators
 

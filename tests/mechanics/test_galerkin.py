@@ -14,7 +14,7 @@ from symo_exp.mechanics.variational import (
     momentum_before,
     next_configuration,
 )
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
 
 ROOT = Newton(tolerance=1e-12, max_iterations=30)

@@ -5,7 +5,7 @@ import torch
 
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
 
 STEP = 1e-5

@@ -11,7 +11,7 @@ from symo_exp.mechanics.variational import (
     next_configuration,
     variational_step,
 )
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
 from tests.mechanics.motions import DURATION, force_at, order, reference, start
 from tests.tables import explicit_integrators, systems, variational_integrators

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from symo_exp.nets.harmonics import Harmonics
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.optim.banded import Chain
 from symo_exp.optim.total_least_squares import TotalLeastSquares
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
 from tests.tables import explicit_integrators
 
 H = 0.05

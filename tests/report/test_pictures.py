@@ -13,7 +13,7 @@ from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.report import pictures
 from symo_exp.report.animation import animate
 from symo_exp.report.looks import look
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
 from tests.tables import systems
 
 SYSTEMS = systems() | {"chain_3": ChainPendulum(3)}

@@ -1,15 +1,17 @@
-"""The table of systems: each file of conf/system, and chains of one, two and three links."""
+"""The table of systems: each file of conf/system that is whole, chains, and a MuJoCo model."""
 
 from __future__ import annotations
 
 from torch import Tensor
 
 from symo_exp.systems.base import LagrangianSystem
-from tests.chain import ChainPendulum
+from symo_exp.systems.chain import ChainPendulum
+from tests.systems import models
 from tests.tables import systems as configured
 
 SYSTEMS: dict[str, LagrangianSystem] = configured() | {
-    f"chain_{n}": ChainPendulum(n) for n in (1, 2, 3)
+    **{f"chain_{n}": ChainPendulum(n) for n in (1, 2)},
+    "mujoco": models.read(models.PENDULUMS),
 }
 
 

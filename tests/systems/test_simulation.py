@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 from symo_exp.errors import ConfigError
 from symo_exp.systems.base import LagrangianSystem
+from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver, simulate
-from tests.chain import ChainPendulum
 from tests.systems.every import SYSTEMS, points
 
 every_system = pytest.mark.parametrize("name", SYSTEMS)

@@ -18,6 +18,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.acrobot import Acrobot
 from symo_exp.systems.base import LagrangianSystem, SamplingBox
 from symo_exp.systems.cartpole import Cartpole
+from symo_exp.systems.multibody import Multibody
 from symo_exp.systems.pendulum import Pendulum
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
@@ -138,6 +139,7 @@ def test_declarations_agree(name: str) -> None:
     assert len(set(system.coordinates.names)) == n
     assert [len(ranges) for ranges in system.box] == [n, n, m]
     shared = {field.name for field in dataclasses.fields(LagrangianSystem)} | {"links"}
+    shared |= {field.name for field in dataclasses.fields(Multibody)}
     own = {field.name for field in dataclasses.fields(system)} - shared
     assert set(system.units()) == own
     assert all(system.units().values())

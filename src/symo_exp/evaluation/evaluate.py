@@ -6,6 +6,7 @@ need no change here: what a study finds (``evaluation.study``) is a measure of t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -60,7 +61,7 @@ def evaluate(
     model = model.for_evaluation()
     rollouts = roll_out(model, system.lagrangian, data.integration)
     case = Case(model, system.lagrangian, data, rollouts)
-    found: dict[str, float] = {}
+    found = {"coordinates": float(model.coordinates.n)}
     for measure in (one_step, rollout, energy, inertia):
         found |= measure(case)
     if not data.recorded:
@@ -73,7 +74,9 @@ def one_step(case: Case) -> dict[str, float]:
     """Errors of the next configuration and state, and the fraction of roots not found."""
     train, _, _ = _one_step(case.model, case.data.train)
     test, state, failed = _one_step(case.model, case.data.test)
+    moved = (case.data.test.q_next - case.data.test.q).double().square().mean().item()
     found = {"train_mse": train, "test_mse": test, "test_mse_state": state}
+    found["test_relative"] = math.sqrt(test / moved) if moved > 0 else math.inf
     return found if case.model.reads_velocity else found | {"test_newton_failed": failed}
 
 

@@ -101,6 +101,10 @@ class Lagrangian(ABC):
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         """Potential energy ``V(q)`` [J]."""
 
+    def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """``H(q)`` and ``V(q)``, of complex ``q`` too; to be overridden where they share work."""
+        return self.mass_matrix(q), self.potential(q)
+
     def kinetic(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, " batch"]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import resource
+import sys
 import time
 from collections.abc import Callable, Iterable
 from typing import Any, Literal
@@ -24,10 +26,11 @@ class Learner(DynamicsModel):
 
     One Lightning batch is one epoch: a list of mini batches. Optimisation is by hand, so that an
     epoch costs little more than its optimiser steps. What it leaves in
-    ``epoch_metrics``: ``train_loss``, ``lr``, ``step_ms``, ``training_seconds``, ``skipped_steps``
-    and the statistics of the objective (``newton_iterations`` and ``newton_failed``, means over
-    rows and steps, where roots are found). In ``compiled``, "training step" takes the place of
-    ``uncompiled_training``, "validation" that of ``loss``.
+    ``epoch_metrics``: ``train_loss``, ``lr``, ``step_ms``, ``training_seconds``, ``peak_memory``
+    [MiB] of the process, ``skipped_steps`` and the statistics of the objective
+    (``newton_iterations`` and ``newton_failed``, means over rows and steps, where roots are found).
+    In ``compiled``, "training step" takes the place of ``uncompiled_training``, "validation" that
+    of ``loss``.
 
     ``val_loss`` is the loss on held-out samples, or what ``validation`` makes of the model and of
     the held-out trajectories.
@@ -124,6 +127,9 @@ class Learner(DynamicsModel):
         means = {name: torch.stack(values).mean() for name, values in self._statistics.items()}
         metrics: dict[str, Any] = {"lr": rate, **results, **means}
         metrics["training_seconds"] = self._training_seconds
+        # in bytes on macOS, in KiB elsewhere
+        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        metrics["peak_memory"] = most / (2**20 if sys.platform == "darwin" else 2**10)
         metrics["step_ms"] = 1e3 * (time.perf_counter() - start) / len(batches)
         self.epoch_metrics = {name: float(value) for name, value in metrics.items()}
         # straight to where it is read: `log` takes half a millisecond for each name

@@ -73,6 +73,9 @@ MEASURES = {
     "valid_s": ("valid time", "s"),
     "energy_mse_fd": ("energy MSE, finite differences", "J²"),
     "training_seconds": ("training", "s"),
+    "test_relative": ("one-step error over motion", ""),
+    "step_ms": ("optimiser step", "ms"),
+    "peak_memory": ("peak memory", "MiB"),
 }
 """Label and unit; a measure without an entry is named by its key."""
 RC: dict[str, Any] = {

@@ -8,6 +8,7 @@ import pandas as pd
 
 from symo_exp.report import curves, motions
 from symo_exp.report.cells import at_step, cells, main_variant, usual_steps
+from symo_exp.report.growth import growth
 from symo_exp.report.looks import (
     letters,
     look,
@@ -41,7 +42,7 @@ def sections(
     drawn = pd.concat([usual[(usual.variant == variant) | (usual.source == "floor")], beside])
     mine = at_step(runs[(runs.variant == variant) & (runs.source == "ours")], steps)
     at_32 = mine[(mine.n_traj == curves.AT) & (mine.noise_std == 0)]
-    floors = runs[runs.source == "floor"]
+    floors, grown = runs[runs.source == "floor"], growth(runs)
     parts = [
         Section("state", "What has been run", state(runs, variant), [unfinished(runs)]),
         Section("sizes", "Errors over the size of the training set",
@@ -54,6 +55,8 @@ def sections(
         Section("ranking", "Ranking", tables=[*ranks(mine)]),
         Section("accuracy", "Accuracy by settings", tables=[accuracy(found)],
                 figures=curves.over_order(usual)),
+        Section("growth", "Growth with the number of coordinates", tables=grown[0],
+                figures=grown[1]),
         Section("time", "Accuracy against time", figures=curves.speed(runs)),
     ]  # fmt: skip
     return [part for part in parts if part]

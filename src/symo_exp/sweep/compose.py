@@ -12,6 +12,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from symo_exp.errors import ConfigError
 from symo_exp.runs.digest import digest
 from symo_exp.runs.folder import RunFolder
 
@@ -136,6 +137,18 @@ def recorded_columns(kind: str, *, _root_: DictConfig) -> list[str]:
     return list(names(kind, header(data.path, data.get("columns"))))
 
 
+def mechanism(kind: str, name: str | None) -> dict[str, Any]:
+    """What a MuJoCo model says: that of a file ("model") or of a Gymnasium environment ("id").
+
+    It is part of the configuration for the same reason: a run needs neither file nor MuJoCo."""
+    from symo_exp.systems import mujoco
+
+    if name is None:
+        raise ConfigError("system.model has no value yet; give it one: system.model=robot.xml")
+    return mujoco.mechanism(name) if kind == "model" else mujoco.environment(name)
+
+
+OmegaConf.register_new_resolver("mechanism", mechanism, replace=True)
 OmegaConf.register_new_resolver("run_folder", run_folder, replace=True)
 OmegaConf.register_new_resolver("recorded_columns", recorded_columns, replace=True)
 OmegaConf.register_new_resolver(

@@ -16,6 +16,7 @@ Learn the dynamics of a mechanical system from trajectories.
 python -m symo_exp model=e2e_symo system=acrobot                       one run
 python -m symo_exp model=e2e_symo system=acrobot -m data.n_traj=8,16   a sweep, one run for each
 python -m symo_exp -cn smoke                                           a sweep kept in a file
+python -m symo_exp record Swimmer-v5 --out mine.parquet                motions of an environment
 """
 
 NOTES = """\

@@ -6,7 +6,7 @@
 import hashlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Annotated, NamedTuple, get_origin, get_type_hints
@@ -16,36 +16,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
+from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian, Friction
 from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems import complex_step
+from symo_exp.systems.box import Range, SamplingBox
+from symo_exp.systems.box import checked as checked_box
 from symo_exp.systems.checks import real
-
-Range = tuple[float, float]
-
-
-class SamplingBox(NamedTuple):
-    """Where trajectories start and how they are driven: ``(low, high)`` of uniform draws.
-
-    One range for each coordinate of ``q`` [m or rad], of ``v`` [m/s or rad/s] and for each
-    control of ``u`` [N or N m], which is constant along a trajectory.
-    """
-
-    q: tuple[Range, ...]
-    v: tuple[Range, ...]
-    u: tuple[Range, ...]
-
-    def points(self, count: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
-        """``count`` draws of ``(q, v, u)`` in float64, always the same for a seed."""
-        generator = torch.Generator().manual_seed(seed)
-        points = []
-        for ranges in self:
-            low, high = torch.tensor(ranges, dtype=torch.float64).T
-            share = torch.rand(count, len(ranges), dtype=torch.float64, generator=generator)
-            points.append(low + share * (high - low))
-        return points[0], points[1], points[2]
 
 
 class Skeleton(NamedTuple):
@@ -95,6 +73,16 @@ class System(ABC):
         """The true Lagrangian."""
         return None
 
+    @property
+    def ends(self) -> Sequence[Range] | None:
+        """Between which values of each coordinate a motion is one of this system."""
+        return None
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What to say of it before a training, a line each."""
+        return ()
+
     def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton | None:
         """Forward kinematics of one configuration, as a figure to draw."""
         return None
@@ -112,7 +100,7 @@ class System(ABC):
             for name in ("time_step", *self.units())
         }
         if self.box is not None:
-            checked["box"] = _box(self.box, *self.input_matrix.shape)
+            checked["box"] = checked_box(self.box, *self.input_matrix.shape)
         vars(self).update(checked)
 
 
@@ -142,11 +130,16 @@ class LagrangianSystem(System, Lagrangian):
     @cached_property
     def lagrangian(self) -> Lagrangian:
         """The true Lagrangian, with the friction where there is any."""
+        return DissipativeLagrangian(self, self.dissipation) if self.dissipation else self
+
+    @cached_property
+    def dissipation(self) -> Dissipation | None:
+        """The friction, if there is any."""
         if not self._friction:
-            return self
+            return None
         none = (0.0,) * self.coordinates.n
         d, c = (torch.tensor(x or none, dtype=torch.float64) for x in (self.viscous, self.coulomb))
-        return DissipativeLagrangian(self, Friction(torch.diag(d), c, self.rest_velocity))
+        return Friction(torch.diag(d), c, self.rest_velocity)
 
     @property
     def _friction(self) -> dict[str, object]:
@@ -211,26 +204,3 @@ def _coefficients(name: str, given: Sequence[float], n: int) -> tuple[float, ...
             f"system.{name}={given}: expected a list of {n} number(s), 0 or more: one a coordinate"
         )
     return values
-
-
-def _box(given: SamplingBox | Mapping[str, Sequence[Range]], n: int, m: int) -> SamplingBox:
-    """Ranges of plain numbers, one for each of ``n`` coordinates and ``m`` controls."""
-    parts = given._asdict() if isinstance(given, SamplingBox) else dict(given)
-    if set(parts) != set(SamplingBox._fields):
-        raise ConfigError(f"system.box={parts}: expected ranges of q, v and u")
-    counts = {"q": n, "v": n, "u": m}
-    return SamplingBox(**{name: _ranges(name, parts[name], counts[name]) for name in counts})
-
-
-def _ranges(name: str, ranges: Sequence[Range], count: int) -> tuple[Range, ...]:
-    try:
-        pairs = tuple((float(low), float(high)) for low, high in ranges)
-    except (TypeError, ValueError):
-        pairs = ()
-    ordered = all(math.isfinite(low) and low <= high < math.inf for low, high in pairs)
-    if len(pairs) != count or not ordered:
-        raise ConfigError(
-            f"system.box.{name}={ranges}: expected a list of {count} pair(s) [low, high] "
-            "with low <= high"
-        )
-    return pairs

@@ -27,8 +27,9 @@ def rates(
     along_axes = q + _imaginary_axes(n, q.dtype, q.device)
     along_v = torch.complex(q, _STEP * v).unsqueeze(0)
     shifted = torch.cat([along_axes, along_v]).view(-1, n)
-    mass = lagrangian.mass_matrix(shifted).view(n + 1, batch, n, n)
-    slope = lagrangian.potential(shifted).imag.view(n + 1, batch)[:n]
+    mass, potential = lagrangian.terms(shifted)
+    mass = mass.view(n + 1, batch, n, n)
+    slope = potential.imag.view(n + 1, batch)[:n]
     mass_slope_v = (mass.imag * v.unsqueeze(-2)).sum(-1) / _STEP
     dq = 0.5 * (mass_slope_v[:n] * v).sum(-1) - slope / _STEP
     return Rates(mass[0].real, mass_slope_v[n], dq.T)

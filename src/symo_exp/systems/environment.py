@@ -85,7 +85,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         space = self.action_space
         assert isinstance(space, gymnasium.spaces.Box)
         u = torch.from_numpy(np.clip(np.asarray(action, dtype=np.float64), space.low, space.high))
-        after = simulate(self.system, *self._now(), u.reshape(1, -1), steps=1, solver=self.solver)
+        after = simulate(self.system, *self.state(), u.reshape(1, -1), steps=1, solver=self.solver)
         reward = float(self.system.potential(after.q[:, 1]))
         state = torch.cat([after.q[0, 1], after.v[0, 1]]).numpy()
         return self._arrive(state), reward, False, False, {}
@@ -104,7 +104,8 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
             self._draw()
         return state.copy()
 
-    def _now(self) -> tuple[torch.Tensor, torch.Tensor]:
+    def state(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """``q`` and ``v`` now, (1, n) each."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset() first")
         q, v = torch.from_numpy(self._state).unsqueeze(0).split(self.system.coordinates.n, dim=1)
@@ -112,7 +113,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def _draw(self) -> np.ndarray | None:
         assert self.render_mode is not None
-        name, figure = type(self.system).__name__, self.system.skeleton(self._now()[0][0])
+        name, figure = type(self.system).__name__, self.system.skeleton(self.state()[0][0])
         if figure is None:
             raise ConfigError(f"{name} cannot be drawn: its class has no skeleton(q)")
         if self._renderer is None:

@@ -1,4 +1,4 @@
-"""The systems of ``conf/system`` whose equations are known: that folder is the table."""
+"""The systems of ``conf/system`` that their files state whole: that folder is the table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from symo_exp.systems.base import LagrangianSystem
 
 def systems() -> dict[str, type[LagrangianSystem]]:
     """The class of each, by the name of its file."""
-    names = sorted(path.stem for path in (CONF / "system").glob("*.yaml"))
+    files = sorted((CONF / "system").glob("*.yaml"))
+    names = [file.stem for file in files if "${mechanism:" not in file.read_text("utf-8")]
     kinds = {name: pkgutil.resolve_name(_settings(name)["_target_"]) for name in names}
     return {name: kind for name, kind in kinds.items() if issubclass(kind, LagrangianSystem)}
 

@@ -1,18 +1,20 @@
-"""A chain of pendulums with any number of links: the test system for n = 1, 2, 3 and beyond."""
+"""A chain of pendulums with any number of links."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import pi
-from typing import Annotated, final
+from typing import Annotated, Any, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import LagrangianSystem, SamplingBox, Skeleton
+from symo_exp.systems.base import LagrangianSystem, Skeleton
+from symo_exp.systems.box import SamplingBox, completed
+from symo_exp.systems.checks import whole
 
 
 @final
@@ -25,7 +27,8 @@ class ChainPendulum(LagrangianSystem):
 
         Hᵢⱼ = μᵢⱼ l² cos(θᵢ − θⱼ),        V = −Σᵢ μᵢᵢ g l cos θᵢ
 
-    Motors sit in the joints: ``uⱼ`` turns rod j against rod j−1, so ``B = I − shift``.
+    Motors sit in the joints: ``uⱼ`` turns rod j against rod j−1, so ``B = I − shift``. Motions
+    start within a quarter turn [rad], speeds and inputs within ±1, unless ``box`` says otherwise.
     """
 
     links: int = 3
@@ -33,12 +36,13 @@ class ChainPendulum(LagrangianSystem):
     mass: Annotated[float, "kg"] = 1.0
     length: Annotated[float, "m"] = 1.0
     time_step: float = field(default=0.05, kw_only=True)
-    box: SamplingBox = field(default=None, kw_only=True)
+    box: Any = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
+        whole("system.links", self.links)
         sides = {"q": (-pi / 2, pi / 2), "v": (-1.0, 1.0), "u": (-1.0, 1.0)}
         box = SamplingBox(**{name: (side,) * self.links for name, side in sides.items()})
-        vars(self)["box"] = self.box or box
+        vars(self)["box"] = completed(self.box, box)
         super().__post_init__()
 
     @property

@@ -1,0 +1,60 @@
+"""Motions that end where a coordinate leaves its range."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from symo_exp.data.base import Splits
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Trajectories, Trajectory
+from symo_exp.systems.box import Range
+
+FEWEST = 3
+"""Nodes of a sample."""
+
+
+def ended(splits: Splits, ends: Sequence[Range]) -> tuple[Splits, str]:
+    """The trajectories up to the first node beyond the range of a coordinate, and how many of them
+    that cut. Unforced ones are cut to the common length that keeps the most nodes."""
+    parts = {
+        name: [_ended(one, ends) for one in getattr(splits, name)]
+        for name in ("train", "val", "test")
+    }
+    rollouts = [_ended(one, ends) for one in splits.integration.each()]
+    for name, part in {**parts, "integration": rollouts}.items():
+        if max(len(one.q) for one in part) < FEWEST:
+            raise ConfigError(
+                f"joint limits end every motion of data.n_{name} before its third node; "
+                "system.limits=off lifts them, a narrower system.box keeps away from them"
+            )
+    before = {name: getattr(splits, name) for name in parts}
+    counts = ", ".join(
+        f"{sum(len(a.q) < len(b.q) for a, b in zip(part, before[name], strict=True))} of "
+        f"{len(part)} {name}"
+        for name, part in parts.items()
+    )
+    kept = _together(rollouts)
+    left = len(rollouts) - len(kept.q)
+    line = (
+        f"motions that a joint limit ends: {counts}; of {len(rollouts)} long rollouts "
+        f"{left} left out, the others over {kept.q.shape[1] - 2} steps"
+    )
+    return Splits(**parts, integration=kept), line
+
+
+def _ended(trajectory: Trajectory, ends: Sequence[Range]) -> Trajectory:
+    low, high = torch.tensor(ends, dtype=trajectory.q.dtype).T
+    inside = ((trajectory.q >= low) & (trajectory.q <= high)).all(-1)
+    nodes = int(inside.long().cumprod(0).sum())
+    return Trajectory(*(field[:nodes] for field in trajectory))
+
+
+def _together(trajectories: Sequence[Trajectory]) -> Trajectories:
+    """Those that last for as many nodes as keep the most in all."""
+    lengths = torch.tensor([len(one.q) for one in trajectories])
+    usable = [int(x) for x in lengths.unique() if x >= FEWEST]
+    nodes = max(usable, key=lambda x: x * int((lengths >= x).sum()))
+    kept = [one for one in trajectories if len(one.q) >= nodes]
+    return Trajectories(*(torch.stack([x[:nodes] for x in f]) for f in zip(*kept, strict=True)))

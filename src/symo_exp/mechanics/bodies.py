@@ -1,0 +1,166 @@
+"""Rigid bodies in a tree of hinges and slides: where they are, how they move, and what drags them.
+
+A joint moves all that hangs on it by a turn about its axis or a shift along it; the composition of
+these motions, from the root on, takes every body from the reference configuration to its place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.mechanics.dissipation import Dissipation
+
+Vector = tuple[float, float, float]
+
+
+class Joint(NamedTuple):
+    """A hinge or a slide and the rigid body that it moves.
+
+    Vectors are in axes of the world and taken where all coordinates have their ``reference``
+    values. ``inertia`` [kg m²] is about the centre of mass. ``parent`` is the joint before, −1 for
+    none. Of the coordinate itself are ``armature`` (inertia of a rotor), ``stiffness`` of a spring
+    that is at rest at ``rest``, ``damping``, dry ``friction`` and the ``limits``.
+    """
+
+    name: str
+    slides: bool
+    parent: int
+    axis: Vector
+    anchor: Vector
+    reference: float
+    mass: float
+    centre: Vector
+    inertia: tuple[Vector, Vector, Vector]
+    armature: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+    damping: float = 0.0
+    friction: float = 0.0
+    limits: tuple[float, float] | None = None
+
+
+class Hull(NamedTuple):
+    """A box that a fluid drags at: the joint that moves it, and its middle, axes and sides."""
+
+    joint: int
+    centre: Vector
+    axes: tuple[Vector, Vector, Vector]
+    sides: Vector
+
+
+class Poses(NamedTuple):
+    """Where bodies are: a point ``x`` at the reference has come to ``R_i x + t_i``."""
+
+    turn: Float[Tensor, "batch n 3 3"]
+    """``R_i``."""
+    shift: Float[Tensor, "batch n 3"]
+    """``t_i``."""
+
+    def of(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "batch n 3"]:
+        """Where a point of each body is."""
+        return (self.turn @ points.unsqueeze(-1)).squeeze(-1) + self.shift
+
+
+class Tree:
+    """Where the bodies of joints are, and how they move with the coordinates."""
+
+    def __init__(self, joints: Sequence[Joint]) -> None:
+        self._joints = joints
+        axis, anchor, reference = (column(joints, x) for x in ("axis", "anchor", "reference"))
+        zero, (x, y, z) = torch.zeros(len(joints), dtype=torch.float64), axis.T
+        rows = [zero, -z, y, z, zero, -x, -y, x, zero]
+        cross = torch.stack(rows, -1).unflatten(-1, (3, 3))
+        hinge = 1 - column(joints, "slides")[:, None]
+        moves = torch.zeros(len(joints), len(joints), dtype=torch.float64)
+        for i, joint in enumerate(joints):
+            moves[i] = moves[joint.parent] if joint.parent >= 0 else 0.0
+            moves[i, i] = 1.0
+        self._constants = (axis, anchor, reference, cross, cross @ cross, hinge, moves)
+        self._converted: dict[tuple[torch.dtype, torch.device], tuple[Tensor, ...]] = {}
+
+    def _as(self, q: Tensor) -> tuple[Tensor, ...]:
+        key = (q.dtype, q.device)
+        if key not in self._converted:
+            self._converted[key] = tuple(x.to(q) for x in self._constants)
+        return self._converted[key]
+
+    def poses(self, q: Float[Tensor, "batch n"]) -> Poses:
+        axis, anchor, reference, cross, square, *_ = self._as(q)
+        theta = q - reference
+        sin, cos = theta.sin()[..., None, None], theta.cos()[..., None, None]
+        one = torch.eye(3, dtype=q.dtype, device=q.device)
+        own = one + sin * cross + (1 - cos) * square
+        turns: list[Tensor] = []
+        shifts: list[Tensor] = []
+        for i, joint in enumerate(self._joints):
+            root = joint.parent < 0
+            before = one.expand(len(q), 3, 3) if root else turns[joint.parent]
+            shift = torch.zeros_like(before[:, 0]) if root else shifts[joint.parent]
+            if joint.slides:
+                turns.append(before)
+                shifts.append(shift + theta[:, i, None] * (before @ axis[i]))
+            else:
+                turns.append(own[:, i] if root else before @ own[:, i])
+                shifts.append(shift + (before - turns[-1]) @ anchor[i])
+        return Poses(torch.stack(turns, 1), torch.stack(shifts, 1))
+
+    def jacobians(
+        self, at: Poses, of: Sequence[int], points: Float[Tensor, "points 3"]
+    ) -> tuple[Float[Tensor, "batch points n 3"], Float[Tensor, "batch points n 3"]]:
+        """``∂ċ/∂q̇`` of points of the bodies ``of``, in the world, and ``∂ω/∂q̇`` of the bodies, in
+        their own axes."""
+        axis, anchor, _, _, _, hinge, moves = self._as(at.shift)
+        about = (at.turn @ axis.unsqueeze(-1)).squeeze(-1).unsqueeze(1)
+        own = Poses(at.turn[:, of], at.shift[:, of])
+        arms = own.of(points).unsqueeze(2) - at.of(anchor).unsqueeze(1)
+        about = about.expand_as(arms)
+        linear = hinge * torch.linalg.cross(about, arms) + (1 - hinge) * about
+        moved = moves[of].unsqueeze(-1)
+        return moved * linear, (moved * hinge * about) @ own.turn
+
+
+class Drag(Dissipation):
+    """The drag of a still fluid on boxes, and the friction of the joints.
+
+    With sides s, mean side d and velocity w and angular velocity ω in a box's own axes, density ρ
+    and viscosity β (MuJoCo's inertia model)::
+
+        f_i = −3π β d w_i − ½ ρ s_j s_k |w_i| w_i
+        τ_i = −π β d³ ω_i − ρ s_i (s_j⁴ + s_k⁴) |ω_i| ω_i / 64
+    """
+
+    def __init__(
+        self, tree: Tree, hulls: Sequence[Hull], density: float, viscosity: float,
+        friction: Dissipation | None,
+    ) -> None:  # fmt: skip
+        self._tree, self._friction = tree, friction
+        self._of = [hull.joint for hull in hulls]
+        self._centre, self._axes, sides = (column(hulls, x) for x in ("centre", "axes", "sides"))
+        next_, last = sides.roll(-1, -1), sides.roll(-2, -1)
+        mean = sides.mean(-1, keepdim=True)
+        self._slow = 3 * math.pi * viscosity * mean, math.pi * viscosity * mean**3
+        self._fast = (
+            0.5 * density * next_ * last, density * sides * (next_**4 + last**4) / 64
+        )  # fmt: skip
+
+    def force(self, q: Tensor, v: Tensor) -> Tensor:
+        at, axes = self._tree.poses(q), self._axes.to(q)
+        linear, turning = self._tree.jacobians(at, self._of, self._centre.to(q))
+        found = torch.zeros_like(q) if self._friction is None else self._friction.force(q, v)
+        parts = (linear @ (at.turn[:, self._of] @ axes), turning @ axes)
+        for jacobian, slow, fast in zip(parts, self._slow, self._fast, strict=True):
+            speed = torch.einsum("bjik,bi->bjk", jacobian, v)
+            drag = -(slow.to(q) + fast.to(q) * speed.abs()) * speed
+            found = found + torch.einsum("bjik,bjk->bi", jacobian, drag)
+        return found
+
+
+def column(rows: Sequence[Any], name: str) -> Tensor:
+    """A field of all rows, float64."""
+    return torch.tensor([getattr(row, name) for row in rows], dtype=torch.float64)

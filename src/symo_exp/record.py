@@ -1,0 +1,197 @@
+"""``python -m symo_exp record ENV``: a Gymnasium environment's motions as a table of recordings."""
+
+from __future__ import annotations
+
+import argparse
+import runpy
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from symo_exp.errors import ConfigError
+
+Policy = Callable[[np.ndarray], np.ndarray]
+"""An action for an observation."""
+
+
+class Motion(NamedTuple):
+    """Nodes of one episode; an input is held from its node to the next, the last is repeated."""
+
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    u: np.ndarray
+
+
+class Plant(NamedTuple):
+    """What of an environment is recorded; ``now`` gives ``(t, q, v)``, ``applied`` the input that
+    acted in the last step."""
+
+    coordinates: tuple[str, ...]
+    angular: tuple[bool, ...]
+    inputs: tuple[str, ...]
+    matrix: np.ndarray
+    now: Callable[[], tuple[float, np.ndarray, np.ndarray]]
+    applied: Callable[[np.ndarray], np.ndarray]
+
+
+def main(argv: Sequence[str]) -> int:
+    """The command line; 0 when the table is written."""
+    parser = argparse.ArgumentParser(prog="python -m symo_exp record", description=__doc__)
+    parser.add_argument("env", metavar="ENV", help="its name: Swimmer-v5, symo_exp/Acrobot-v0")
+    parser.add_argument(
+        "--policy",
+        default="random",
+        metavar="random|FILE",
+        help="a .py file with policy(observation); default: random actions",
+    )
+    parser.add_argument("--out", type=Path, default=Path("recording.parquet"), metavar="FILE")
+    parser.add_argument("--episodes", type=int, default=16, metavar="N")
+    parser.add_argument("--steps", type=int, default=200, metavar="N", help="of each, at most")
+    parser.add_argument("--seed", type=int, default=0, metavar="N")  # fmt: skip
+    options = parser.parse_args(argv)
+    if min(options.episodes, options.steps - 1) < 1:
+        raise ConfigError("record: --episodes of at least 1 and --steps of at least 2 are wanted")
+    if options.out.suffix not in (".parquet", ".csv"):
+        raise ConfigError(f"--out {options.out}: expected a file that ends in .parquet or .csv")
+    env = _made(options.env)
+    try:
+        plant = _plant(env, options.env)
+        policy = _policy(options.policy, env, options.seed)
+        motions = [
+            episode(env, plant, policy, options.steps, options.seed + k)
+            for k in range(options.episodes)
+        ]
+    finally:
+        env.close()
+    write(options.out, plant, motions)
+    print(_told(options.out, plant, motions))
+    return 0
+
+
+def episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int) -> Motion:
+    """One episode, until it ends by itself or after so many steps."""
+    observation, _ = env.reset(seed=seed)
+    nodes, inputs = [plant.now()], []
+    for _ in range(steps):
+        action = np.asarray(policy(observation), dtype=np.float64)
+        if action.shape != env.action_space.shape or not np.isfinite(action).all():
+            raise ConfigError(
+                f"the policy gave {action.tolist()}: expected {env.action_space.shape[0]} finite "
+                "number(s)"
+            )
+        action = np.clip(action, env.action_space.low, env.action_space.high)
+        observation, _, terminated, truncated, _ = env.step(action)
+        nodes.append(plant.now())
+        inputs.append(plant.applied(action))
+        if terminated or truncated:
+            break
+    t, q, v = (np.array(field) for field in zip(*nodes, strict=True))
+    return Motion(t - t[0], q, v, np.array([*inputs, inputs[-1]]))
+
+
+def write(path: Path, plant: Plant, motions: Sequence[Motion]) -> None:
+    """The table of ``docs/recordings.md``."""
+    import pandas as pd
+
+    parts = []
+    for k, motion in enumerate(motions):
+        columns: dict[str, Any] = {"trajectory": k, "t": motion.t}
+        for kind, names in (
+            ("q", plant.coordinates),
+            ("v", plant.coordinates),
+            ("u", plant.inputs),
+        ):
+            values = getattr(motion, kind)
+            columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
+        parts.append(pd.DataFrame(columns))
+    table = pd.concat(parts)
+    try:
+        if path.suffix == ".csv":
+            table.to_csv(path, index=False)
+        else:
+            table.to_parquet(path, index=False)
+    except OSError as error:
+        raise ConfigError(f"--out {path} cannot be written ({error.strerror or error})") from None
+
+
+def _made(name: str) -> Any:
+    import gymnasium
+
+    import symo_exp.systems.environment  # noqa: F401 (it registers ours)
+
+    try:
+        return gymnasium.make(name)
+    except Exception as error:  # an environment is anybody's code
+        reason = " ".join(str(error).split())[:300]
+        raise ConfigError(f"record {name}: Gymnasium cannot make it: {reason}") from None
+
+
+def _plant(env: Any, name: str) -> Plant:
+    from symo_exp.systems.environment import Environment
+
+    base = env.unwrapped
+    if isinstance(base, Environment):
+        system, h = base.system, base.system.time_step
+        clock = {"steps": -1}
+
+        def now() -> tuple[float, np.ndarray, np.ndarray]:
+            clock["steps"] += 1
+            q, v = (x[0].numpy() for x in base.state())
+            return clock["steps"] * h, q, v
+
+        return Plant(
+            system.coordinates.names, system.coordinates.angular, tuple(system.inputs),
+            system.input_matrix.numpy(), now, lambda action: action,
+        )  # fmt: skip
+    data: Any = getattr(base, "data", None)
+    if not hasattr(base, "model") or not hasattr(data, "qpos"):
+        raise ConfigError(
+            f"record {name}: it tells no coordinates; environments over MuJoCo models and ours do"
+        )
+    from symo_exp.systems.mujoco import environment
+
+    found = environment(name)
+    names = tuple(joint["name"] for joint in found["joints"])
+    return Plant(
+        names, tuple(not joint["slides"] for joint in found["joints"]),
+        tuple(found["inputs"]["names"]), np.array(found["inputs"]["matrix"]),
+        lambda: (float(data.time), data.qpos.copy(), data.qvel.copy()),
+        lambda _: data.ctrl.copy(),
+    )  # fmt: skip
+
+
+def _policy(given: str, env: Any, seed: int) -> Policy:
+    if given == "random":
+        env.action_space.seed(seed)
+        return lambda _: env.action_space.sample()
+    if not Path(given).is_file() or Path(given).suffix != ".py":
+        raise ConfigError(
+            f"--policy {given}: expected random or a .py file with policy(observation)"
+        )
+    try:
+        found = runpy.run_path(given).get("policy")
+    except Exception as error:  # a user's own code
+        raise ConfigError(f"--policy {given} fails: {' '.join(str(error).split())}") from error
+    if not callable(found):
+        raise ConfigError(f"--policy {given} has no function policy(observation)")
+    made: Policy = found
+    return made
+
+
+def _told(path: Path, plant: Plant, motions: Sequence[Motion]) -> str:
+    """What was recorded, and how to learn from it."""
+    h = float(np.median(np.concatenate([np.diff(motion.t) for motion in motions])))
+    angles = [n for n, turns in zip(plant.coordinates, plant.angular, strict=True) if turns]
+    angular = {0: "none", len(plant.coordinates): "all"}.get(
+        len(angles), f"[{','.join(angles)}]"
+    )  # fmt: skip
+    matrix = str(plant.matrix.tolist()).replace(" ", "")
+    rows = sum(len(motion.t) for motion in motions)
+    return (
+        f"{path}: {len(motions)} trajectories, {rows} rows, a node every {h:g} s\n"
+        f"python -m symo_exp data=recorded data.path={path} system=recorded "
+        f"system.angular={angular} system.time_step={h:g} system.input_matrix={matrix}"
+    )

@@ -1,0 +1,75 @@
+"""What more coordinates cost: accuracy, time and memory over their number."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from symo_exp.report.cells import cells
+from symo_exp.report.curves import SPREAD, Axis, panels
+from symo_exp.report.figures import Figure
+from symo_exp.report.looks import letters, measure_name, number, pair_names, short
+from symo_exp.report.tables import Table
+
+COORDINATES = Axis("coordinates", "coordinates", log=False, ticks=True)
+OVER_N = (
+    "test_relative", "valid_steps", "inertia_mse_aligned", "training_seconds", "step_ms",
+    "peak_memory",
+)  # fmt: skip
+KEYS = ["system", "settings", "n_traj", "method", "integrator", "coordinates"]
+
+
+def growth(runs: pd.DataFrame) -> tuple[list[Table], list[Figure]]:
+    """A table and a figure of each system that has been run with several numbers of coordinates.
+
+    What a run was told of its system is no setting here.
+    """
+    tables, figures = [], []
+    for (system, settings, n_traj), rows in _grown(runs):
+        told = f"{settings or 'defaults'}, {number(n_traj)} trajectories"
+        key = f"growth_{letters(f'{system}_{settings}_{number(n_traj)}')}"
+        tables.append(_table(key, f"{system} over its coordinates ({told})", rows))
+        figures.append(
+            Figure(key, f"{system} over its coordinates ({told})", SPREAD,
+                   panels(rows, COORDINATES, OVER_N))
+        )  # fmt: skip
+    return tables, figures
+
+
+def _grown(runs: pd.DataFrame) -> Iterator[tuple[tuple[str, str, float], pd.DataFrame]]:
+    counts = runs[runs.metric == "coordinates"].set_index("run_id").value
+    found = cells(runs[(runs.source == "ours") & ~(runs.noise_std > 0)])
+    of = runs.assign(coordinates=runs.run_id.map(counts)).dropna(subset="coordinates")
+    of = of[["system", "variant", "coordinates"]].drop_duplicates(["system", "variant"])
+    found = found.merge(of, on=["system", "variant"])
+    found = found.assign(settings=found.variant.map(_without_system))
+    for key, rows in found.groupby(["system", "settings", "n_traj"]):
+        if rows.coordinates.nunique() > 1:
+            yield key, rows
+
+
+def _without_system(variant: str) -> str:
+    words = re.split(r", (?=[\w./]+=)", variant)
+    return ", ".join(word for word in words if not word.startswith("system."))
+
+
+def _table(key: str, title: str, rows: pd.DataFrame) -> Table:
+    wide = rows.pivot_table("median", KEYS, "metric", dropna=False)
+    wide = wide.reindex(columns=list(OVER_N)).dropna(how="all").reset_index()
+    seeds = rows.groupby(KEYS).seeds.max()
+    shown = pd.DataFrame({
+        "method": pair_names(wide),
+        "coordinates": wide.coordinates.map(number),
+        "seeds": [str(seeds[tuple(one)]) for one in wide[KEYS].itertuples(index=False)],
+    }).join(wide[list(OVER_N)].map(short).rename(columns=measure_name))  # fmt: skip
+    notes = ["Medians over the seeds. Training: processor time of all optimiser steps."]
+    for _, one in wide.groupby(["method", "integrator"]):
+        steps = one[one.step_ms > 0]
+        if len(steps) > 1:
+            power = np.polyfit(np.log(steps.coordinates), np.log(steps.step_ms), 1)[0]
+            name = pair_names(one.head(1))[0]
+            notes.append(f"{name}: a step costs as n to the power {power:.2f}.")
+    return Table(key, title, shown, notes)

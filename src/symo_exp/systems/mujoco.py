@@ -1,0 +1,217 @@
+"""What a MuJoCo model, an MJCF or URDF file or a Gymnasium environment's, says of a mechanism.
+
+``mechanism(path)`` and ``environment(id)`` give what ``Multibody`` takes. Whatever of a model is
+not part of it is refused in a line, or switched off with one; what is read is then held against
+MuJoCo's own accelerations and mass matrix.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.shipped import CONF
+from symo_exp.systems.refusals import (
+    actuator_name,
+    controls,
+    disabled,
+    heard,
+    joint_name,
+    library,
+    notes,
+    one_line,
+    refusals,
+)  # fmt: skip
+
+AGREEMENT = 1e-8
+"""How closely MuJoCo's accelerations and inertia are met, relative to their size."""
+SMALL = 1e-3
+"""The size [SI] that they have at least."""
+TINY = 1e-15
+"""What MuJoCo takes for no mass."""
+
+
+def mechanism(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """That of an MJCF or URDF file; one that is not found is looked for among ours."""
+    file = Path(str(path)).expanduser()
+    if not file.is_file() and (CONF / "system" / file).is_file():
+        file = CONF / "system" / file
+    if not file.is_file():
+        raise ConfigError(f"system.model={path}: there is no such file; give an MJCF or URDF file")
+    return _read(str(path), str(file.resolve()), file.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)  # the jobs of a sweep share it
+def _read(path: str, file: str, version: int) -> dict[str, Any]:
+    where = f"system.model={path}"
+    with heard() as warnings:
+        try:
+            model = library().MjModel.from_xml_path(file)
+        except Exception as error:  # whatever a parser says
+            raise ConfigError(f"{where}: MuJoCo cannot read it: {one_line(error)}") from None
+        return _with(of_model(model, where), warnings)
+
+
+@lru_cache(maxsize=4)
+def environment(name: str) -> dict[str, Any]:
+    """That of a Gymnasium environment over a MuJoCo model."""
+    import gymnasium
+
+    where = f"system.id={name}"
+    with heard() as warnings:
+        try:
+            made = gymnasium.make(name)
+        except Exception as error:  # an environment is anybody's code
+            raise ConfigError(f"{where}: Gymnasium cannot make it: {one_line(error)}") from None
+        model = getattr(made.unwrapped, "model", None)
+        made.close()
+        if not isinstance(model, library().MjModel):
+            raise ConfigError(f"{where} is no environment over a MuJoCo model")
+        return _with(of_model(model, where), warnings)
+
+
+def _with(found: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
+    return found | {"notes": [*found["notes"], *dict.fromkeys(warnings)]}
+
+
+def of_model(model: Any, where: str) -> dict[str, Any]:
+    """That of a compiled model; ``where`` begins the lines about it."""
+    for reason in refusals(model):
+        raise ConfigError(f"{where}: {reason}")
+    found = _taken_apart(model) | {"notes": list(notes(model))}
+    _agrees(model, found, where)
+    return found
+
+
+def _taken_apart(model: Any) -> dict[str, Any]:
+    """The joints and what they carry, where every coordinate has its reference value."""
+    mj = library()
+    data = mj.MjData(model)
+    data.qpos[:] = model.qpos0
+    mj.mj_kinematics(model, data)
+    mj.mj_comPos(model, data)
+    off = [disabled(model, name) for name in ("PASSIVE", "SPRING", "DAMPER", "GRAVITY")]
+    spring, damper = not (off[0] or off[1]), not (off[0] or off[2])
+    last = _last_joints(model)
+    joints = [
+        {
+            "name": joint_name(model, i),
+            "slides": int(model.jnt_type[i]) == int(mj.mjtJoint.mjJNT_SLIDE),
+            "parent": _parent(model, i, last),
+            "axis": data.xaxis[i].tolist(),
+            "anchor": data.xanchor[i].tolist(),
+            "reference": float(model.qpos0[i]),
+            **_carried(model, data, [b for b in range(1, model.nbody) if last[b] == i]),
+            "armature": float(model.dof_armature[i]),
+            "stiffness": float(model.jnt_stiffness[i]) * spring,
+            "rest": float(model.qpos_spring[i]),
+            "damping": float(model.dof_damping[i]) * damper,
+            "friction": float(model.dof_frictionloss[i]),
+            "limits": model.jnt_range[i].tolist() if model.jnt_limited[i] else None,
+        }
+        for i in range(model.njnt)
+    ]
+    matrix = np.zeros((model.nv, model.nu))
+    for k in range(model.nu):
+        dof = model.jnt_dofadr[model.actuator_trnid[k, 0]]
+        matrix[dof, k] = model.actuator_gear[k, 0] * model.actuator_gainprm[k, 0]
+    return {
+        "gravity": [0.0] * 3 if off[3] else model.opt.gravity.tolist(),
+        "joints": joints,
+        "inputs": {
+            "names": [actuator_name(model, k) for k in range(model.nu)],
+            "matrix": matrix.tolist(),
+            "ranges": [controls(model, k).tolist() for k in range(model.nu)],
+        },
+        "fluid": _fluid(model, data, last),
+    }
+
+
+def _fluid(model: Any, data: Any, last: list[int]) -> dict[str, Any] | None:
+    """The boxes that have the bodies' masses and inertias, as MuJoCo has them."""
+    if not (model.opt.density or model.opt.viscosity):
+        return None
+    hulls = []
+    for body in range(1, model.nbody):
+        if last[body] >= 0 and model.body_mass[body] > TINY:
+            inertia, mass = model.body_inertia[body], model.body_mass[body]
+            squares = np.maximum(inertia.sum() - 2 * inertia, TINY) / mass * 6
+            axes = data.ximat[body].reshape(3, 3)
+            hulls.append({
+                "joint": last[body], "centre": data.xipos[body].tolist(),
+                "axes": axes.tolist(), "sides": np.sqrt(squares).tolist(),
+            })  # fmt: skip
+    return {
+        "density": float(model.opt.density), "viscosity": float(model.opt.viscosity),
+        "hulls": hulls,
+    }  # fmt: skip
+
+
+def _carried(model: Any, data: Any, bodies: list[int]) -> dict[str, Any]:
+    """Mass, centre and inertia about it of bodies that move as one."""
+    masses, centres = model.body_mass[bodies], data.xipos[bodies]
+    mass = float(masses.sum())
+    centre = masses @ centres / mass if mass > 0 else np.zeros(3)
+    inertia = np.zeros((3, 3))
+    for body, m, c in zip(bodies, masses, centres - centre, strict=True):
+        axes = data.ximat[body].reshape(3, 3)
+        inertia += axes * model.body_inertia[body] @ axes.T
+        inertia += m * (c @ c * np.eye(3) - np.outer(c, c))
+    return {"mass": mass, "centre": centre.tolist(), "inertia": inertia.tolist()}
+
+
+def _last_joints(model: Any) -> list[int]:
+    """The last joint that moves each body, −1 for none."""
+    last = [-1] * model.nbody
+    for body in range(1, model.nbody):
+        first, count = model.body_jntadr[body], model.body_jntnum[body]
+        last[body] = int(first + count - 1) if count else last[model.body_parentid[body]]
+    return last
+
+
+def _parent(model: Any, joint: int, last: list[int]) -> int:
+    body = model.jnt_bodyid[joint]
+    within = joint > model.body_jntadr[body]
+    return joint - 1 if within else last[model.body_parentid[body]]
+
+
+def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
+    """Refuse a model that does what has not been read."""
+    from symo_exp.systems.multibody import Multibody
+
+    smooth = Multibody(mechanism=found, time_step=1.0, coulomb=(0.0,) * model.nv)
+    q, v, u = smooth.box.points(8, seed=0)
+    mass, rate = theirs(model, q, v, u)
+    for name, ours, expected in (
+        ("mass matrix", smooth.mass_matrix(q), mass),
+        ("accelerations", smooth.acceleration(q, v, u), rate),
+    ):
+        size = max(float(expected.abs().max()), SMALL)
+        error = float((ours - expected).abs().max()) / size
+        if not error < AGREEMENT:
+            raise ConfigError(
+                f"{where}: MuJoCo's {name} differ by {error:.1g} of their size from those of "
+                "bodies on hinges and slides; something in the model is not known here"
+            )
+
+
+def theirs(
+    model: Any, q: torch.Tensor, v: torch.Tensor, u: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """MuJoCo's own mass matrices (batch, n, n) and smooth accelerations (batch, n)."""
+    mj = library()
+    data, n = mj.MjData(model), model.nv
+    masses, rates = np.zeros((len(q), n, n)), np.zeros((len(q), n))
+    for k, state in enumerate(zip(q.numpy(), v.numpy(), u.numpy(), strict=True)):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = state
+        mj.mj_forward(model, data)
+        rates[k] = data.qacc_smooth
+        for i, unit in enumerate(np.eye(n)):
+            mj.mj_mulM(model, data, masses[k, i], unit)
+    return torch.from_numpy(masses), torch.from_numpy(rates)

@@ -1,0 +1,173 @@
+"""Rigid bodies on hinges and slides: the Lagrangian of any tree of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.mechanics.bodies import Drag, Hull, Joint, Poses, Tree, column
+from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.systems.base import LagrangianSystem, Skeleton
+from symo_exp.systems.box import Range, SamplingBox, completed
+from symo_exp.systems.checks import one_of
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Multibody(LagrangianSystem):
+    """Any tree of hinges and slides, ``T = ½ Σ_b m_b |ċ_b|² + ω_bᵀ I_b ω_b + ½ Σ_i a_i q̇_i²``.
+
+    With Jacobians ``J_b`` of a body's centre and ``W_b`` of its turning, and armature ``a``::
+
+        H = Σ_b m_b J_bᵀ J_b + W_bᵀ I_b W_b + diag(a)
+        V = −Σ_b m_b g · c_b + ½ Σ_i k_i (q_i − r_i)²
+
+    ``mechanism`` describes it: ``joints`` (fields of ``Joint``), ``gravity``, ``inputs`` (names,
+    ``matrix`` and ``ranges``) and a ``fluid`` with its ``hulls``; ``symo_exp.systems.mujoco`` reads
+    one from a model. ``viscous`` and ``coulomb`` are the joints' own unless given, so is the
+    ``box``, in parts: their ranges, half a turn [rad] or half a metre about the reference where
+    they have none, speeds and inputs to ±1. ``limits`` says what a joint limit does: motions
+    ``end`` there, or it is ``off``. ``model`` (a file) or ``id`` (an environment's) is where the
+    mechanism was found.
+    """
+
+    mechanism: Mapping[str, Any]
+    model: str | None = None
+    id: str | None = None
+    limits: str = "end"
+    box: Any = None
+
+    def __post_init__(self) -> None:
+        one_of("system.limits", self.limits, ("end", "off"))
+        vars(self)["mechanism"] = _plain(self.mechanism)
+        own = SamplingBox(
+            q=tuple(joint.limits or _about(joint) for joint in self.joints),
+            v=((-1.0, 1.0),) * len(self.joints),
+            u=tuple(map(tuple, self.mechanism["inputs"]["ranges"])),
+        )
+        vars(self)["box"] = completed(self.box, own)
+        for name, values in (
+            ("viscous", tuple(joint.damping for joint in self.joints)),
+            ("coulomb", tuple(joint.friction for joint in self.joints)),
+        ):
+            vars(self)[name] = values if getattr(self, name) is None else getattr(self, name)
+        super().__post_init__()
+
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        return tuple(Joint(**joint) for joint in self.mechanism["joints"])
+
+    @cached_property
+    def coordinates(self) -> Coordinates:
+        names = tuple(joint.name for joint in self.joints)
+        return Coordinates(names, tuple(not joint.slides for joint in self.joints))
+
+    @property
+    def inputs(self) -> Sequence[str]:
+        return tuple(self.mechanism["inputs"]["names"])
+
+    @cached_property
+    def input_matrix(self) -> Tensor:
+        rows = self.mechanism["inputs"]["matrix"]
+        return torch.tensor(rows, dtype=torch.float64).reshape(len(self.joints), -1)
+
+    @property
+    def notes(self) -> Sequence[str]:
+        return tuple(self.mechanism.get("notes", ()))
+
+    @property
+    def ends(self) -> tuple[Range, ...] | None:
+        if self.limits == "off" or not any(joint.limits for joint in self.joints):
+            return None
+        return tuple(joint.limits or (-math.inf, math.inf) for joint in self.joints)
+
+    @cached_property
+    def _tree(self) -> Tree:
+        return Tree(self.joints)
+
+    @cached_property
+    def _numbers(self) -> tuple[Tensor, ...]:
+        names = ("mass", "centre", "inertia", "armature", "stiffness", "rest")
+        gravity = torch.tensor(self.mechanism["gravity"], dtype=torch.float64)
+        return (*(column(self.joints, name) for name in names), gravity)
+
+    def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+        return self._mass_matrix(self._tree.poses(q))
+
+    def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
+        return self._potential(q, self._tree.poses(q))
+
+    def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        at = self._tree.poses(q)
+        return self._mass_matrix(at), self._potential(q, at)
+
+    def _mass_matrix(self, at: Poses) -> Tensor:
+        mass, centre, inertia, armature = (x.to(at.shift) for x in self._numbers[:4])
+        linear, turning = self._tree.jacobians(at, range(len(self.joints)), centre)
+        weighted = torch.cat([mass[:, None, None] * linear, turning @ inertia], -1)
+        found = torch.einsum("bjik,bjlk->bil", torch.cat([linear, turning], -1), weighted)
+        return 0.5 * (found + found.mT) + torch.diag(armature)
+
+    def _potential(self, q: Tensor, at: Poses) -> Tensor:
+        mass, centre, _, _, stiffness, rest, gravity = (x.to(q) for x in self._numbers)
+        springs = 0.5 * (stiffness * (q - rest) ** 2).sum(-1)
+        return springs - (mass * (at.of(centre) @ gravity)).sum(-1)
+
+    @cached_property
+    def dissipation(self) -> Dissipation | None:
+        """Friction of the joints, and the drag of a fluid."""
+        friction, fluid = super().dissipation, self.mechanism.get("fluid")
+        if fluid is None:
+            return friction
+        hulls = [Hull(**hull) for hull in fluid["hulls"]]
+        return Drag(self._tree, hulls, fluid["density"], fluid["viscosity"], friction)
+
+    def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton:
+        """The joints, and the far ends of the last bodies, seen along the first hinge."""
+        view, anchors = self._view, column(self.joints, "anchor")
+        at = self._tree.poses(q.double().unsqueeze(0))
+        ends = [i for i in range(len(q)) if i not in {joint.parent for joint in self.joints}]
+        tips = 2 * column(self.joints, "centre") - anchors
+        points = torch.cat([at.of(anchors)[0], at.of(tips)[0, ends]]) @ view.T
+        links = [(joint.parent, i) for i, joint in enumerate(self.joints) if joint.parent >= 0]
+        links += [(i, len(q) + k) for k, i in enumerate(ends)]
+        flat = torch.cat([anchors, tips[ends]]) @ view.T
+        reach = sum(float((flat[a] - flat[b]).norm()) for a, b in links)
+        rail = self.joints[0].slides and abs(float(view[0] @ column(self.joints, "axis")[0])) > 0.9
+        return Skeleton(points, tuple(links), (0,) if rail else (), max(reach, 1e-3))
+
+    @cached_property
+    def _view(self) -> Tensor:
+        """The directions (2, 3) that are right and up in a picture."""
+        gravity = torch.tensor(self.mechanism["gravity"], dtype=torch.float64)
+        up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+        if gravity.norm() > 0:
+            up = -gravity / gravity.norm()
+        hinges = [joint.axis for joint in self.joints if not joint.slides]
+        along = torch.tensor(hinges[0] if hinges else (0.0, 1.0, 0.0), dtype=torch.float64)
+        right = torch.linalg.cross(along, up)
+        if right.norm() < 0.3:  # seen from above
+            return torch.eye(3, dtype=torch.float64)[:2]
+        return torch.stack([right / right.norm(), up])
+
+
+def _about(joint: Joint) -> Range:
+    half = 0.5 if joint.slides else math.pi
+    return joint.reference - half, joint.reference + half
+
+
+def _plain(value: Any) -> Any:
+    """Mappings and lists of any kind as those of Python, numbers as floats."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(item) for item in value]
+    return value

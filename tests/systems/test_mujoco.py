@@ -1,0 +1,281 @@
+"""MuJoCo models: read whole, equal to MuJoCo's own numbers, or refused in a line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from symo_exp.data.datamodule import TrajectoryData
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.lagrangian import matvec
+from symo_exp.runs.load import from_folder
+from symo_exp.systems.base import LagrangianSystem
+from symo_exp.systems.chain import ChainPendulum
+from symo_exp.systems.mujoco import environment, mechanism, theirs
+from symo_exp.systems.multibody import Multibody
+from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.table import system as stated
+from tests.systems import models
+from tests.systems.every import points
+from tests.systems.models import compiled, mjcf, read
+
+ACROBOT, CARTPOLE = stated("acrobot"), stated("cartpole")
+OURS: dict[str, tuple[LagrangianSystem, str]] = {
+    "acrobot": (ACROBOT, models.acrobot(ACROBOT)),
+    "cartpole": (CARTPOLE, models.cartpole(CARTPOLE)),
+} | {
+    f"chain_{n}": (ChainPendulum(n, mass=0.7, length=0.8), models.chain(
+        ChainPendulum(n, mass=0.7, length=0.8)
+    ))
+    for n in (1, 2, 3, 7)
+}  # fmt: skip
+MODELS = {"crane": models.CRANE, "diver": models.DIVER, "pendulums": models.PENDULUMS}
+
+
+def joints_of(system: LagrangianSystem) -> Tensor:
+    """``A`` of the joint angles ``A q``: differences, where ours are absolute."""
+    n = system.coordinates.n
+    one = torch.eye(n, dtype=torch.float64)
+    return one - torch.diag(one.new_ones(n - 1), -1) if isinstance(system, ChainPendulum) else one
+
+
+def numbers(text: str, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """MuJoCo's bias forces ``Ḣ v − ∂ℒ/∂q`` and its energies."""
+    model = compiled(text)
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data = mujoco.MjData(model)
+    bias, energy = np.zeros(q.shape), np.zeros(len(q))
+    for k, state in enumerate(zip(q.numpy(), v.numpy(), strict=True)):
+        data.qpos[:], data.qvel[:] = state
+        mujoco.mj_forward(model, data)
+        bias[k], energy[k] = data.qfrc_bias, data.energy.sum()
+    return torch.from_numpy(bias), torch.from_numpy(energy)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_our_systems_written_as_mjcf_are_the_same(name: str) -> None:
+    """Mass matrix, bias forces, energy and accelerations, in our coordinates."""
+    system, text = OURS[name]
+    q, v, u = points(system, 32)
+    a = joints_of(system)
+    mass, _ = theirs(compiled(text), q @ a.T, v @ a.T, torch.zeros(32, compiled(text).nu))
+    bias, energy = numbers(text, q @ a.T, v @ a.T)
+    exact = {"rtol": 1e-10, "atol": 1e-10}
+    torch.testing.assert_close(system.mass_matrix(q), a.T @ mass @ a, **exact)
+    rates = system.rates(q, v)
+    torch.testing.assert_close(rates.mass_rate_v - rates.q, bias @ a, **exact)
+    ours = system.energy(q, v)
+    torch.testing.assert_close(ours - ours[:1], energy - energy[:1], **exact)
+    found = read(text)
+    force = matvec(a.mT.inverse(), u @ system.input_matrix.T)
+    controls = torch.linalg.lstsq(found.input_matrix.expand(32, -1, -1), force).solution
+    rate = found.acceleration(q @ a.T, v @ a.T, controls)
+    torch.testing.assert_close(rate, system.acceleration(q, v, u) @ a.T, rtol=1e-9, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", [*MODELS, "arm"])
+def test_what_is_read_is_what_mujoco_has(name: str) -> None:
+    if name == "arm":
+        model = mujoco.MjModel.from_xml_path(
+            str(Path(models.__file__).parents[2] / "conf/system/arm.xml")
+        )
+        system = Multibody(mechanism=mechanism("arm.xml"), time_step=0.05)
+    else:
+        model, system = compiled(MODELS[name]), read(MODELS[name])
+    q, v, u = points(system, 16)
+    mass, rate = theirs(model, q, 3 * v, u)
+    size = rate.abs().max()
+    assert (system.mass_matrix(q) - mass).abs().max() < 1e-11 * mass.abs().max()
+    assert (system.acceleration(q, 3 * v, u) - rate).abs().max() < 1e-10 * size
+    assert size > 1
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_our_solver_goes_where_mujoco_goes(name: str) -> None:
+    model, system = compiled(MODELS[name]), read(MODELS[name])
+    model.opt.integrator, model.opt.timestep = int(mujoco.mjtIntegrator.mjINT_RK4), 2e-4
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    q, v, u = points(system, 2)
+    path = simulate(system, q, v, u, 2, Solver(rtol=1e-11, atol=1e-11))
+    for row in range(2):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = q[row], v[row], u[row]
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        np.testing.assert_allclose(data.qpos, path.q[row, -1], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(data.qvel, path.v[row, -1], rtol=0, atol=1e-7)
+
+
+def test_a_model_says_coordinates_inputs_and_forces() -> None:
+    system = read(models.CRANE.replace('damping="0.3"', 'damping="0.3" frictionloss="0.2"'))
+    assert system.coordinates.names == ("x", "joint_1", "yaw", "end", "other")
+    assert system.coordinates.angular == (False, True, True, True, False)
+    assert system.inputs == ("turn", "motor_1")
+    assert system.input_matrix.tolist() == [[0, 0], [0, 0], [3, 0], [0, 2], [0, 0]]
+    assert system.viscous == (0, 0, 0.3, 0.1, 0)
+    assert system.coulomb == (0, 0, 0.2, 0, 0)
+    assert system.box.q[2] == (-2, 1)
+    assert any("smoothed" in note for note in system.notes)
+    free = read(models.CRANE, viscous=[0.0] * 5, box={"u": [[-3, 3], [0, 1]]})
+    assert free.lagrangian is free
+    assert free.box.u == ((-3, 3), (0, 1))
+
+
+def test_drag_takes_energy_and_is_differentiable() -> None:
+    system = read(models.DIVER)
+    q, v, _ = points(system, 8)
+    force = system.dissipation.force(q, v)
+    assert ((force * v).sum(-1) < 0).all()
+    assert torch.autograd.gradcheck(
+        system.dissipation.force, (q[:2].requires_grad_(), v[:2].requires_grad_())
+    )
+
+
+def test_motions_end_at_a_joint_limit(caplog: pytest.LogCaptureFixture) -> None:
+    sizes = {"n_traj": 6, "n_train_max": 6, "n_val": 1, "n_test": 1, "n_integration": 2}
+    loose = Solver("RK23", rtol=1e-3, atol=1e-3)
+    found = {}
+    for limits in ("end", "off"):
+        system = read(models.CRANE, limits=limits)
+        with caplog.at_level("INFO"):
+            data = TrajectoryData(system=system, integration_steps=20, solver=loose, **sizes)
+            data.setup()
+        found[limits] = data
+    cut, whole = found["end"].trajectories("train"), found["off"].trajectories("train")
+    lengths = [len(one.q) for one in cut]
+    assert min(lengths) < max(len(one.q) for one in whole) == 34
+    for one, entire in zip(cut, whole, strict=True):
+        assert ((one.q[:, 2] >= -2) & (one.q[:, 2] <= 1)).all()
+        assert torch.equal(one.q, entire.q[: len(one.q)])
+        assert len(one.q) == 34 or not -2 <= entire.q[len(one.q), 2] <= 1
+    assert found["end"].integration.q.shape[1] >= 3
+    assert f"{sum(x < 34 for x in lengths)} of 6 train" in caplog.text
+    assert "motions are converged" in caplog.text
+
+
+def test_a_trained_run_needs_neither_file_nor_mujoco(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import yaml
+
+    system = {
+        "_target_": "symo_exp.systems.multibody.Multibody", "model": "gone.xml", "time_step": 0.05,
+        "mechanism": read(models.CRANE).mechanism,
+    }  # fmt: skip
+    model = {
+        "_target_": "symo_exp.models.true.TrueOde", "lagrangian": system,
+        "integrator": {"_target_": "symo_exp.mechanics.explicit.RK4"},
+    }  # fmt: skip
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump({"system": system, "model": model}))
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    loaded = from_folder(tmp_path)
+    q, v, _ = points(read_again(system), 2)
+    assert torch.isfinite(loaded.rollout(q, v, steps=3).q).all()
+
+
+def read_again(settings: dict) -> Multibody:
+    return Multibody(**{key: x for key, x in settings.items() if key != "_target_"})
+
+
+HINGE = '<body><joint name="arm"/><geom size="0.1"/></body>'
+TWO = HINGE + '<body pos="9 0 0"><joint name="leg"/><geom size="0.1"/></body>'
+MOTOR = "<actuator>{}</actuator>"
+MALFORMED = {
+    "no model": ("", "cannot read"),
+    "no XML": ("<mujoco", "cannot read"),
+    "another XML": ("<html/>", "cannot read"),
+    "no mass": (mjcf("<body><joint/></body>"), "cannot read"),
+    "a word": (mjcf('<body><joint axis="up"/><geom size="1"/></body>'), "cannot read"),
+    "nothing moves": (mjcf('<geom size="1"/>'), "no joints"),
+    "a free body": (mjcf('<body><freejoint name="me"/><geom size="1"/></body>'), "me is free"),
+    "a ball": (mjcf('<body><joint type="ball"/><geom size="1"/></body>'), "joint_0 is ball"),
+    "an equality": (
+        mjcf(TWO, '<equality><joint joint1="arm" joint2="leg"/></equality>'), "equality"
+    ),
+    "a tendon": (
+        mjcf(TWO, '<tendon><fixed><joint joint="arm" coef="1"/></fixed></tendon>'), "tendon"
+    ),
+    "a servo": (mjcf(HINGE, MOTOR.format('<position name="s" joint="arm"/>')), "s is no motor"),
+    "a damper": (mjcf(HINGE, MOTOR.format(
+        '<damper joint="arm" kv="1" ctrlrange="0 1"/>')), "is no motor"),
+    "an activation": (mjcf(HINGE, MOTOR.format(
+        '<general joint="arm" dyntype="integrator"/>')), "state of its own"),
+    "a site's motor": (
+        mjcf(HINGE.replace("</body>", '<site name="p"/></body>'),
+             MOTOR.format('<motor site="p"/>')),
+        "pulls at no joint",
+    ),
+    "a weak motor": (mjcf(HINGE, MOTOR.format(
+        '<motor name="w" joint="arm" ctrlrange="-9 9" forcerange="-1 1"/>')), "w has a forcerange"),
+    "a weak joint": (
+        mjcf(HINGE.replace('"arm"', '"arm" actuatorfrcrange="-1 1"'),
+             MOTOR.format('<motor joint="arm" gear="5"/>')), "arm: actuatorfrcrange",
+    ),
+    "floating": (mjcf(HINGE.replace("<body>", '<body gravcomp="1">')), "gravity compensation"),
+    "wind": (mjcf(HINGE, option='<option wind="1 0 0" density="1"/>'), "wind"),
+    "a wing": (
+        mjcf(HINGE.replace('size="0.1"', 'size="0.1" fluidshape="ellipsoid"'),
+             option='<option density="1"/>'), "ellipsoid",
+    ),
+    "no actuation": (
+        mjcf(HINGE, MOTOR.format('<motor joint="arm"/>'),
+             option='<option><flag actuation="disable"/></option>'), "not known here",
+    ),
+    "a stiff spring": (
+        mjcf(HINGE.replace('"arm"', '"arm" stiffness="1 2 3"')), "springs and dampers"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_malformed_models_end_in_a_line(case: str, tmp_path: Path) -> None:
+    text, expected = MALFORMED[case]
+    file = tmp_path / "robot.xml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=expected) as error:
+        mechanism(file)
+    assert str(error.value).startswith(f"system.model={file}")
+    assert "\n" not in str(error.value)
+
+
+def test_what_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no such file"):
+        mechanism(tmp_path / "nothing.xml")
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    (tmp_path / "robot.xml").write_text(mjcf(HINGE))
+    with pytest.raises(ConfigError, match=r"pip install 'symo_exp\[mujoco\]'"):
+        mechanism(tmp_path / "robot.xml")
+
+
+def test_contacts_are_switched_off_with_a_line() -> None:
+    assert any("1 pair(s)" in note for note in read(mjcf(TWO)).notes)
+    assert not any("contacts" in note for note in read(models.PENDULUMS).notes)
+
+
+def test_what_mujoco_warns_of_is_a_line_and_no_file(workplace: Path) -> None:
+    (workplace / "robot.xml").write_text(mjcf(HINGE).replace(
+        'angle="radian"', 'settotalmass="2"'
+    ))  # fmt: skip
+    assert any("settotalmass" in note for note in mechanism("robot.xml")["notes"])
+    assert [file.name for file in workplace.iterdir()] == ["robot.xml"]
+
+
+def test_a_gymnasium_environment_is_a_system() -> None:
+    pytest.importorskip("imageio")  # Gymnasium's own need
+    swimmer = Multibody(mechanism=environment("Swimmer-v5"), time_step=0.05)
+    assert swimmer.input_matrix.shape == (5, 2)
+    assert swimmer.dissipation is not None
+    for name, reason in {
+        "CartPole-v1": "no environment over a MuJoCo model",
+        "Ant-v5": "joint root is free",
+        "Nothing-v0": "cannot make it",
+    }.items():
+        with pytest.raises(ConfigError, match=reason) as error:
+            environment(name)
+        assert "\n" not in str(error.value)

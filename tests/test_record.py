@@ -1,0 +1,85 @@
+"""Recordings of environments: what was done and seen, in a table that trains."""
+
+import gymnasium
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from symo_exp.__main__ import main
+from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.table import system
+from tests.jobs import jobs_of
+
+
+def recorded(*words, out="recording.csv"):
+    assert main(["record", *words, "--out", out, "--episodes", "3", "--steps", "6"]) == 0
+    return pd.read_csv(out) if out.endswith(".csv") else pd.read_parquet(out)
+
+
+def test_a_recording_of_ours_is_the_simulated_motion(workplace, capsys):
+    (workplace / "push.py").write_text(
+        "import numpy as np\ndef policy(observation):\n    return np.sin(7 * observation[:1])\n"
+    )
+    table = recorded("symo_exp/Cartpole-v0", "--policy", "push.py")
+    cartpole = system("cartpole")
+    assert list(table) == ["trajectory", "t", "q_x", "q_theta", "v_x", "v_theta", "u_0"]
+    for _, rows in table.groupby("trajectory"):
+        np.testing.assert_allclose(rows.t, 0.05 * np.arange(7))
+        q, v, u = (
+            torch.tensor(rows[list(names)].to_numpy()).unsqueeze(0)
+            for names in (("q_x", "q_theta"), ("v_x", "v_theta"), ("u_0",))
+        )
+        np.testing.assert_allclose(u[0, :-1, 0], np.sin(7 * q[0, :-1, 0].numpy()))
+        path = simulate(cartpole, q[:, 0], v[:, 0], u, 6, Solver())
+        torch.testing.assert_close(path.q, q, rtol=1e-6, atol=1e-6)
+        torch.testing.assert_close(path.v, v, rtol=1e-6, atol=1e-6)
+    assert table.trajectory.nunique() == 3
+    _, command = capsys.readouterr().out.strip().splitlines()
+    (job,) = jobs_of(*command.split()[3:])
+    assert job.config.system.angular == ["theta"]
+
+
+def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
+    pytest.importorskip("imageio")  # Gymnasium's own need
+    name = "InvertedDoublePendulum-v5"
+    table = recorded(name, out="recording.parquet")
+    again = recorded(name, "--seed", "0", out="again.parquet")
+    pd.testing.assert_frame_equal(table, again)
+    env = gymnasium.make(name)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    first = table[table.trajectory == 0]
+    for k in range(len(first) - 1):
+        action = env.action_space.sample()
+        env.step(action)
+        assert first.u_slide.iloc[k] == pytest.approx(float(action[0]))
+        assert first.q_slider.iloc[k + 1] == env.unwrapped.data.qpos[0]
+        assert first.v_hinge2.iloc[k + 1] == env.unwrapped.data.qvel[2]
+    words = ["system=gymnasium", f"system.id={name}", "data=recorded", "system.time_step=0.05"]
+    (job,) = jobs_of(*words, "data.path=recording.parquet")
+    assert job.config.system.mechanism["inputs"]["names"] == ["slide"]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["Nothing-v0"], "cannot make it"),
+        (["CartPole-v1"], "tells no coordinates"),
+        (["symo_exp/Pendulum-v0", "--policy", "none.py"], "expected random or a .py file"),
+        (["symo_exp/Pendulum-v0", "--policy", "empty.py"], "has no function policy"),
+        (["symo_exp/Pendulum-v0", "--policy", "broken.py"], "fails: division"),
+        (["symo_exp/Pendulum-v0", "--policy", "wide.py"], "expected 1 finite"),
+        (["symo_exp/Pendulum-v0", "--steps", "1"], "--steps of at least 2"),
+        (["symo_exp/Pendulum-v0", "--out", "mine.txt"], "ends in .parquet or .csv"),
+        (["symo_exp/Pendulum-v0", "--out", "no/where.csv"], "cannot be written"),
+    ],
+)
+def test_what_cannot_be_recorded_ends_in_a_line(words, reason, workplace, capsys):
+    (workplace / "empty.py").write_text("")
+    (workplace / "broken.py").write_text("1 / 0\n")
+    (workplace / "wide.py").write_text("def policy(observation):\n    return [0, 0]\n")
+    assert main(["record", "--steps", "3", "--episodes", "1", *words]) == 2
+    said = capsys.readouterr().err
+    assert reason in said
+    assert said.count("\n") == 1
