@@ -155,8 +155,7 @@ class Smoothing:
         weight = 1.0 + held
         target = x + (self._chain.x - x) / weight
         if self._epsilon is None:
-            e, factor = r, None
-            white, white_e = by_theta.flatten(0, 1), e.flatten()
+            e, factor, white, white_e = r, None, by_theta.flatten(0, 1), r.flatten()
         else:
             e, factor = self._factored(x, r, by_x, target, weight)
             white, white_e = factor.whiten(by_theta), factor.whiten(e).flatten()
@@ -221,12 +220,11 @@ class Smoothing:
         except ArithmeticError:
             return x, r
         further = self._nodes(at._replace(by_x=by_x, factor=factor), e)
-        r_further = self._residuals_at(further)
-        worse = self._misfit(further, r_further) > self._misfit(x, r)
-        return (x, r) if worse else (further, r_further)
+        steps = (x, r), (further, self._residuals_at(further))
+        return min(steps, key=lambda step: self._misfit(*step))
 
     def _nodes_settle(self, at: Linear, before: float, theta: Tensor) -> bool:
-        """Whether the nodes alone find their way, the parameters where they were."""
+        """Whether the nodes alone find their way."""
         x = self._nodes(at, at.e)
         return self._objective(x, self._residuals_at(x), theta) <= before * (1.0 + 1e-13)
 
