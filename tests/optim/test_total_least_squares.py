@@ -131,22 +131,22 @@ def test_a_step_never_raises_the_objective_and_ends_by_itself():
         assert start == sorted(start, reverse=True)
 
 
-def test_the_better_of_two_starts_goes_on():
+def test_the_best_start_goes_on():
+    """Seen in the parameters that hardly move in a first step with much damping."""
     model, trajectories = symo(1), lengths(20, 20, n=1)
-    optimizer = TotalLeastSquares(model.parameters(), epsilons=(1.0,), start=3, epochs=1)
+    optimizer = TotalLeastSquares(
+        model.parameters(), epsilons=(1.0,), starts=3, start=3, epochs=1, damping=1e9
+    )
     ends = []
-    for _ in range(6):
+    for _ in range(9):
         optimizer.epoch(model, trajectories)
         ends.append((float(optimizer.memory["loss"]), optimizer.flat().clone()))
-    starts = [ends[2], ends[5]]
-    begun: list[torch.Tensor] = []
-    restore = optimizer._restore
-    optimizer._restore = lambda snapshot: begun.append(snapshot["parameters"]) or restore(snapshot)
+    losses, places = zip(*ends[2::3], strict=True)
     optimizer.epoch(model, trajectories)
-    (_, best), (_, other) = sorted(starts, key=lambda end: end[0])
-    assert not torch.equal(best, other)
-    assert all(torch.equal(x, best) for x in begun)
-    assert bool(begun) == torch.equal(best, starts[0][1])
+    away = [(optimizer.flat() - place).norm().item() for place in places]
+    assert len(set(losses)) == 3
+    assert away.index(min(away)) == losses.index(min(losses))
+    assert sorted(away)[0] < 1e-3 * sorted(away)[1]
 
 
 def test_late_parameters_are_zero_until_their_stage():

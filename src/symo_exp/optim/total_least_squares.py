@@ -24,8 +24,9 @@ class Stage(NamedTuple):
     epsilon: float | None
     late: bool = False
     """Whether the late parameters move as well."""
-    warmed: bool = False
-    """Whether it begins with steps of Adam from the initial parameters."""
+    start: int = 0
+    """Which start it is: 0 from the initial parameters, 1 by way of Adam, others by way of Adam
+    from parameters drawn anew."""
 
 
 class TotalLeastSquares(EpochOptimizer):
@@ -35,12 +36,12 @@ class TotalLeastSquares(EpochOptimizer):
     three consecutive ones: the noise in the data is estimated with the model instead of being
     learned (errors in variables, a weak constraint). See ``smoothing.Smoothing`` for a step.
 
-    The nodes are smoothed first, and held for ``start`` epochs from the initial parameters and for
-    as many from where ``warm_up`` steps of Adam take these, its ``rate`` along a half cosine: now
-    the one, now the other is in the better basin, and what has the smaller residuals goes on. Each
-    ε of ``epsilons`` has ``epochs``. Where a model has late parameters, these are zero so far; they
-    join in a second round, with each ``ε ≤ late_from``. The parameters that are best on held-out
-    data are kept, wherever they come from.
+    The nodes are smoothed first, and held for ``start`` epochs from each of ``starts``: the initial
+    parameters, where ``warm_up`` steps of Adam take these, its ``rate`` along a half cosine, and
+    where they take others, drawn alike. Now one is in the better basin, now another; what has the
+    smallest residuals goes on. Each ε of ``epsilons`` has ``epochs``. Where a model has late
+    parameters, these are zero so far; they join in a second round, with each ``ε ≤ late_from``. The
+    parameters that are best on held-out data are kept, wherever they come from.
     """
 
     reads_trajectories = True
@@ -50,6 +51,7 @@ class TotalLeastSquares(EpochOptimizer):
         params: Iterable[Tensor],
         *,
         epsilons: Sequence[float] = (1.0, 0.3, 0.1, 0.03),
+        starts: int = 2,
         start: int = 40,
         epochs: int = 20,
         late_from: float = 0.3,
@@ -62,7 +64,7 @@ class TotalLeastSquares(EpochOptimizer):
     ) -> None:
         """``velocity_weight`` is the noise of velocities over that of configurations [1/s]."""
         super().__init__(params, patience=10**9)
-        counts = ("start", start), ("epochs", epochs), ("trials", trials)
+        counts = ("starts", starts), ("start", start), ("epochs", epochs), ("trials", trials)
         sizes = ("damping", damping), ("rate", rate), ("velocity_weight", velocity_weight)
         for name, value in (*counts, *sizes, *(("epsilons", e) for e in epsilons)):
             if not value > 0:
@@ -73,11 +75,11 @@ class TotalLeastSquares(EpochOptimizer):
         self.warm_up, self.rate, self.seed = warm_up, rate, seed
         self.velocity_weight = velocity_weight
         late = any(map(is_late, self.parameters))
-        starts = [Stage(None), Stage(None, warmed=True)][: 2 if warm_up > 0 else 1]
+        begins = [Stage(None, start=i) for i in range(starts)]
         rounds = [Stage(e) for e in epsilons]
         again = [Stage(e, late=True) for e in epsilons if e <= late_from] if late else []
-        self.stages = [*starts, *rounds, *again]
-        self._starts = len(starts)
+        self.stages = [*begins, *rounds, *again]
+        self._starts = starts
         precision = [FLAT if is_coefficient(p) else 1.0 for p in self.parameters]
         self.memory |= {
             "epoch": 0,
@@ -114,15 +116,15 @@ class TotalLeastSquares(EpochOptimizer):
             self._set_late(to_start=False)
             memory["initial"] = self._snapshot(0.0)
         elif before != stage:
-            memory["damping"], memory["held"] = min(memory["damping"], self.damping), 0.0
-            if stage.warmed:
-                memory["rival"] = self._snapshot(memory["loss"])
-                self._restore(memory["initial"])
-                self._warm(model, chain)
-            elif before.warmed and memory["rival"]["loss"] < memory["loss"]:
-                self._restore(memory["rival"])
+            if before.epsilon is None:
+                rival, here = memory["rival"], self._snapshot(memory["loss"])
+                memory["rival"] = rival if rival and rival["loss"] < here["loss"] else here
+                self._restore(memory["rival" if stage.epsilon else "initial"])
+                if stage.epsilon is None:
+                    self._warm(model, chain, stage.start)
             elif stage.late and not before.late:
                 self._set_late(to_start=True)
+            memory["damping"], memory["held"] = min(memory["damping"], self.damping), 0.0
         memory["epoch"] = epoch + 1
         found = Smoothing(self, model, chain, stage.epsilon, late=stage.late).step()
         memory["loss"] = found["train_loss"]
@@ -148,16 +150,25 @@ class TotalLeastSquares(EpochOptimizer):
         for p in filter(is_late, self.parameters):
             p.copy_(start(p) if to_start else torch.zeros_like(p))
 
-    def _warm(self, model: Problem, chain: Chain) -> None:
+    def _warm(self, model: Problem, chain: Chain, start: int) -> None:
         """Adam on the smoothed nodes."""
+        generator = torch.Generator().manual_seed(self.seed + 1000 * (start - 1))
+        if start > 1:
+            self._draw(generator)
         samples = chain.windows(*chain.stencil(self.memory["nodes"]))
         early = [p for p in self.parameters if not is_late(p)]
         adam = torch.optim.Adam(early, lr=self.rate)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, self.warm_up)
-        generator = torch.Generator().manual_seed(self.seed)
         for _ in range(self.warm_up):
             rows = torch.randint(0, len(samples.q), (256,), generator=generator)
             model.loss_and_gradients(samples.rows(rows))
             if all(p.grad is None or bool(p.grad.isfinite().all()) for p in early):
                 adam.step()
             schedule.step()
+
+    @torch.no_grad()
+    def _draw(self, generator: torch.Generator) -> None:
+        """Weights anew, as large as the initial ones."""
+        for p in self.parameters:
+            if p.ndim > 1 and not is_late(p):
+                p.normal_(0.0, float(p.std(unbiased=False)), generator=generator)
