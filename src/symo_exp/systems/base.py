@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Annotated, NamedTuple, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
 
 import torch
 from jaxtyping import Float
@@ -94,6 +94,12 @@ class System(ABC):
     def lagrangian(self) -> Lagrangian | None:
         """The true Lagrangian."""
         return None
+
+    def environment(self, copies: int | None = None, **options: Any) -> Any:
+        """A Gymnasium environment: ``symo_exp.systems.environment.environment``."""
+        from symo_exp.systems.environment import environment
+
+        return environment(self, copies, **options)
 
     def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton | None:
         """Forward kinematics of one configuration, as a figure to draw."""
