@@ -46,6 +46,10 @@ RULES = {
         {"runs", "tracking", "training", "evaluation", "report", "data"},
         {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
     ),
+    "use": (
+        {"mechanics", "models", "tracking", "runs", "report", "sweep"},
+        {"torch", "pandas", "matplotlib"},
+    ),
 }  # fmt: skip
 LONGEST_FILE, LONGEST_FUNCTION = 250, 50
 EVERYBODYS = {"errors", "files", "imports", "shipped", "code"}

@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from symo_exp.compile import compile_rollout
     from symo_exp.tracking.load import load
+    from symo_exp.use.export import export
 
-_HOMES = {"compile_rollout": "symo_exp.compile", "load": "symo_exp.tracking.load"}
-__all__ = ["__version__", "compile_rollout", "load"]
+_HOMES = {
+    "compile_rollout": "symo_exp.compile",
+    "export": "symo_exp.use.export",
+    "load": "symo_exp.tracking.load",
+}
+__all__ = ["__version__", "compile_rollout", "export", "load"]
 
 
 def __getattr__(name: str) -> Any:

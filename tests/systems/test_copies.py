@@ -97,7 +97,7 @@ def test_a_copy_whose_episode_is_over_starts_anew_at_the_next_step():
     envs = system.environment(3, motion=motion, max_episode_steps=None)
     envs.reset(options={"q": [[98.0], [101.0], [0.0]], "v": [0.0]})
     rest = np.zeros((3, 1))
-    state, _, lost, over, _ = envs.step(rest)
+    state, _, lost, _, _ = envs.step(rest)
     assert lost.tolist() == [False, True, False]
     assert state[:, 0].tolist() == [99.0, 101.0, 1.0]
     state, reward, lost, *_ = envs.step(rest)
