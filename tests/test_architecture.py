@@ -47,8 +47,7 @@ RULES = {
         {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
     ),
     "use": (
-        {"mechanics", "models", "tracking", "runs", "report", "sweep"},
-        {"torch", "pandas", "matplotlib"},
+        {"mechanics", "models", "runs", "tracking", "sweep"}, {"torch", "pandas", "PIL"},
     ),
 }  # fmt: skip
 LONGEST_FILE, LONGEST_FUNCTION = 250, 50

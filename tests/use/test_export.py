@@ -82,6 +82,11 @@ def test_what_cannot_be_written_is_said_in_a_line(tmp_path, monkeypatch):
         ({"path": "model.pt2", "iterations": 0}, "at least 1"),
         ({"path": str(tmp_path / "no" / "model.pt2")}, "cannot be written"),
     ]
+    lagrangian = {"run": make("l_node", "midpoint", 1), "path": "x.onnx"}
+    with monkeypatch.context() as installed:
+        installed.setattr("importlib.util.find_spec", lambda name: name)
+        with pytest.raises(ConfigError, match="ONNX cannot solve linear equations"):
+            symo_exp.export(**lagrangian)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     for arguments, said in [*wrong, ({"path": "x.onnx"}, "pip install onnx onnxscript")]:
         with pytest.raises(ConfigError, match=said) as caught:

@@ -77,6 +77,8 @@ def export(
         program = _program(step, model)
         (_onnx if path.suffix == ".onnx" else _pt2)(program, path, model)
     except Exception as error:  # PyTorch has many
+        if isinstance(error, ConfigError):
+            raise
         reason = " ".join(str(error).split())[:200]
         raise ConfigError(f"this step cannot be written to {path.name}: {reason}") from error
     return path
@@ -102,6 +104,8 @@ def _pt2(program: Any, path: Path, model: DynamicsModel) -> None:
 
 
 def _onnx(program: Any, path: Path, model: DynamicsModel) -> None:
+    if any("solve" in str(node.target) for node in program.graph.nodes):
+        raise ConfigError("ONNX cannot solve linear equations, as this step does; .pt2 can")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
