@@ -47,6 +47,9 @@ RULES = {
         {"runs", "tracking", "training", "evaluation", "report", "data", "systems"},
         {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
     ),
+    "use": (
+        {"mechanics", "models", "runs", "tracking", "sweep"}, {"torch", "pandas", "PIL"},
+    ),
 }  # fmt: skip
 LONGEST_FILE, LONGEST_FUNCTION = 250, 50
 EVERYBODYS = {"errors", "files", "imports", "shipped", "code"}

@@ -113,6 +113,7 @@ def test_the_same_model_comes_back(folder, model, system):
     n, m = trained.input_matrix.shape
     back = load(folder)
     assert not back.training
+    assert back.environment(2).reset(seed=0)[0].shape == (2, 2 * n)
     assert torch.equal(motion(trained, n, m).q, motion(back, n, m).q)
     assert torch.equal(motion(trained, n, m).v, motion(back, n, m).v)
 

@@ -98,7 +98,7 @@ class Galerkin(VariationalIntegrator):
 
     def unknowns(self, q1: Tensor) -> Tensor:
         """``(q₁, c₁, …, c_{s−1})``, the coefficients zero."""
-        return torch.cat((q1, q1.new_zeros(len(q1), (self.stages - 1) * q1.shape[1])), dim=1)
+        return torch.cat((q1, q1.new_zeros(q1.shape[0], (self.stages - 1) * q1.shape[1])), dim=1)
 
     @torch.no_grad()
     def expand_at(

@@ -10,12 +10,14 @@ import lightning
 import torch
 from torch import Tensor
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalIntegrator
+from symo_exp.models.control import Linear, inverse_dynamics, linearize
 from symo_exp.models.fields import Field
 from symo_exp.models.flows import ExplicitFlow, Flow, Rollout, Step, VariationalFlow
 from symo_exp.models.inputs import Array, Inputs
@@ -43,6 +45,8 @@ class DynamicsModel(lightning.LightningModule):
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self.compiled: dict[str, Callable[..., Any]] = {}
         """What takes the place of ``flow.advance`` as "rollout", and see ``Learner``."""
+        self.system: Any = None
+        """What is known of the system, of a model that was loaded from a run."""
 
     @property
     def learns(self) -> bool:
@@ -94,6 +98,49 @@ class DynamicsModel(lightning.LightningModule):
         v, controls = given.state("v0", v0), given.controls(u, steps)
         rollout = self.flow.rollout(given.q, v, controls, self.compiled.get("rollout"))
         return Rollout(*(x[0] for x in rollout)) if given.single else rollout
+
+    def linearize(self, q: Array, v: Array, u: Array = None) -> Linear:
+        """``A`` (B, 2n, 2n) and ``B`` (B, 2n, m): derivatives of ``(q, v)`` one time step later in
+        ``(q, v)`` and in the control ``u``, held over the step; without ``u`` at zero.
+
+        They are exact, by the implicit function theorem where a root was found, and ``nan`` in
+        rows where none was. Nothing is differentiated further.
+        """
+        given = Inputs(self.input_matrix, q)
+        found = linearize(self.flow, given.q, given.state("v", v), given.control("u", u))[1]
+        return Linear(*(x[0] for x in found)) if given.single else found
+
+    def inverse_dynamics(self, q_prev: Array, q: Array, q_next: Array) -> Tensor:
+        """The held control ``u`` (B, m) that takes three configurations, one time step apart.
+
+        Of all motions of the model through ``q_prev`` and ``q`` it is that of the one that comes
+        nearest to ``q_next``: exact where there is a control for each coordinate. With fewer
+        (underactuated) a motion of the model gives its control back, and for any other the
+        distance, root mean square over coordinates, is least; with more ``u`` is the shortest.
+        Rows for which no such motion is found are ``nan``.
+        """
+        given = Inputs(self.input_matrix, q_prev)
+        q, q_next = given.state("q", q), given.state("q_next", q_next)
+        u = inverse_dynamics(self.flow, given.q, q, q_next)
+        return u[0] if given.single else u
+
+    def environment(self, copies: int | None = None, *, system: Any = None, **options: Any) -> Any:
+        """A Gymnasium environment that the model moves, or so many ``copies`` of it as a
+        ``gymnasium.vector.VectorEnv``, all in one batch.
+
+        Spaces, start, reward and picture are those of the ``system``, that of the run unless given.
+        Options are ``box`` of starts and inputs, ``reward``, ``render_mode`` of a single one and
+        ``max_episode_steps``: see ``symo_exp.systems.environment``.
+        """
+        known = system or self.system
+        if known is None:
+            raise ConfigError("the system of this model is not known: environment(system=...)")
+
+        def move(q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            path = self.rollout(q, v, torch.stack((u, u), dim=1))
+            return path.q[:, 1], path.v[:, 1], path.converged[:, 0]
+
+        return known.environment(copies, motion=move, **options)
 
     def initial_velocity(self, windows: Windows) -> Tensor:
         """The velocity at node ``k`` with which a prediction starts."""

@@ -158,7 +158,7 @@ class ExplicitFlow(Flow):
             state = adjoint_step(self.field, q, v, u, u_next, h, method=name)
         else:  # without the hooks of a module, several times a step
             state = self.integrator.step(self.field.forward, q, v, u, u_next, h)
-        converged = torch.ones(len(q), dtype=torch.bool, device=q.device)
+        converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
         return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
 
     def initial_velocity(self, windows: Windows) -> Tensor:

@@ -79,7 +79,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
         """``∂F_d/∂v`` of the coefficients: the network is not stiff."""
-        found = torch.zeros(len(v), *self.joints.shape).to(v)
+        found = torch.zeros(v.shape[0], *self.joints.shape).to(v)
         if self.viscous is not None:
             unit, d = self._factors(self.viscous.unsqueeze(0))
             found = found - unit * d.unsqueeze(-2) @ unit.mT
@@ -103,7 +103,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         factor = self._triangle.square(hidden @ last.T + last_bias)
         by_s, by_rate = weight.T.split((self.embedding.size, n))
         by_q = self.embedding.basis_tangents(features) @ by_s
-        tangents = torch.cat((by_q, (by_rate / VELOCITY).expand(len(v), -1, -1)), dim=1)
+        tangents = torch.cat((by_q, (by_rate / VELOCITY).expand(v.shape[0], -1, -1)), dim=1)
         rates = (tangents * (1.0 - hidden * hidden).unsqueeze(1)) @ last.T
         turned = self._triangle.square(rates.flatten(0, 1)).unflatten(0, rates.shape[:2])
         x, y = v[:, None], vecmat(v, factor)[:, None]
@@ -125,10 +125,10 @@ class LearnedDissipation(nn.Module, Dissipation):
     ) -> Float[Tensor, "batch n"]:
         rate, found = matvec(self.joints, v), torch.zeros_like(v)
         if self.viscous is not None:
-            unit, d = self._factors(_rows(self.viscous, len(v)))
+            unit, d = self._factors(_rows(self.viscous, v.shape[0]))
             found = found - matvec(unit, d * vecmat(rate, unit))
         if self.coulomb is not None and self.rest is not None:
-            c, rest = self._dry(*(_rows(x, len(v)) for x in (self.coulomb, self.rest)))
+            c, rest = self._dry(*(_rows(x, v.shape[0]) for x in (self.coulomb, self.rest)))
             found = found - c * torch.tanh(rate / rest)
         found = vecmat(found, self.joints)
         if self.net is not None:

@@ -40,6 +40,7 @@ def from_folder(
     if model.learns:
         _set_weights(model, folder)
     model.to(device=device, dtype=dtype)
+    model.system = system
     model.input_matrix.copy_(system.input_matrix)  # it is not trained: not rounded either
     return model.eval()
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from symo_exp.errors import ConfigError
 from symo_exp.imports import first_import
-from symo_exp.runs.folder import DIED, LOG
+from symo_exp.runs.folder import DIED, LOG, RunFolder
 from symo_exp.sweep import slurm
 from symo_exp.sweep.checks import check_job
 from symo_exp.sweep.compose import Composer, Job, expand, labels
@@ -38,6 +38,19 @@ from symo_exp.sweep.table import one_line as measures_of
 from symo_exp.training import stopping
 
 log = logging.getLogger(__name__)
+
+
+_watching: list[list[RunFolder]] = []
+
+
+@contextmanager
+def watched() -> Iterator[list[RunFolder]]:
+    """The folders of all runs that commands of this process ask for meanwhile."""
+    _watching.append([])
+    try:
+        yield _watching[-1]
+    finally:
+        _watching.pop()
 
 
 class Sweep:
@@ -53,6 +66,8 @@ class Sweep:
     ) -> int:
         """The exit code. Raises ``ConfigError`` before anything starts."""
         jobs = self._plan(arguments, params)
+        for folders in _watching:
+            folders += [job.folder for job in jobs]
         finished = [job for job in jobs if job.config.resume and is_done(job.config, job.folder)]
         done = {job.folder.path for job in finished}
         todo = [job for job in jobs if job.folder.path not in done]

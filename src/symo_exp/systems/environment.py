@@ -1,4 +1,4 @@
-"""A Gymnasium environment over any system: ``symo_exp/Pendulum-v0`` and so on.
+"""Gymnasium environments of any system, moved by its own equations or by a model of it.
 
 Importing this module registers one environment for each system of ``conf/system``::
 
@@ -6,6 +6,19 @@ Importing this module registers one environment for each system of ``conf/system
     import symo_exp.systems.environment
 
     env = gymnasium.make("symo_exp/Acrobot-v0", render_mode="rgb_array")
+    envs = gymnasium.make_vec("symo_exp/Acrobot-v0", num_envs=1000)
+
+Both say the same of one copy and of many:
+
+- Action: the control ``u`` (m,), float64 [N or N m], held over ``system.time_step``; clipped to the
+  range the data are drawn from (``system.box.u``).
+- Observation: ``(q, v)`` (2n,), float64. Angles are not wrapped: they count turns.
+- Reward: the true potential energy ``V(q)`` [J] of the state reached, where it is known: greatest
+  where the masses are highest, so that swinging up pays. Else 0, unless one is given.
+- An episode ends by the limit of its steps only, or where a model finds no next state, which is
+  termination at the last one it had.
+- ``reset`` draws the state uniformly from the system's box, or takes
+  ``options={"q": [...], "v": [...]}``, either of which may be left out.
 """
 
 from __future__ import annotations
@@ -17,11 +30,15 @@ from typing import Any, final
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
 
 from symo_exp.errors import ConfigError
-from symo_exp.systems.base import LagrangianSystem
+from symo_exp.systems.base import System
+from symo_exp.systems.checks import whole
+from symo_exp.systems.copies import Copies, Motion, Reward, exact
 from symo_exp.systems.render import Renderer
-from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
 
@@ -31,22 +48,18 @@ SOLVER = Solver(method="RK45", rtol=1e-8, atol=1e-8)
 
 @final
 class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
-    """A step is ``system.time_step`` of exact motion under a held control.
-
-    - Action: the control ``u`` (m,), float64 [N or N m]; clipped to the range the data are drawn
-      from (``system.box.u``).
-    - Observation: ``(q, v)`` (2n,), float64. Angles are not wrapped: they count turns.
-    - Reward: the potential energy ``V(q)`` [J] of the state reached, which is greatest where the
-      masses are highest: swinging up pays.
-    - An episode has no end of its own; ``gymnasium.make`` truncates it after 500 steps.
-    - ``reset`` draws the state uniformly from the system's box, or takes
-      ``options={"q": [...], "v": [...]}``, either of which may be left out.
-    - The integrator is SciPy's RK45 unless ``solver`` says otherwise; the data sets are made by
-      the same function.
-    """
+    """One copy. Without ``motion`` the true system moves, by SciPy's RK45 unless ``solver`` says
+    otherwise. ``gymnasium.make`` truncates an episode after 500 steps."""
 
     def __init__(
-        self, system: LagrangianSystem, *, solver: Solver = SOLVER, render_mode: str | None = None
+        self,
+        system: System,
+        *,
+        solver: Solver = SOLVER,
+        motion: Motion | None = None,
+        reward: Reward | None = None,
+        render_mode: str | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         self.metadata = {
             "render_modes": ["human", "rgb_array"],
@@ -55,11 +68,9 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(f"render_mode={render_mode!r}: expected human, rgb_array or None")
         self.system, self.solver, self.render_mode = system, solver, render_mode
-        low, high = np.array(system.box.u).T
-        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float64)
-        self.observation_space = gymnasium.spaces.Box(
-            -np.inf, np.inf, shape=(2 * system.coordinates.n,), dtype=np.float64
-        )
+        self._copies = Copies(system, motion or exact(system, solver), reward)
+        self.action_space, self.observation_space = self._copies.actions, self._copies.observations
+        self._last, self._age = max_episode_steps, 0
         self._state: np.ndarray | None = None
         self._renderer: Renderer | None = None
 
@@ -67,28 +78,14 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
-        given = options or {}
-        if unknown := set(given) - {"q", "v"}:
-            raise ConfigError(f"reset options {sorted(unknown)}: expected q and v")
-        parts = []
-        for name in ("q", "v"):
-            drawn = self.np_random.uniform(*np.array(getattr(self.system.box, name)).T)
-            part = np.asarray(given.get(name, drawn), dtype=np.float64)
-            if part.shape != drawn.shape or not np.isfinite(part).all():
-                raise ConfigError(
-                    f"reset option {name}={given[name]}: expected {len(drawn)} finite number(s)"
-                )
-            parts.append(part)
-        return self._arrive(np.concatenate(parts)), {}
+        self._age = 0
+        return self._arrive(self._copies.draw(self.np_random, 1, options)), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        space = self.action_space
-        assert isinstance(space, gymnasium.spaces.Box)
-        u = torch.from_numpy(np.clip(np.asarray(action, dtype=np.float64), space.low, space.high))
-        after = simulate(self.system, *self.state(), u.reshape(1, -1), steps=1, solver=self.solver)
-        reward = float(self.system.potential(after.q[:, 1]))
-        state = torch.cat([after.q[0, 1], after.v[0, 1]]).numpy()
-        return self._arrive(state), reward, False, False, {}
+        states, rewards, lost = self._copies.move(self._now(), np.asarray(action)[None])
+        self._age += 1
+        truncated = self._last is not None and self._age >= self._last
+        return self._arrive(states), float(rewards[0]), bool(lost[0]), truncated, {}
 
     def render(self) -> Any:
         return self._draw() if self.render_mode == "rgb_array" else None
@@ -102,14 +99,17 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         self._state = state
         if self.render_mode == "human":
             self._draw()
-        return state.copy()
+        return state[0].copy()
 
     def state(self) -> tuple[torch.Tensor, torch.Tensor]:
         """``q`` and ``v`` now, (1, n) each."""
+        q, v = torch.from_numpy(self._now()).split(self.system.coordinates.n, dim=1)
+        return q, v
+
+    def _now(self) -> np.ndarray:
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset() first")
-        q, v = torch.from_numpy(self._state).unsqueeze(0).split(self.system.coordinates.n, dim=1)
-        return q, v
+        return self._state
 
     def _draw(self) -> np.ndarray | None:
         assert self.render_mode is not None
@@ -121,24 +121,88 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._renderer.draw(figure)
 
 
+@final
+class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """``num_envs`` copies that move together, in one batch. A copy whose episode is over starts
+    anew at the next step, whose action it does not see and whose reward is 0."""
+
+    def __init__(
+        self,
+        system: System,
+        num_envs: int,
+        *,
+        solver: Solver = SOLVER,
+        motion: Motion | None = None,
+        reward: Reward | None = None,
+        max_episode_steps: int | None = MAX_EPISODE_STEPS,
+    ) -> None:
+        self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.num_envs, self.system = whole("copies", num_envs), system
+        self._copies = Copies(system, motion or exact(system, solver), reward)
+        self.single_action_space = self._copies.actions
+        self.single_observation_space = self._copies.observations
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._last = np.inf if max_episode_steps is None else max_episode_steps
+        self._state: np.ndarray | None = None
+        self._age, self._over = np.zeros(num_envs), np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        self._age[:], self._over[:] = 0, False
+        self._state = self._copies.draw(self.np_random, self.num_envs, options)
+        return self._state.copy(), {}
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() first")
+        self._state, reward, lost = self._copies.move(self._state, actions)
+        self._age += 1
+        anew = self._over
+        self._state[anew] = self._copies.draw(self.np_random, int(anew.sum()))
+        self._age[anew], reward[anew], lost[anew] = 0, 0.0, False
+        truncated = self._age >= self._last
+        self._over = lost | truncated
+        return self._state.copy(), reward, lost, truncated, {}
+
+
+def environment(
+    system: System, copies: int | None = None, *, box: Any = None, **options: Any
+) -> Environment | VectorEnvironment:
+    """That of a system: one, or so many ``copies``. ``box`` takes the place of the system's."""
+    if box is not None:
+        system = dataclasses.replace(system, box=box)
+    options = {"max_episode_steps": MAX_EPISODE_STEPS, **options}
+    if copies is None:
+        return Environment(system, **options)
+    return VectorEnvironment(system, copies, **options)
+
+
 def make(
     system: str,
     parameters: Mapping[str, Any] | None = None,
-    render_mode: str | None = None,
     solver: Mapping[str, Any] | None = None,
-) -> Environment:
+    num_envs: int | None = None,
+    **options: Any,
+) -> Environment | VectorEnvironment:
     """The environment of a system of ``conf/system``, with parameters other than its own.
 
     ``parameters`` are fields of the system, ``solver`` fields of ``Solver``.
     """
+    options = {"max_episode_steps": None, **options}  # Gymnasium's own limit, of one copy
     chosen = dataclasses.replace(SOLVER, **(solver or {}))
-    return Environment(stated(system, **(parameters or {})), solver=chosen, render_mode=render_mode)
+    return environment(stated(system, **(parameters or {})), num_envs, solver=chosen, **options)
 
 
 for _name, _kind in systems().items():
     gymnasium.register(
         f"symo_exp/{_kind.__name__}-v0",
         entry_point="symo_exp.systems.environment:make",
+        vector_entry_point="symo_exp.systems.environment:make",
         max_episode_steps=MAX_EPISODE_STEPS,
         kwargs={"system": _name},
     )

@@ -1,4 +1,4 @@
-"""Epoch, losses and time left, on a terminal only."""
+"""Epoch, losses and time left, for a person who looks on."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ _REFRESH = 0.2  # seconds; reading a loss from a GPU waits for it
 
 
 class ProgressBar(lightning.Callback):
-    """One line that is redrawn; silent in a file, a pipe, or a process of a sweep among others."""
+    """One line that is redrawn, on a terminal or in a notebook; silent in a file, a pipe, or a
+    process of a sweep among others."""
 
     def __init__(self) -> None:
         alone = multiprocessing.current_process().name == "MainProcess"
-        self.shown = alone and sys.stderr.isatty()
+        self.shown = alone and (sys.stderr.isatty() or "ipykernel" in sys.modules)
         self._bar: Any = None
         self._drawn = 0.0
 

@@ -1,0 +1,76 @@
+"""What a controller asks of a flow: its derivatives, and the input behind a motion."""
+
+from __future__ import annotations
+
+import copy
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.mechanics.lagrangian import jacobian, matvec, solve
+from symo_exp.mechanics.roots import rounding
+from symo_exp.models.flows import ExplicitFlow, Flow, Step
+
+MOST_UPDATES = 20
+
+
+class Linear(NamedTuple):
+    """``δx_{k+1} = A δx_k + B δu``, the state being ``x = (q, v)``."""
+
+    A: Float[Tensor, "batch 2n 2n"]
+    B: Float[Tensor, "batch 2n m"]
+
+
+def linearize(flow: Flow, q: Tensor, v: Tensor, u: Tensor) -> tuple[Step, Linear]:
+    """One step under a held control, and its derivatives in state and control.
+
+    One forward pass, and one backward pass for each of the 2n rows. Where the root was not found
+    there is no derivative: such rows are ``nan``.
+    """
+    n, m = q.shape[1], u.shape[1]
+    if isinstance(flow, ExplicitFlow):  # the step itself, whatever it is trained by
+        flow = copy.copy(flow)
+        flow.sensitivity = "direct"
+    with torch.enable_grad():
+        x = torch.cat((q, v, u), dim=1).detach().requires_grad_()
+        q, v, u = x.split((n, n, m), dim=1)
+        step = flow.step(q, v, u, u)
+        by_x = jacobian(torch.cat((step.q, step.v), dim=1), x)
+    by_x = by_x.where(step.converged[:, None, None], torch.nan)
+    return Step(*(y.detach() for y in step)), Linear(*by_x.split((2 * n, m), dim=2))
+
+
+@torch.no_grad()
+def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> Tensor:
+    """The control (batch, m), held over both steps, behind three configurations.
+
+    A motion from ``q_prev`` has a velocity there and a control: ``v`` is such that it passes
+    through ``q``, ``u`` such that it comes as near to ``q_next`` as it can. Both follow by the
+    Gauss-Newton method from ``v = (q − q_prev) / h``, ``u = 0``: with ``J_v``, ``J_u`` and ``K_v``,
+    ``K_u`` the derivatives of the first and the second configuration
+
+        dv = −J_v⁻¹ (r + J_u du)        min ‖s + K_v dv + K_u du‖ over du
+
+    Rows that do not settle are ``nan``.
+    """
+    n, m = q.shape[1], flow.input_matrix.shape[1]
+    v, u = (q - q_prev) / flow.time_step, q.new_zeros(len(q), m)
+    still = torch.zeros_like(q)
+    for _ in range(MOST_UPDATES if m else 0):
+        first, (a, b) = linearize(flow, q_prev, v, u)
+        second, (c, d) = linearize(flow, first.q, first.v, u)
+        by_v, by_u = c @ a[:, :, n:], c @ b + d
+        shift = solve(a[:, :n, n:], q - first.q)
+        slope = torch.linalg.solve_ex(a[:, :n, n:], b[:, :n])[0]
+        to_go = q_next - second.q - matvec(by_v[:, :n], shift)
+        du = matvec(torch.linalg.pinv(by_u[:, :n] - by_v[:, :n] @ slope), to_go)
+        dv = shift - matvec(slope, du)
+        u, v = u + du, v + dv
+        still = matvec(by_u[:, :n], du).abs() + (q - first.q).abs()
+        if m >= n:  # it can be reached: nothing is settled before
+            still = still + to_go.abs()
+        if not (still > rounding(q)).any():
+            break
+    return u.where((still <= 1e3 * rounding(q)).all(1, keepdim=True), torch.nan)

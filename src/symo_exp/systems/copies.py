@@ -1,0 +1,89 @@
+"""Copies of a system under way: what its environments share, be there one copy or many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from torch import Tensor
+
+from symo_exp.errors import ConfigError
+from symo_exp.systems.base import LagrangianSystem, System
+from symo_exp.systems.simulation import Solver, simulate
+
+Motion = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
+"""``(q, v, u)`` of a batch to ``(q⁺, v⁺)`` one time step later and, row by row, whether there is
+such a state."""
+Reward = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""``(q⁺, v⁺, u)`` of a batch to the reward of the step that led there."""
+
+
+class Copies:
+    """Any number of copies of a system under way: what an environment does, of one or of many."""
+
+    def __init__(self, system: System, motion: Motion, reward: Reward | None) -> None:
+        if system.box is None:
+            n, m = system.input_matrix.shape
+            raise ConfigError(
+                f"where do the states of {type(system).__name__} start, and how far do its inputs "
+                f"go? Give box=dict(q=..., v=..., u=...), a list of [low, high] for each of the "
+                f"{n} coordinate(s) and {m} input(s)"
+            )
+        self.system, self.box = system, system.box
+        self._motion, self._reward = motion, reward or potential(system)
+        low, high = np.array(self.box.u, dtype=np.float64).reshape(-1, 2).T
+        self.actions = gymnasium.spaces.Box(low, high, dtype=np.float64)
+        shape = (2 * system.coordinates.n,)
+        self.observations = gymnasium.spaces.Box(-np.inf, np.inf, shape=shape, dtype=np.float64)
+
+    def draw(
+        self, random: np.random.Generator, count: int, options: Mapping[str, Any] | None = None
+    ) -> np.ndarray:
+        """States (count, 2n) to start from."""
+        given, parts = options or {}, []
+        if unknown := set(given) - {"q", "v"}:
+            raise ConfigError(f"reset options {sorted(unknown)}: expected q and v")
+        for name in ("q", "v"):
+            low, high = np.array(getattr(self.box, name)).T
+            drawn = random.uniform(low, high, size=(count, len(low)))
+            part = np.asarray(given.get(name, drawn), dtype=np.float64)
+            if part.shape not in (drawn.shape, low.shape) or not np.isfinite(part).all():
+                raise ConfigError(
+                    f"reset option {name}={given[name]}: expected {len(low)} finite number(s)"
+                )
+            parts.append(np.broadcast_to(part, drawn.shape))
+        return np.concatenate(parts, axis=1)
+
+    def move(self, states: np.ndarray, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One step: states, rewards and which copies are lost, whose state stays as it was."""
+        clipped = np.clip(actions, self.actions.low, self.actions.high)
+        u = torch.from_numpy(clipped.astype(np.float64).reshape(len(states), -1))
+        q, v = torch.from_numpy(states).split(self.system.coordinates.n, dim=1)
+        with torch.no_grad():
+            q_next, v_next, found = (x.cpu() for x in self._motion(q, v, u))
+            found = (found & q_next.isfinite().all(1) & v_next.isfinite().all(1))[:, None]
+            q, v = q_next.double().where(found, q), v_next.double().where(found, v)
+            reward = self._reward(q, v, u)
+        return torch.cat((q, v), dim=1).numpy(), reward.numpy(), ~found[:, 0].numpy()
+
+
+def exact(system: System, solver: Solver) -> Motion:
+    """That of the true system, by the function that makes the data sets."""
+    if not isinstance(system, LagrangianSystem):
+        raise ConfigError(f"{type(system).__name__} has no known equations: a model moves it")
+
+    def move(q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        after = simulate(system, q, v, u, steps=1, solver=solver)
+        return after.q[:, 1], after.v[:, 1], torch.ones(len(q), dtype=torch.bool)
+
+    return move
+
+
+def potential(system: System) -> Reward:
+    """``V(q)`` where it is known."""
+    if isinstance(system, LagrangianSystem):
+        return lambda q, v, u: system.potential(q)
+    return lambda q, v, u: q.new_zeros(len(q))

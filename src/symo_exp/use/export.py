@@ -1,0 +1,115 @@
+"""The step of a trained model as a file that runs without this package."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.lagrangian import solve
+from symo_exp.mechanics.roots import rounding, row_norm
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.flows import Flow, VariationalFlow
+from symo_exp.tracking.load import load
+
+ARGUMENTS = ("q", "v", "u", "u_next")
+RESULTS = ("q_next", "v_next", "converged")
+
+
+class FixedStep(nn.Module):
+    """A step as a fixed sequence of operations: ``iterations`` undamped steps of Newton's method,
+    and row by row whether they found the root."""
+
+    def __init__(self, flow: Flow, iterations: int) -> None:
+        super().__init__()
+        self.flow, self.iterations = flow, iterations
+
+    def forward(
+        self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        flow = self.flow
+        if not isinstance(flow, VariationalFlow):
+            return flow.step(q, v, u, u_next)[:3]
+        forces, h = flow.forces(u, u_next), flow.time_step
+        before, after = flow.integrator.impulses(*forces, h)
+        problem = flow.matching(q, flow.encode(q, v) + before, forces)
+        x = problem.start(q + h * v)
+        at = problem.at(x)
+        for _ in range(self.iterations):
+            step = solve(at.jacobian(), -at.residual)
+            x = x + step
+            at = problem.at(x)
+        settled = (step.abs() <= rounding(x)).all(-1)
+        found = (row_norm(at.residual) <= flow.rollout_root.tolerance) | settled
+        q_next = x[:, : q.shape[1]]
+        return q_next, flow.decode(q_next, at.expansion.values.d2 + after), found
+
+
+def export(
+    run: DynamicsModel | str | os.PathLike[str], path: str | Path, *, iterations: int = 5
+) -> Path:
+    """Write ``(q, v, u, u_next) → (q_next, v_next, converged)`` of a model to ``path``.
+
+    ``q``, ``v`` are (batch, n), ``u``, ``u_next`` (batch, m), in SI units and the precision of the
+    model, the batch of any size; ``converged`` is (batch,). The control goes linearly from ``u`` to
+    ``u_next``. A variational step takes so many ``iterations`` of Newton's method.
+
+    ``run`` is a model, a run, its folder or the id of an MLflow run. ``*.pt2`` is read by
+    ``torch.export.load(path).module()``, ``*.onnx`` by any ONNX runtime.
+    """
+    model = run if isinstance(run, DynamicsModel) else load(os.fspath(run))
+    path = Path(path)
+    if path.suffix not in (".pt2", ".onnx"):
+        raise ConfigError(f"{path}: expected a name that ends in .pt2 or .onnx")
+    if iterations < 1:
+        raise ConfigError(f"iterations={iterations}: expected a whole number of at least 1")
+    if path.suffix == ".onnx" and (missing := [x for x in ONNX if not importlib.util.find_spec(x)]):
+        raise ConfigError(f"ONNX needs packages that are missing: pip install {' '.join(missing)}")
+    step = FixedStep(model.flow, iterations).eval()
+    try:
+        program = _program(step, model)
+        (_onnx if path.suffix == ".onnx" else _pt2)(program, path, model)
+    except Exception as error:  # PyTorch has many
+        if isinstance(error, ConfigError):
+            raise
+        reason = " ".join(str(error).split())[:200]
+        raise ConfigError(f"this step cannot be written to {path.name}: {reason}") from error
+    return path
+
+
+ONNX = ("onnx", "onnxscript")
+
+
+def _program(step: FixedStep, model: DynamicsModel) -> Any:
+    n, m = model.input_matrix.shape
+    example = [model.input_matrix.new_full((3, size), 0.1) for size in (n, n, m, m)]
+    batch = torch.export.Dim("batch", min=1)
+    with torch.no_grad():
+        return torch.export.export(
+            step, tuple(example), dynamic_shapes=({0: batch},) * 4, strict=False
+        )
+
+
+def _pt2(program: Any, path: Path, model: DynamicsModel) -> None:
+    names = ", ".join(model.coordinates.names)
+    about = f"{ARGUMENTS} -> {RESULTS}; coordinates {names}; time step {model.time_step} s\n"
+    torch.export.save(program, path, extra_files={"symo_exp.txt": about})
+
+
+def _onnx(program: Any, path: Path, model: DynamicsModel) -> None:
+    if any("solve" in str(node.target) for node in program.graph.nodes):
+        raise ConfigError("ONNX cannot solve linear equations, as this step does; .pt2 can")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        torch.onnx.export(
+            program, f=path, dynamo=True, verbose=False,
+            input_names=ARGUMENTS, output_names=RESULTS,
+        )  # fmt: skip

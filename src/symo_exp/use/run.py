@@ -1,0 +1,81 @@
+"""The command from Python: ``symo_exp.run("model=symo", "system=pendulum")``."""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from pathlib import Path
+
+import pandas as pd
+from PIL import Image
+
+from symo_exp.errors import ConfigError
+from symo_exp.models.base import DynamicsModel
+from symo_exp.runs.folder import LOG, PICTURES, ROLLOUTS, RunFolder
+from symo_exp.sweep.command import Command
+from symo_exp.sweep.explain import BAD_INPUT, explained
+from symo_exp.sweep.sweeper import watched
+from symo_exp.tracking.load import load
+
+
+class Run:
+    """A finished run, by its folder."""
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise ConfigError(f"{folder} is no run folder: there is none of that name")
+
+    def __repr__(self) -> str:
+        return f"Run({os.path.relpath(self.folder)!r})"
+
+    def __fspath__(self) -> str:
+        return str(self.folder)
+
+    @cached_property
+    def model(self) -> DynamicsModel:
+        """The trained model: ``symo_exp.load``."""
+        return load(self.folder)
+
+    @cached_property
+    def measures(self) -> dict[str, float]:
+        """By name, those of studies too: docs/metrics.md."""
+        return RunFolder(self.folder).measures()
+
+    @cached_property
+    def rollouts(self) -> pd.DataFrame:
+        """Predicted beside true motions, a row for each node."""
+        return pd.read_parquet(self.folder / ROLLOUTS)
+
+    def figure(self, name: str) -> Image.Image:
+        """A picture of the run, as a notebook shows it: trajectories, phase_portrait, …"""
+        found = {path.stem: path for path in sorted((self.folder / PICTURES).glob("*"))}
+        if name not in found:
+            there = ", ".join(found) or "none: the run was made with pictures=false"
+            raise ConfigError(f"there is no figure {name}; there is {there}")
+        return Image.open(found[name])
+
+
+def run(*words: str) -> Run | list[Run]:
+    """What ``python -m symo_exp WORDS`` does, and the run; of a sweep, ``-m`` or ``-cn NAME``, all
+    its runs in order.
+
+    A run that is finished already is not done again. Raises ``ConfigError`` for bad input before
+    anything runs, ``RuntimeError`` for a run that fails, ``KeyboardInterrupt`` where it is stopped.
+    """
+    command = Command(words)
+    if not command.runs:
+        raise ConfigError(f"{' '.join(command.options)} asks for no run")
+    with watched() as folders:
+        try:
+            codes = [one.execute() for one in command.several() or [command]]
+        except BAD_INPUT as error:
+            raise explained(error, command) from error
+    if any(code > 128 for code in codes):
+        raise KeyboardInterrupt
+    for folder in folders:
+        outcome = folder.outcome()
+        if outcome.status != "finished":
+            raise RuntimeError(f"{folder} {outcome.status}: {outcome.reason} ({folder / LOG})")
+    runs = [Run(folder.path) for folder in folders]
+    return runs[0] if len(runs) == 1 else runs

@@ -1,0 +1,162 @@
+"""What a controller asks of a model: derivatives of a step, and the input behind a motion."""
+
+import pytest
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.roots import Newton
+from tests.models.methods import make, pairwise, windows
+
+PAIRWISE = pytest.mark.parametrize(("method", "integrator", "n"), pairwise())
+
+
+def state_map(model, n):
+    """``(q, v, u) → (q⁺, v⁺)`` under a held control, all in one tensor."""
+
+    def after(x):
+        q, v, u = x.split((n, n, x.shape[1] - 2 * n), dim=1)
+        step = model.step(q, v, u)
+        return torch.cat((step.q, step.v), dim=1)
+
+    return after
+
+
+def actuated(method, integrator, n, m):
+    """A model with ``m`` controls."""
+    return make(method, integrator, n, input_matrix=torch.eye(n, m, dtype=torch.float64) + 0.1)
+
+
+@PAIRWISE
+def test_derivatives_of_a_step_are_those_of_finite_differences(method, integrator, n):
+    model, data, eps = actuated(method, integrator, n, n), windows(n), 1e-5
+    u = data.u.expand(-1, n)
+    a, b = model.linearize(data.q, data.v, u)
+    assert a.shape == (len(u), 2 * n, 2 * n)
+    assert b.shape == (len(u), 2 * n, n)
+    x, after = torch.cat((data.q, data.v, u), dim=1), state_map(model, n)
+    steps = eps * torch.eye(3 * n, dtype=torch.float64)
+    with torch.no_grad():
+        columns = [(after(x + d) - after(x - d)) / (2 * eps) for d in steps]
+    expected = torch.stack(columns, dim=2)
+    torch.testing.assert_close(torch.cat((a, b), dim=2), expected, atol=2e-7, rtol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(("method", "integrator"), [("node", "rk4"), ("l_node", "dopri5")])
+def test_without_a_root_they_are_those_of_autograd(method, integrator, n):
+    model, data = make(method, integrator, n), windows(n)
+    x = torch.cat((data.q, data.v, data.u), dim=1)
+    summed = torch.autograd.functional.jacobian(lambda x: state_map(model, n)(x).sum(0), x)
+    found = torch.cat(model.linearize(data.q, data.v, data.u), dim=2)
+    torch.testing.assert_close(found, summed.permute(1, 0, 2))
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_through_a_root_they_are_those_of_the_unrolled_search(n):
+    """Newton's method written out and differentiated by autograd, derivatives by autograd too."""
+    model, data = make("symo", "midpoint", n), windows(n)
+    lagrangian, h, force = model.lagrangian, model.time_step, model.input_matrix
+
+    def midpoint(q0, q1):
+        p, q = lagrangian.momentum, 0.5 * (q0 + q1)
+        middle = torch.func.grad(
+            lambda q, v: 0.5 * v @ p(q[None], v[None])[0] - lagrangian.potential(q[None])[0],
+            argnums=0,
+        )
+        v = (q1 - q0) / h
+        return 0.5 * h * torch.func.vmap(middle)(q, v), p(q, v)
+
+    def residual(q0, p0, u, q1):
+        dq, p = midpoint(q0, q1)
+        return p0 + dq - p + 0.5 * h * u @ force.T
+
+    def step(x):
+        q, v, u = (y[None] for y in x.split((n, n, 1)))
+        p, q1 = lagrangian.momentum(q, v), q + h * v
+        for _ in range(8):
+            g = residual(q, p, u, q1)
+            slope = torch.func.jacrev(lambda y, q=q, p=p, u=u: residual(q, p, u, y[None])[0])(q1[0])
+            q1 = q1 - torch.linalg.solve(slope, g[0])
+        dq, momentum = midpoint(q, q1)
+        after = momentum + dq + 0.5 * h * u @ force.T
+        return torch.cat((q1, lagrangian.velocity(q1, after)), dim=1)[0]
+
+    found = torch.cat(model.linearize(data.q, data.v, data.u), dim=2)
+    for row, x in enumerate(torch.cat((data.q, data.v, data.u), dim=1)[:2]):
+        torch.testing.assert_close(found[row], torch.func.jacrev(step)(x), rtol=1e-7, atol=1e-9)
+
+
+def test_the_adjoint_of_training_does_not_enter():
+    data = windows(2)
+    direct, adjoint = (
+        make("node", "rk4", 2, sensitivity=s).linearize(data.q, data.v, data.u)
+        for s in ("direct", "adjoint")
+    )
+    assert torch.equal(direct.A, adjoint.A)
+    assert torch.equal(direct.B, adjoint.B)
+
+
+def test_a_row_without_a_root_has_no_derivative():
+    model, data = make("symo", "midpoint", 2), windows(2)
+    good = model.linearize(data.q, data.v, data.u)
+    q = data.q.clone()
+    q[1] = torch.nan
+    a, b = model.linearize(q, data.v, data.u)
+    assert a[1].isnan().all()
+    assert b[1].isnan().all()
+    torch.testing.assert_close(a[[0, 2, 3, 4]], good.A[[0, 2, 3, 4]])
+
+
+def motion(model, data):
+    """Three configurations under a held control, which an untrained network does not drown."""
+    m = model.input_matrix.shape[1]
+    u = 0.2 * (data.u + torch.arange(m))
+    return u, model.rollout(data.q, data.v, u[:, None].expand(-1, 3, -1)).q.unbind(1)
+
+
+@PAIRWISE
+def test_a_motion_of_the_model_gives_its_control_back(method, integrator, n):
+    """Fully actuated and underactuated."""
+    for m in {1, n}:
+        model = actuated(method, integrator, n, m)
+        u, path = motion(model, windows(n))
+        torch.testing.assert_close(model.inverse_dynamics(*path), u, atol=1e-7, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("method", "integrator", "n"),
+    [("node", "rk4", 1), ("l_node", "midpoint", 3), ("symo", "galerkin4", 2)],
+)
+def test_of_a_motion_that_it_cannot_do_the_nearest_one_is_taken(method, integrator, n):
+    """No other held control brings a motion through the first two configurations nearer."""
+    model = make(method, integrator, n)
+    _, (q_prev, q, q_next) = motion(model, windows(n))
+    q_next = q_next + 1e-5 * torch.randn_like(q_next)
+    u = model.inverse_dynamics(q_prev, q, q_next)
+
+    def distance(u):
+        v = (q - q_prev) / model.time_step
+        for _ in range(5):  # shoot for the second configuration
+            step, a = model.step(q_prev, v, u), model.linearize(q_prev, v, u).A
+            v = v + torch.linalg.solve(a[:, :n, n:], q - step.q.detach())
+        step = model.step(q_prev, v, u)
+        return (model.step(step.q, step.v, u).q - q_next).norm(dim=1).detach()
+
+    least = distance(u)
+    assert (distance(u - 0.002) >= least).all()
+    assert (distance(u + 0.002) >= least).all()
+    assert (least.max() < 1e-9) == (n == 1)
+
+
+def test_single_states_precisions_and_systems_without_a_control():
+    model, data = make("symo", "midpoint", 2, root=Newton()).float(), windows(2)
+    a, b = model.linearize(data.q[1].tolist(), data.v[1].numpy())
+    assert (a.shape, b.shape, a.dtype) == ((4, 4), (4, 1), torch.float32)
+    u = model.inverse_dynamics(data.q_prev[1], data.q[1], data.q_next[1])
+    exact = model.double().inverse_dynamics(data.q_prev, data.q, data.q_next)[1]
+    torch.testing.assert_close(u.double(), exact, atol=0.05, rtol=0)
+    free = make("l_node", "rk4", 2, input_matrix=torch.zeros(2, 0, dtype=torch.float64))
+    assert free.linearize(data.q, data.v).B.shape == (5, 4, 0)
+    assert free.inverse_dynamics(data.q_prev, data.q, data.q_next).shape == (5, 0)
+    with pytest.raises(ConfigError, match="q_next has shape"):
+        model.inverse_dynamics(data.q, data.q, data.q[:, :1])

@@ -1,0 +1,146 @@
+"""Environments of many copies, and of models: the same motion, one at a time or in one batch."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from symo_exp.errors import ConfigError
+from symo_exp.systems.environment import VectorEnvironment
+from symo_exp.systems.recorded import Recorded
+from symo_exp.systems.simulation import Solver
+from tests.models.methods import combinations, make
+from tests.systems.every import SYSTEMS
+
+FINE = Solver("RK45", rtol=1e-10, atol=1e-11)
+
+
+def model_of(system, method="symo", integrator="midpoint"):
+    """An untrained model of a system, as loaded."""
+    n = system.coordinates.n
+    model = make(
+        method,
+        integrator,
+        n,
+        coordinates=system.coordinates,
+        input_matrix=system.input_matrix,
+        time_step=system.time_step,
+    ).for_evaluation()
+    model.system = system
+    return model
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_copies_move_as_one_does_alone(name):
+    """Of the true system and of a model of it; states, rewards and all."""
+    system = SYSTEMS[name]
+    model = model_of(system, "l_node", "rk4")
+    pairs = [
+        (system.environment(solver=FINE), system.environment(3, solver=FINE)),
+        (model.environment(), model.environment(3)),
+    ]
+    for one, many in pairs:
+        states, _ = many.reset(seed=1)
+        many.action_space.seed(1)
+        actions = [many.action_space.sample() for _ in range(4)]
+        told = [many.step(action)[:4] for action in actions]
+        n = system.coordinates.n
+        for i in range(3):
+            one.reset(options={"q": states[i, :n], "v": states[i, n:]})
+            for action, (observation, reward, lost, over) in zip(actions, told, strict=True):
+                alone = one.step(action[i])
+                np.testing.assert_allclose(alone[0], observation[i], rtol=1e-6, atol=1e-7)
+                np.testing.assert_allclose(alone[1], reward[i], rtol=1e-6, atol=1e-7)
+                assert (alone[2], alone[3]) == (lost[i], over[i]) == (False, False)
+
+
+@pytest.mark.parametrize(("method", "integrator"), combinations())
+def test_the_environment_of_a_model_is_accepted_and_is_its_step(method, integrator):
+    system = SYSTEMS["acrobot"]
+    model = model_of(system, method, integrator)
+    env = model.environment()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # unbounded observations, unnormalised torques
+        check_env(env, skip_render_check=True)
+    before, _ = env.reset(seed=2)
+    after, reward, *_ = env.step(np.array([9.0]))  # beyond the range
+    step = model.step(before[:2], before[2:], [2.0])
+    np.testing.assert_allclose(after, torch.cat((step.q, step.v)), rtol=1e-12, atol=1e-12)
+    assert reward == pytest.approx(float(system.potential(step.q[None])))
+
+
+def test_gymnasium_makes_many():
+    envs = gymnasium.make_vec("symo_exp/Cartpole-v0", num_envs=5, max_episode_steps=7)
+    assert isinstance(envs, VectorEnvironment)
+    assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    first, _ = envs.reset(seed=4)
+    again, _ = envs.reset(seed=4)
+    np.testing.assert_array_equal(first, again)
+    assert envs.observation_space.contains(first)
+    assert first.shape == (5, 4)
+    ends = [envs.step(envs.action_space.sample())[3] for _ in range(15)]
+    assert [end.all() for end in ends] == [k in (6, 14) for k in range(15)]
+    assert not any(end.any() for k, end in enumerate(ends) if k not in (6, 14))
+
+
+def test_a_copy_whose_episode_is_over_starts_anew_at_the_next_step():
+    system = SYSTEMS["pendulum"]
+    lost_at = 100.0
+
+    def motion(q, v, u):
+        return q + 1.0, v, q[:, 0] < lost_at
+
+    envs = system.environment(3, motion=motion, max_episode_steps=None)
+    envs.reset(options={"q": [[98.0], [101.0], [0.0]], "v": [0.0]})
+    rest = np.zeros((3, 1))
+    state, _, lost, _, _ = envs.step(rest)
+    assert lost.tolist() == [False, True, False]
+    assert state[:, 0].tolist() == [99.0, 101.0, 1.0]
+    state, reward, lost, *_ = envs.step(rest)
+    assert lost.tolist() == [False, False, False]
+    assert abs(state[1, 0]) <= np.pi
+    assert reward[1] == 0.0 != reward[0]
+    assert state[[0, 2], 0].tolist() == [100.0, 2.0]
+    one = system.environment(motion=motion)
+    one.reset(options={"q": [101.0], "v": [0.5]})
+    state, _, lost, *_ = one.step(rest[0])
+    assert lost
+    assert state.tolist() == [101.0, 0.5]
+
+
+def test_thousands_of_copies_move_in_one_batch():
+    model = model_of(SYSTEMS["acrobot"], "node", "rk4")
+    calls = []
+    step = model.flow.integrator.step
+    model.flow.integrator.step = lambda *x: calls.append(len(x[1])) or step(*x)
+    envs = model.environment(4096)
+    envs.reset(seed=0)
+    state, reward, *_ = envs.step(envs.action_space.sample())
+    assert calls == [4096]
+    assert state.shape == (4096, 4)
+    assert reward.shape == (4096,)
+
+
+def test_of_recordings_a_box_and_a_reward_are_told():
+    system = Recorded(time_step=0.05, names=("a", "b"), angular="all", inputs=("0", "1"))
+    model = model_of(system)
+    with pytest.raises(ConfigError, match=r"box=dict\(q=") as caught:
+        model.environment()
+    assert "\n" not in str(caught.value)
+    box = {"q": [[-1, 1]] * 2, "v": [[-2, 2]] * 2, "u": [[-3, 3]] * 2}
+    env = model.environment(box=box, reward=lambda q, v, u: q[:, 0])
+    state, _ = env.reset(seed=0)
+    assert (abs(state) < [1, 1, 2, 2]).all()
+    state, reward, *_ = env.step(env.action_space.sample())
+    assert reward == state[0]
+    with pytest.raises(ConfigError, match="a model moves it"):
+        system.environment(box=box)
+    model.system = None
+    with pytest.raises(ConfigError, match="environment\\(system="):
+        model.environment()
+    with pytest.raises(ConfigError, match="copies=0"):
+        model.environment(0, system=SYSTEMS["acrobot"])

@@ -1,0 +1,94 @@
+"""A step that is exported moves as the model does, in a process that has no symo_exp."""
+
+import subprocess
+import sys
+
+import jaxtyping
+import pytest
+import torch
+
+import symo_exp
+from symo_exp.errors import ConfigError
+from tests.models.methods import combinations, make, windows
+
+
+@pytest.fixture(autouse=True)
+def _any_batch(_shapes):
+    """Shapes that are looked at while a step is traced would be part of it."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+
+
+ALONE = """
+import sys, torch
+sys.modules["symo_exp"] = None  # an import fails
+step = torch.export.load("model.pt2").module()
+given, expected = torch.load("states.pt")
+for batch in (1, 4, 5):
+    found = step(*(x[:batch] for x in given))
+    for mine, theirs in zip(found, expected):
+        assert mine.shape == theirs[:batch].shape
+        torch.testing.assert_close(mine, theirs[:batch])
+q, v, u, _ = given
+for _ in range(20):
+    q, v, found = step(q, v, u, u)
+    assert found.all()
+assert not any(name.startswith("symo_exp.") for name in sys.modules)
+torch.save(q, "end.pt")
+"""
+
+
+def states(n):
+    data = windows(n)
+    return data.q, data.v, data.u, data.u_next
+
+
+def leaves_home(model, n, folder, iterations):
+    """The exported step in a process of its own."""
+    given = states(n)
+    with torch.no_grad():
+        expected = tuple(model.step(*given))[:3]
+    torch.save((given, expected), folder / "states.pt")
+    symo_exp.export(model, folder / "model.pt2", iterations=iterations)
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", ALONE], cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    held = given[2][:, None].expand(-1, 21, -1)
+    end = model.rollout(given[0], given[1], held).q[:, -1]
+    torch.testing.assert_close(torch.load(folder / "end.pt"), end)
+
+
+def test_a_variational_step_runs_without_this_package(tmp_path):
+    leaves_home(make("symo", "midpoint", 1), 1, tmp_path, iterations=3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize(("method", "integrator"), combinations())
+def test_every_step_runs_without_this_package(method, integrator, n, tmp_path):
+    leaves_home(make(method, integrator, n), n, tmp_path, iterations=6)
+
+
+def test_a_root_that_was_not_found_is_told(tmp_path):
+    path = symo_exp.export(make("symo", "midpoint", 1), tmp_path / "x.pt2", iterations=1)
+    *_, found = torch.export.load(path).module()(*states(1))
+    assert not found.any()
+
+
+def test_what_cannot_be_written_is_said_in_a_line(tmp_path, monkeypatch):
+    model = make("node", "rk4", 1)
+    wrong = [
+        ({"path": "model.zip"}, r"ends in .pt2 or .onnx"),
+        ({"path": "model.pt2", "iterations": 0}, "at least 1"),
+        ({"path": str(tmp_path / "no" / "model.pt2")}, "cannot be written"),
+    ]
+    lagrangian = {"run": make("l_node", "midpoint", 1), "path": "x.onnx"}
+    with monkeypatch.context() as installed:
+        installed.setattr("importlib.util.find_spec", lambda name: name)
+        with pytest.raises(ConfigError, match="ONNX cannot solve linear equations"):
+            symo_exp.export(**lagrangian)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for arguments, said in [*wrong, ({"path": "x.onnx"}, "pip install onnx onnxscript")]:
+        with pytest.raises(ConfigError, match=said) as caught:
+            symo_exp.export(model, **arguments)
+        assert "\n" not in str(caught.value)

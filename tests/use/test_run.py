@@ -1,0 +1,64 @@
+"""The Python door: what the command does, and the run in hand."""
+
+import sys
+
+import pytest
+import torch
+
+import symo_exp
+from symo_exp.errors import ConfigError
+from symo_exp.runs.folder import RunFolder
+from symo_exp.training.progress import ProgressBar
+from tests.tiny import TINY
+
+SMALL = ["model=symo", *TINY, "logger=none"]
+
+
+def test_a_run_is_what_the_command_leaves(workplace):
+    run = symo_exp.run(*SMALL)
+    assert [run.folder] == list((workplace / "outputs" / "default").glob("symo-*"))
+    assert run.measures == RunFolder(run.folder).measures()
+    assert run.measures["test_mse"] > 0
+    assert {"trajectory", "t", "q_theta", "q_true_theta"} <= set(run.rollouts.columns)
+    path = run.model.rollout([0.1], [0.0], steps=3)
+    assert path.q.shape == (4, 1)
+    assert run.figure("phase_portrait").size[0] > 100
+    with pytest.raises(ConfigError, match=r"no figure nothing; there is .*trajectories"):
+        run.figure("nothing")
+    again = symo_exp.Run(run.folder)
+    assert torch.equal(again.model.rollout([0.1], [0.0], steps=3).q, path.q)
+    before = (run.folder / "metrics.json").stat().st_mtime_ns
+    assert symo_exp.run(*SMALL).folder == run.folder  # it is finished
+    assert (run.folder / "metrics.json").stat().st_mtime_ns == before
+    with pytest.raises(ConfigError, match="no run folder"):
+        symo_exp.Run("nowhere")
+
+
+def test_a_sweep_gives_its_runs_in_order(workplace):
+    runs = symo_exp.run(*SMALL, "-m", "pictures=false", "trainer.max_epochs=2,1")
+    epochs = [len((run.folder / "series.csv").read_text().splitlines()) - 1 for run in runs]
+    assert epochs == [2, 1]
+
+
+def test_what_cannot_run_is_raised(workplace, monkeypatch):
+    argv = list(sys.argv)
+    for words, said in {
+        ("modle=symo",): "modle",
+        ("model=symo", "integrator=rk4"): "integrator=midpoint",
+        ("--cfg", "job"): "no run",
+        ("data.n_traj",): "no setting",
+    }.items():
+        with pytest.raises(ConfigError, match=said):
+            symo_exp.run(*words)
+    monkeypatch.setattr("symo_exp.sweep.recipe.evaluate", lambda *_: 1 / 0)
+    with pytest.raises(RuntimeError, match=r"failed: ZeroDivisionError.*symo_exp\.log"):
+        symo_exp.run(*SMALL, "pictures=false")
+    assert sys.argv == argv
+
+
+def test_a_notebook_has_a_progress_bar(monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
+    monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
+    assert not ProgressBar().shown
+    monkeypatch.setitem(sys.modules, "ipykernel", sys)
+    assert ProgressBar().shown
