@@ -10,7 +10,8 @@ for machine in "$@"; do
     free_*) own=(integrator=galerkin4 dissipation.joints=neighbours) ;;
     motor_pendulum) own=(integrator=midpoint) ;;
     motor_double_pendulum)
-      own=(integrator=midpoint model.width=2 model.depth=1 harmonics=1 dissipation=friction) ;;
+      own=(integrator=midpoint model.width=2 model.depth=1 harmonics=1 dissipation=friction
+        optimizer.starts=6) ;;
   esac
   explicit=(integrator=rk4)
   case $method in
