@@ -36,7 +36,7 @@ RULES = {
     "tracking": ({"runs", "models"}, {"torch", "mlflow", "filelock"}),
     "report": (
         {"runs", "tracking", "systems", "evaluation", "mechanics"},
-        {"torch", "numpy", "pandas", "matplotlib", "plotly", "jinja2", "PIL", "yaml",
+        {"torch", "numpy", "pandas", "matplotlib", "jinja2", "PIL", "yaml",
          "mlflow", "pyarrow"},
     ),
     "thesis": (

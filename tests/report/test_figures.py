@@ -6,6 +6,8 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from symo_exp.report import curves, paper
 from symo_exp.report.cells import cells
@@ -13,9 +15,10 @@ from symo_exp.report.figures import Panel
 from symo_exp.report.looks import MARKERS, METHODS, TRUE, axis_label, in_order, look, short
 from symo_exp.report.motions import Studied, drift, first, learned, motion, phase_space
 from symo_exp.report.overview import sections
-from symo_exp.report.page import page, plotly, toggles
+from symo_exp.report.page import drawn, page, toggles
 from symo_exp.report.runs import COLUMNS
 from symo_exp.report.tables import Table, latex
+from symo_exp.report.write import Report
 from symo_exp.shipped import CONF
 from tests.models.methods import learned as methods
 from tests.tables import choices
@@ -70,32 +73,51 @@ FIGURES = [
 
 @pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.key)
 def test_every_series_is_drawn_by_both_and_has_a_legend(figure):
-    drawn = paper.draw(figure)
-    legend = {text.get_text() for text in drawn.legends[0].get_texts()}
-    boxes = {toggle["value"] for group in toggles([figure]).values() for toggle in group}
-    for axes, panel in zip(drawn.axes, figure.panels, strict=True):
-        series = list(panel.series())
-        traces = {t["name"]: t for t in plotly(panel)["data"] if "name" in t}
-        assert len(axes.get_lines()) == len(traces) == len(series) > 0
+    on_paper = paper.draw(figure)
+    legend = {text.get_text() for text in on_paper.legends[0].get_texts()}
+    for axes, panel in zip(on_paper.axes, figure.panels, strict=True):
+        series, on_page = list(panel.series()), drawn(panel)
+        assert len(axes.get_lines()) == len(on_page["series"]) == len(series) > 0
         assert axes.get_xlabel()
         assert axes.get_ylabel() or axes.get_title()
-        for one, line in zip(series, axes.get_lines(), strict=True):
-            trace = traces[one.name]
-            kept = [np.nan if y is None else y for y in trace["y"]]
-            np.testing.assert_allclose(line.get_ydata(), kept, rtol=1e-5)
-            assert line.get_color() == trace["line"]["color"] == one.look.colour
+        assert [axis["label"] for axis in on_page["axes"]] == [panel.x_label, panel.y_label]
+        for one, line, held in zip(series, axes.get_lines(), on_page["series"], strict=True):
+            kept = [np.nan if y is None else y for y in held["y"]]
+            np.testing.assert_allclose(line.get_ydata(), kept, rtol=1e-4)
+            assert line.get_color() == one.look.colour
+            assert one.look.colour in held["colour"]
+            assert (held["name"], held["dash"]) == (one.name, one.stroke.web)
             assert one.name in legend
-            assert {one.source, *filter(None, (one.method, one.integrator))} <= boxes
+
+
+def test_what_can_be_switched_off_is_what_there_are_several_of():
+    boxes = toggles(FIGURES)
+    assert set(boxes["method"]) == {*METHODS, *TRUE, "mine"}
+    assert set(boxes["source"]) == {"ours", "floor", "truth"}
+    few = [figure for figure in FIGURES if figure.key == "motion"]
+    assert set(toggles(few)["method"]) == {method for method, _ in PAIRS}
+
+
+def report() -> Report:
+    return Report("a <title> & more", "it", sections(runs()), runs())
 
 
 def test_the_page_holds_the_figures_and_needs_nothing_else():
-    text = page("a <title> & more", "it", sections(runs()))
+    text = page(report())
     assert "a &lt;title&gt; &amp; more" in text
     assert re.findall(r"<(?:script|link|img|iframe)\b[^>]*(?:src|href)\s*=", text) == []
     found = re.search(r'<script type="application/json" id="panels">(.*?)</script>', text, re.S)
     held = json.loads(found.group(1))
-    there = {f.key: len(f.panels) for section in sections(runs()) for f in section.figures}
+    there = {f.key: len(f.panels) for section in report().sections for f in section.figures}
     assert {key: len(panels) for key, panels in held.items()} == there
+
+
+def test_the_page_begins_with_the_answer_and_ends_with_what_it_rests_on():
+    text = page(report())
+    order = [text.index(f'id="{key}"') for key in ("answer", "best_chain", "sizes", "tables")]
+    assert order == sorted(order)
+    assert '<details class="folded" id="state">' in text
+    assert text.index("<b>From few data</b>") < order[2]
 
 
 def test_the_figures_numbers_are_those_of_the_cells():
@@ -129,7 +151,12 @@ def test_methods_are_told_apart_with_and_without_colour():
 
 @pytest.mark.parametrize("name", [path.stem for path in (CONF / "integrator").glob("*.yaml")])
 def test_every_integrator_has_an_order(name):
-    assert curves.order_of(name) >= 2
+    """As its comment says: the classes, which take seconds to import, agree."""
+    choices = OmegaConf.load(CONF / "integrator" / f"{name}.yaml")
+    for kind in ("explicit", "variational"):
+        if choices[kind] is not None:
+            made = instantiate(choices[kind])
+            assert curves.order_of(name) == made.order
 
 
 def rows(source, y, method=""):
@@ -142,8 +169,8 @@ def test_what_diverges_leaves_the_picture_and_not_its_scale():
     panel = Panel("", "t", "q", pd.concat([truth, lost]), y_log=False)
     low, high = panel.limits()
     assert -3 < low < -1 < 1 < high < 3
-    lost = plotly(motion("forced", "", {PAIRS[0]: swing(lost=True)}).panels[0])
-    values = lost["data"][-1]["y"]
+    lost = drawn(motion("forced", "", {PAIRS[0]: swing(lost=True)}).panels[0])
+    values = lost["series"][-1]["y"]
     assert all(y is None or np.isfinite(y) for y in values)
     assert motion("forced", "", TABLES).panels[0].rows.x.max() <= 50
 

@@ -7,9 +7,9 @@ import pytest
 
 from symo_exp.report.runs import tidy
 from symo_exp.thesis import published
-from symo_exp.thesis.__main__ import main, report
 from symo_exp.thesis.chapter import factor, progress
 from symo_exp.thesis.claims import CLAIMS, PAIRS, judge
+from symo_exp.thesis.view import report
 from tests.report.stores import repeated, row
 from tests.report.test_report import made
 
@@ -22,7 +22,7 @@ SIZES = SIZES[
 
 def test_a_repeated_chapter_agrees_with_the_published(tmp_path):
     rows = repeated(SIZES, factor=2.0)
-    out = made(tmp_path, [*rows, row(experiment="other")], "--experiment", "thesis", run=main)
+    out = made(tmp_path, [*rows, row(experiment="other")], "--experiment", "thesis", "--thesis")
     assert pd.read_csv(out / "runs.csv").run_id.nunique() == len(rows)
     table = (out / "tables" / "table_cartpole.md").read_text()
     assert "| SyMo | midpoint | ours (1) | 2.04e-7 |" in table

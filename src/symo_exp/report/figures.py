@@ -66,6 +66,8 @@ class Panel:
     """Where the x axis has its ticks; empty: anywhere."""
     only: str = ""
     """The source that is drawn; the others count for what the axes show."""
+    system: str = ""
+    """For the page, which shows one system or all."""
 
     def series(self) -> Iterator[Series]:
         """The truth first, so that a prediction lies on it; then in the order of methods."""
@@ -107,6 +109,7 @@ class Figure:
     panels: list[Panel]
     columns: int = 3
     """How many panels stand in a row on paper, at most."""
+    system: str = ""
 
     def __post_init__(self) -> None:
         shown = [panel for panel in self.panels if panel.rows.y.notna().any()]

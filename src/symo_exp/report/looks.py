@@ -46,13 +46,13 @@ TRUE = {
 TRUTH = Look("truth", "#3b3b3b", ".")
 SPARE = (("#CC79A7", "v"), ("#56B4E9", "P"), ("#F0E442", "X"))
 MARKERS = {
-    "o": ("circle", "●"), "s": ("square", "■"), "^": ("triangle-up", "▲"), "D": ("diamond", "◆"),
-    "v": ("triangle-down", "▼"), "P": ("cross", "✚"), "X": ("x", "✖"), ".": ("circle", "•"),
+    "o": "circle", "s": "square", "^": "up", "D": "diamond", "v": "down", "P": "plus", "X": "cross",
+    ".": "dot",
 }  # fmt: skip
-"""Plotly's name and a letter for each marker of Matplotlib."""
+"""The page's name for each marker of Matplotlib."""
 INTEGRATORS = {
-    "": Stroke("", "-", "solid"),  # a line through several integrators
-    "midpoint": Stroke("midpoint", "-", "solid"),
+    "": Stroke("", "-", ""),  # a line through several integrators
+    "midpoint": Stroke("midpoint", "-", ""),
     "rk4": Stroke("RK4", "--", "6px,3px"),
     "dopri5": Stroke("Dormand-Prince 5", "-.", "6px,2px,1px,2px"),
     "galerkin4": Stroke("Galerkin 4", "--", "6px,3px"),
@@ -66,7 +66,7 @@ MEASURES = {
     "energy_mse": ("energy MSE", "J²"),
     "inertia_mse": ("inertia MSE", "kg², kg² m², kg² m⁴"),
     "inertia_mse_aligned": ("inertia MSE on the true path", "kg², kg² m², kg² m⁴"),
-    "valid_steps": ("valid steps", ""),
+    "valid_steps": ("valid", "steps"),
     "rmse_0.5s": ("RMSE to 0.5 s, median window", "rad, m"),
     "rmse_1s": ("RMSE to 1 s, median window", "rad, m"),
     "rmse_2s": ("RMSE to 2 s, median window", "rad, m"),

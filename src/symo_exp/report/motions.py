@@ -46,7 +46,7 @@ class Studied(NamedTuple):
 
 def figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | None) -> list[Figure]:
     """All figures of the studies that the runs have done; ``drifting`` are those of floors."""
-    made = []
+    made: list[Figure] = []
     for one in studied(runs, (*TITLES, LEARNED), store):
         key, tables = f"{one.study}_{one.system}", first(one.tables)
         if one.study == LEARNED:

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 import pandas as pd
 
 from symo_exp.report import curves, motions
+from symo_exp.report.answer import answers
 from symo_exp.report.cells import at_step, cells, main_variant, usual_steps
 from symo_exp.report.growth import growth
 from symo_exp.report.looks import (
-    letters,
     look,
     measure_name,
     number,
@@ -18,7 +18,6 @@ from symo_exp.report.looks import (
     short,
     stroke,
 )
-from symo_exp.report.ranking import ranking
 from symo_exp.report.runs import without_result
 from symo_exp.report.tables import Table
 from symo_exp.report.write import Section
@@ -32,7 +31,7 @@ ACCURACY = (*FLOORS, "inertia_mse_aligned", "training_seconds")
 def sections(
     runs: pd.DataFrame, store: Store | None = None, beside: pd.DataFrame | None = None
 ) -> list[Section]:
-    """Everything that can be said of the runs. Figures, ranks and floors are of one variant.
+    """The answer, the figures, and folded what they rest on. Answer and figures are of one variant.
 
     ``store`` has the files of studies. ``beside`` are cells to draw with ours, such as published
     ones: the columns of ``cells``, and ``text``.
@@ -40,33 +39,55 @@ def sections(
     found, variant, steps = cells(runs), main_variant(runs), usual_steps(runs)
     usual = at_step(found, steps)
     drawn = pd.concat([usual[(usual.variant == variant) | (usual.source == "floor")], beside])
+    said, heat_maps = answers(at_step(runs, steps), variant)
     mine = at_step(runs[(runs.variant == variant) & (runs.source == "ours")], steps)
     at_32 = mine[(mine.n_traj == curves.AT) & (mine.noise_std == 0)]
     floors, grown = runs[runs.source == "floor"], growth(runs)
     parts = [
-        Section("state", "What has been run", state(runs, variant), [unfinished(runs)]),
+        Section("answer", "Answer", [*said, *warning(runs)], heat_maps),
         Section("sizes", "Errors over the size of the training set",
                 figures=curves.data_size(drawn)),
         Section("noise", "Errors over noise", figures=curves.noise(drawn)),
+        Section("time", "Accuracy against time", figures=curves.speed(runs)),
         Section("motions", "Motions, and what was learned",
                 figures=motions.figures(at_32, floors, store)),
-        Section("floors", "Floors: the integrators alone", tables=[floor_table(usual)],
-                figures=curves.steps(found)),
-        Section("ranking", "Ranking", tables=[*ranks(mine)]),
-        Section("accuracy", "Accuracy by settings", tables=[accuracy(found)],
+        Section("orders", "Errors over the order of the integrator",
                 figures=curves.over_order(usual)),
         Section("growth", "Growth with the number of coordinates", tables=grown[0],
                 figures=grown[1]),
-        Section("time", "Accuracy against time", figures=curves.speed(runs)),
+        Section("floors", "Floors: the integrators alone", figures=curves.steps(found)),
+        Section("tables", "Tables", tables=[accuracy(found), floor_table(usual)], folded=True),
+        Section("state", "What has been run", state(runs, variant), [unfinished(runs)],
+                folded=True),
     ]  # fmt: skip
     return [part for part in parts if part]
+
+
+def title(runs: pd.DataFrame) -> str:
+    """The experiments, and what is compared in them."""
+    learned = runs[runs.source == "ours"]
+    if runs.empty:
+        return "No runs"
+    methods, systems = (sorted(set(learned[name])) for name in ("method", "system"))
+    of = look(methods[0]).label if len(methods) == 1 else f"{len(methods)} methods"
+    where = " and ".join(filter(None, (", ".join(systems[:-1]), *systems[-1:])))
+    name = ", ".join(sorted(set(runs.experiment)))
+    return f"{name}: {of} on {where}" if methods else name
+
+
+def warning(runs: pd.DataFrame) -> list[str]:
+    """That there is nothing to tell, or not of all."""
+    count = without_result(runs).run_id.nunique()
+    if runs.run_id.nunique() == count:
+        return ["There are no finished runs yet: nothing can be told."]
+    return [f"{count} runs have no result; the last section says which."] if count else []
 
 
 def state(runs: pd.DataFrame, variant: str) -> list[str]:
     """How many runs there are, and of which sources they were made."""
     each = runs.drop_duplicates("run_id")
     if each.empty:
-        return ["There are no runs yet: nothing can be told."]
+        return []
     told = ", ".join(f"{n} {status.lower()}" for status, n in each.status.value_counts().items())
     finished = each[each.status == "FINISHED"]
     hours = finished.seconds.sum() / 3600
@@ -74,7 +95,7 @@ def state(runs: pd.DataFrame, variant: str) -> list[str]:
     if revisions := sorted({r[:10] for r in finished.revision if r}):
         lines.append(f"Revisions: {', '.join(revisions)}.")
     if variant:
-        lines.append(f"Figures and ranks are of the runs with {variant}.")
+        lines.append(f"Answer and figures are of the runs with {variant}.")
     return lines
 
 
@@ -112,10 +133,9 @@ def floor_table(found: pd.DataFrame) -> Table:
     """What the true systems miss in each integrator."""
     keys = ["system", "method", "integrator"]
     wide = medians(found[found.source == "floor"], keys, FLOORS).reset_index()
-    rows = pd.concat(
-        [wide.system, wide.integrator.map(lambda i: stroke(i).label),
-         wide.method.map(lambda m: look(m).label).rename(""), wide.drop(columns=keys)], axis=1,
-    )  # fmt: skip
+    names = {"integrator": wide.integrator.map(lambda name: stroke(name).label),
+             "": wide.method.map(lambda name: look(name).label)}  # fmt: skip
+    rows = pd.DataFrame({"system": wide.system, **names}).join(wide.drop(columns=keys))
     note = (
         "A learned model can lie below: it may learn part of its integrator's own error, at the "
         "price of a biased inertia."
@@ -125,31 +145,7 @@ def floor_table(found: pd.DataFrame) -> Table:
 
 
 def medians(found: pd.DataFrame, keys: Sequence[str], metrics: Iterable[str]) -> pd.DataFrame:
-    """Cells with a column for each of the measures, printed."""
+    """Cells with a column for each of the measures that there are, printed."""
     wide = found.groupby([*keys, "metric"], dropna=False)["median"].median().unstack()
-    return wide.reindex(columns=list(metrics)).map(short).rename(columns=measure_name)
-
-
-def ranks(runs: pd.DataFrame) -> Iterable[Table]:
-    """For each system and for all together: the mean rank of each method by each measure."""
-    clean = runs[~(runs.noise_std > 0)]
-    systems = sorted(set(clean.system))
-    for system in ["all systems", *systems] if len(systems) > 1 else systems:
-        here = clean if system == "all systems" else clean[clean.system == system]
-        found = pd.concat([ranking(here, m).assign(measure=measure_name(m)) for m in TABLE[1:]])
-        interval = zip(found.low, found.high, strict=True)
-        rows = pd.DataFrame(
-            {
-                "measure": found.measure,
-                "method": pair_names(found),
-                "mean rank": found["rank"].map("{:.2f}".format),
-                "95 % interval": [f"{low:.2f} to {high:.2f}" for low, high in interval],
-                "wins": found.best.map(lambda share: f"{100 * share:.0f} %"),
-                "blocks": found.blocks.astype(str),
-            }
-        )
-        note = (
-            "A block is a system, a size of the training set and a seed for which every method "
-            "has been run; the intervals are by resampling blocks."
-        )
-        yield Table(f"ranks_{letters(system)}", f"Ranking, {system}", rows, [note], words=2)
+    there = wide.reindex(columns=[name for name in metrics if name in wide])
+    return there.map(short).rename(columns=measure_name)

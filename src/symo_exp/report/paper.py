@@ -102,8 +102,8 @@ def _style(panel: Panel, series: Series) -> dict[str, Any]:
         style |= {"ls": "", "alpha": 0.8}
         if count > MANY_POINTS:
             return style | {"ms": 1.2, "marker": "."}
-        # points have no dash: those of another integrator than the first are hollow
-        return style | ({} if dash == "-" else {"mfc": "none"})
+        # points have no dash: those of a second integrator are hollow, of a third half filled
+        return style | {"-": {}, "-.": {"fillstyle": "left"}}.get(dash, {"mfc": "none"})
     return style
 
 

@@ -1,4 +1,4 @@
-"""Which method is better: ranks and margins, with intervals from resampling.
+"""Which method is better: margins, with intervals from resampling.
 
 A block is what methods can be compared in without comparing anything else: one system, one size
 of the training set, one noise, one seed. Resampling draws blocks with replacement.
@@ -32,26 +32,6 @@ def wide(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
     return table[sorted(table.columns, key=in_order)]
 
 
-def ranking(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
-    """Mean rank of each pair (1 is best, a small error) over the blocks in which all were run.
-
-    Columns ``method``, ``integrator``, ``rank``, ``low``, ``high`` (interval of the mean rank),
-    ``best`` (share of the blocks it wins) and ``blocks``. Diverged runs share the last place.
-    """
-    table = wide(runs, metric).dropna()
-    names = [*PAIR, "rank", "low", "high", "best", "blocks"]
-    if table.empty:
-        return pd.DataFrame(columns=names)
-    ranks = table.rank(axis=1, method="average").to_numpy()
-    means = ranks[_drawn(len(ranks))].mean(axis=1)
-    best = ranks == ranks.min(axis=1, keepdims=True)
-    rows = [
-        (*pair, ranks[:, i].mean(), *_interval(means[:, i]), best[:, i].mean(), len(ranks))
-        for i, pair in enumerate(table.columns)
-    ]
-    return pd.DataFrame(rows, columns=names).sort_values("rank", kind="stable", ignore_index=True)
-
-
 def margin(
     table: pd.DataFrame, lower: list[Pair], higher: list[Pair], higher_in: pd.DataFrame
 ) -> tuple[float, Interval, int]:
@@ -67,7 +47,7 @@ def margin(
     seeds = small.index.intersection(large.index)
     if seeds.empty:
         return nothing
-    small_, large_ = (_logarithms(part.loc[seeds]) for part in (small, large))
+    small_, large_ = (logarithms(part.loc[seeds]) for part in (small, large))
 
     def below(rows: np.ndarray) -> np.ndarray:
         """For each row of seed numbers."""
@@ -75,19 +55,21 @@ def margin(
         return np.median(large_[rows], axis=1).min(axis=1) - worst
 
     every = np.arange(len(seeds))[None]
-    return float(below(every)[0]), _interval(below(_drawn(len(seeds)))), len(seeds)
+    return float(below(every)[0]), between(below(drawn(len(seeds)))), len(seeds)
 
 
-def _drawn(count: int) -> np.ndarray:
-    return np.random.default_rng(0).integers(0, count, (DRAWS, count))
+def drawn(count: int, stream: int = 0) -> np.ndarray:
+    """Rows of as many numbers below ``count``, with replacement; the same each time."""
+    return np.random.default_rng(stream).integers(0, count, (DRAWS, count))
 
 
-def _interval(values: np.ndarray) -> Interval:
+def between(values: np.ndarray) -> Interval:
+    """What all but a twentieth of the values lie in."""
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(values, [tail, 1 - tail])
     return Interval(float(low), float(high))
 
 
-def _logarithms(values: pd.DataFrame) -> np.ndarray:
+def logarithms(values: pd.DataFrame | pd.Series) -> np.ndarray:
     """Bounded: two methods that diverge are equally bad, and differ by no NaN."""
     return np.log10(values.to_numpy(dtype=float).clip(1e-300, 1e30))

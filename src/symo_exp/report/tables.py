@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -15,37 +16,62 @@ LATEX = {
 }  # fmt: skip
 
 
+class Cell(NamedTuple):
+    """``shade`` is the share of a rank, 1 for the best, or NaN."""
+
+    text: str
+    shade: float
+
+    @property
+    def best(self) -> bool:
+        return self.shade == 1
+
+
 @dataclass(frozen=True)
 class Table:
     """``key`` names its files; ``rows`` are text, the first ``words`` columns set flush left;
-    ``notes`` stand below it."""
+    ``notes`` stand below it. A heat map has ``shades``, one for each cell."""
 
     key: str
     title: str
     rows: pd.DataFrame
     notes: Sequence[str] = ()
     words: int = 1
+    system: str = ""
+    shades: pd.DataFrame | None = None
 
-    def lines(self) -> Iterable[list[str]]:
-        """The header, then the rows."""
-        return [list(map(str, self.rows.columns)), *self.rows.astype(str).to_numpy().tolist()]
+    @property
+    def header(self) -> list[str]:
+        return list(map(str, self.rows.columns))
+
+    def lines(self) -> Iterator[list[Cell]]:
+        """The rows below the header."""
+        shades = self.rows.map(lambda _: float("nan")) if self.shades is None else self.shades
+        for texts, marks in zip(self.rows.astype(str).values, shades.values, strict=True):
+            yield [Cell(text, mark) for text, mark in zip(texts, marks, strict=True)]
 
 
 def markdown(table: Table) -> str:
+    """The best are bold."""
     rule = [":--" if i < table.words else "--:" for i in range(table.rows.shape[1])]
-    header, *rows = ([cell.replace("|", r"\|") for cell in line] for line in table.lines())
-    lines = ["| " + " | ".join(cells) + " |" for cells in (header, rule, *rows)]
+    rows = [[f"**{x.text}**" if x.best else x.text for x in line] for line in table.lines()]
+    escaped = ([cell.replace("|", r"\|") for cell in line] for line in (table.header, rule, *rows))
+    lines = ["| " + " | ".join(cells) + " |" for cells in escaped]
     return "\n".join([f"**{table.title}**\n", *lines, *(f"\n{n}" for n in table.notes)]) + "\n"
 
 
 def latex(table: Table) -> str:
     """A ``table`` environment of the package booktabs."""
     columns = "l" * table.words + "r" * (table.rows.shape[1] - table.words)
-    header, *rows = (" & ".join(map(_escaped, line)) + r" \\" for line in table.lines())
+    rows = [
+        [rf"\textbf{{{_escaped(x.text)}}}" if x.best else _escaped(x.text) for x in line]
+        for line in table.lines()
+    ]
+    header, *printed = (" & ".join(x) + r" \\" for x in [map(_escaped, table.header), *rows])
     lines = [
         r"\begin{table}", r"\centering", rf"\caption{{{_escaped(table.title)}}}",
         rf"\label{{tab:{table.key}}}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule", header,
-        r"\midrule", *rows, r"\bottomrule", r"\end{tabular}",
+        r"\midrule", *printed, r"\bottomrule", r"\end{tabular}",
         *(rf"\par\footnotesize {_escaped(note)}" for note in table.notes), r"\end{table}", "",
     ]  # fmt: skip
     return "\n".join(lines)

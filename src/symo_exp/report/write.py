@@ -16,13 +16,17 @@ from symo_exp.report.tables import Table
 
 @dataclass(frozen=True)
 class Section:
-    """One heading, and what stands under it; tables and figures that show nothing are left out."""
+    """One heading, and what stands under it; tables and figures that show nothing are left out.
+
+    What is ``folded`` stands at the end of a page until it is opened.
+    """
 
     key: str
     title: str
     text: Sequence[str] = ()
     tables: Sequence[Table] = ()
     figures: Sequence[Figure] = ()
+    folded: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tables", [one for one in self.tables if len(one.rows)])
@@ -70,14 +74,16 @@ def _texts(made: Report, *, pictures: bool, web: bool) -> Iterator[tuple[str, st
     if web:
         from symo_exp.report.page import page
 
-        yield "index.html", page(made.title, made.summary, made.sections)
+        yield "index.html", page(made)
 
 
 def markdown(made: Report, *, pictures: bool) -> str:
     """The whole report in one file, with pictures where they were written."""
-    lines = [f"# {made.title}", made.summary]
+    lines = [f"# {made.title}"]
     for section in made.sections:
-        lines += [f"## {section.title}", *section.text, *map(tables.markdown, section.tables)]
+        body = [*section.text, *map(tables.markdown, section.tables)]
         for figure in section.figures if pictures else ():
-            lines += [f"![{figure.title}](figures/{figure.key}.png)", figure.caption]
+            body += [f"![{figure.title}](figures/{figure.key}.png)", figure.caption]
+        lines += [f"## {section.title}"] * bool(body and section.key != "answer") + body
+    lines.append(made.summary)
     return "\n\n".join(lines) + "\n"

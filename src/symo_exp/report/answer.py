@@ -1,0 +1,186 @@
+"""The answer first: which method is best at what, by how much and how sure, and one heat map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from symo_exp.report.looks import in_order, letters, look, measure_name, number, pair_name, short
+from symo_exp.report.ranking import Interval, between, drawn, logarithms
+from symo_exp.report.tables import Table
+
+DIVERGED = 30.0
+"""The power of ten that ``logarithms`` has for what is infinite."""
+AGAINST = (
+    "n: training trajectories. Medians over the seeds; × how many times the best. The darker, the "
+    "better the rank; the best is framed."
+)
+
+
+class Question(NamedTuple):
+    """``measures``: the first that the runs have is asked. ``says`` and ``than``: what it is to be
+    best, and better."""
+
+    asks: str
+    measures: Sequence[str]
+    says: str
+    than: str = "below"
+    smallest: bool = False
+    noisy: bool = False
+
+
+QUESTIONS = (
+    Question("From few data", ("test_mse",), "has the smallest test error", smallest=True),
+    Question("Over long horizons", ("integration_mse", "rmse_2s"), "predicts best"),
+    Question("For energy", ("energy_mse", "energy_mse_fd"), "keeps it best"),
+    Question("From noisy data", ("test_mse",), "has the smallest test error", noisy=True),
+    Question("In time", ("training_seconds",), "trains in the shortest time", "faster than"),
+)
+
+
+class Found(NamedTuple):
+    """One measure of all contestants: a row for each system and seed, a column for each of them."""
+
+    question: Question
+    asks: str
+    metric: str
+    noise: float
+    size: float
+    values: pd.DataFrame
+
+    def medians(self) -> pd.DataFrame:
+        """A row for each system: the logarithms of the medians over seeds."""
+        return self.values.groupby("system").median()
+
+
+def answers(runs: pd.DataFrame, variant: str) -> tuple[list[str], list[Table]]:
+    """A sentence for each question that the runs can answer, and a heat map for each system."""
+    rows = contestants(runs[runs.source == "ours"], variant)
+    found = [one for question in QUESTIONS if (one := _ask(rows, question)) is not None]
+    systems = sorted({system for one in found for system in one.values.index.unique("system")})
+    return [sentence(one) for one in found], [heat_map(system, found) for system in systems]
+
+
+def contestants(runs: pd.DataFrame, variant: str) -> pd.DataFrame:
+    """The measured runs that are compared, each with its name in ``who``.
+
+    Methods in their integrators with the settings of ``variant``; of one method alone, its
+    settings.
+    """
+    runs = runs[runs.metric != ""]
+    mine = runs[runs.variant == variant]
+    pairs = sorted({*zip(mine.method, mine.integrator, strict=True)}, key=in_order)
+    if len(pairs) == 1 and runs.variant.nunique() > 1:
+        method, integrator = pairs[0]
+        mine = runs[(runs.method == method) & (runs.integrator == integrator)]
+        return mine.assign(who=mine.variant.replace("", "defaults"))
+    several = [method for method, _ in pairs]
+    names = {
+        (m, i): pair_name(m, i) if several.count(m) > 1 else look(m).label for m, i in pairs
+    }  # fmt: skip
+    who = [names[pair] for pair in zip(mine.method, mine.integrator, strict=True)]
+    order = pd.CategoricalDtype(list(dict.fromkeys(names.values())), ordered=True)
+    return mine.assign(who=pd.Series(who, index=mine.index, dtype=order))
+
+
+def _ask(rows: pd.DataFrame, question: Question) -> Found | None:
+    """What the runs say, of one noise and one size of the training set.
+
+    The smallest size if that is asked, unless it is that of a few strays; else the one that most
+    has been run with.
+    """
+    noise = rows.noise_std.fillna(0.0)
+    rows = rows[(noise > 0) if question.noisy else (noise == 0)]
+    there = [metric for metric in question.measures if (rows.metric == metric).any()]
+    if not there:
+        return None
+    here = rows[rows.metric == there[0]]
+    at = ["noise_std", "n_traj"]
+    here = here.assign(value=logarithms(here.value.fillna(np.inf)), **here[at].fillna(0.0))
+    cells = here.drop_duplicates([*at, "system", "who"]).groupby(at).size()
+    sizes = list(cells[cells > 0.5 * cells.max()].index)
+    runs = here.groupby(at).size()
+    noise, size = min(sizes) if question.smallest else max(sizes, key=lambda key: (runs[key], key))
+    few = size < here.n_traj.max()
+    here = here[(here.noise_std == noise) & (here.n_traj == size)]
+    values = here.pivot_table("value", ["system", "seed"], "who", aggfunc="last", observed=True)
+    values.columns = list(map(str, values.columns))
+    asks = "One step ahead" if question.smallest and not few else question.asks
+    return Found(question, asks, there[0], noise, size, values)
+
+
+def sentence(found: Found) -> str:
+    """Who is best, by how much, how sure, and where it is another."""
+    question, medians = found.question, found.medians()
+    where = [f"noise {number(found.noise)}"] if found.noise else []
+    where += [f"{number(found.size)} trajectories"] if found.size else []
+    start = f"**{found.asks}**" + f" ({', '.join(where)})" * bool(where)
+    everywhere = medians.dropna(axis=1)
+    if everywhere.shape[1] < 2:
+        least = zip(medians.index, medians.idxmin(axis=1), medians.min(axis=1), strict=True)
+        told = ", ".join(f"{name} {short(10**x)} ({system})" for system, name, x in least)
+        return f"{start}: {measure_name(found.metric)} of {told}."
+    best, second = everywhere.mean().sort_values(kind="stable").index[:2]
+    margin = everywhere[second].mean() - everywhere[best].mean()
+    says = f"**{best}** {question.says}, {_times(margin)} times {question.than} {second}"
+    both = found.values[[best, second]].dropna().groupby("system").size()
+    seeds = both.reindex(medians.index, fill_value=0).min()
+    sure = "one seed, no interval" if seeds == 1 else "no seed of both, no interval"
+    if seeds > 1:
+        low, high = _interval(found, best, second)
+        sure = f"95 % interval {_times(low)} to {_times(high)}, {seeds} seeds"
+        if low <= 0:
+            says = f"undecided between **{best}** and **{second}**, {_times(margin)} times apart"
+    others: dict[str, list[str]] = {}
+    for system, winner in medians.idxmin(axis=1).items():
+        if winner != best:
+            others.setdefault(str(winner), []).append(str(system))
+    but = "; ".join(f"on {' and '.join(on)} it is {winner}" for winner, on in others.items())
+    return f"{start}: {says} ({sure})" + f"; {but}" * bool(but) + "."
+
+
+def _interval(found: Found, best: str, second: str) -> Interval:
+    """Of the margin in powers of ten, by resampling the seeds of every system."""
+    apart = []
+    for stream, (_, rows) in enumerate(found.values[[best, second]].groupby("system")):
+        both = rows.dropna().to_numpy()
+        medians = np.median(both[drawn(len(both), stream)], axis=1)
+        apart.append(medians[:, 1] - medians[:, 0])
+    return between(np.mean(apart, axis=0))
+
+
+def heat_map(system: str, found: Iterable[Found]) -> Table:
+    """A row for each contestant, a column for each measure, shaded by rank."""
+    texts, shades = {}, {}
+    for one in found:
+        medians = one.medians()
+        if system not in medians.index:
+            continue
+        here = medians.loc[system].dropna()
+        where = f", σ={number(one.noise)}" * bool(one.noise) + f", n={one.size:g}" * bool(one.size)
+        what = measure_name(one.metric) + where
+        texts[what] = pd.Series([_beside(x, here.min()) for x in here], here.index)
+        places = 1 - (here.rank(method="min") - 1) / max(len(here) - 1, 1)
+        shades[what] = places if len(here) > 1 else places * np.nan
+    names = list(dict.fromkeys(name for column in texts.values() for name in column.index))
+    rows = pd.DataFrame(texts, names).fillna("–")
+    marks = pd.DataFrame(shades, names)
+    rows.insert(0, "", names)
+    marks.insert(0, "", np.nan)
+    notes = [AGAINST] if marks.notna().any(axis=None) else []
+    return Table(f"best_{letters(system)}", system, rows, notes, system=system, shades=marks)
+
+
+def _beside(power: float, least: float) -> str:
+    if power >= DIVERGED:
+        return "diverged"
+    return short(10**power) + (f" ×{_times(power - least)}" if power > least else "")
+
+
+def _times(power: float) -> str:
+    if power > DIVERGED / 2:
+        return "∞"
+    return f"{10**power:.2g}" if -1 <= power < 2 else short(10**power)

@@ -1,0 +1,116 @@
+"""The answer of runs whose winner is known, and how sure it says it is."""
+
+import math
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from symo_exp.report.answer import answers
+from symo_exp.report.tables import latex, markdown
+
+PAIRS = [("node", "rk4"), ("l_node", "rk4"), ("symo", "midpoint"), ("e2e_symo", "midpoint")]
+SYMO = PAIRS[2]
+METRICS = ("test_mse", "integration_mse", "energy_mse", "training_seconds")
+
+
+def made(
+    value, *, seeds=range(3), pairs=PAIRS, systems=("pendulum",), metrics=METRICS, **cell
+) -> pd.DataFrame:
+    """``value(pair, seed, system)`` of every measure."""
+    known = {"n_traj": 32.0, "noise_std": 0.0, "variant": "", "source": "ours", **cell}
+    return pd.DataFrame(
+        {"system": system, "seed": seed, "method": pair[0], "integrator": pair[1],
+         "metric": metric, "value": value(pair, seed, system), **known}
+        for pair in pairs for seed in seeds for system in systems for metric in metrics
+    )  # fmt: skip
+
+
+def said(runs, variant=""):
+    return answers(runs, variant)[0]
+
+
+def test_there_is_a_sentence_for_each_question_that_the_runs_can_answer():
+    runs = made(lambda pair, *_: 1.0 if pair == SYMO else 4.0)
+    assert [re.match(r"\*\*(.+?)\*\*", line)[1] for line in said(runs)] == [
+        "One step ahead", "Over long horizons", "For energy", "In time",
+    ]  # fmt: skip
+    small = runs[runs.metric == "test_mse"].assign(n_traj=8.0)
+    noisy = runs[runs.metric == "test_mse"].assign(noise_std=0.1)
+    asked = said(pd.concat([small, noisy, runs[runs.metric == "test_mse"]]))
+    assert asked[0].startswith("**From few data** (8 trajectories): ")
+    assert asked[1].startswith("**From noisy data** (noise 0.1, 32 trajectories): ")
+    recorded = made(lambda *_: 1.0, metrics=("rmse_2s",), n_traj=math.nan, noise_std=math.nan)
+    assert [line.partition(":")[0] for line in said(recorded)] == ["**Over long horizons**"]
+
+
+def test_who_is_best_by_how_much_and_where_not():
+    def value(pair, seed, system):
+        return (1.0 if pair == SYMO else 5.0 if pair[0] == "node" else 50.0) * (2 + seed)
+
+    line = said(made(value))[1]
+    assert line == (
+        "**Over long horizons** (32 trajectories): **SyMo** predicts best, 5 times below NODE "
+        "(95 % interval 5 to 5, 3 seeds)."
+    )
+    line = said(made(value, seeds=[0]))[1]
+    assert line.endswith("5 times below NODE (one seed, no interval).")
+    exceptional = {("node", "arm"): 0.01}
+    runs = made(
+        lambda pair, _, system: exceptional.get((pair[0], system), 1.0 + (pair != SYMO) * 1e5),
+        systems=("pendulum", "arm", "cart"),
+    )
+    assert said(runs)[0].endswith("; on arm it is NODE.")
+
+
+def test_chance_is_no_winner():
+    generator = np.random.default_rng(0)
+    assert "undecided between" in said(made(lambda *_: 1 + generator.random(), seeds=range(9)))[0]
+
+
+@pytest.mark.parametrize("lost", [math.inf, math.nan])
+def test_who_diverges_is_last_and_all_may(lost):
+    lines, (table,) = answers(made(lambda pair, *_: lost if pair == SYMO else 1.0), "")
+    assert not any("**SyMo**" in line for line in lines)
+    row = table.rows.set_index("").loc["SyMo"]
+    assert set(row) == {"diverged"}
+    assert "undecided" in said(made(lambda *_: lost))[0]
+
+
+def test_a_stray_size_is_not_what_is_asked_of_few_data():
+    runs = made(lambda pair, *_: 1.0 if pair == SYMO else 4.0)
+    assert "(32 trajectories)" in said(pd.concat([runs, runs[:1].assign(n_traj=8.0)]))[0]
+
+
+def test_one_method_is_compared_in_its_settings_and_one_alone_is_told():
+    alone = made(lambda *_: 0.5, pairs=[SYMO])
+    assert said(alone)[1] == (
+        "**Over long horizons** (32 trajectories): integration MSE of SyMo 0.5 (pendulum)."
+    )
+    other = alone.assign(variant="width=64", value=0.1)
+    assert (
+        "**width=64** predicts best, 5 times below defaults" in said(pd.concat([alone, other]))[1]
+    )
+
+
+def test_methods_that_were_not_run_on_all_systems_are_in_the_heat_map_of_theirs():
+    runs = made(lambda pair, *_: 1.0 if pair == SYMO else 4.0, systems=("arm", "cart"))
+    runs = runs[(runs.system == "arm") | (runs.method != "node")]
+    tables = {table.title: list(table.rows[""]) for table in answers(runs, "")[1]}
+    assert tables == {
+        "arm": ["NODE", "L-NODE", "SyMo", "E2E-SyMo"], "cart": ["L-NODE", "SyMo", "E2E-SyMo"],
+    }  # fmt: skip
+
+
+def test_the_heat_map_ranks_and_the_best_are_bold():
+    order = {pair: 10.0**i for i, pair in enumerate(PAIRS)}
+    (table,) = answers(made(lambda pair, *_: order[pair]), "")[1]
+    assert [cell.text for cell in next(iter(table.lines()))] == ["NODE", *["1"] * 4]
+    assert list(table.shades["energy MSE [J²], n=32"]) == pytest.approx([1, 2 / 3, 1 / 3, 0])
+    assert "| NODE | **1** | **1** | **1** | **1** |" in markdown(table)
+    assert r"NODE & \textbf{1} & \textbf{1} & \textbf{1} & \textbf{1} \\" in latex(table)
+
+
+def test_there_is_no_answer_without_a_run_that_learned():
+    assert answers(made(lambda *_: 1.0, source="floor"), "") == ([], [])
