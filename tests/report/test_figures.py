@@ -192,8 +192,10 @@ def test_a_symplectic_integrator_keeps_the_volume_small_steps_first():
 
 
 def test_names_become_symbols():
-    assert axis_label("theta") == "θ"
-    assert axis_label("theta_12") == axis_label("theta12") == "θ₁₂"
+    assert axis_label("theta") == "θ [rad, m]"
+    assert (
+        axis_label("theta_12", angular=True) == axis_label("theta12", angular=True) == "θ₁₂ [rad]"
+    )
     assert axis_label("x", velocity=True, angular=False) == "dx/dt [m/s]"
     assert axis_label("tilt", angular=True) == "tilt [rad]"
 

@@ -54,10 +54,10 @@ def test_every_system_has_its_figures(name):
     found = pictures.figures(knowing(system, system), system, made(system), "symo", name)
     assert [figure.key for figure in found] == KEYS
     for panel in (panel for figure in found for panel in figure.panels):
-        assert {one.source for one in panel.series()} == {
-            panel.only or "truth",
-            panel.only or "ours",
-        }
+        wanted = {panel.only or "truth", panel.only or "ours"}
+        if panel.y_label.startswith("squared error"):
+            wanted = {"ours"}
+        assert {one.source for one in panel.series()} == wanted
 
 
 @pytest.mark.parametrize("lost", [math.nan, 1e300])
@@ -134,16 +134,44 @@ def test_rollouts_are_ranked_by_error_and_a_lost_one_comes_last():
 
 
 def test_axes_carry_units():
-    panels = pictures.trajectories(made(SYSTEMS["cartpole"]), "symo", "t").panels
-    assert {p.y_label for p in panels} == {"x [m]", "θ [rad]"}
-    assert {p.x_label for p in panels} == {"time [s]"}
+    figure = pictures.trajectories(made(SYSTEMS["cartpole"]), "symo", "t")
+    labels = {p.y_label for p in figure.panels}
+    assert labels == {"x [m]", "θ [rad]", "squared error [m², rad²]"}
+    assert {p.x_label for p in figure.panels} == {"time [s]"}
+    assert figure.title == "t: rollouts of 1.5 s (30 steps of 0.05 s)"
 
 
 def test_a_runaway_does_not_hide_the_truth():
-    for panel in pictures.trajectories(made(SYSTEMS["pendulum"], wrong=1e6), "symo", "t").panels:
+    figure = pictures.trajectories(made(SYSTEMS["pendulum"], wrong=1e6), "symo", "t")
+    for panel in (panel for panel in figure.panels if not panel.y_log):
         (low, high), true = panel.limits(), series(panel)["truth"].y
         assert low < true.min() < true.max() < high
         assert high - low < 5 * max(true.max() - true.min(), abs(true).max())
+
+
+def test_a_prediction_that_is_lost_is_not_painted_over_the_others():
+    rollouts = made(SYSTEMS["pendulum"], wrong=0.0)
+    rollouts.v[0, 12] = 1e3  # the others are as they are
+    rollouts.q[0, 12:] = torch.linspace(0, 1e4, 19)[:, None]
+    for figure in (pictures.trajectories, pictures.phase_portrait):
+        for panel in figure(rollouts, "symo", "t").panels:
+            assert series(panel).get("ours", series(panel).get("truth")).y.max() < 5
+    worst = pictures.trajectories(rollouts, "symo", "t").panels[2]
+    assert worst.title.endswith("lost at 1.2 s")
+    assert series(worst)["ours"].y.notna().sum() == 12
+
+
+def test_angles_that_turn_over_are_wrapped_and_others_are_not():
+    rollouts = made(SYSTEMS["cartpole"])
+    rollouts.q_true[:, :, 1] += torch.linspace(0, 10, 31)
+    rollouts.q[:, :, :] = rollouts.q_true
+    rollouts.q[:, :, 0] += 7
+    panels = pictures.trajectories(rollouts, "symo", "t").panels
+    of = {p.y_label: series(p)["ours"].y for p in panels}
+    assert of["θ [rad]"].abs().max() <= math.pi
+    assert of["θ [rad]"].isna().any()
+    assert of["x [m]"].max() > 7
+    assert of["squared error [m², rad²]"].notna().all()
 
 
 def test_a_phase_portrait_wraps_angles_and_has_gaps_where_they_jump():

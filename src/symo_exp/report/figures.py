@@ -92,8 +92,11 @@ class Panel:
         return float(low / 2), float(2 * max(high, 10 * low))
 
     def x_limits(self) -> Range | None:
-        """The same of a linear x axis; nothing where there is no truth."""
-        return None if self.x_log else _near(self._truth("x"), self.rows.x.to_numpy(dtype=float))
+        """The same of a linear x axis: of a line over time all of it, however early one is lost."""
+        if self.x_log:
+            return None
+        x, true = self.rows.x.to_numpy(dtype=float), self._truth("x")
+        return _near(true if len(true) or self.mark != "line" else x, x)
 
     def _truth(self, column: str) -> np.ndarray:
         return self.rows[self.rows.source == "truth"][column].to_numpy(dtype=float)

@@ -162,7 +162,7 @@ def symbol(name: str) -> str:
 
 
 def axis_label(name: str, *, velocity: bool = False, angular: bool | None = None) -> str:
-    """The symbol of a coordinate or of its velocity and, where it is known, its SI unit."""
+    """The symbol of a coordinate or of its velocity, and its SI unit."""
     label = f"d{symbol(name)}/dt" if velocity else symbol(name)
-    unit = ("rad" if angular else "m") + ("/s" if velocity else "")
-    return label if angular is None else f"{label} [{unit}]"
+    units = {True: "rad", False: "m", None: "rad, m"}[angular].split(", ")
+    return f"{label} [{', '.join(unit + '/s' * velocity for unit in units)}]"

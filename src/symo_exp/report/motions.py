@@ -32,6 +32,8 @@ LEARNED = "learned_quantities"
 FIRST = "Each method's run of the lowest seed, from the same start; the first of its motions."
 LONG = 50.0
 """Seconds that are shown of a motion."""
+LOST = 2.0
+"""A prediction that is so many times faster than the truth ever is has nothing more to show."""
 Tables = Mapping[Pair, pd.DataFrame]
 
 
@@ -49,12 +51,13 @@ def figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | None) -> 
     made: list[Figure] = []
     for one in studied(runs, (*TITLES, LEARNED), store):
         key, tables = f"{one.study}_{one.system}", first(one.tables)
+        long = max(table.t.max() for table in tables.values())
         if one.study == LEARNED:
             made.append(
                 learned(key, f"{one.system}: what was learned, along a true motion", tables)
             )
         else:
-            made.append(motion(key, f"{one.system}: {TITLES[one.study]}", tables))
+            made.append(motion(key, f"{one.system}: {TITLES[one.study]}, {long:g} s", tables))
         if one.study == "long_term":
             title = f"{one.system}: phase space of a long motion"
             made.append(phase_space(f"{key}_phase_space", title, first(one.tables, np.inf)))
@@ -83,7 +86,7 @@ def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> li
 
 def motion(key: str, title: str, tables: Tables) -> Figure:
     """Every coordinate over time, the squared error of the configuration, and the energy."""
-    names = coordinates(tables)
+    names, tables = coordinates(tables), {pair: kept(table) for pair, table in tables.items()}
     panels = [over_time(tables, f"q_{name}", f"q_true_{name}", axis_label(name)) for name in names]
     errors = {
         pair: table.assign(
@@ -103,9 +106,9 @@ def phase_space(key: str, title: str, tables: Tables) -> Figure:
     panels = [
         Panel(pair_name(*pair), *labels, phase_rows(pair, table, name, wrap=True, count=4 * POINTS),
               y_log=False, mark="points")
-        for pair, table in tables.items()
+        for pair, table in ((pair, kept(table)) for pair, table in tables.items())
     ]  # fmt: skip
-    return Figure(key, title, f"{FIRST} Wrapped.", panels)
+    return Figure(key, title, f"{FIRST} Angles are wrapped.", panels)
 
 
 def learned(key: str, title: str, tables: Tables) -> Figure:
@@ -182,10 +185,31 @@ def rows(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POINTS
     return table.assign(method=method, integrator=integrator, source=source)
 
 
+def kept(table: pd.DataFrame) -> pd.DataFrame:
+    """The motions, of a prediction that is lost only what comes before."""
+    names = [c.removeprefix("v_true_") for c in table if str(c).startswith("v_true_")]
+    gone = pd.Series(False, index=table.index)
+    for name in names:
+        fastest = table[f"v_true_{name}"].abs().max() or 1.0
+        gone |= ~(table[f"v_{name}"].abs() <= LOST * fastest)  # NaN is lost, too
+    gone = gone.groupby(table.trajectory).cummax()
+    predicted = [c for n in names for c in (f"q_{n}", f"v_{n}")] + ["energy"]
+    own = [column for column in predicted if column in table]
+    return table.assign(**{column: table[column].mask(gone) for column in own})
+
+
 def wrapped(angle: np.ndarray) -> np.ndarray:
     """Angles in (−π, π]."""
     finite = np.where(np.isfinite(angle), angle, np.nan)
     return np.asarray(np.pi - np.mod(np.pi - finite, 2 * np.pi))
+
+
+def unbroken(angle: pd.Series) -> pd.Series:
+    """The angle wrapped, with a gap where it jumps."""
+    values = wrapped(angle.to_numpy())
+    with np.errstate(invalid="ignore"):
+        jumps = np.abs(np.diff(values, append=values[-1])) > np.pi
+    return pd.Series(np.where(jumps, np.nan, values), angle.index)
 
 
 def coordinates(tables: Tables) -> list[str]:

@@ -17,7 +17,7 @@ from symo_exp.report import recordings
 from symo_exp.report.animation import animate
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import TRUTH, axis_label, look
-from symo_exp.report.motions import learned, over_time, phase_rows, rows
+from symo_exp.report.motions import kept, learned, over_time, phase_rows, rows, unbroken
 from symo_exp.report.paper import save
 from symo_exp.systems.base import LagrangianSystem, System
 
@@ -64,16 +64,30 @@ def ranking(rollouts: Rollouts) -> dict[str, int]:
 
 
 def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
-    """Every coordinate over time, prediction on truth, for a good, a typical and a bad rollout."""
-    errors, table = _errors(rollouts), _table(rollouts)
-    panels = [
-        over_time(
-            {(method, ""): table[table.trajectory == at]}, f"q_{name}", f"q_true_{name}", label,
-            f"{which} of {len(errors)}: MSE {errors[at].item():.2g}",
-        )
-        for name, label in _labels(rollouts) for which, at in ranking(rollouts).items()
-    ]  # fmt: skip
-    return Figure("trajectories", f"{title}: rollouts", "", panels)
+    """Every coordinate over time, prediction on truth, for a good, a typical and a bad rollout.
+
+    Angles are wrapped where the truth turns over. Below, the error, which does not jump.
+    """
+    errors, table, pair = _errors(rollouts), _table(rollouts), (method, "")
+    chosen = {which: table[table.trajectory == at] for which, at in ranking(rollouts).items()}
+    panels = []
+    for (name, label), angular in zip(_labels(rollouts), rollouts.coordinates.angular, strict=True):
+        columns = f"q_{name}", f"q_true_{name}"
+        for which, one in chosen.items():
+            turns = angular and np.ptp(one[columns[1]]) > 2 * np.pi
+            said = f"{which} of {len(errors)}: MSE {errors[one.trajectory.iloc[0]].item():.2g}"
+            shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
+            panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
+    names = rollouts.coordinates.names
+    for one in chosen.values():
+        squares = sum((one[f"q_{n}"] - one[f"q_true_{n}"]) ** 2 for n in names) / len(names)
+        panels.append(
+            over_time(
+                {pair: one.assign(error=squares)}, "error", None, "squared error [m², rad²]",
+                log=True,
+            )
+        )  # fmt: skip
+    return Figure("trajectories", f"{title}: rollouts of {_horizon(rollouts)}", "", panels)
 
 
 def phase_portrait(rollouts: Rollouts, method: str, title: str) -> Figure:
@@ -89,7 +103,9 @@ def phase_portrait(rollouts: Rollouts, method: str, title: str) -> Figure:
         for (name, label), wrap in zip(_labels(rollouts), angular, strict=True)
         for only in ("truth", "ours")
     ]  # fmt: skip
-    return Figure("phase_portrait", f"{title}: phase portrait", "", panels, columns=2)
+    return Figure(
+        "phase_portrait", f"{title}: phase portrait of {_horizon(rollouts)}", "", panels, columns=2
+    )
 
 
 def energy(rollouts: Rollouts, method: str, title: str) -> Figure:
@@ -101,12 +117,17 @@ def energy(rollouts: Rollouts, method: str, title: str) -> Figure:
     table = table[table.trajectory == ranking(rollouts)["median"]]
     above = over_time({pair: table}, "energy", "energy_true", "E [J]", "rollout of median error")
     lost = (rollouts.energy - initial).abs().nan_to_num(nan=float("inf")).clamp(*DRAWN).numpy()
-    kept = (rollouts.energy_true - initial).abs().clamp(*DRAWN).numpy()
+    drift = (rollouts.energy_true - initial).abs().clamp(*DRAWN).numpy()
     ours = rows(table.t, np.median(lost, 0), pair, len(table))
     ours = ours.assign(low=lost.min(0), high=lost.max(0))
-    both = pd.concat([rows(table.t, np.median(kept, 0), None, len(table))[1:], ours[1:]])
+    both = pd.concat([rows(table.t, np.median(drift, 0), None, len(table))[1:], ours[1:]])
     below = Panel("all rollouts: median and range", "time [s]", "|E − E₀| [J]", both, mark="line")
-    return Figure("energy", f"{title}: energy of the predicted states", "", [above, below])
+    return Figure(
+        "energy",
+        f"{title}: energy of the states predicted over {_horizon(rollouts)}",
+        "",
+        [above, below],
+    )
 
 
 def learned_quantities(
@@ -128,8 +149,20 @@ def _errors(rollouts: Rollouts) -> Tensor:
 
 
 def _table(rollouts: Rollouts) -> pd.DataFrame:
-    """All motions: a row for each node."""
-    return pd.DataFrame({name: column.numpy() for name, column in rollouts.columns().items()})
+    """All motions: a row for each node; of a prediction that is lost what comes before."""
+    columns = {name: column.numpy() for name, column in rollouts.columns().items()}
+    return kept(pd.DataFrame(columns))
+
+
+def _until(one: pd.DataFrame) -> str:
+    """When the prediction of a motion is lost, if it is."""
+    gone = one[one.filter(like="q_").isna().any(axis=1)]
+    return "" if gone.empty else f", lost at {gone.t.iloc[0]:.1f} s"
+
+
+def _horizon(rollouts: Rollouts) -> str:
+    steps, step = rollouts.q.shape[1] - 1, rollouts.time_step
+    return f"{steps * step:g} s ({steps} steps of {step:g} s)"
 
 
 def _labels(rollouts: Rollouts) -> list[tuple[str, str]]:
