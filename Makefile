@@ -32,8 +32,6 @@ $(INSTALLED): pyproject.toml constraints.txt
 
 demo: install ## train all four methods on the pendulum and print the results, some minutes
 	$(PY) -m symo_exp -cn demo
-	@echo
-	@echo 'The same with curves and pictures: make ui, then open http://127.0.0.1:$(PORT)'
 
 test: install ## run the tests, but for the long proofs
 	$(PY) -m pytest -n 2
@@ -66,6 +64,8 @@ test-lowest: ## run the tests with the lowest versions that pyproject.toml allow
 
 ui: install ## open MLflow on the local store (PORT=5000)
 	@mkdir -p $(STORE)
+	@$(PY) -c "from symo_exp.tracking import page, store; \
+		print(*page.pages(store.find(None, '$(STORE)'), 'http://127.0.0.1:$(PORT)'), sep='\n')"
 	MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow server --workers 1 \
 		--host 127.0.0.1 --port $(PORT) \
 		--backend-store-uri sqlite:///$(STORE)/mlflow.db \

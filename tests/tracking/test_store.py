@@ -1,5 +1,6 @@
 """Which store is meant, whether it can be used, and that nobody tramples on it."""
 
+import dataclasses
 import multiprocessing
 import os
 import socket
@@ -108,6 +109,27 @@ def test_an_experiment_is_created_once_and_keeps_its_artifacts_beside_the_databa
     first = experiment_id(store, "e")
     assert experiment_id(store, "e") == first
     assert connect(store).get_experiment(first).artifact_location == store.artifacts
+
+
+def as_it_was_made(store: Store) -> Store:
+    """The store of a test is a copy: as if its files were to lie where they did at first."""
+    location = connect(store).get_experiment("0").artifact_location
+    return dataclasses.replace(store, artifacts=str(Path(location).parent))
+
+
+def test_mlflow_s_own_experiment_becomes_the_first_of_ours(store):
+    store = as_it_was_made(store)
+    assert experiment_id(store, "e") == "0"
+    assert experiment_id(store, "e") == "0"
+    assert experiment_id(store, "f") != "0"
+    assert {e.name for e in connect(store).search_experiments()} == {"e", "f"}
+
+
+def test_what_somebody_has_logged_to_default_stays_there(store):
+    store = as_it_was_made(store)
+    connect(store).create_run("0")
+    assert experiment_id(store, "e") != "0"
+    assert {e.name for e in connect(store).search_experiments()} == {"e", "Default"}
 
 
 def test_a_deleted_experiment_is_said(store):

@@ -32,7 +32,7 @@ LEARNED = "learned_quantities"
 FIRST = "Each method's run of the lowest seed, from the same start; the first of its motions."
 LONG = 50.0
 """Seconds that are shown of a motion."""
-LOST = 2.0
+LOST = 1.5
 """A prediction that is so many times faster than the truth ever is has nothing more to show."""
 Tables = Mapping[Pair, pd.DataFrame]
 
@@ -187,7 +187,7 @@ def rows(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POINTS
 
 def kept(table: pd.DataFrame) -> pd.DataFrame:
     """The motions, of a prediction that is lost only what comes before."""
-    names = [c.removeprefix("v_true_") for c in table if str(c).startswith("v_true_")]
+    names = [c.removeprefix("v_true_") for c in map(str, table) if c.startswith("v_true_")]
     gone = pd.Series(False, index=table.index)
     for name in names:
         fastest = table[f"v_true_{name}"].abs().max() or 1.0

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import math
 import os
+import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -21,13 +22,16 @@ from symo_exp.runs.series import read
 from symo_exp.sweep.compose import plain
 from symo_exp.sweep.explain import one_line
 from symo_exp.sweep.variant import variant
+from symo_exp.tracking.page import COMMAND
 from symo_exp.tracking.revision import revision_tags
 from symo_exp.training import stopping
 
 log = logging.getLogger(__name__)
 
-SWEEP = "SYMO_EXP_SWEEP"
-"""Environment variable: the identity of the sweep that a job belongs to."""
+SWEEP, VARIED = "SYMO_EXP_SWEEP", "SYMO_EXP_VARIED"
+"""Environment variables: the identity of the sweep that a job belongs to, and what it varies."""
+NAMED = "model=", "system=", "pair=", "data.n_traj="
+"""What the name of a run has anyway."""
 OURS = "hydra_plugins.symo_exp_sweeper.SymoExpSweeper"
 
 
@@ -44,7 +48,7 @@ def job(config: DictConfig) -> float | None:
     stopping.install()
     if stopping.requested():
         return None
-    failure = _do(config, folder, dict(settings.runtime.choices))
+    failure = _do(config, folder, lambda: _about(config, settings))
     if failure is not None and debugging():
         raise failure
     if settings.sweeper._target_ == OURS:
@@ -82,7 +86,7 @@ def debugging() -> bool:
     return os.environ.get("SYMO_EXP_DEBUG") == "1"
 
 
-def _do(config: DictConfig, folder: RunFolder, choices: dict[str, Any]) -> BaseException | None:
+def _do(config: DictConfig, folder: RunFolder, about: Callable[[], About]) -> BaseException | None:
     """Do what is left of the run; what ended it before it was finished, if anything did."""
     start = time.perf_counter()
     tracker: Any = None
@@ -100,7 +104,7 @@ def _do(config: DictConfig, folder: RunFolder, choices: dict[str, Any]) -> BaseE
 
             parts = build(config, folder)
             tracker = parts.tracker
-            run(parts, config, folder, _about(config, choices), trained=trained)
+            run(parts, config, folder, about(), trained=trained)
         except stopping.Interrupted as error:
             time_is_up = error.signum == stopping.TIME_IS_UP
             failure, status, reason = error, "interrupted", str(error)
@@ -147,17 +151,26 @@ def publish(tracker: Any, folder: RunFolder) -> str:
         return ""
 
 
-def _about(config: DictConfig, choices: dict[str, Any]) -> About:
+def _about(config: DictConfig, settings: Any) -> About:
+    """What the run is; its name says what its sweep varied: ``E2E-SyMo acrobot n=16``."""
+    from symo_exp.report.looks import look
+
     def compose(overrides: list[str]) -> DictConfig:
         return hydra.compose("config", overrides, return_hydra_config=True)
 
+    choices, asked = dict(settings.runtime.choices), list(settings.overrides.task)
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
+    varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
+    told = [o.rpartition(".")[2] for o in varied if not o.startswith(NAMED)]
+    size = config.data.get("n_traj")
+    name = [look(choices["model"]).label, choices["system"], f"n={size}" * bool(size), *told]
+    command = shlex.join(["python", "-m", "symo_exp", *asked])
     return About(
-        name=f"{choices['model']} {choices['system']}",
+        name=" ".join(filter(None, name)),
         parameters=groups | dict(_parameters(config)),
         variant=variant(config, choices, compose),
         sweep=os.environ.get(SWEEP, ""),
-        tags=revision_tags(),
+        tags={**revision_tags(), COMMAND: command},
     )
 
 

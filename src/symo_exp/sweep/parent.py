@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -10,7 +11,9 @@ from typing import Any
 from symo_exp.runs.digest import digest
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.sweep.compose import Job
-from symo_exp.sweep.job import SWEEP, publish
+from symo_exp.sweep.job import SWEEP, VARIED, publish
+from symo_exp.sweep.table import MEASURES, written
+from symo_exp.tracking.page import COMMAND, RESULT
 from symo_exp.training import stopping
 
 
@@ -21,11 +24,16 @@ def parent(jobs: Sequence[Job], name: str, tracker: Any) -> Iterator[None]:
     folder = RunFolder(jobs[0].folder.path.parent / ".sweeps" / digest(names))
     with nullcontext() if folder.in_use() else folder.alone():
         folder.mark_published(None)
-        folder.describe(About(name, {"jobs": len(jobs)}))
+        command = {COMMAND: f"python -m symo_exp {name}"}
+        folder.describe(About(name, {"jobs": len(jobs)}, tags=command))
         folder.record("running")
         publish(tracker, folder)
         about = folder.about()
         os.environ[SWEEP] = about.identity if about else ""
+        words = (word.partition("=")[0] for job in jobs for word in job.label.split())
+        varied = list(dict.fromkeys(words))
+        os.environ[VARIED] = ",".join(varied)
+        tracker.show(varied)
         try:
             yield
         except BaseException as error:
@@ -40,6 +48,21 @@ def parent(jobs: Sequence[Job], name: str, tracker: Any) -> Iterator[None]:
                 folder.record("failed", f"{bad} of {len(jobs)} runs failed")
             else:
                 folder.record("finished")
+            told = {RESULT: _result(jobs)} if _result(jobs) else {}
+            folder.describe(About(name, {"jobs": len(jobs)}, tags=command | told))
         finally:
             os.environ.pop(SWEEP, None)
+            os.environ.pop(VARIED, None)
             publish(tracker, folder)
+
+
+def _result(jobs: Sequence[Job]) -> str:
+    """Which run has the smallest of each measure that a line shows."""
+    measures = {job.label: job.folder.measures() for job in jobs}
+    least = []
+    for name in MEASURES:
+        there = {label: found[name] for label, found in measures.items() if name in found}
+        if there:
+            label = min(there, key=lambda one: (math.isnan(there[one]), there[one]))
+            least.append(f"{name} {written(there[label])} ({label})")
+    return f"Smallest {', '.join(least)}." if least else ""

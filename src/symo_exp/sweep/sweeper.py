@@ -208,6 +208,8 @@ class Sweep:
         outcomes = [job.folder.outcome() for job in jobs]
         if len(jobs) > 1:
             print(table([job.label for job in jobs], [job.folder for job in jobs]))
+            if page := instantiate(jobs[0].config.logger).page():
+                print(f"\npython -m symo_exp.report compares them; as they are: {page}")
         else:
             ((outcome,), (job,)) = (outcomes, jobs)
             if outcome.status == "refused":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import Counter
@@ -16,6 +17,14 @@ MEASURES = ("train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_m
 RECORDED = "rmse_2s"
 """Of runs on recordings it is shown, too."""
 SECONDS = 0.5
+
+
+def written(x: float) -> str:
+    """Three digits: ``1.38e-4``, ``0.498``."""
+    if x == 0 or not math.isfinite(x) or 1e-2 <= abs(x) < 1e3:
+        return f"{x:.3g}"
+    digits, exponent = f"{x:.2e}".split("e")
+    return f"{digits}e{int(exponent)}"
 
 
 def one_line(measures: Mapping[str, float]) -> str:

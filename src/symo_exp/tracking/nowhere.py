@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from symo_exp.runs.folder import RunFolder
 
 
@@ -23,6 +25,13 @@ class Nowhere:
 
     def publish(self, folder: RunFolder) -> str:
         """There is no address either."""
+        return ""
+
+    def show(self, varied: Sequence[str]) -> None:
+        """There is no page to set up,"""
+
+    def page(self) -> str:
+        """nor to open."""
         return ""
 
     def close_dead(self) -> None:

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from symo_exp.errors import ConfigError
 from symo_exp.runs.folder import DIED, SERIES, About, Outcome, RunFolder
 from symo_exp.runs.series import EPOCH, TIME, read
+from symo_exp.tracking.page import NOTE, description, page, send_dataset, show
 from symo_exp.tracking.store import Store, check, connect, experiment_id, find, is_away
 
 if TYPE_CHECKING:
@@ -92,6 +94,7 @@ class MlflowView:
         if outcome.status == "finished":
             run.send_measures(folder.measures())
             run.upload(folder)
+        run.explain(description(about, outcome, folder.measures()))
         run.set_status(outcome)
         if outcome.status not in ("running", "waiting"):
             folder.mark_published({"store": str(self.store), "run_id": run.run_id})
@@ -128,6 +131,7 @@ class MlflowView:
                 )
             run_id = str(created.info.run_id)
         _send_parameters(self.store, run_id, about)
+        send_dataset(self.store, run_id, about.parameters)
         return run_id
 
     def _search(self, identity: str) -> Run | None:
@@ -142,11 +146,27 @@ class MlflowView:
         kept = [r for r in rows if r[EPOCH] < DENSE or r[EPOCH] % self._every == 0]
         return kept + rows[-1:] if last and rows and rows[-1] not in kept else kept
 
+    def show(self, varied: Sequence[str]) -> None:
+        """Set up the page of the experiment for a sweep; a store that is away does without."""
+        try:
+            self.check()
+            show(self.store, experiment_id(self.store, self._experiment), varied)
+        except Exception as error:
+            if not self.is_away(error):
+                raise
+
+    def page(self) -> str:
+        """Where a person looks at the experiment; empty while the store is away."""
+        try:
+            self.check()
+            return page(self.store, experiment_id(self.store, self._experiment))
+        except Exception as error:
+            if not self.is_away(error):
+                raise
+            return ""
+
     def _address(self, run_id: str) -> str:
-        if not run_id or not self.store.uri.startswith("http"):
-            return f"run {run_id} in {self.store}" if run_id else f"not yet in {self.store}"
-        experiment = connect(self.store).get_run(run_id).info.experiment_id
-        return f"{self.store}/#/experiments/{experiment}/runs/{run_id}"
+        return f"run {run_id} in {self.store}" if run_id else f"not yet in {self.store}"
 
 
 class _Opened:
@@ -190,6 +210,12 @@ class _Opened:
                 parent = None if inside.parent == Path(".") else str(inside.parent)
                 self._client.log_artifact(self.run_id, str(path), artifact_path=parent)
 
+    def explain(self, told: str) -> None:
+        """The description that MLflow shows."""
+        if told and self._tags.get(NOTE) != told:
+            self._client.set_tag(self.run_id, NOTE, told)
+            self._tags[NOTE] = told
+
     def set_status(self, outcome: Outcome) -> None:
         """RUNNING, FINISHED, FAILED or KILLED, with the reason where there is one."""
         status = STATUS[outcome.status]
@@ -199,7 +225,8 @@ class _Opened:
             self._client.set_tag(self.run_id, REASON, outcome.reason[:500])
         elif REASON in self._tags:
             self._client.delete_tag(self.run_id, REASON)
-        self._tags = {**self._tags, REASON: outcome.reason} if outcome.reason else {}
+        self._tags = {k: v for k, v in self._tags.items() if k != REASON}
+        self._tags |= {REASON: outcome.reason} if outcome.reason else {}
         if status in ("RUNNING", "SCHEDULED"):
             self._client.update_run(self.run_id, status=status)
         else:

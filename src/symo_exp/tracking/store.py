@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 MEND = "correct logger.tracking_uri or MLFLOW_TRACKING_URI, or set neither for a local SQLite store"
 PORTS = {"postgresql": 5432, "mysql": 3306, "mssql": 1433}
 LOCK_SECONDS = 300.0
+UNUSED = "0"
+"""The experiment that MLflow makes with every store, and calls Default."""
 
 
 class AwayError(ConfigError):
@@ -200,6 +202,9 @@ def experiment_id(store: Store, name: str) -> str:
     client = connect(store)
     with store.lock():
         found = client.get_experiment_by_name(name)
+        if found is None and store.database is not None and _is_unused(client, store):
+            client.rename_experiment(UNUSED, name)
+            return UNUSED
         if found is None:
             try:
                 return client.create_experiment(name, artifact_location=store.artifacts)
@@ -215,3 +220,12 @@ def experiment_id(store: Store, name: str) -> str:
             f"(mlflow experiments restore -x {found.experiment_id}) or choose another name"
         )
     return str(found.experiment_id)
+
+
+def _is_unused(client: MlflowClient, store: Store) -> bool:
+    """Whether MLflow's own first experiment is as it made it here: the first of ours takes it."""
+    found = [one for one in client.search_experiments() if one.experiment_id == UNUSED]
+    if not found or found[0].name != "Default":
+        return False
+    here = str(found[0].artifact_location).startswith(str(store.artifacts))
+    return here and not client.search_runs([UNUSED], max_results=1)

@@ -1,0 +1,91 @@
+"""What MLflow's pages show of a run besides numbers: description, dataset, and where they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from symo_exp.runs.folder import About, Outcome
+from symo_exp.tracking.store import Store, connect
+
+NOTE = "mlflow.note.content"
+COMMAND, RESULT = "symo_exp.command", "symo_exp.result"
+"""Tags: what was typed, and what came of it in a sentence."""
+RESULTS = "train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse", "rmse_2s"
+"""The measures of a description."""
+VIEW = "mlflow.sharedViewState.symo_exp"
+LOCAL = "http://127.0.0.1:5000"
+"""Where MLflow serves what lies in a file."""
+
+
+def description(about: About, outcome: Outcome, measures: Mapping[str, float]) -> str:
+    """The command, and what came of it."""
+    shown = [f"{name} {measures[name]:.3g}" for name in RESULTS if name in measures]
+    result = about.tags.get(RESULT) or (", ".join(shown) + "." if shown else outcome.reason)
+    command = f"`{about.tags[COMMAND]}`" if COMMAND in about.tags else ""
+    return "\n\n".join(filter(None, (command, result)))
+
+
+def send_dataset(store: Store, run_id: str, parameters: Mapping[str, Any]) -> None:
+    """What the run was trained on, as MLflow's dataset: the same data have the same digest."""
+    from mlflow.entities import Dataset, DatasetInput, InputTag
+
+    client = connect(store)
+    told = {
+        key: str(value) for key, value in parameters.items()
+        if key.startswith(("data", "system", "draws")) or key == "seed"
+    }  # fmt: skip
+    there = client.get_run(run_id).inputs
+    if "system" not in told or (there and there.dataset_inputs):
+        return
+    source = json.dumps(told, sort_keys=True)
+    size = {"trajectories": told.get("data.n_traj"), "noise_std": told.get("data.noise_std")}
+    dataset = Dataset(
+        name=Path(told["data.path"]).name if "data.path" in told else f"{told['system']} simulated",
+        digest=hashlib.sha256(source.encode()).hexdigest()[:8], source_type="symo_exp",
+        source=source, profile=json.dumps(size),
+    )  # fmt: skip
+    tags = [InputTag("mlflow.data.context", "training")]
+    client.log_inputs(run_id, datasets=[DatasetInput(dataset, tags)])
+
+
+def show(store: Store, experiment: str, varied: Sequence[str]) -> None:
+    """Give the experiment a view of its runs: the smallest test error first, not folded into their
+    sweeps, with columns for what was varied and came out.
+
+    It is what MLflow's page keeps of a view that is shared, and documented nowhere: where another
+    release reads it otherwise, the runs stand there as MLflow shows them.
+    """
+    columns = [f"params.`{name}`" for name in varied]
+    columns += [f"metrics.`{name}`" for name in RESULTS[1:]]
+    # a sweep has no system; sorted by anything but time, runs are not folded into theirs
+    view = {
+        "searchFilter": "params.system != ''", "selectedColumns": columns,
+        "orderByKey": "metrics.`test_mse`", "orderByAsc": True,
+    }  # fmt: skip
+    connect(store).set_experiment_tag(experiment, VIEW, json.dumps(view))
+
+
+def page(store: Store, experiment: str) -> str:
+    """Where a person looks at the runs of an experiment, and what serves it if nobody does."""
+    if store.database is None:
+        return runs_at(store, store.uri if store.uri.startswith("http") else LOCAL, experiment)
+    ours = Path("mlruns/mlflow.db").absolute() == store.database and Path("Makefile").is_file()
+    serve = "make ui" if ours else f"mlflow server --backend-store-uri {store.uri}"
+    return f"{serve}, then {runs_at(store, LOCAL, experiment)}"
+
+
+def pages(store: Store, base: str) -> list[str]:
+    """A line for each experiment: its name and the page of its runs."""
+    found = connect(store).search_experiments()
+    return [f"{one.name}: {runs_at(store, base, one.experiment_id)}" for one in found]
+
+
+def runs_at(store: Store, base: str, experiment: str) -> str:
+    """The runs in MLflow's view for training; its bare address opens another, that of agents."""
+    shared = VIEW in connect(store).get_experiment(experiment).tags
+    view = f"&viewStateShareKey={VIEW.rpartition('.')[2]}" if shared else ""
+    return f"{base}/#/experiments/{experiment}/runs?workflowType=machine_learning{view}"
