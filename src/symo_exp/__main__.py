@@ -58,9 +58,10 @@ def _execute(argv: list[str]) -> int:
 
     command = Command([word for word in argv if word not in ("-h", "--help")])
     if len(command.options) + len(command.overrides) < len(argv):
-        from symo_exp.sweep.help import help_text
+        from symo_exp.sweep.help import help_text, screen
 
-        print(help_text([command.folder] if command.folder else []), end="")
+        show = help_text if "--help" in argv else screen
+        print(show([command.folder] if command.folder else []), end="")
         return 0
     several = command.several()
     for one in several:  # a word that one of them cannot take is found before anything runs

@@ -8,13 +8,14 @@ import subprocess
 import sys
 
 import pytest
+from omegaconf import OmegaConf
 
 from symo_exp.__main__ import main
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
+from symo_exp.sweep.help import CHANGED
 from symo_exp.sweep.job import _about
 from symo_exp.sweep.sweeper import Sweep
-from symo_exp.sweep.table import MEASURES
 from tests.jobs import job_of, jobs_of, planned, refusal
 from tests.tiny import TINY
 
@@ -158,15 +159,29 @@ def test_a_refusal_is_all_that_is_said_and_an_exit_code(
     assert nothing_is_left(home)
 
 
-def test_help_shows_every_choice_with_a_line(workplace, capsys):
+def test_help_fits_a_screen_with_what_people_change(workplace, capsys):
     assert main(["-h"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    choices, config = job_of().choices, job_of().config
+    for name in CHANGED:
+        (line,) = [line for line in lines if line.startswith(f"{name}=")]
+        value, *said = line.partition("=")[2].split(maxsplit=1)
+        assert value == str(choices.get(name) or OmegaConf.select(config, name))
+        assert said
+    assert all(any(stem.stem in line for line in lines) for stem in SWEEPS.glob("*.yaml"))
+
+
+def test_help_shows_every_choice_with_a_line(workplace, capsys):
+    assert main(["--help"]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     for file in [*CONF.glob("*/*.yaml"), *SWEEPS.glob("*.yaml")]:
         assert any(line[0] == file.stem and len(line) > 2 for line in lines if line), file
 
 
 def test_help_and_settings_come_without_the_heavy_libraries(workplace):
-    for words in (["-h"], ["model=node", "--cfg", "job"]):
+    for words in (["-h"], ["--help"], ["model=node", "--cfg", "job"]):
         done = subprocess.run(
             [sys.executable, "-c", LIGHT, *words], capture_output=True, text=True, check=False
         )
@@ -223,7 +238,24 @@ def test_a_folder_belongs_to_what_is_computed(workplace):
 )
 def test_a_run_says_how_it_differs_from_what_ships(words, told, workplace):
     with planned(*words, "logger=none") as (_, (job,)):
-        assert _about(job.config, job.choices).variant == told
+        assert _about(job.config, job.choices, job.overrides).variant == told
+
+
+@pytest.mark.parametrize(
+    ("varied", "name"),
+    [
+        ("", "SyMo acrobot n=16"),
+        ("model,data.n_traj", "SyMo acrobot n=16"),
+        ("seed,optimizer.lr", "SyMo acrobot n=16 seed=3 lr=1e-3"),
+    ],
+)
+def test_a_run_is_named_by_what_its_sweep_varies(varied, name, workplace, monkeypatch):
+    monkeypatch.setenv("SYMO_EXP_VARIED", varied)
+    words = ["model=symo", "system=acrobot", "data.n_traj=16", "seed=3", "optimizer.lr=1e-3"]
+    with planned(*words, "logger=none") as (_, (job,)):
+        about = _about(job.config, job.choices, words)
+    assert about.name == name
+    assert about.tags["symo_exp.command"] == f"python -m symo_exp {' '.join(words)}"
 
 
 def test_a_model_that_is_not_learned_is_measured_without_training(workplace):
@@ -255,12 +287,14 @@ def again(finished, workplace):
     return folder
 
 
-def test_a_run_ends_in_one_line(finished):
+def test_a_run_ends_in_a_table_of_its_measures_and_its_folder(finished):
     place, said = finished
-    (line,) = said.strip().splitlines()
-    assert all(name in line for name in MEASURES)
+    header, row, units, line = said.rstrip().splitlines()
+    assert header.split() == ["train", "test", "integration", "energy", "inertia", "time"]
+    assert row.startswith("E2E-SyMo pendulum n=")
+    assert "J²" in units
     (folder,) = (place / "outputs" / "default").glob("e2e_symo-pendulum-*")
-    assert str(folder.relative_to(place)) in line
+    assert line == str(folder.relative_to(place))
     run = RunFolder(folder)
     assert run.outcome().status == "finished"
     assert "model.width=8" in run.about().variant
@@ -284,6 +318,7 @@ def test_what_is_finished_is_not_done_again(workplace, capsys, monkeypatch):
     out, _ = capsys.readouterr()
     assert "1 of 2 runs are finished already" in out
     assert len([line for line in out.splitlines() if line.startswith("seed=")]) == 2
+    assert "2 of 2: NODE pendulum n=2 seed=1  test " in out
     assert first.stat().st_mtime_ns == known
     assert len([*workplace.glob("outputs/default/*/outcome.json")]) == 2
 

@@ -130,6 +130,8 @@ def test_one_class_and_one_file_is_all(what, mine):
 
 def test_they_are_listed(mine, capsys):
     assert main(["-h", "--config-dir", "mine_own"]) == 0
+    assert "spring" in capsys.readouterr().out
+    assert main(["--help", "--config-dir", "mine_own"]) == 0
     told = capsys.readouterr().out
     for name in ("spring", "heun", "scaled", "renamed", "largest"):
         assert name in told

@@ -67,7 +67,7 @@ def test_the_page_is_that_of_training_with_the_view_of_the_last_sweep(view, stor
     view.show(["model", "data.n_traj"])
     shared = f"{plain}&viewStateShareKey=symo_exp"
     assert view.page().endswith(shared)
-    assert pages(store, "http://127.0.0.1:5000") == [f"e: {shared}"]
+    assert f"e: {shared}" in pages(store, "http://127.0.0.1:5000")
     shown = json.loads(connect(store).get_experiment(experiment).tags[VIEW])
     assert shown["selectedColumns"][:3] == [
         "params.`model`", "params.`data.n_traj`", "metrics.`test_mse`",

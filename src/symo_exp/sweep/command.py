@@ -13,6 +13,7 @@ import yaml
 
 from symo_exp.errors import ConfigError
 from symo_exp.shipped import CONF, SWEEPS
+from symo_exp.training import phases
 
 SWITCHES = "-m --multirun", "-r --run", "--hydra-help", "--resolve", "-sc --shell-completion"
 WITH_A_VALUE = (
@@ -91,6 +92,8 @@ class Command:
         Raises what Hydra raises: it prints errors itself unless its environment variable says that
         they are to be raised.
         """
+        if self.runs:
+            phases.say("reading the configuration")
         import hydra
 
         from symo_exp.sweep.job import job
@@ -105,6 +108,7 @@ class Command:
             return int(end.code or 0)
         finally:
             sys.argv = before
+            phases.clear()
         return 0
 
     def _with_sweeps(self) -> list[str]:

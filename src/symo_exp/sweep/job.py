@@ -7,7 +7,7 @@ import math
 import os
 import shlex
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -21,10 +21,11 @@ from symo_exp.runs.folder import PICTURES, SERIES, About, RunFolder
 from symo_exp.runs.series import read
 from symo_exp.sweep.compose import plain
 from symo_exp.sweep.explain import one_line
+from symo_exp.sweep.table import run_line
 from symo_exp.sweep.variant import variant
 from symo_exp.tracking.page import COMMAND
 from symo_exp.tracking.revision import revision_tags
-from symo_exp.training import stopping
+from symo_exp.training import phases, stopping
 
 log = logging.getLogger(__name__)
 
@@ -48,15 +49,17 @@ def job(config: DictConfig) -> float | None:
     stopping.install()
     if stopping.requested():
         return None
-    failure = _do(config, folder, lambda: _about(config, settings))
+    choices, asked = dict(settings.runtime.choices), list(settings.overrides.task)
+    failure = _do(config, folder, lambda: _about(config, choices, asked))
+    phases.clear()
     if failure is not None and debugging():
         raise failure
     if settings.sweeper._target_ == OURS:
         return None
     if isinstance(failure, ConfigError | stopping.Interrupted):
         raise failure
+    log.info(run_line(folder))
     if failure is not None:
-        log.warning("%s failed: %s", folder, one_line(failure))
         maximize = "maximize" in str(settings.sweeper.get("direction"))
         return -math.inf if maximize else math.inf
     return optimized(config.optimized_metric, folder)
@@ -151,14 +154,13 @@ def publish(tracker: Any, folder: RunFolder) -> str:
         return ""
 
 
-def _about(config: DictConfig, settings: Any) -> About:
+def _about(config: DictConfig, choices: dict[str, Any], asked: Sequence[str]) -> About:
     """What the run is; its name says what its sweep varied: ``E2E-SyMo acrobot n=16``."""
     from symo_exp.report.looks import look
 
     def compose(overrides: list[str]) -> DictConfig:
         return hydra.compose("config", overrides, return_hydra_config=True)
 
-    choices, asked = dict(settings.runtime.choices), list(settings.overrides.task)
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
     told = [o.rpartition(".")[2] for o in varied if not o.startswith(NAMED)]

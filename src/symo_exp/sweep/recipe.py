@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,8 +33,7 @@ from symo_exp.runs.folder import (
 )
 from symo_exp.runs.series import Series
 from symo_exp.sweep.compose import plain
-from symo_exp.sweep.table import one_line
-from symo_exp.training import resuming, stopping
+from symo_exp.training import phases, resuming, stopping
 from symo_exp.training.recording import Recording
 
 log = logging.getLogger(__name__)
@@ -60,26 +58,27 @@ def run(
     It goes on where an earlier start in the same folder was cut; of a run that is ``trained`` only
     what is missing besides is done.
     """
-    start = time.perf_counter()
     folder.mark_published(None)
     measured = trained and folder.reference() == plain(config).get("reference")
     folder.write_config(plain(config))
     folder.describe(about)
+    phases.say(f"{about.name}: opening the store")
     _announce(parts.tracker, folder)
+    phases.say(f"{about.name}: making the data")
     with default_dtype(config.dtype):
         _train(parts, folder / CHECKPOINTS, digest(plain(config)))
         drawn = not config.pictures or ((folder / PICTURES).exists() and measured)
         if not measured or not drawn:
+            phases.say(f"{about.name}: measuring")
             evaluation = evaluate(parts.model.cpu(), parts.system, parts.data, parts.reference)
             _tell(folder, ROLLOUTS, evaluation.rollouts)
             if evaluation.recorded is not None:
                 _tell(folder, WINDOWS, evaluation.recorded)
             if not drawn:
+                phases.say(f"{about.name}: drawing pictures")
                 _draw(parts, evaluation, about, folder / PICTURES)
             folder.write_measures(evaluation.measures)
         _study(config, folder, parts)
-    seconds = time.perf_counter() - start
-    log.info("%s: %s  (%.0f s; %s)", about.name, one_line(folder.measures()), seconds, folder)
 
 
 def build(config: DictConfig, folder: RunFolder) -> Parts:
@@ -204,6 +203,7 @@ def _study(config: DictConfig, folder: RunFolder, parts: Parts) -> None:
     cache = getattr(parts.data, "cache", None)  # recorded data have none
     remember = afresh if cache is None else cache.get
     for name in folder.missing_studies(asked):
+        phases.say(f"study {name}")
         parts.data.setup()  # once
         found = make(config.study, name)(parts.model, parts.system, parts.data, remember=remember)
         columns = {key: x.numpy() for key, x in found.columns.items()}

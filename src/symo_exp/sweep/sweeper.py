@@ -34,8 +34,7 @@ from symo_exp.sweep.job import debugging, is_done, publish
 from symo_exp.sweep.parent import parent
 from symo_exp.sweep.places import check_folder, check_places
 from symo_exp.sweep.table import Watch, table
-from symo_exp.sweep.table import one_line as measures_of
-from symo_exp.training import stopping
+from symo_exp.training import phases, stopping
 
 log = logging.getLogger(__name__)
 
@@ -113,10 +112,12 @@ class Sweep:
         """Build all that every job names, so that nothing is found wrong when others have run."""
         if not jobs:
             return  # without the seconds of the import
+        phases.say("importing PyTorch and Lightning")
         with first_import("symo_exp.sweep.recipe"):
             from symo_exp.sweep.recipe import build
         stores = []
-        for job in jobs:
+        for place, job in enumerate(jobs, 1):
+            phases.say(f"checking run {place} of {len(jobs)}")
             try:
                 check_folder(job.folder.path)
                 here = self._cluster.as_here(job.config) if self._cluster else job.config
@@ -131,13 +132,15 @@ class Sweep:
 
     def _do(self, jobs: Sequence[Job], todo: Sequence[Job]) -> None:
         on_stop = self._cluster.stop if self._cluster else None
+        phases.say("opening the store")
         tracker = instantiate(todo[0].config.logger)
         tracker.close_dead()
         with ExitStack() as stack:
             if len(jobs) > 1:
                 typed = self._master.hydra.overrides.task or [self._master.hydra.job.config_name]
                 stack.enter_context(parent(jobs, " ".join(typed), tracker))
-            stack.enter_context(Watch([job.folder for job in jobs], on_stop))
+            apart = "basic_launcher" not in self._master.hydra.launcher._target_
+            stack.enter_context(Watch([job.folder for job in jobs], on_stop, apart=apart))
             self._launch_all(todo)
             for job in todo:
                 if job.folder.died():
@@ -205,21 +208,22 @@ class Sweep:
             publish(tracker, job.folder)
 
     def _sum_up(self, jobs: Sequence[Job], finished: Sequence[Job]) -> int:
-        outcomes = [job.folder.outcome() for job in jobs]
+        phases.clear()
+        outcomes, folders = [job.folder.outcome() for job in jobs], [job.folder for job in jobs]
         if len(jobs) > 1:
-            print(table([job.label for job in jobs], [job.folder for job in jobs]))
-            if page := instantiate(jobs[0].config.logger).page():
-                print(f"\npython -m symo_exp.report compares them; as they are: {page}")
+            print(table([job.label for job in jobs], folders))
+            # to look for it takes the seconds of an import
+            if len(finished) < len(jobs) and (page := instantiate(jobs[0].config.logger).page()):
+                print(f"To compare them: python -m symo_exp.report. To look at them: {page}")
+        elif outcomes[0].status == "refused":
+            raise ConfigError(outcomes[0].reason)
+        elif outcomes[0].status == "finished":
+            about = folders[0].about()
+            print(table([about.name if about else ""], folders))
+            print(f"{folders[0]}" + " (finished already; resume=false repeats)" * bool(finished))
         else:
-            ((outcome,), (job,)) = (outcomes, jobs)
-            if outcome.status == "refused":
-                raise ConfigError(outcome.reason)
-            if finished:
-                told = measures_of(job.folder.measures())
-                print(f"{told}  (finished already: {job.folder}; resume=false repeats)")
-            elif outcome.status != "finished":
-                told = f"{outcome.status}: {outcome.reason} (log: {job.folder / LOG})"
-                print(f"symo_exp: {told}", file=sys.stderr)
+            told = f"{outcomes[0].status}: {outcomes[0].reason} (log: {folders[0] / LOG})"
+            print(f"symo_exp: {told}", file=sys.stderr)
         signum = stopping.requested()
         if signum is not None:
             return 128 + signum

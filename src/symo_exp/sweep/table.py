@@ -1,21 +1,33 @@
-"""How far a sweep has come and how it ended, as a person reads it."""
+"""How far a sweep has come and how it ended, as a person reads it: lines of 80 columns."""
 
 from __future__ import annotations
 
 import math
+import textwrap
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from symo_exp.runs.folder import LOG, RunFolder
-from symo_exp.training import stopping
+from symo_exp.runs.outcome import Outcome
+from symo_exp.training import phases, stopping
 
-MEASURES = ("train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse")
-"""The five that a line shows; the others are in the files of the run."""
-RECORDED = "rmse_2s"
-"""Of runs on recordings it is shown, too."""
+MEASURES = {
+    "train_mse": "train", "test_mse": "test", "integration_mse": "integration",
+    "energy_mse": "energy", "inertia_mse": "inertia",
+    "rmse_2s": "to 2 s",  # of runs on recordings
+}  # fmt: skip
+"""The measures that a table shows, and their columns; the others are in the files of the run."""
+UNITS = {
+    "test_mse": "MSE in m², rad²", "energy_mse": "energy in J²",
+    "inertia_mse": "inertia in kg², kg² m², kg² m⁴", "rmse_2s": "to 2 s: RMSE in m, rad",
+}  # fmt: skip
+SHORT = "test_mse", "integration_mse", "rmse_2s"
+"""Those of a line."""
+ENDED = "finished", "failed", "refused", "interrupted"
+WIDTH, NUMBER = 80, 8
 SECONDS = 0.5
 
 
@@ -27,47 +39,92 @@ def written(x: float) -> str:
     return f"{digits}e{int(exponent)}"
 
 
-def one_line(measures: Mapping[str, float]) -> str:
-    """The measures that a line shows, those that there are."""
-    names = (name for name in (*MEASURES, RECORDED) if name in measures)
-    return "  ".join(f"{name} {measures[name]:.3g}" for name in names)
+def run_line(folder: RunFolder) -> str:
+    """A run that has ended, its folder last."""
+    about, outcome, measures = folder.about(), folder.outcome(), folder.measures()
+    told = [f"{MEASURES[name]} {written(measures[name])}" for name in SHORT if name in measures]
+    if outcome.status != "finished":
+        told = [f"{outcome.status}: {outcome.reason}"]
+    name = about.name if about else folder.path.name
+    return "  ".join([name, *told, duration(outcome.seconds), str(folder)])
 
 
 def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
-    """A row for each run, and for those that are not finished the reason and the log."""
-    recorded = any(RECORDED in folder.measures() for folder in folders)
-    shown = (*MEASURES, RECORDED) if recorded else MEASURES
-    rows, failures = [["run", *shown, "seconds"]], []
-    for label, folder in zip(labels, folders, strict=True):
-        outcome, measures = folder.outcome(), folder.measures()
-        finished = outcome.status == "finished"
-        cells = (measures.get(name) if finished else None for name in shown)
-        numbers = ["-" if x is None else f"{x:.3g}" for x in cells]
-        rows.append([label, *numbers, f"{outcome.seconds:.0f}"])
-        if not finished:
-            failures.append(f"{outcome.status}: {label}: {outcome.reason} (log: {folder / LOG})")
-    return "\n".join([*_columns(rows), *failures])
+    """A row for each run, the best marked; for those not finished the reason and the log."""
+    outcomes = [folder.outcome() for folder in folders]
+    found = [
+        folder.measures() if outcome.status == "finished" else {}
+        for folder, outcome in zip(folders, outcomes, strict=True)
+    ]
+    shown = [name for name in MEASURES if any(name in measures for measures in found)]
+    columns = [_column(name, found) for name in shown]
+    columns.append(["time", *(f"{outcome.seconds:.0f} s" for outcome in outcomes)])
+    widths = [max(map(len, column)) for column in columns]
+    room = WIDTH - sum(width + 2 for width in widths)
+    names = [_fitted(name, max(room, 12)) for name in ("", *map(_brief, labels))]
+    first = max(map(len, names))
+    lines = []
+    for name, *cells in zip(names, *columns, strict=True):
+        numbers = (cell.rjust(width) for cell, width in zip(cells, widths, strict=True))
+        lines.append("  ".join([name.ljust(first), *numbers]))
+    if shown:
+        units = [unit for name, unit in UNITS.items() if name in shown]
+        told = "; ".join([*["* the best"] * (len(folders) > 1), *units])
+        lines += textwrap.wrap(told, WIDTH)
+    return "\n".join([*lines, *_failures(labels, folders, outcomes)])
 
 
-def _columns(rows: Sequence[Sequence[str]]) -> Iterable[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        first, *rest = row
-        numbers = (cell.rjust(width) for cell, width in zip(rest, widths[1:], strict=True))
-        yield "  ".join([first.ljust(widths[0]), *numbers])
+def _column(name: str, found: Sequence[Mapping[str, float]]) -> list[str]:
+    values = [measures.get(name, math.nan) for measures in found]
+    there = [x for x in values if not math.isnan(x)]
+    best = min(there) if len(there) > 1 else math.nan
+    cells = [
+        f"{written(x)}{'*' if x == best else ' '}" if name in measures else "- "
+        for x, measures in zip(values, found, strict=True)
+    ]
+    return [MEASURES[name] + " ", *cells]
+
+
+def _failures(
+    labels: Sequence[str], folders: Sequence[RunFolder], outcomes: Sequence[Outcome]
+) -> list[str]:
+    return [
+        f"{outcome.status}: {label}: {outcome.reason} (log: {folder / LOG})"
+        for label, folder, outcome in zip(labels, folders, outcomes, strict=True)
+        if outcome.status != "finished"
+    ]
+
+
+def _brief(label: str) -> str:
+    """``node n=8 seed=1`` for ``model=node data.n_traj=8 seed=1``."""
+    words = []
+    for word in label.split():
+        key, equals, value = word.partition("=")
+        named = {"model": "", "system": "", "pair": "", "data.n_traj": "n="} if equals else {}
+        words.append(named.get(key, key.rpartition(".")[2] + equals) + value)
+    return " ".join(words)
+
+
+def _fitted(text: str, room: int) -> str:
+    half = (room - 1) // 2
+    return text if len(text) <= room else f"{text[:half]}…{text[len(text) - (room - half - 1) :]}"
 
 
 class Watch:
     """A line whenever a run of the sweep has ended, whichever process does it.
 
+    ``apart``: the runs are in other processes, and a terminal is told meanwhile how many.
     ``on_stop`` is called once, when the command has been asked to stop.
     """
 
-    def __init__(self, folders: Sequence[RunFolder], on_stop: Any = None) -> None:
+    def __init__(
+        self, folders: Sequence[RunFolder], on_stop: Any = None, *, apart: bool = False
+    ) -> None:
         self._open = set(folders)
         self._counts: Counter[str] = Counter()
         self._total = len(folders)
-        self._on_stop = on_stop
+        self._on_stop, self._apart = on_stop, apart
+        self._running = 0
         self._look()
         self._ended_before = self._counts.total()
         self._start = time.monotonic()
@@ -82,40 +139,40 @@ class Watch:
         self._thread.join()
 
     def _watch(self) -> None:
-        seen = self._counts.total()
         while True:
             last = self._over.wait(SECONDS)
-            running = self._look()
-            if self._counts.total() != seen and self._total > 1:
-                seen = self._counts.total()
-                print(self._line(running), flush=True)
+            before = self._counts.total()
+            ended = self._look()
+            for place, folder in enumerate(ended if self._total > 1 else (), before + 1):
+                phases.clear()
+                print(f"{place} of {self._total}: {run_line(folder)}", flush=True)
+            if self._total > 1 and (self._apart or ended) and not last:
+                phases.say(self._line())
             if self._on_stop is not None and stopping.requested() is not None:
                 self._on_stop()
                 self._on_stop = None
             if last:
                 return
 
-    def _look(self) -> int:
-        """Count those that have ended since; how many are running."""
-        running = 0
-        for folder in [*self._open]:
-            status = folder.outcome().status
-            if status in ("finished", "failed", "refused", "interrupted"):
-                self._counts[status] += 1
-                self._open.remove(folder)
-            running += status == "running"
-        return running
+    def _look(self) -> list[RunFolder]:
+        """Those that have ended since."""
+        status = {folder: folder.outcome().status for folder in self._open}
+        ended = [folder for folder in status if status[folder] in ENDED]
+        self._counts.update(status[folder] for folder in ended)
+        self._open.difference_update(ended)
+        self._running = sum(one == "running" for one in status.values())
+        return ended
 
-    def _line(self, running: int) -> str:
+    def _line(self) -> str:
         parts = [f"{self._counts['finished']} of {self._total} runs finished"]
         bad = self._counts.total() - self._counts["finished"]
         if bad:
             parts.append(f"{bad} not well")
-        if running:
-            parts.append(f"{running} running")
-        if self._open and stopping.requested() is None:
-            ended = self._counts.total() - self._ended_before
-            pace = (time.monotonic() - self._start) / max(ended, 1)
+        if self._running:
+            parts.append(f"{self._running} running")
+        ended = self._counts.total() - self._ended_before
+        if self._open and ended and stopping.requested() is None:
+            pace = (time.monotonic() - self._start) / ended
             parts.append(f"about {duration(pace * len(self._open))} left")
         return ", ".join(parts)
 

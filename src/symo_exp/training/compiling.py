@@ -8,6 +8,7 @@ from typing import Any
 import lightning
 
 from symo_exp.compile import compile_training, compiler_available, trains_compiled
+from symo_exp.training import phases
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +33,7 @@ class CompileTraining(lightning.Callback):
             reason = "no C++ compiler here" if possible else "no fixed sequence of operations"
             log.warning("this training is not compiled: %s", reason)
         elif possible and available and (self.mode is True or self._worthwhile(trainer, pl_module)):
+            phases.say("compiling the training step, up to a minute")
             compile_training(pl_module, validation=watches_much(trainer))
 
     def _worthwhile(self, trainer: lightning.Trainer, pl_module: Any) -> bool:

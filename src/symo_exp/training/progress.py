@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import sys
 import time
 from typing import Any
 
 import lightning
 from tqdm import tqdm
+
+from symo_exp.training import phases
 
 _REFRESH = 0.2  # seconds; reading a loss from a GPU waits for it
 
@@ -18,12 +18,12 @@ class ProgressBar(lightning.Callback):
     process of a sweep among others."""
 
     def __init__(self) -> None:
-        alone = multiprocessing.current_process().name == "MainProcess"
-        self.shown = alone and (sys.stderr.isatty() or "ipykernel" in sys.modules)
+        self.shown = phases.shown(notebook=True)
         self._bar: Any = None
         self._drawn = 0.0
 
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        phases.clear()
         if self.shown:
             start = trainer.current_epoch
             self._bar = tqdm(

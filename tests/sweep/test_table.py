@@ -1,0 +1,86 @@
+"""What a sweep says of its runs: within 80 columns, the best marked, what is told on a terminal."""
+
+import io
+import math
+import sys
+
+import pytest
+
+from symo_exp.runs.folder import About, RunFolder
+from symo_exp.sweep.table import run_line, table, written
+from symo_exp.training import phases
+
+MEASURES = {
+    "train_mse": 1.234e-4, "test_mse": 2e-4, "integration_mse": 1.9e6, "energy_mse": 5.0,
+    "inertia_mse": 1e-9, "rmse_2s": 0.5, "lr": 1e-3,
+}  # fmt: skip
+
+
+def made(path, *, status="finished", **measures) -> RunFolder:
+    folder = RunFolder(path)
+    folder.path.mkdir()
+    folder.describe(About("SyMo pendulum n=8", {}))
+    folder.write_measures(measures)
+    folder.record(status, "" if status == "finished" else "out of memory", seconds=12.3)
+    return folder
+
+
+def test_the_table_fits_and_the_best_of_each_column_is_marked(tmp_path):
+    long = "model=symo data.n_traj=8 optimizer.lr=1e-3 system.time_step=0.05 seed=12"
+    folders = [
+        made(tmp_path / "a", **MEASURES),
+        made(tmp_path / "b", **{**MEASURES, "test_mse": 1e-7}),
+        made(tmp_path / "c", **{**MEASURES, "energy_mse": math.inf, "inertia_mse": math.nan}),
+    ]
+    lines = table([long, "model=node", "model=symo data.n_traj=8"], folders).splitlines()
+    assert max(map(len, lines)) <= 80
+    header, first, node, symo, units, *_ = lines
+    assert header.split()[:3] == ["train", "test", "integration"]
+    assert first.startswith("symo …")
+    assert "eed=12  " in first
+    assert node.startswith("node  ")
+    assert "1.00e-7*" in node
+    assert "1.00e-7" not in first + symo
+    assert symo.split()[:2] == ["symo", "n=8"]
+    assert units.startswith("* the best; MSE in m², rad²; energy in J²; inertia in kg²")
+
+
+def test_what_no_run_has_has_no_column_and_a_failure_is_told(tmp_path):
+    folders = [made(tmp_path / "a", test_mse=1.0), made(tmp_path / "b", status="failed")]
+    header, first, second, units, failed = table(["seed=0", "seed=1"], folders).splitlines()
+    assert header.split() == ["test", "time"]
+    assert first.split() == ["seed=0", "1", "12", "s"]  # nothing to be better than
+    assert second.split() == ["seed=1", "-", "12", "s"]
+    assert "energy" not in units
+    assert failed.startswith("failed: seed=1: out of memory (log: ")
+    assert "symo_exp.log" in failed
+
+
+def test_a_run_is_a_short_line_its_folder_last(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = run_line(made(tmp_path / "a", **MEASURES))
+    assert line == "SyMo pendulum n=8  test 2.00e-4  integration 1.90e6  to 2 s 0.5  12 s  a"
+    line = run_line(made(tmp_path / "b", status="failed"))
+    assert line == "SyMo pendulum n=8  failed: out of memory  12 s  b"
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [(1.3849e-4, "1.38e-4"), (0.498, "0.498"), (38.6, "38.6"), (2288.1, "2.29e3"), (0.0, "0"),
+     (math.inf, "inf"), (math.nan, "nan")],
+)  # fmt: skip
+def test_numbers_are_short(number, said):
+    assert written(number) == said
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_phases_are_said_on_a_terminal_alone_and_make_room(terminal, monkeypatch):
+    said = io.StringIO()
+    said.isatty = lambda: terminal
+    monkeypatch.setattr(sys, "stderr", said)
+    phases.say("measuring " + 100 * "x")
+    phases.clear()
+    *_, last = said.getvalue().split(phases.ERASED)
+    assert last == ""
+    assert ("measuring" in said.getvalue()) == terminal
+    assert all(len(part) <= 80 for part in said.getvalue().split(phases.ERASED))
