@@ -16,10 +16,10 @@ from symo_exp.shipped import CONF, SWEEPS
 USAGE = """\
 Learn the dynamics of a mechanical system from trajectories.
 
-python -m symo_exp model=symo system=acrobot      one run
-python -m symo_exp model=symo -m data.n_traj=8,16 a sweep, one run for each
-python -m symo_exp -cn smoke                      a sweep kept in a file
-python -m symo_exp record Swimmer-v5 --out a.csv  motions of an environment
+python -m symo_exp model=symo system=acrobot        one run
+python -m symo_exp model=symo -m data.n_traj=8,16   a sweep, one run for each
+python -m symo_exp -cn smoke                        a sweep kept in a file
+python -m symo_exp record Swimmer-v5 --out F.csv    motions of an environment
 """
 CHANGED = {
     "model": "", "system": "", "data": "", "integrator": "", "preset": "",

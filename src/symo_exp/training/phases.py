@@ -8,11 +8,10 @@ import sys
 ERASED = "\r\x1b[K"
 
 
-def shown() -> bool:
-    """Whether somebody watches, on a terminal or in a notebook: not in a file, a pipe, or a process
-    of a sweep among others."""
+def shown(*, notebook: bool = False) -> bool:
+    """Whether somebody watches: not in a file, a pipe, or a process of a sweep among others."""
     alone = multiprocessing.current_process().name == "MainProcess"
-    return alone and (sys.stderr.isatty() or "ipykernel" in sys.modules)
+    return alone and (sys.stderr.isatty() or (notebook and "ipykernel" in sys.modules))
 
 
 def say(text: str) -> None:
