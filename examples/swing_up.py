@@ -1,0 +1,208 @@
+"""Swing a pole up with a model that was learned from a few trajectories.
+
+Record short motions of the true system under constant inputs, learn, plan on the learned model,
+follow the plan and hold the top; all gains come from ``model.linearize``. The loop is closed in the
+true environment, of which the controller has seen nothing else::
+
+    python examples/swing_up.py --system cartpole --seed 0 --model symo --animation cartpole.webp
+    python examples/swing_up.py --table results/control  # both systems, three methods, ten seeds
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import torch
+from PIL import Image
+from planning import Plan, Planner
+
+import symo_exp
+
+HORIZON, DURATION = 8.0, 25.0
+"""Seconds of the plan and of the trial."""
+BY, NEAR = 10.0, 0.1
+"""Upright: from this time [s] on all angles are so near [rad]."""
+LEARN = {
+    "symo": ["model=symo"],
+    "node": ["model=node", "integrator=dopri5", "objective=plain"],
+    "l_node": ["model=l_node", "integrator=dopri5", "objective=plain"],
+}
+SEEDS = range(10)
+
+
+class Task(NamedTuple):
+    """What is to be done; states are ``(q, v)`` and costs per second, all in SI units."""
+
+    start: tuple[float, ...]
+    goal: tuple[float, ...]
+    trajectories: int
+    limit: float
+    """Of the input, in the recorded motions as in the trial [N or N m]."""
+    running: tuple[float, ...]
+    effort: float
+    final: tuple[float, ...]
+    """Of the first plan; the second has what LQR says."""
+    iterations: tuple[int, int]
+
+
+TASKS = {
+    "cartpole": Task(
+        (0.0, np.pi, 0.0, 0.0), (0.0,) * 4, 8, 2.0,
+        (1.0, 0.1, 0.1, 0.1), 0.1, (100.0,) * 4, (40, 20),
+    ),
+    "acrobot": Task(
+        (0.0,) * 4, (np.pi, 0.0, 0.0, 0.0), 32, 5.0,
+        (0.1, 0.1, 0.1, 0.1), 0.02, (100.0, 100.0, 10.0, 10.0), (60, 60),
+    ),
+}  # fmt: skip
+
+
+class Trial(NamedTuple):
+    """One line of the table."""
+
+    system: str
+    model: str
+    seed: int
+    success: bool
+    upright: float
+    """From this time on [s]; infinite if not at the end."""
+    deviation: float
+    """Largest distance of a coordinate from the plan [rad or m]."""
+    reach: float
+    """Farthest that a coordinate that is no angle was [m]; 0 without one."""
+    learned: float
+    planned: float
+    """Seconds of learning and planning; learning is 0 where the run was there."""
+
+    def line(self) -> str:
+        ends = f"upright from {self.upright:.1f} s" if self.success else "not upright"
+        return (
+            f"{self.system} {self.model} seed {self.seed}: {ends}, {self.deviation:.1e} off the "
+            f"plan, cart within {self.reach:.2f} m; learned in {self.learned:.0f} s, planned in "
+            f"{self.planned:.0f} s"
+        )
+
+
+def learn(system: str, method: str, seed: int) -> symo_exp.Run:
+    """A model from short motions of the true system."""
+    task = TASKS[system]
+    run = symo_exp.run(
+        *LEARN[method], f"system={system}", f"seed={seed}", "preset=fast", "experiment=swing_up",
+        f"data.n_traj={task.trajectories}", f"system.box.u=[[-{task.limit},{task.limit}]]",
+        "logger=none", "pictures=false", "data.n_integration=2",
+    )  # fmt: skip
+    assert isinstance(run, symo_exp.Run)
+    return run
+
+
+def plan(model: Any, task: Task) -> tuple[Planner, Plan]:
+    """In two stages: to the goal, then so that LQR can hold it there."""
+    start, goal, running, final = (
+        torch.tensor(x, dtype=torch.float64)
+        for x in (task.start, task.goal, task.running, task.final)
+    )
+    planner = Planner(
+        model, start, goal, steps=round(HORIZON / model.time_step), limit=task.limit,
+        running=running, effort=task.effort,
+    )  # fmt: skip
+    first, second = task.iterations
+    rough = planner.improve(None, torch.diag(final), first)
+    return planner, planner.improve(rough, planner.hold()[1], second)
+
+
+def drive(env: Any, planner: Planner, planned: Plan) -> tuple[np.ndarray, list[Any]]:
+    """The states (nodes, 2n) of a trial in the true environment, and its pictures."""
+    hold, value = planner.hold()
+    gains = planner.follow(planned, value)
+    start = planner.start.split(planner.n)
+    x, _ = env.reset(options={"q": start[0].numpy(), "v": start[1].numpy()})
+    states, frames = [x], [env.render()]
+    for k in range(round(DURATION / planner.model.time_step)):
+        now = torch.from_numpy(x)
+        if k < len(gains):
+            u = planned.u[k] - gains[k] @ (now - planned.x[k])
+        else:
+            u = -hold @ (now - planner.goal)
+        x, *_ = env.step(u.numpy())
+        states.append(x)
+        frames.append(env.render())
+    return np.stack(states), frames
+
+
+def trial(system: str, method: str, seed: int, animation: Path | None = None) -> Trial:
+    """Learn, plan and try."""
+    begun = time.perf_counter()
+    run = learn(system, method, seed)
+    learned = time.perf_counter()
+    model = run.model.for_evaluation()
+    symo_exp.compile_rollout(model)
+    planner, planned = plan(model, TASKS[system])
+    took = time.perf_counter() - learned
+    env = run.model.system.environment(render_mode="rgb_array" if animation else None)
+    states, frames = drive(env, planner, planned)
+    if animation is not None:
+        pictures = [Image.fromarray(frame).resize((240, 240)) for frame in frames[::2]]
+        pause = round(2000 * model.time_step)
+        pictures[0].save(animation, save_all=True, append_images=pictures[1:], duration=pause)
+    angular = np.array(model.coordinates.angular)
+    q = states[:, : planner.n]
+    off = np.abs(q - planner.goal[: planner.n].numpy())[:, angular].max(1)
+    late = np.flatnonzero(off > NEAR)[-1:] + 1  # the node after the last one that is not near
+    upright = float(late[0] * model.time_step) if late[0] < len(off) else np.inf
+    deviation = np.abs(q[: len(planned.x)] - planned.x[:, : planner.n].numpy()).max()
+    reach = np.abs(q[:, ~angular]).max(initial=0.0)
+    return Trial(
+        system, method, seed, upright <= BY, upright, float(deviation), float(reach),
+        learned - begun, took,
+    )  # fmt: skip
+
+
+def table(folder: Path) -> str:
+    """All trials that are not in ``runs.csv`` yet, then a table of all that are."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "runs.csv"
+    done = pd.read_csv(file) if file.exists() else pd.DataFrame(columns=list(Trial._fields))
+    known = set(zip(done.system, done.model, done.seed, strict=True))
+    for system, method, seed in itertools.product(TASKS, LEARN, SEEDS):
+        if (system, method, seed) not in known:
+            first = folder / f"{system}.webp" if (method, seed) == ("symo", 0) else None
+            found = trial(system, method, seed, first)
+            print(found.line(), flush=True)
+            done = pd.concat([done, pd.DataFrame([found])], ignore_index=True)
+            done.to_csv(file, index=False)
+    lines = [
+        "| | | upright | off the plan, median | learned | planned |",
+        "|---|---|---|---|---|---|",
+    ]
+    for (system, method), rows in done.groupby(["system", "model"], sort=False):
+        lines.append(
+            f"| {system} | {method} | {int(rows.success.sum())} of {len(rows)} "
+            f"| {rows.deviation.median():.1e} | {rows.learned.median():.0f} s "
+            f"| {rows.planned.median():.0f} s |"
+        )
+    (folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--system", choices=TASKS, default="cartpole")
+    parser.add_argument("--model", choices=LEARN, default="symo")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--animation", type=Path, help="file to write, .webp or .gif")
+    parser.add_argument("--table", type=Path, help="folder of the table of all")
+    given = parser.parse_args()
+    if given.table is not None:
+        print(table(given.table))
+    else:
+        print(trial(given.system, given.model, given.seed, given.animation).line())
+
+
+if __name__ == "__main__":
+    main()
