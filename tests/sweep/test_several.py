@@ -33,7 +33,15 @@ def started(monkeypatch):
 def test_the_thesis_is_all_that_its_figures_need():
     names = {command.name for command in Command(["-cn", "thesis"]).several()}
     others = {file.stem for file in SWEEPS.glob("*.yaml")}
-    assert names == others - {"thesis", "smoke", "demo", "accuracy", "search", "noise_robust"}
+    assert names == others - {
+        "thesis",
+        "smoke",
+        "demo",
+        "accuracy",
+        "search",
+        "noise_robust",
+        "growth",
+    }
     assert Command(["-cn", "tables"]).several() == Command([]).several() == []
 
 
