@@ -82,10 +82,10 @@ class Trial(NamedTuple):
 
     def line(self) -> str:
         ends = f"upright from {self.upright:.1f} s" if self.success else "not upright"
+        moved = f", moved by {self.reach:.2f} m" if self.reach else ""
         return (
             f"{self.system} {self.model} seed {self.seed}: {ends}, {self.deviation:.1e} off the "
-            f"plan, cart within {self.reach:.2f} m; learned in {self.learned:.0f} s, planned in "
-            f"{self.planned:.0f} s"
+            f"plan{moved}; learned in {self.learned:.0f} s, planned in {self.planned:.0f} s"
         )
 
 
@@ -142,7 +142,11 @@ def trial(system: str, method: str, seed: int, animation: Path | None = None) ->
     learned = time.perf_counter()
     model = run.model.for_evaluation()
     symo_exp.compile_rollout(model)
-    planner, planned = plan(model, TASKS[system])
+    try:
+        planner, planned = plan(model, TASKS[system])
+    except np.linalg.LinAlgError:  # of this model the goal cannot be held
+        took = time.perf_counter() - learned
+        return Trial(system, method, seed, False, np.inf, np.inf, 0.0, learned - begun, took)
     took = time.perf_counter() - learned
     env = run.model.system.environment(render_mode="rgb_array" if animation else None)
     states, frames = drive(env, planner, planned)
