@@ -121,6 +121,7 @@ KEPT = [
     {"batch_size": 3},
     {"shuffle": False},
     {"dtype": "float64"},
+    {"velocities": "estimated"},
     {"monitor": "test"},
     {"monitor_trajectories": 1},
 ]

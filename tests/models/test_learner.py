@@ -28,7 +28,7 @@ def test_the_numbers_of_an_epoch_are_kept(tmp_path):
     )  # fmt: skip
     trainer.fit(model, torch.utils.data.DataLoader(batches, batch_size=None))
     told = model.epoch_metrics
-    assert {"train_loss", "lr", "step_ms", "training_seconds", "rows"} == set(told)
+    assert {"train_loss", "lr", "step_ms", "training_seconds", "peak_memory", "rows"} == set(told)
     assert all(type(value) is float for value in told.values())
     assert told["rows"] == 6.0
     assert told["lr"] == 0.01
