@@ -172,7 +172,7 @@ class Smoothing:
         return e, self._chain.factor(scaled, self._epsilon**2)
 
     def _move(self, at: Linear, x: Tensor, r: Tensor, theta: Tensor) -> Move | None:
-        """The next trial; ``None`` where the equations have no factor or the way bends too much."""
+        """The next trial, straight where the way bends too much; ``None`` without a factor."""
         prior = self._memory["noise"] * self._memory["precision"][self._group]
         slope = (at.gradient + prior * theta) * self._moves
         diagonal = at.gram.diagonal()
