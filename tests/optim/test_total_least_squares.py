@@ -194,7 +194,24 @@ def test_a_method_that_reads_velocities_has_states_for_nodes():
     assert float(found[-1]["train_loss"]) < float(found[0]["train_loss"])
 
 
-@pytest.mark.parametrize("wrong", [{"epsilons": (1.0, 0.0)}, {"start": 0}, {"velocity_weight": -1}])
+def test_inputs_with_errors_are_nodes_too():
+    """They end nearer to the truth than they were measured, the rest of the model where it was."""
+    noise = NOISE / 20
+    clean = lengths(60, 50, n=1, noise=noise)
+    generator = torch.Generator().manual_seed(1)
+    errors = [torch.randn(t.u.shape, dtype=torch.float64, generator=generator) for t in clean]
+    noisy = [t._replace(u=t.u + e) for t, e in zip(clean, errors, strict=True)]
+    settings = {"epsilons": (0.3,), "starts": 1, "start": 15, "epochs": 10}
+    optimizer, found = train(symo(1), noisy, input_weight=1.0 / noise, **settings)
+    u = torch.cat([t.u for t in clean])
+    assert (optimizer.memory["nodes"][:, 1:] - u).std() < 0.8 * torch.cat(errors).std()
+    assert float(found[-1]["noise_estimate"]) == pytest.approx(noise, rel=0.3)
+
+
+BAD = ({"epsilons": (1.0, 0.0)}, {"start": 0}, {"velocity_weight": -1}, {"input_weight": -1})
+
+
+@pytest.mark.parametrize("wrong", BAD)
 def test_bad_settings_are_refused_in_a_line(wrong):
     with pytest.raises(ConfigError, match=f"optimizer.{next(iter(wrong))}"):
         TotalLeastSquares(symo().parameters(), **wrong)

@@ -28,8 +28,8 @@ class Owner(Protocol):
     parameters: list[Tensor]
     memory: dict[str, Any]
     trials: int
-    velocity_weight: float
 
+    def weight(self, chain: Chain) -> Float[Tensor, " d"]: ...
     def flat(self) -> Tensor: ...
     def place(self, flat: Tensor) -> None: ...
 
@@ -85,8 +85,7 @@ class Smoothing:
         """``epsilon=None`` holds the nodes; ``late`` lets the late parameters move."""
         self._owner, self._memory, self._model = owner, owner.memory, model
         self._chain, self._epsilon = chain, epsilon
-        self._weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
-        self._weight[chain.n :] = owner.velocity_weight
+        self._weight = owner.weight(chain)
         sizes = torch.tensor([p.numel() for p in owner.parameters])
         self._group = torch.repeat_interleave(torch.arange(len(sizes)), sizes)
         self._flat = torch.tensor([is_coefficient(p) for p in owner.parameters])

@@ -34,7 +34,8 @@ class TotalLeastSquares(EpochOptimizer):
 
     ``y`` are the measured nodes of all trajectories, ``r(x; θ)`` the residuals of the model on
     three consecutive ones: the noise in the data is estimated with the model instead of being
-    learned (errors in variables, a weak constraint). See ``smoothing.Smoothing`` for a step.
+    learned (errors in variables, a weak constraint). With an ``input_weight`` the inputs are nodes,
+    too: ``Σ|u − u_measured|²/σ_u²`` joins. See ``smoothing.Smoothing`` for a step.
 
     The nodes are smoothed first, and held for ``start`` epochs from each of ``starts``: the initial
     parameters, where ``warm_up`` steps of Adam take these, its ``rate`` along a half cosine, and
@@ -60,20 +61,24 @@ class TotalLeastSquares(EpochOptimizer):
         damping: float = 1e-2,
         trials: int = 14,
         velocity_weight: float = 1.0,
+        input_weight: float = 0.0,
         seed: int = 0,
     ) -> None:
-        """``velocity_weight`` is the noise of velocities over that of configurations [1/s]."""
+        """``velocity_weight`` is the noise of velocities over that of configurations [1/s],
+        ``input_weight`` that of inputs [N/m, N m/rad]; 0: inputs are exact."""
         super().__init__(params, patience=10**9)
         counts = ("starts", starts), ("start", start), ("epochs", epochs), ("trials", trials)
         sizes = ("damping", damping), ("rate", rate), ("velocity_weight", velocity_weight)
         for name, value in (*counts, *sizes, *(("epsilons", e) for e in epsilons)):
             if not value > 0:
                 raise ConfigError(f"optimizer.{name}={value}: expected a number above 0")
+        if not 0 <= input_weight < float("inf"):
+            raise ConfigError(f"optimizer.input_weight={input_weight}: expected 0 or more")
         if any(p.dtype != torch.float64 for p in self.parameters):
             raise ConfigError("total least squares squares its condition: it needs dtype=float64")
         self.start, self.epochs, self.trials, self.damping = start, epochs, trials, damping
         self.warm_up, self.rate, self.seed = warm_up, rate, seed
-        self.velocity_weight = velocity_weight
+        self.velocity_weight, self.input_weight = velocity_weight, input_weight
         late = any(map(is_late, self.parameters))
         begins = [Stage(None, start=i) for i in range(starts)]
         rounds = [Stage(e) for e in epsilons]
@@ -104,15 +109,26 @@ class TotalLeastSquares(EpochOptimizer):
             epoch // self.start if beyond < 0 else self._starts + beyond // self.epochs
         ]
 
+    def weight(self, chain: Chain) -> Tensor:
+        """The noise of the columns of the nodes, in that of configurations."""
+        weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
+        weight[chain.n : chain.known] = self.velocity_weight
+        weight[chain.known :] = self.input_weight
+        return weight
+
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
         """One accepted step; ``batches`` are whole trajectories."""
         trajectories: Sequence[Trajectory] = batches
-        chain, memory = Chain.of(trajectories, velocities=model.reads_velocity), self.memory
+        memory = self.memory
+        chain = Chain.of(
+            trajectories, velocities=model.reads_velocity, inputs=self.input_weight > 0
+        )
         epoch = memory["epoch"]
         stage = self.stage(epoch)
         before = self.stage(epoch - 1) if epoch else None
         if before is None:
-            memory["nodes"] = smoothed(trajectories, model.reads_velocity)
+            x = smoothed(trajectories, model.reads_velocity)
+            memory["nodes"] = torch.cat((x, chain.x[:, chain.known :]), dim=1)
             self._set_late(to_start=False)
             memory["initial"] = self._snapshot(0.0)
         elif before != stage:
