@@ -208,7 +208,13 @@ def test_inputs_with_errors_are_nodes_too():
     assert float(found[-1]["noise_estimate"]) == pytest.approx(noise, rel=0.3)
 
 
-BAD = ({"epsilons": (1.0, 0.0)}, {"start": 0}, {"velocity_weight": -1}, {"input_weight": -1})
+BAD = (
+    {"epsilons": (1.0, 0.0)},
+    {"start": 0},
+    {"velocity_weight": -1},
+    {"input_weight": -1},
+    {"tolerance": -1},
+)
 
 
 @pytest.mark.parametrize("wrong", BAD)

@@ -42,7 +42,9 @@ class TotalLeastSquares(EpochOptimizer):
     where they take others, drawn alike. Now one is in the better basin, now another; what has the
     smallest residuals goes on. Each ε of ``epsilons`` has ``epochs``. Where a model has late
     parameters, these are zero so far; they join in a second round, with each ``ε ≤ late_from``. The
-    parameters that are best on held-out data are kept, wherever they come from.
+    parameters that are best on held-out data are kept, wherever they come from, or within
+    ``tolerance`` of these the last: a few noisy motions do not tell models apart, and where the
+    equations can be learned exactly the smaller ε is the better one.
     """
 
     reads_trajectories = True
@@ -62,11 +64,12 @@ class TotalLeastSquares(EpochOptimizer):
         trials: int = 14,
         velocity_weight: float = 1.0,
         input_weight: float = 0.0,
+        tolerance: float = 0.0,
         seed: int = 0,
     ) -> None:
         """``velocity_weight`` is the noise of velocities over that of configurations [1/s],
         ``input_weight`` that of inputs [N/m, N m/rad]; 0: inputs are exact."""
-        super().__init__(params, patience=10**9)
+        super().__init__(params, patience=10**9, tolerance=tolerance)
         counts = ("starts", starts), ("start", start), ("epochs", epochs), ("trials", trials)
         sizes = ("damping", damping), ("rate", rate), ("velocity_weight", velocity_weight)
         for name, value in (*counts, *sizes, *(("epsilons", e) for e in epsilons)):
