@@ -17,7 +17,7 @@ export OMP_NUM_THREADS := 1
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-lowest ui lint audit smoke bench bench-quick clean
+.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-lowest docs ui lint audit smoke bench bench-quick clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -61,6 +61,11 @@ test-lowest: ## run the tests with the lowest versions that pyproject.toml allow
 	.venv-lowest/bin/python -m pip install --quiet uv
 	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct --editable '.[dev]'
 	.venv-lowest/bin/python -m pytest -n 2
+
+docs: install ## build the documentation in build/site, the tutorial run anew
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	$(PY) -m sphinx --fail-on-warning --keep-going --quiet --conf-dir docs . build/site
+	@echo build/site/index.html
 
 ui: install ## open MLflow on the local store (PORT=5000)
 	@mkdir -p $(STORE)
