@@ -95,5 +95,5 @@ bench-quick: install ## one system and one batch, in two minutes
 	$(PY) -m benchmarks --quick
 
 clean: ## remove what was built, trained and cached here, and the environment
-	rm -rf $(VENV) .venv-lowest build dist outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-lowest build dist docs/drawn outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -74,9 +74,9 @@ def picture(ink: str, ground: str, line: str) -> Figure:
         axes.text(x, y, package, ha="center", va="center", color=ink, fontsize=11, zorder=3)
         for other in arrows[package]:
             end = at[other]
-            bend = 0.0 if y - end[1] == 1 else 0.18 * (1 if x >= end[0] else -1)
+            bend = 0.0 if y - end[1] == 1 else 0.18 * (1 if x >= end[0] else -1)  # beside others
             axes.annotate(
-                "", (end[0], end[1] + 0.2), (x, y - 0.2),
+                "", (end[0], end[1] + 0.2), (x, y - 0.2), zorder=1,
                 arrowprops={"arrowstyle": "-|>", "color": line, "linewidth": 1.1,
                             "connectionstyle": f"arc3,rad={bend}"},
             )  # fmt: skip

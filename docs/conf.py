@@ -45,25 +45,27 @@ nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
 nb_output_stderr = "remove"  # bars of progress
+nb_merge_streams = True
 
+toc_object_entries_show_parents = "hide"
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 maximum_signature_line_length = 80
 
 
-def inline(self, node: nodes.math) -> None:  # type: ignore[no-untyped-def]
+def inline(self, node: nodes.math) -> None:
     self.body.append(latex2mathml.tex2mathml(node.astext()))
     raise nodes.SkipNode
 
 
-def block(self, node: nodes.math_block) -> None:  # type: ignore[no-untyped-def]
+def block(self, node: nodes.math_block) -> None:
     self.body.append('<div class="math">')
     self.body.append(latex2mathml.tex2mathml(node.astext(), as_block=True))
     self.body.append("</div>")
     raise nodes.SkipNode
 
 
-def setup(app) -> None:  # type: ignore[no-untyped-def]
+def setup(app) -> None:
     """Equations as MathML, which browsers show by themselves; the picture of the packages."""
     app.add_html_math_renderer("mathml", (inline, None), (block, None))
     architecture.draw(ROOT / "docs" / "drawn")
