@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -65,7 +66,15 @@ def block(self, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+def numbers(app, doctree: nodes.document) -> None:
+    """Cells of numbers are not broken at the hyphen of ``1e-4``."""
+    for cell in doctree.findall(nodes.entry):
+        if len(cell.astext()) < 40 and re.search(r"\de-\d", cell.astext()):
+            cell["classes"].append("number")
+
+
 def setup(app) -> None:
     """Equations as MathML, which browsers show by themselves; the picture of the packages."""
+    app.connect("doctree-read", numbers)
     app.add_html_math_renderer("mathml", (inline, None), (block, None))
     architecture.draw(ROOT / "docs" / "drawn")
