@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.objectives import Objective
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
@@ -16,23 +18,30 @@ class MakesDissipation(Protocol):
     def __call__(self, *, coordinates: Coordinates) -> Dissipation: ...
 
 
-def learned_lagrangian(
-    coordinates: Coordinates,
-    *,
-    width: int,
-    depth: int = 2,
-    initial_inertia: float | None = 1.0,
-    harmonics: int = 0,
-    dissipation: MakesDissipation | None = None,
-) -> Lagrangian:
-    """A network for inertia and potential, and a dissipation where one is to be learned."""
-    lagrangian = StructuredLagrangian(
-        angular=coordinates.angular,
-        width=width,
-        depth=depth,
-        initial_inertia=initial_inertia,
-        harmonics=harmonics,
-    )
-    if dissipation is None:
-        return lagrangian
-    return DissipativeLagrangian(lagrangian, dissipation(coordinates=coordinates))
+class LearnsLagrangian(DynamicsModel):
+    """Networks for inertia and potential, and a dissipation where one is to be learned, for the
+    class beside it, which makes a flow of a Lagrangian."""
+
+    def __init__(
+        self,
+        objective: Objective,
+        /,
+        *,
+        coordinates: Coordinates,
+        width: int,
+        depth: int = 2,
+        initial_inertia: float | None = 1.0,
+        harmonics: int = 0,
+        dissipation: MakesDissipation | None = None,
+        **base: Any,
+    ) -> None:
+        lagrangian: Lagrangian = StructuredLagrangian(
+            angular=coordinates.angular,
+            width=width,
+            depth=depth,
+            initial_inertia=initial_inertia,
+            harmonics=harmonics,
+        )
+        if dissipation is not None:
+            lagrangian = DissipativeLagrangian(lagrangian, dissipation(coordinates=coordinates))
+        super().__init__(lagrangian, objective, coordinates=coordinates, **base)  # type: ignore
