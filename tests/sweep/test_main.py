@@ -13,9 +13,10 @@ from omegaconf import OmegaConf
 from symo_exp.__main__ import main
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
+from symo_exp.sweep.command import CHECK_ONLY
 from symo_exp.sweep.help import CHANGED
 from symo_exp.sweep.job import _about
-from symo_exp.sweep.sweeper import Sweep
+from symo_exp.sweep.sweeper import Sweep, watched
 from tests.jobs import job_of, jobs_of, planned, refusal
 from tests.tiny import TINY
 
@@ -114,7 +115,7 @@ ENDS = [
     ("-cn nothing", "nothing", ""),
     ("--config-dir nowhere", "nowhere", ""),
     ("data.n_traj", "data.n_traj", "data.n_traj="),
-    ("model=node,l_node model.sensitivity=adjoint", "model.sensitivity", ""),
+    ("model=node,symo model.sensitivity=adjoint", "model=symo: model.sensitivity", ""),
     # one of each place where a mistake is found in a job
     *[row for row in BAD if row[0] in (
         "modle=symo", "+data.x=1", "data.n_traj=0", "model=symo integrator=rk4",
@@ -157,6 +158,13 @@ def test_a_refusal_is_all_that_is_said_and_an_exit_code(
     assert wanted in line
     assert out == ""
     assert nothing_is_left(home)
+
+
+def test_a_setting_that_each_swept_choice_has_is_none_that_the_usual_one_needs(home):
+    words = ["model=node,l_node", "model.sensitivity=adjoint", "model.width=2,4"]
+    with watched() as folders:
+        assert main([*QUIET, *words, CHECK_ONLY]) == 0
+    assert len(folders) == 4
 
 
 def test_help_fits_a_screen_with_what_people_change(workplace, capsys):
