@@ -26,12 +26,14 @@ RULES = {
         {"mechanics", "systems"},
         {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow", "filelock"},
     ),
-    "evaluation": ({"mechanics", "systems"}, {"torch", "jaxtyping", "numpy"}),
+    "evaluation": (
+        {"mechanics", "systems", "data", "models"}, {"torch", "jaxtyping", "numpy"},
+    ),
     "runs": ({"models"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
     "training": ({"runs", "compile"}, {"torch", "lightning", "numpy", "tqdm"}),
     "tracking": ({"runs", "models"}, {"torch", "mlflow", "filelock"}),
     "report": (
-        {"runs", "tracking", "systems", "evaluation", "mechanics"},
+        {"runs", "tracking", "systems", "models", "evaluation", "mechanics"},
         {"torch", "numpy", "pandas", "matplotlib", "jinja2", "PIL", "yaml",
          "mlflow", "pyarrow"},
     ),
@@ -44,7 +46,7 @@ RULES = {
         {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
     ),
     "use": (
-        {"mechanics", "models", "runs", "tracking", "sweep"}, {"torch", "pandas", "PIL"},
+        {"mechanics", "models", "compile", "runs", "tracking", "sweep"}, {"torch", "pandas", "PIL"},
     ),
 }  # fmt: skip
 

@@ -10,6 +10,7 @@ from symo_exp.evaluation.recordings import on_recordings
 from symo_exp.evaluation.references import ConstantVelocity, Path
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.report import recordings
+from symo_exp.report.motions import ranking
 from symo_exp.report.paper import save
 
 H = 0.02
@@ -51,7 +52,7 @@ def test_windows_show_prediction_measurement_and_reference(n):
     for panel in figure.panels[: 3 * n]:
         assert {one.source for one in panel.series()} == {"truth", "ours", "floor"}
     errors = found.model.rmse(2.0)
-    chosen = recordings.ranking(found)
+    chosen = ranking(errors)
     assert errors[chosen["best"]] == errors.min()
     assert errors[chosen["worst"]] == errors.max()
 
