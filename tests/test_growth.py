@@ -28,7 +28,7 @@ def trained(name, n, folder):
     return runs.set_index("metric").value
 
 
-@pytest.mark.parametrize("name", ["node", "symo", "fast"])
+@pytest.mark.parametrize("name", ["node", "fast"])
 def test_seven_coordinates_are_learned(name, workplace):
     found = trained(name, 7, workplace)
     assert found["coordinates"] == 7

@@ -103,7 +103,7 @@ def smoothed():
     nodes = (60, 80, 50, 70)
     clean, noisy = lengths(*nodes, n=1), lengths(*nodes, n=1, noise=NOISE)
     model = symo(1, dissipation=friction())
-    optimizer, found = train(model, noisy, epsilons=(0.3, 0.1), epochs=10, warm_up=100)
+    optimizer, found = train(model, noisy, epsilons=(0.3, 0.1), start=15, epochs=10, warm_up=100)
     return model, clean, noisy, optimizer, found
 
 
@@ -135,7 +135,7 @@ def test_the_best_start_goes_on():
     """Seen in the parameters that hardly move in a first step with much damping."""
     model, trajectories = symo(1), lengths(20, 20, n=1)
     optimizer = TotalLeastSquares(
-        model.parameters(), epsilons=(1.0,), starts=3, start=3, epochs=1, damping=1e9
+        model.parameters(), epsilons=(1.0,), starts=3, start=3, epochs=1, damping=1e9, warm_up=20
     )
     ends = []
     for _ in range(9):
@@ -163,16 +163,16 @@ def test_late_parameters_are_zero_until_their_stage():
 
 
 def test_it_goes_on_from_what_it_remembers_bit_for_bit():
-    trajectories = lengths(20, 25, noise=1e-3)
+    trajectories = lengths(20, 25, n=1, noise=1e-3)
     settings = {"epsilons": (1.0, 0.3), "start": 3, "epochs": 3, "warm_up": 10}
-    model = symo(dissipation=friction(width=2))
+    model = symo(1, dissipation=friction(width=2))
     optimizer = TotalLeastSquares(model.parameters(), **settings)
     kept = None
     while not optimizer.finished:
         if optimizer.memory["epoch"] == 7:
             kept = copy.deepcopy((optimizer.state_dict(), model.state_dict()))
         optimizer.epoch(model, trajectories)
-    again = symo(dissipation=friction(width=2))
+    again = symo(1, dissipation=friction(width=2))
     resumed = TotalLeastSquares(again.parameters(), **settings)
     again.load_state_dict(kept[1])
     resumed.load_state_dict(kept[0])

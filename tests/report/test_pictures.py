@@ -61,12 +61,11 @@ def test_every_system_has_its_figures(name):
         assert {one.source for one in panel.series()} == wanted
 
 
-@pytest.mark.parametrize("lost", [math.nan, 1e300])
-def test_a_prediction_that_is_lost_is_drawn_as_far_as_it_goes(lost, tmp_path):
+def test_a_prediction_that_is_lost_is_drawn_as_far_as_it_goes(tmp_path):
     system = SYSTEMS["pendulum"]
     rollouts = made(system)
     for field in (rollouts.q, rollouts.v, rollouts.energy):
-        field[:, 9:] = lost
+        field[:, 9:], field[2:, 9:] = math.nan, 1e300
     found = pictures.draw_run(
         knowing(system, None), system, Evaluation({}, rollouts), method="node", title="lost",
         folder=tmp_path,

@@ -61,7 +61,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     columns.append(["time", *(f"{outcome.seconds:.0f} s" for outcome in outcomes)])
     widths = [max(map(len, column)) for column in columns]
     room = WIDTH - sum(width + 2 for width in widths)
-    names = [_fitted(name, max(room, 12)) for name in ("", *map(_brief, labels))]
+    names = [_fitted(name, max(room, 12)) for name in ("", *map(brief, labels))]
     first = max(map(len, names))
     lines = []
     for name, *cells in zip(names, *columns, strict=True):
@@ -95,7 +95,7 @@ def _failures(
     ]
 
 
-def _brief(label: str) -> str:
+def brief(label: str) -> str:
     """``node n=8 seed=1`` for ``model=node data.n_traj=8 seed=1``."""
     words = []
     for word in label.split():
