@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import pandas as pd
+if TYPE_CHECKING:
+    import pandas as pd
 
 Pair = tuple[str, str]
 """A method and an integrator by their names in the configuration."""
@@ -131,12 +132,17 @@ def unit(metric: str) -> str:
 
 
 def short(x: float | None) -> str:
-    """Three digits: ``1.38e-4``, ``0.498``, ``38.6``; a dash for what is not there."""
+    """A measure in a table; a dash for what is not there."""
     if x is None or math.isnan(x):
         return "–"
     if math.isinf(x):
         return "diverged" if x > 0 else "-∞"
-    if x == 0 or 1e-2 <= abs(x) < 1e3:
+    return written(x)
+
+
+def written(x: float) -> str:
+    """Three digits: ``1.38e-4``, ``0.498``, ``38.6``."""
+    if x == 0 or not math.isfinite(x) or 1e-2 <= abs(x) < 1e3:
         return f"{x:.3g}"
     digits, exponent = f"{x:.2e}".split("e")
     return f"{digits}e{int(exponent)}"
@@ -144,7 +150,7 @@ def short(x: float | None) -> str:
 
 def number(x: float) -> str:
     """A setting; a dash where the run has none."""
-    return "–" if pd.isna(x) else f"{x:g}"
+    return "–" if math.isnan(x) else f"{x:g}"
 
 
 def letters(name: str) -> str:

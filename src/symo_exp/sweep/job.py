@@ -17,6 +17,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from symo_exp.errors import ConfigError
 from symo_exp.imports import first_import
+from symo_exp.report.looks import look
 from symo_exp.runs.folder import PICTURES, SERIES, About, RunFolder
 from symo_exp.runs.series import read
 from symo_exp.sweep.compose import plain
@@ -156,7 +157,6 @@ def publish(tracker: Any, folder: RunFolder) -> str:
 
 def _about(config: DictConfig, choices: dict[str, Any], asked: Sequence[str]) -> About:
     """What the run is; its name says what its sweep varied: ``E2E-SyMo acrobot n=16``."""
-    from symo_exp.report.looks import look
 
     def compose(overrides: list[str]) -> DictConfig:
         return hydra.compose("config", overrides, return_hydra_config=True)

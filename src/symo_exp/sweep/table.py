@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from symo_exp.report.looks import written
 from symo_exp.runs.folder import LOG, RunFolder
 from symo_exp.runs.outcome import Outcome
 from symo_exp.training import phases, stopping
@@ -27,16 +28,8 @@ UNITS = {
 SHORT = "test_mse", "integration_mse", "rmse_2s"
 """Those of a line."""
 ENDED = "finished", "failed", "refused", "interrupted"
-WIDTH, NUMBER = 80, 8
+WIDTH = 80
 SECONDS = 0.5
-
-
-def written(x: float) -> str:
-    """Three digits: ``1.38e-4``, ``0.498``."""
-    if x == 0 or not math.isfinite(x) or 1e-2 <= abs(x) < 1e3:
-        return f"{x:.3g}"
-    digits, exponent = f"{x:.2e}".split("e")
-    return f"{digits}e{int(exponent)}"
 
 
 def run_line(folder: RunFolder) -> str:
