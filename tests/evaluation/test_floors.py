@@ -29,7 +29,7 @@ ROOT = Newton(tolerance=1e-10, max_iterations=20)
 @functools.cache
 def data(name: str) -> TrajectoryData:
     sets = TrajectoryData(
-        system=systems()[name], n_traj=1, n_val=1, n_test=40, n_train_max=1, n_integration=2,
+        system=systems()[name], n_traj=1, n_val=1, n_test=96, n_train_max=1, n_integration=2,
         integration_steps=40, dtype="float64",
     )  # fmt: skip
     sets.setup("test")
