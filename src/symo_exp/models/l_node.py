@@ -7,7 +7,7 @@ from torch import Tensor
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.base import ExplicitModel
 from symo_exp.models.fields import EulerLagrangeAcceleration
-from symo_exp.models.learned import MakesDissipation, learned_lagrangian
+from symo_exp.models.learned import MakesDissipation, Structure, learned_lagrangian
 from symo_exp.models.learner import Learner
 from symo_exp.models.objectives import StateError
 
@@ -25,6 +25,7 @@ class LNODE(ExplicitModel, Learner):
         depth: int = 2,
         initial_inertia: float | None = 1.0,
         harmonics: int = 0,
+        structure: Structure = "network",
         dissipation: MakesDissipation | None = None,
         **base: Any,
     ) -> None:
@@ -34,6 +35,7 @@ class LNODE(ExplicitModel, Learner):
             depth=depth,
             initial_inertia=initial_inertia,
             harmonics=harmonics,
+            structure=structure,
             dissipation=dissipation,
         )
         field = EulerLagrangeAcceleration(lagrangian, input_matrix)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
+
+Structure = Literal["network", "absolute", "relative"]
+"""A network, or what is true of rigid links in a plane: see ``learned_lagrangian``."""
 
 
 class MakesDissipation(Protocol):
@@ -23,15 +27,33 @@ def learned_lagrangian(
     depth: int = 2,
     initial_inertia: float | None = 1.0,
     harmonics: int = 0,
+    structure: Structure = "network",
     dissipation: MakesDissipation | None = None,
 ) -> Lagrangian:
-    """A network for inertia and potential, and a dissipation where one is to be learned."""
+    """A Lagrangian to learn, and a dissipation where one is to be learned.
+
+    ``structure="network"`` has a network for a Cholesky factor of the inertia and the potential.
+    Else it is that of ``n`` joints, slides and hinges, whose links move in a plane, without one::
+
+        T = ½ Σ_r (A_r(q) · v)²,   r = 1 … 3n        A_r(q) = a_r + W_r s(q),   V(q) = w · s(q)
+
+    since the speed of any point of them is linear in the cosines and sines of the directions of the
+    links. These are the angles themselves where they are ``absolute``, counted from the world, and
+    their sums ``φ₁ + … + φᵢ`` where they are ``relative``, each joint's counted from the link
+    before. ``width`` and ``depth`` are those of a network.
+    """
+    known = get_args(Structure)
+    if structure not in known:
+        raise ConfigError(f"structure={structure}: expected one of {', '.join(known)}")
+    squares = 0 if structure == "network" else 3 * coordinates.n
     lagrangian = StructuredLagrangian(
         angular=coordinates.angular,
         width=width,
-        depth=depth,
+        depth=0 if squares else depth,
         initial_inertia=initial_inertia,
         harmonics=harmonics,
+        squares=squares,
+        relative=structure == "relative",
     )
     if dissipation is None:
         return lagrangian

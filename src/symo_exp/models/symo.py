@@ -4,7 +4,7 @@ from typing import Any
 
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.base import VariationalModel
-from symo_exp.models.learned import MakesDissipation, learned_lagrangian
+from symo_exp.models.learned import MakesDissipation, Structure, learned_lagrangian
 from symo_exp.models.learner import Learner
 from symo_exp.models.objectives import Objective, Residual
 
@@ -22,6 +22,7 @@ class SyMo(VariationalModel, Learner):
         depth: int = 2,
         initial_inertia: float | None = 1.0,
         harmonics: int = 0,
+        structure: Structure = "network",
         dissipation: MakesDissipation | None = None,
         **base: Any,
     ) -> None:
@@ -32,6 +33,7 @@ class SyMo(VariationalModel, Learner):
             depth=depth,
             initial_inertia=initial_inertia,
             harmonics=harmonics,
+            structure=structure,
             dissipation=dissipation,
         )
         super().__init__(lagrangian, objective or Residual(), coordinates=coordinates, **base)
