@@ -35,17 +35,17 @@ def learned_lagrangian(
     ``structure="network"`` has a network for a Cholesky factor of the inertia and the potential.
     Else it is that of ``n`` joints, slides and hinges, whose links move in a plane, without one::
 
-        T = ½ Σ_r (A_r(q) · v)²,   r = 1 … 3n        A_r(q) = a_r + W_r s(q),   V(q) = w · s(q)
+        T = ½ Σ_r (A_r(q) · v)² + ½ Σ_i (aᵢ(q) vᵢ)²,   r = 1 … 2n,
 
-    since the speed of any point of them is linear in the cosines and sines of the directions of the
-    links. These are the angles themselves where they are ``absolute``, counted from the world, and
+    ``A``, ``a`` and ``V`` affine in ``s(q)``: speeds of points of the links are linear in the
+    cosines and sines of the links' directions, and rotors turn with a joint. Directions are the angles themselves where they are ``absolute``, counted from the world, and
     their sums ``φ₁ + … + φᵢ`` where they are ``relative``, each joint's counted from the link
     before. ``width`` and ``depth`` are those of a network.
     """
     known = get_args(Structure)
     if structure not in known:
         raise ConfigError(f"structure={structure}: expected one of {', '.join(known)}")
-    squares = 0 if structure == "network" else 3 * coordinates.n
+    squares = structure != "network"
     lagrangian = StructuredLagrangian(
         angular=coordinates.angular,
         width=width,

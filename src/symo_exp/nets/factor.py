@@ -5,8 +5,8 @@ its strictly lower part row by row (n(n−1)/2), and the potential V (1):
 
     H = L Lᵀ + ε I,   ℒ = ½ |y|² + ½ ε |v|² − V,   y = Lᵀ v.
 
-Or ``L`` (n, r) is any matrix, its entries row by row: the kinetic energy is a sum of ``r`` squared
-speeds ``y``, each linear in the velocities, as that of rigid bodies is.
+Or ``L`` (n, 3n) has ``2n`` columns of any entries and a diagonal, its entries row by row: the kinetic
+energy is a sum of squared speeds ``y``, each linear in the velocities, as that of rigid bodies is.
 
 The closed forms below are those of ``ℒ`` as a function of ``o`` and ``v``.
 """
@@ -41,21 +41,22 @@ class HeadPoint(NamedTuple):
 class FactorHead(nn.Module):
     """The map ``o → (L, V)`` for ``n`` coordinates, and the derivatives of ``ℒ`` through it.
 
-    Without ``squares`` ``L`` is a Cholesky factor, with them it has so many columns.
+    Without ``squares`` ``L`` is a Cholesky factor.
     """
 
     place: Tensor
     lower_row: Tensor
     lower_column: Tensor
 
-    def __init__(self, n: int, squares: int = 0) -> None:
+    def __init__(self, n: int, *, squares: bool = False) -> None:
         super().__init__()
-        self.n, self.columns = n, squares or n
+        self.n, self.columns = n, 3 * n if squares else n
         self.soft = 0 if squares else n
         """How many outputs, the first ones, are a diagonal before its softplus."""
-        full = torch.ones(n, self.columns, dtype=torch.bool)
-        row, column = (full if squares else full.tril(-1)).nonzero(as_tuple=True)
-        place = torch.full(full.shape, self.soft + len(row))  # of no output: the zero at the end
+        own, full = torch.eye(n), torch.ones(n, n)
+        filled = torch.cat((full, full, own), dim=1) if squares else full.tril(-1)
+        row, column = filled.nonzero(as_tuple=True)
+        place = torch.full(filled.shape, self.soft + len(row))  # of no output: the zero at the end
         place[range(self.soft), range(self.soft)] = torch.arange(self.soft)
         place[row, column] = self.soft + torch.arange(len(row))
         for name, index in (

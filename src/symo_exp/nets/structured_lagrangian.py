@@ -58,9 +58,9 @@ class StructuredLagrangian(nn.Module, Lagrangian):
     often lead to a nearly singular ``H`` whose accelerations fly off.
 
     ``harmonics`` is how many angles a harmonic couples at most; 0: none. Their weights ``S`` start
-    at zero. With ``squares`` the kinetic energy is a sum of so many squared speeds; ``relative``
-    angles count from one to the next (``Embedding``). Without a hidden layer, ``depth=0``, speeds
-    and potential are affine in ``s(q)``: rigid links in a plane are, ``3n`` squares are enough.
+    at zero. With ``squares`` the kinetic energy is a sum of squared speeds (``FactorHead``),
+    ``relative`` angles count from one to the next (``Embedding``). Without a hidden layer,
+    ``depth=0``, speeds and potential are affine in ``s(q)``, as those of rigid links in a plane.
     """
 
     skip: Any
@@ -74,7 +74,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         depth: int = 2,
         initial_inertia: float | None = 1.0,
         harmonics: int = 0,
-        squares: int = 0,
+        squares: bool = False,
         relative: bool = False,
     ) -> None:
         super().__init__()
@@ -83,7 +83,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
                 f"model.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
         self.embedding = Embedding(angular=angular, relative=relative)
-        self.head = FactorHead(len(angular), squares)
+        self.head = FactorHead(len(angular), squares=squares)
         self.net = MLP(
             inputs=self.embedding.size, outputs=self.head.outputs, width=width, depth=depth
         )
