@@ -38,9 +38,10 @@ def learned_lagrangian(
         T = ½ Σ_r (A_r(q) · v)² + ½ Σ_i (aᵢ(q) vᵢ)²,   r = 1 … 2n,
 
     ``A``, ``a`` and ``V`` affine in ``s(q)``: speeds of points of the links are linear in the
-    cosines and sines of the links' directions, and rotors turn with a joint. Directions are the angles themselves where they are ``absolute``, counted from the world, and
-    their sums ``φ₁ + … + φᵢ`` where they are ``relative``, each joint's counted from the link
-    before. ``width`` and ``depth`` are those of a network.
+    cosines and sines of the links' directions, and rotors turn with a joint. Directions are the
+    angles themselves where they are ``absolute``, counted from the world, and their sums
+    ``φ₁ + … + φᵢ`` where they are ``relative``, each joint's counted from the link before.
+    ``width`` and ``depth`` are those of a network.
     """
     known = get_args(Structure)
     if structure not in known:

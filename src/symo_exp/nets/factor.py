@@ -5,8 +5,8 @@ its strictly lower part row by row (n(n−1)/2), and the potential V (1):
 
     H = L Lᵀ + ε I,   ℒ = ½ |y|² + ½ ε |v|² − V,   y = Lᵀ v.
 
-Or ``L`` (n, 3n) has ``2n`` columns of any entries and a diagonal, its entries row by row: the kinetic
-energy is a sum of squared speeds ``y``, each linear in the velocities, as that of rigid bodies is.
+Or ``L`` (n, 3n) has ``2n`` columns of any entries and a diagonal, row by row: the kinetic energy
+is a sum of squared speeds ``y``, each linear in the velocities, as that of rigid bodies is.
 
 The closed forms below are those of ``ℒ`` as a function of ``o`` and ``v``.
 """
