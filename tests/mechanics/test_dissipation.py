@@ -102,7 +102,7 @@ def test_order_of_convergence(name, n):
     assert slope == pytest.approx(method.order, abs=0.3)
 
 
-@pytest.mark.parametrize(("name", "n"), zip(METHODS, (1, 2, 3), strict=True))
+@pytest.mark.parametrize(("name", "n"), [*zip(METHODS, (1, 2, 3), strict=True)])
 @torch.no_grad()
 def test_energy_never_rises_without_input(name, n):
     """But for the oscillation of a symplectic method, which friction exceeds here."""
