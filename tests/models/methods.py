@@ -54,6 +54,8 @@ def pairwise(of: list[tuple[str, str]] | None = None) -> list[tuple[str, str, in
 
 
 def _integrators_of(file: Any) -> dict[str, Any]:
+    if "integrator" not in file:
+        return {"none": None}
     return variational_integrators() if "root" in file else explicit_integrators()
 
 
@@ -66,8 +68,9 @@ def make(method: str, integrator: str, n: int, **overrides: Any) -> Any:
         "input_matrix": torch.eye(n, dtype=torch.float64)[:, -1:],
         "time_step": H,
         "width": 8,
-        "integrator": _integrators_of(file)[integrator],
     }
+    if "integrator" in file:
+        arguments["integrator"] = _integrators_of(file)[integrator]
     if "root" in file:
         arguments["root"] = Newton(tolerance=1e-12, max_iterations=50)
     model = get_class(file._target_)(**{**arguments, **overrides}).double()

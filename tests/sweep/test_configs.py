@@ -44,7 +44,7 @@ def test_every_choice_builds(group, choice, workplace):
         (workplace / "mine.csv").write_text("\n".join(["trajectory,t,q_theta,u_0", *rows]))
         words.append("data.path=mine.csv")
     if group == "integrator" and choice not in variational_integrators():
-        words.append("model=node")
+        words.append("model=residual" if choice == "none" else "model=node")
     if group == "optimizer":
         words.append("dtype=float64")  # some need it
     if words == ["trainer=gpu"] and not torch.cuda.is_available():

@@ -35,6 +35,7 @@ class Stroke(NamedTuple):
 
 METHODS = {
     "node": Look("NODE", "#E69F00", "o"),
+    "residual": Look("residual network", "#8C564B", "X"),
     "l_node": Look("L-NODE", "#009E73", "s"),
     "symo": Look("SyMo", "#0072B2", "^"),
     "e2e_symo": Look("E2E-SyMo", "#D55E00", "D"),
@@ -58,6 +59,8 @@ INTEGRATORS = {
     "dopri5": Stroke("Dormand-Prince 5", "-.", "6px,2px,1px,2px"),
     "galerkin4": Stroke("Galerkin 4", "--", "6px,3px"),
     "galerkin6": Stroke("Galerkin 6", "-.", "6px,2px,1px,2px"),
+    "galerkin10": Stroke("Galerkin 10", ":", "1px,2px"),
+    "none": Stroke("", "-", ""),
 }
 MEASURES = {
     "train_mse": ("train MSE", "m², rad²"),
