@@ -126,7 +126,8 @@ class ExplicitFlow(Flow):
     """``v̇ = a(q, v, u)`` over one step of an explicit Runge-Kutta method (thesis section 3.2).
 
     Gradients are those of the step itself, or with ``sensitivity="adjoint"`` those of the
-    continuous problem, by torchdiffeq as in the thesis (section 4.2.2).
+    continuous problem, by torchdiffeq as in the thesis (section 4.2.2). ``rollout_integrator`` is
+    that of rollouts, as in the thesis another; left out, the same.
     """
 
     reads_velocity = True
@@ -137,11 +138,13 @@ class ExplicitFlow(Flow):
         integrator: RungeKutta,
         time_step: float,
         sensitivity: Literal["direct", "adjoint"] = "direct",
+        rollout_integrator: RungeKutta | None = None,
     ) -> None:
         super().__init__(time_step)
         if sensitivity not in ("direct", "adjoint"):
             raise ValueError(f"sensitivity must be direct or adjoint, got {sensitivity}")
         self.field, self.integrator, self.sensitivity = field, integrator, sensitivity
+        self.rollout_integrator = rollout_integrator or integrator
         self.branch_free = sensitivity == "direct"
 
     @property
@@ -156,13 +159,26 @@ class ExplicitFlow(Flow):
         h, name = self.time_step, self.integrator.name
         if self.sensitivity == "adjoint" and torch.is_grad_enabled():
             state = adjoint_step(self.field, q, v, u, u_next, h, method=name)
-        else:  # without the hooks of a module, several times a step
-            state = self.integrator.step(self.field.forward, q, v, u, u_next, h)
-        converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
-        return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
+        else:
+            state = self._state(self.integrator, q, v, u, u_next)
+        found = _all_found(q)
+        return Step(*state, found, torch.zeros_like(found, dtype=torch.int64))
+
+    def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
+        return *self._state(self.rollout_integrator, q, y, u, u_next), _all_found(q)
+
+    def _state(
+        self, integrator: RungeKutta, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Without the hooks of a module, several times a step."""
+        return integrator.step(self.field.forward, q, v, u, u_next, self.time_step)
 
     def initial_velocity(self, windows: Windows) -> Tensor:
         return windows.v
+
+
+def _all_found(q: Tensor) -> Tensor:
+    return torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
 
 
 class VariationalFlow(Flow):
