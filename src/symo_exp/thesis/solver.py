@@ -65,7 +65,7 @@ class SolveIvp(Solver):
             left = np.where(accepted, left - step, left)
             step = step * np.where(accepted & rejected, np.minimum(factor, 1), factor)
             rejected = ~accepted
-            if ((step < 1e-15 * h) & (left > 0)).any():
+            if (~(step > 1e-15 * h) & (left > 0)).any():  # or is no number
                 return np.full_like(x, np.nan)
         return x
 
