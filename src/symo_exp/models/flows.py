@@ -116,18 +116,15 @@ class Flow(nn.Module, ABC):
         """The velocity that belongs to ``(q, y)``."""
         return y
 
+    @abstractmethod
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
-        """``(q, y)`` one time step later, and which rows have their root."""
-        step = self.step(q, y, u, u_next)
-        return step.q, step.v, step.converged
+        """``(q, y)`` one time step later in a rollout, and which rows have their root."""
 
 
 class ExplicitFlow(Flow):
-    """``v̇ = a(q, v, u)`` over one step of an explicit Runge-Kutta method (thesis section 3.2).
-
-    Gradients are those of the step itself, or with ``sensitivity="adjoint"`` those of the
-    continuous problem, by torchdiffeq as in the thesis (section 4.2.2). ``rollout_integrator`` is
-    that of rollouts, as in the thesis another; left out, the same.
+    """``v̇ = a(q, v, u)`` over one step of an explicit Runge-Kutta method (thesis section 3.2), in
+    rollouts of the ``rollout_integrator``. Gradients are those of the step itself, or with
+    ``sensitivity="adjoint"`` those of the continuous problem, by torchdiffeq (section 4.2.2).
     """
 
     reads_velocity = True
@@ -159,26 +156,17 @@ class ExplicitFlow(Flow):
         h, name = self.time_step, self.integrator.name
         if self.sensitivity == "adjoint" and torch.is_grad_enabled():
             state = adjoint_step(self.field, q, v, u, u_next, h, method=name)
-        else:
-            state = self._state(self.integrator, q, v, u, u_next)
-        found = _all_found(q)
-        return Step(*state, found, torch.zeros_like(found, dtype=torch.int64))
+        else:  # without the hooks of a module, several times a step
+            state = self.integrator.step(self.field.forward, q, v, u, u_next, h)
+        converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
+        return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
 
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
-        return *self._state(self.rollout_integrator, q, y, u, u_next), _all_found(q)
-
-    def _state(
-        self, integrator: RungeKutta, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Without the hooks of a module, several times a step."""
-        return integrator.step(self.field.forward, q, v, u, u_next, self.time_step)
+        state = self.rollout_integrator.step(self.field.forward, q, y, u, u_next, self.time_step)
+        return *state, torch.ones_like(q[:, 0], dtype=torch.bool)
 
     def initial_velocity(self, windows: Windows) -> Tensor:
         return windows.v
-
-
-def _all_found(q: Tensor) -> Tensor:
-    return torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
 
 
 class VariationalFlow(Flow):
@@ -204,8 +192,9 @@ class VariationalFlow(Flow):
         super().__init__(time_step)
         self.lagrangian, self.integrator = lagrangian, integrator
         self.root, self.evaluation_root, self.rollout_root = roots
-        matrix = input_matrix.to(torch.get_default_dtype())
-        self.register_buffer("input_matrix", matrix, persistent=False)
+        self.register_buffer(
+            "input_matrix", input_matrix.to(torch.get_default_dtype()), persistent=False
+        )
 
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
         guess = q + self.time_step * v
