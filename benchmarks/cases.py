@@ -177,6 +177,7 @@ def calm_weights(case: Case, method: str, seed: int = 0) -> list[Layer]:
     return [*hidden, Layer(0.1 * last.weight, bias)]
 
 
+@cache
 def system_windows(name: str, count: int, seed: int = 0) -> Windows:
     """Shuffled windows of simulated trajectories, 34 nodes each, the input held along each."""
     system = SYSTEMS[name]
@@ -204,19 +205,21 @@ def system_windows(name: str, count: int, seed: int = 0) -> Windows:
     return Windows(*(x.detach().flatten(0, 1)[order] for x in fields))
 
 
-@cache
-def plausible_weights(name: str, method: str, seed: int = 0, steps: int = 600) -> list[Layer]:
+def plausible_weights(name: str, method: str) -> list[Layer]:
     """What training passes through early: near the true Lagrangian, but half as heavy again.
 
     The network is fitted to 1.5 H and to V. Its roots exist, and its losses are large enough to
     be compared in float32. NODE keeps its initial weights, which decide nothing about its cost.
     """
+    return initial_weights(CASES[name], method) if method == "node" else _plausible_lagrangian(name)
+
+
+@cache
+def _plausible_lagrangian(name: str, seed: int = 0, steps: int = 600) -> list[Layer]:
     from benchmarks.baseline_autograd import LagrangianMethod
 
     case, system = CASES[name], SYSTEMS[name]
-    if method == "node":
-        return initial_weights(case, method, seed)
-    layers = calm_weights(case, method, seed)  # smooth, so that second derivatives are tame
+    layers = calm_weights(case, "symo", seed)  # smooth, so that second derivatives are tame
     generator = torch.Generator().manual_seed(seed)
     model = LagrangianMethod(case, layers)
     optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)

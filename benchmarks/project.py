@@ -161,16 +161,18 @@ class Project:
         return int(flow.root.solve(problem, objective.initial_guess(batch)).iterations.max())
 
 
-@cache
-def trained_weights(name: str, method: str, seed: int = 0, steps: int = 2000) -> list[Layer]:
+def trained_weights(name: str, method: str) -> list[Layer]:
     """Where E2E-SyMo is after 2000 steps on 32 trajectories; a training takes 16,000 larger ones.
 
     Its Lagrangian serves every method that has one. NODE keeps its initial weights, which decide
     nothing about its cost.
     """
+    return initial_weights(CASES[name], method) if method == "node" else _trained_lagrangian(name)
+
+
+@cache
+def _trained_lagrangian(name: str, seed: int = 0, steps: int = 2000) -> list[Layer]:
     case = CASES[name]
-    if method == "node":
-        return initial_weights(case, method, seed)
     contender = Project("e2e_symo", case, calm_weights(case, "e2e_symo", seed), lr=2e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(contender.optimizer, steps)
     windows = contender.prepare(system_windows(name, TRAINING_ROWS))

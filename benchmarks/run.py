@@ -68,6 +68,7 @@ class Plan:
     rounds: int
     heavy_rounds: int
     turn_ms: float
+    rollout_steps: int
     baseline_rollout_steps: int
     fit_epochs: int
     fit_seconds: float
@@ -134,12 +135,13 @@ def cells(plan: Plan) -> Iterator[Measurement]:
                 predict = dict.fromkeys(group, lambda c, b: c.predict(b))
                 yield from measure("evaluation", system, method, EVALUATION_ROWS, {}, predict)
             if "rollout" in plan.measures:
-                # One trajectory at a time: a few steps of one tell the cost of all.
-                roll = dict.fromkeys(group, lambda c, b: c.rollout(b, ROLLOUT_STEPS))
+                # Some steps tell the cost of all, and (a) takes one trajectory at a time.
+                roll = dict.fromkeys(group, lambda c, b: c.rollout(b, plan.rollout_steps))
                 if plan.compiled:
                     group["compiled"], roll["compiled"] = compiled(system, method), roll["project"]
                 roll["autograd"] = lambda c, b: c.rollout(type(b)(*(x[:1] for x in b)), few)
-                scale = {"autograd": ROLLOUTS * ROLLOUT_STEPS / few}
+                scale = dict.fromkeys(roll, ROLLOUT_STEPS / plan.rollout_steps)
+                scale["autograd"] = ROLLOUTS * ROLLOUT_STEPS / few
                 yield from measure("rollout", system, method, ROLLOUTS, scale, roll)
             if "fit" in plan.measures:
                 yield from fit_cells(plan, system, method)
@@ -238,6 +240,7 @@ def main(arguments: list[str] | None = None) -> None:
         rounds=5 if given.quick else 21,
         heavy_rounds=1 if given.quick else 7,
         turn_ms=5.0 if given.quick else 60.0,
+        rollout_steps=50 if given.quick else ROLLOUT_STEPS,
         baseline_rollout_steps=10 if given.quick else 100,
         fit_epochs=5 if given.quick else 50,
         fit_seconds=0.0 if given.quick else 6.0,

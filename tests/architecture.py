@@ -38,7 +38,8 @@ RULES = {
          "mlflow", "pyarrow"},
     ),
     "thesis": (
-        {"report", "data", "systems", "tracking"}, {"torch", "numpy", "pandas", "jaxtyping"},
+        {"report", "data", "systems", "tracking"},
+        {"torch", "numpy", "scipy", "pandas", "jaxtyping"},
     ),
     "sweep": (
         # the columns of a recording and what a MuJoCo model says are part of a configuration

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
 from symo_exp.data.draws import uniform
 from symo_exp.data.simulate import generate
@@ -15,27 +14,23 @@ from symo_exp.systems.base import SamplingBox
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
 from tests.data.small import small
-from tests.tables import CONF, choices
+from tests.jobs import job_of
+from tests.tables import choices
 
 BOX = SamplingBox(q=((1.0, 2.0), (-3.0, 0.0)), v=((0.0, 0.1), (5.0, 6.0)), u=((-7.0, -6.0),))
 COUNTS = {"train": 2000, "val": 300, "test": 100, "integration": 50}
-DRAWS = [
-    (name, interleaved) for name in choices("draws") for interleaved in (False, True)
-]  # a system's yaml says whether its published states were interleaved
+SYSTEMS = ("pendulum", "cartpole")  # of the published states one was drawn in another order
 
 
-def draws(name: str, interleaved: bool):
+def draws(name: str, system: str):
     """As the configuration makes them."""
-    config = {
-        "interleaved_draws": interleaved,
-        "draws": OmegaConf.load(CONF / f"draws/{name}.yaml"),
-    }
-    return instantiate(OmegaConf.create(config).draws)
+    return instantiate(job_of(f"draws={name}", f"system={system}").config.draws)
 
 
-@pytest.mark.parametrize(("name", "interleaved"), DRAWS)
-def test_draws_are_uniform_in_the_box_and_each_set_has_its_own(name, interleaved) -> None:
-    starts = draws(name, interleaved)(BOX, COUNTS, 0)
+@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("name", choices("draws"))
+def test_draws_are_uniform_in_the_box_and_each_set_has_its_own(name, system, workplace) -> None:
+    starts = draws(name, system)(BOX, COUNTS, 0)
     assert {split: len(s.q) for split, s in starts.items()} == COUNTS
     low, high = np.array([*BOX.q, *BOX.v, *BOX.u]).T
     share = np.sort((torch.cat(starts["train"], 1).numpy() - low) / (high - low), axis=0)
@@ -47,8 +42,8 @@ def test_draws_are_uniform_in_the_box_and_each_set_has_its_own(name, interleaved
 
 
 @pytest.mark.parametrize("name", choices("draws"))
-def test_other_seeds_give_other_trajectories_to_train_on(name) -> None:
-    one, two = (draws(name, False)(BOX, COUNTS, seed)["train"] for seed in (0, 1))
+def test_other_seeds_give_other_trajectories_to_train_on(name, workplace) -> None:
+    one, two = (draws(name, "pendulum")(BOX, COUNTS, seed)["train"] for seed in (0, 1))
     assert not torch.isin(one.q, two.q).any()
 
 

@@ -4,11 +4,12 @@ import pytest
 import torch
 
 from symo_exp.mechanics.euler_lagrange import acceleration
+from symo_exp.mechanics.explicit import ClassicalRK4
 from symo_exp.systems.chain import ChainPendulum
 from tests.mechanics.motions import DURATION, force_at, order, reference, start
 from tests.tables import explicit_integrators
 
-METHODS = explicit_integrators()
+METHODS = explicit_integrators() | {"classical_rk4": ClassicalRK4()}
 
 
 @pytest.mark.parametrize(

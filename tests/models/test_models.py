@@ -63,6 +63,19 @@ def test_rollout_is_repeated_steps(method, integrator, n):
     torch.testing.assert_close(rollout.v[:, 0], data.v)
 
 
+@pytest.mark.parametrize("method", ["node", "l_node"])
+@torch.no_grad()
+def test_rollouts_may_have_a_rule_of_their_own(method):
+    """Training and one-step measures keep the integrator."""
+    one, other = (make(method, name, 2) for name in ("rk4", "dopri5"))
+    both = make(method, "rk4", 2, rollout_integrator=other.flow.integrator)
+    data = windows(2)
+    q, v, u = data.q, data.v, torch.stack((data.u_prev, data.u, data.u_next), 1)
+    assert torch.equal(both.rollout(q, v, u).q, other.rollout(q, v, u).q)
+    assert torch.equal(both.step(q, v).q, one.step(q, v).q)
+    assert not torch.equal(both.step(q, v).q, other.step(q, v).q)
+
+
 @ALL
 @torch.no_grad()
 def test_prediction_is_a_step_from_the_initial_velocity(method, integrator):

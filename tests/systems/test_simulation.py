@@ -76,13 +76,12 @@ def test_every_trajectory_of_a_batch_meets_the_tolerance(name: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["RK45", "DOP853"])
-@pytest.mark.parametrize("warm", [True, False])
-def test_smaller_tolerances_give_smaller_errors(method: str, warm: bool) -> None:
+def test_smaller_tolerances_give_smaller_errors(method: str) -> None:
     system = SYSTEMS["pendulum"]
     q, v, u = points(system, 8)
     exact = simulate(system, q, v, u, 5, TIGHT)
     errors = [
-        (simulate(system, q, v, u, 5, Solver(method, tol, tol, warm)).q - exact.q).abs().max()
+        (simulate(system, q, v, u, 5, Solver(method, tol, tol)).q - exact.q).abs().max()
         for tol in (1e-4, 1e-10)
     ]
     assert errors[1] < errors[0] / 20
@@ -116,7 +115,7 @@ def test_angles_are_not_wrapped() -> None:
 def test_simulation_that_fails_says_so() -> None:
     system = dataclasses.replace(SYSTEMS["pendulum"], gravity=1e300)
     with (
-        pytest.raises(ConfigError, match=r"data\.solver=DOP853.*Pendulum"),
+        pytest.raises(ConfigError, match=r"data\.solver=DOP853.*nodes 0 and 1"),
         np.errstate(all="ignore"),
     ):
         simulate(system, torch.ones(1, 1), torch.ones(1, 1), torch.ones(1, 1), 3, Solver())

@@ -96,7 +96,7 @@ class TrajectoryData(DataModule):
             "generator": GENERATOR_VERSION,
             "libraries": {m.__name__: m.__version__ for m in (np, scipy, torch)},
             "system": self.system.identity(),
-            "solver": asdict(self.solver),
+            "solver": {"class": type(self.solver).__qualname__, **asdict(self.solver)},
             "draws": {"class": type(self.draws).__qualname__, **vars(self.draws)},
             "seed": self.seed,
             "trajectories": self.counts,

@@ -77,6 +77,19 @@ class RK4(RungeKutta):
         )
 
 
+class ClassicalRK4(RungeKutta):
+    """Runge and Kutta's classical rule, order 4."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            name="classical_rk4",
+            order=4,
+            a=((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
+            b=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
+            c=(0.0, 1 / 2, 1 / 2, 1.0),
+        )
+
+
 class DormandPrince5(RungeKutta):
     """The fifth-order method of Dormand and Prince (1980) with a fixed step.
 

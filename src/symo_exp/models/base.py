@@ -195,9 +195,10 @@ class ExplicitModel(DynamicsModel):
         time_step: float,
         integrator: RungeKutta,
         sensitivity: Literal["direct", "adjoint"] = "direct",
+        rollout_integrator: RungeKutta | None = None,
         **base: Any,
     ) -> None:
-        flow = ExplicitFlow(field, integrator, time_step, sensitivity)
+        flow = ExplicitFlow(field, integrator, time_step, sensitivity, rollout_integrator)
         super().__init__(flow, *objective, **base)
 
 

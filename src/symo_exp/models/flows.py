@@ -59,7 +59,6 @@ class Flow(nn.Module, ABC):
 
     reads_velocity: ClassVar[bool]
     """Whether predictions start from measured velocities; else these follow from configurations."""
-
     branch_free = False
     """Whether no operation of a step depends on a number, as a search for roots does."""
     input_matrix: Float[Tensor, "n m"]
@@ -95,11 +94,9 @@ class Flow(nn.Module, ABC):
         u: Float[Tensor, "batch nodes m"],
         advance: Callable[..., Carried] | None = None,
     ) -> Rollout:
-        """From ``(q, v)`` under the controls ``u`` at every node; all trajectories at once.
-
-        It carries ``(q, y)`` from node to node, ``y`` the velocity or what a flow has instead.
-        ``advance`` does what ``self.advance`` does.
-        """
+        """From ``(q, v)`` under the controls ``u`` at every node; all trajectories at once. It
+        carries ``(q, y)``, ``y`` the velocity or what a flow has instead; ``advance`` does what
+        ``self.advance`` does."""
         y, none = self.encode(q, v), torch.zeros(len(q), dtype=torch.bool, device=q.device)
         nodes: list[Carried] = [(q, y, none)]
         for k in range(u.shape[1] - 1):
@@ -117,16 +114,15 @@ class Flow(nn.Module, ABC):
         return y
 
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
-        """``(q, y)`` one time step later, and which rows have their root."""
+        """``(q, y)`` one time step later in a rollout, and which rows have their root."""
         step = self.step(q, y, u, u_next)
         return step.q, step.v, step.converged
 
 
 class ExplicitFlow(Flow):
-    """``v̇ = a(q, v, u)`` over one step of an explicit Runge-Kutta method (thesis section 3.2).
-
-    Gradients are those of the step itself, or with ``sensitivity="adjoint"`` those of the
-    continuous problem, by torchdiffeq as in the thesis (section 4.2.2).
+    """``v̇ = a(q, v, u)`` over one step of an explicit Runge-Kutta method (thesis section 3.2), in
+    rollouts of the ``rollout_integrator``. Gradients are those of the step itself, or with
+    ``sensitivity="adjoint"`` those of the continuous problem, by torchdiffeq (section 4.2.2).
     """
 
     reads_velocity = True
@@ -137,11 +133,13 @@ class ExplicitFlow(Flow):
         integrator: RungeKutta,
         time_step: float,
         sensitivity: Literal["direct", "adjoint"] = "direct",
+        rollout_integrator: RungeKutta | None = None,
     ) -> None:
         super().__init__(time_step)
         if sensitivity not in ("direct", "adjoint"):
             raise ValueError(f"sensitivity must be direct or adjoint, got {sensitivity}")
         self.field, self.integrator, self.sensitivity = field, integrator, sensitivity
+        self.rollout_integrator = rollout_integrator or integrator
         self.branch_free = sensitivity == "direct"
 
     @property
@@ -153,13 +151,17 @@ class ExplicitFlow(Flow):
         return self.field.lagrangian
 
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
-        h, name = self.time_step, self.integrator.name
+        rule, h = self.integrator, self.time_step
         if self.sensitivity == "adjoint" and torch.is_grad_enabled():
-            state = adjoint_step(self.field, q, v, u, u_next, h, method=name)
+            state = adjoint_step(self.field, q, v, u, u_next, h, method=rule.name)
         else:  # without the hooks of a module, several times a step
-            state = self.integrator.step(self.field.forward, q, v, u, u_next, h)
+            state = rule.step(self.field.forward, q, v, u, u_next, h)
         converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
         return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
+
+    def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
+        state = self.rollout_integrator.step(self.field.forward, q, y, u, u_next, self.time_step)
+        return *state, torch.ones_like(q[:, 0], dtype=torch.bool)
 
     def initial_velocity(self, windows: Windows) -> Tensor:
         return windows.v
@@ -188,8 +190,9 @@ class VariationalFlow(Flow):
         super().__init__(time_step)
         self.lagrangian, self.integrator = lagrangian, integrator
         self.root, self.evaluation_root, self.rollout_root = roots
-        matrix = input_matrix.to(torch.get_default_dtype())
-        self.register_buffer("input_matrix", matrix, persistent=False)
+        self.register_buffer(
+            "input_matrix", input_matrix.to(torch.get_default_dtype()), persistent=False
+        )
 
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
         guess = q + self.time_step * v

@@ -48,7 +48,7 @@ class ResidualFlow(Flow):
         return windows.v
 
 
-class Residual(Learner):
+class ResidualNetwork(Learner):
     """``x_{k+1} = x_k + h (v + MLP₁, MLP₂)`` of state and controls; trained on the error of the
     next state."""
 

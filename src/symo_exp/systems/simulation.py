@@ -18,26 +18,60 @@ from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.checks import one_of, real
 
 METHODS = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
+Slope = Callable[[int, float, np.ndarray], np.ndarray]
+"""``ẋ`` of states (batch, 2n), from a node and the time [s] since it."""
 
 
 @dataclass(frozen=True)
 class Solver:
-    """How SciPy integrates, with its names; the defaults of its ``solve_ivp`` are RK45, 1e-3, 1e-6.
+    """How SciPy integrates, with its names: all trajectories together.
 
-    ``warm`` starts from a node with the step size proposed at the end of the step before. Without
-    it every node begins with SciPy's cautious search for a first step, as repeated calls of
-    ``solve_ivp`` do; at loose tolerances that makes the result more accurate.
+    Its error norm is a root mean square over all B·2n states; tolerances divided by √B make it
+    bound every single trajectory as its tolerances would. The integrator stops at every node, which
+    therefore has no interpolation error, and goes on with the step size that it had.
     """
 
     method: str = "DOP853"
     rtol: float = 1e-10
     atol: float = 1e-10
-    warm: bool = True
 
     def __post_init__(self) -> None:
         one_of("data.solver.method", self.method, tuple(METHODS))
         real("data.solver.rtol", self.rtol, low=1e-12, high=0.1)
         real("data.solver.atol", self.atol, low=1e-14, high=0.1)
+
+    def integrate(
+        self, slope: Slope, start: Float[np.ndarray, "batch states"], nodes: int, h: float
+    ) -> Float[np.ndarray, "nodes batch states"]:
+        """The states at every node; ``ConfigError`` where the integrator fails."""
+        states = np.empty((nodes, *start.shape))
+        states[0], step = start, None
+        for k in range(nodes - 1):
+            states[k + 1], step = self._advance(slope, k, states[k], h, step)
+        return states
+
+    def _advance(
+        self, slope: Slope, k: int, x: np.ndarray, h: float, first_step: float | None
+    ) -> tuple[np.ndarray, float]:
+        """The states at node ``k + 1``, and the step size to begin the next with."""
+        scale = 1 / math.sqrt(max(len(x), 1))
+        stepper = METHODS[self.method](
+            lambda t, y: slope(k, t, y.reshape(x.shape)).ravel(), 0.0, x.ravel(), h,
+            rtol=self.rtol * scale, atol=self.atol * scale, first_step=first_step,
+        )  # fmt: skip
+        message = None
+        while stepper.status == "running":
+            message = stepper.step()
+        if stepper.status == "failed" or not np.isfinite(stepper.y).all():
+            raise self.failed(k, message or "not finite")
+        return stepper.y.reshape(x.shape), min(stepper.h_abs, h)
+
+    def failed(self, k: int, reason: str) -> ConfigError:
+        """What to say where there is no way from node ``k`` to the next."""
+        return ConfigError(
+            f"data.solver={self.method} with rtol={self.rtol:g}, atol={self.atol:g} failed between "
+            f"nodes {k} and {k + 1}: {reason}; try larger tolerances or milder parameters"
+        )
 
 
 def simulate(
@@ -52,10 +86,6 @@ def simulate(
 
     ``u`` is (batch, m), constant along a trajectory, or (batch, steps + 1, m), one value a node;
     the input is held from a node to the next. Angles are not wrapped. float64.
-
-    All trajectories are integrated together. SciPy's error norm is a root mean square over all
-    B·2n states; tolerances divided by √B make it bound every single trajectory as its tolerances
-    would. The integrator stops at every node, which therefore has no interpolation error.
     """
     u = u.double()
     controls = u if u.dim() == 3 else u.unsqueeze(1).expand(-1, steps + 1, -1)
@@ -88,34 +118,13 @@ def _integrate(
     solver: Solver,
 ) -> Trajectories:
     """From node to node; ``control`` takes a node and the time [s] since it."""
-    (batch, n), nodes, h = q0.shape, controls.shape[1], system.time_step
-    scale = 1 / math.sqrt(max(batch, 1))
-    rtol, atol = solver.rtol * scale, solver.atol * scale
-    states = np.empty((nodes, 2 * n * batch))
-    states[0] = torch.cat([q0, v0], dim=1).double().flatten().numpy()
-    first_step = None
-    for k in range(nodes - 1):
 
-        @torch.no_grad()
-        def slope(t: float, x: np.ndarray, k: int = k) -> np.ndarray:
-            q, v = torch.from_numpy(x).view(batch, 2 * n).split(n, dim=1)
-            rate = system.acceleration(q, v, control(k, t))
-            return torch.cat([v, rate], dim=1).view(-1).numpy()
+    @torch.no_grad()
+    def slope(k: int, t: float, x: np.ndarray) -> np.ndarray:
+        q, v = torch.from_numpy(x).chunk(2, dim=1)
+        return torch.cat([v, system.acceleration(q, v, control(k, t))], dim=1).numpy()
 
-        stepper = METHODS[solver.method](
-            slope, 0.0, states[k], h, rtol=rtol, atol=atol, first_step=first_step
-        )
-        message = None
-        while stepper.status == "running":
-            message = stepper.step()
-        if stepper.status == "failed" or not np.isfinite(stepper.y).all():
-            raise ConfigError(
-                f"data.solver={solver.method} with rtol={solver.rtol:g}, atol={solver.atol:g} "
-                f"failed between nodes {k} and {k + 1} of {type(system).__name__}: "
-                f"{message or 'not finite'}; try larger tolerances or milder parameters"
-            )
-        states[k + 1] = stepper.y
-        first_step = min(stepper.h_abs, h) if solver.warm else None
-    path = torch.from_numpy(states).view(nodes, batch, 2 * n).transpose(0, 1)
-    q, v = path.split(n, dim=2)
+    start = torch.cat([q0, v0], dim=1).double().numpy()
+    states = solver.integrate(slope, start, controls.shape[1], system.time_step)
+    q, v = torch.from_numpy(states).transpose(0, 1).chunk(2, dim=2)
     return Trajectories(q.contiguous(), v.contiguous(), controls.contiguous())
