@@ -90,3 +90,28 @@ def compiled(text: str) -> Any:
 
 def read(text: str, **settings: Any) -> Multibody:
     return Multibody(mechanism=of_model(compiled(text), "model"), **{"time_step": 0.05, **settings})
+
+
+def urdf(s: Acrobot) -> str:
+    """The acrobot's links; a URDF has no motors."""
+
+    def link(name: str, mass: float, centre: float, inertia: float) -> str:
+        own = " ".join(f'i{axis}="{inertia}"' for axis in ("xx", "yy", "zz"))
+        return (
+            f'<link name="{name}"><inertial><origin xyz="0 0 {-centre}"/><mass value="{mass}"/>'
+            f'<inertia {own} ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        )
+
+    def joint(name: str, parent: str, child: str, at: float) -> str:
+        return (
+            f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="0 0 {-at}"/><axis xyz="0 -1 0"/><dynamics damping="0.1"/></joint>'
+        )
+
+    parts = (
+        link("upper", s.mass_1, s.centre_1, s.inertia_1),
+        link("lower", s.mass_2, s.centre_2, s.inertia_2),
+        joint("theta_1", "world", "upper", 0.0),
+        joint("theta_2", "upper", "lower", s.length_1),
+    )
+    return f'<robot name="acrobot"><link name="world"/>{"".join(parts)}</robot>'

@@ -279,3 +279,20 @@ def test_a_gymnasium_environment_is_a_system() -> None:
         with pytest.raises(ConfigError, match=reason) as error:
             environment(name)
         assert "\n" not in str(error.value)
+
+
+def test_a_urdf_file_is_a_system(tmp_path: Path) -> None:
+    file = tmp_path / "acrobot.urdf"
+    file.write_text(models.urdf(ACROBOT))
+    found = Multibody(mechanism=mechanism(file), time_step=0.05)
+    assert found.coordinates == ACROBOT.coordinates
+    assert found.viscous == (0.1, 0.1)
+    assert found.input_matrix.shape == (2, 0)
+    q, v, _ = points(found, 8)
+    exact = {"rtol": 1e-10, "atol": 1e-10}
+    torch.testing.assert_close(found.mass_matrix(q), ACROBOT.mass_matrix(q), **exact)
+    fall = found.potential(q) - ACROBOT.potential(q)
+    torch.testing.assert_close(fall, fall[:1].expand(8), **exact)
+    generate = {"n_train_max": 1, "n_val": 1, "n_test": 1, "n_steps": 2, "n_integration": 1}
+    data = TrajectoryData(system=found, **generate, integration_steps=2, n_traj=1, dtype="float64")
+    assert data.load().train[0].u.shape == (4, 0)
