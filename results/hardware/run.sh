@@ -6,24 +6,29 @@ seeds=$1 method=$2
 shift 2
 for machine in "$@"; do
   case $machine in
-    free_single_pendulum) own=(integrator=galerkin4) ;;
-    free_*) own=(integrator=galerkin4 dissipation.joints=neighbours) ;;
-    motor_pendulum) own=(integrator=midpoint) ;;
+    free_single_pendulum) network=(integrator=galerkin4) ;;
+    free_*) network=(integrator=galerkin4 dissipation.joints=neighbours) ;;
+    motor_pendulum) network=(integrator=midpoint) ;;
     motor_double_pendulum)
-      own=(integrator=midpoint model.width=2 model.depth=1 harmonics=1 dissipation=friction
+      network=(integrator=midpoint model.width=2 model.depth=1 harmonics=1 dissipation=friction
         optimizer.starts=6) ;;
   esac
+  own=("${network[@]}")
+  if [ "$machine" = motor_double_pendulum ]; then
+    own=(integrator=midpoint structure=relative harmonics=0 dissipation=friction)
+  fi
   explicit=(integrator=rk4)
   case $method in
     symo) how=("${own[@]}") ;;
-    symo-none) how=("${own[@]}" dissipation=none) ;;
-    symo-smoothed) how=("${own[@]}" 'optimizer.epsilons=[]') ;;
-    l_node) how=(model=l_node "${own[@]}" "${explicit[@]}") ;;
-    l_node-estimated) how=(model=l_node "${own[@]}" "${explicit[@]}" data.velocities=estimated) ;;
+    symo-network) how=("${network[@]}") ;;
+    symo-none) how=("${network[@]}" dissipation=none) ;;
+    symo-smoothed) how=("${network[@]}" 'optimizer.epsilons=[]') ;;
+    l_node) how=(model=l_node "${network[@]}" "${explicit[@]}") ;;
+    l_node-estimated) how=(model=l_node "${network[@]}" "${explicit[@]}" data.velocities=estimated) ;;
     node) how=(model=node model.width=32 "${explicit[@]}") ;;
     node-estimated) how=(model=node model.width=32 "${explicit[@]}" data.velocities=estimated) ;;
-    e2e_symo) how=(model=e2e_symo "${own[@]}" optimizer=levenberg_marquardt) ;;
-    e2e_symo-none) how=(model=e2e_symo "${own[@]}" optimizer=levenberg_marquardt dissipation=none) ;;
+    e2e_symo) how=(model=e2e_symo "${network[@]}" optimizer=levenberg_marquardt) ;;
+    e2e_symo-none) how=(model=e2e_symo "${network[@]}" optimizer=levenberg_marquardt dissipation=none) ;;
   esac
   python -m symo_exp data=recorded system=recorded system.angular=all system.time_step=0.02 \
     preset=recorded data.path="recordings/$machine.parquet" reference="$machine" \

@@ -22,6 +22,7 @@ MEASURES = ["rmse_0.5s", "rmse_1s", "rmse_2s", "pooled_rmse_2s", "valid_s"]
 STARTS = {"fitted": "", "measured": "_measured"}
 METHODS = {
     "symo": "SyMo",
+    "symo-network": "SyMo, no structure given",
     "symo-none": "SyMo, no dissipation",
     "symo-smoothed": "SyMo on smoothed data",
     "e2e_symo": "E2E-SyMo",

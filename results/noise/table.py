@@ -1,0 +1,77 @@
+"""The table of this folder from its runs.
+
+    python results/noise/table.py outputs/noise_robust outputs/noise_structure outputs/noise_inputs \
+        > results/noise/table.md
+
+Keeps the numbers of the finished runs in ``runs.csv`` beside this file; without an argument it
+reads that. Cells are medians over seeds and, in brackets, the range of all of them.
+"""
+
+import sys
+from pathlib import Path
+
+import pandas as pd
+import yaml
+
+from symo_exp.report.tables import Table, markdown
+from symo_exp.runs.folder import RunFolder
+
+HERE = Path(__file__).parent
+MEASURES = ["test_mse", "integration_mse", "integration_mse_100", "energy_mse", "inertia_mse"]
+METHODS = {
+    "SyMo": "SyMo",
+    "E2ESyMo": "E2E-SyMo",
+    "LNODE": "L-NODE",
+    "NODE": "NODE",
+}
+
+
+def runs(outputs: Path) -> pd.DataFrame:
+    rows = []
+    for path in sorted(outputs.glob("*/config.yaml")):
+        folder = RunFolder(path.parent)
+        if folder.outcome().status != "finished":
+            continue
+        config, found = yaml.safe_load(path.read_text()), folder.measures()
+        method = METHODS[config["model"]["_target_"].rsplit(".", 1)[-1]]
+        rows.append(
+            {
+                "system": config["system"]["_target_"].rsplit(".", 1)[-1].lower(),
+                "method": method + (", estimated velocities" if estimated(config) else ""),
+                "structure": config["model"].get("structure", "network"),
+                "noise": config["data"]["noise_std"],
+                "input noise": config["data"].get("input_noise_std", 0.0),
+                "input weight": config["optimizer"].get("input_weight", 0.0),
+                "seed": config["seed"],
+                **{name: found[name] for name in MEASURES if name in found},
+                "seconds": pd.read_csv(path.with_name("series.csv")).training_seconds.max(),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def estimated(config: dict) -> bool:
+    return config["data"].get("velocities") == "estimated"
+
+
+def cell(values: pd.Series) -> str:
+    middle, low, high = (f"{x:.2g}" for x in (values.median(), values.min(), values.max()))
+    return middle if len(values) == 1 else f"{middle} [{low}, {high}]"
+
+
+def table(found: pd.DataFrame) -> str:
+    keys = ["system", "method", "structure", "noise", "input noise", "input weight"]
+    cells = {m: (m, cell) for m in MEASURES}
+    rows = found.groupby(keys).agg(
+        seeds=("seed", "nunique"), **cells, training=("seconds", "median")
+    )
+    rows["training"] = rows.training.map("{:.0f} s".format)
+    return markdown(Table("noise", "Medians over seeds", rows.reset_index().astype(str)))
+
+
+if __name__ == "__main__":
+    kept = HERE / "runs.csv"
+    if sys.argv[1:]:
+        found = pd.concat([runs(Path(folder)) for folder in sys.argv[1:]])
+        found.to_csv(kept, index=False, float_format="%.4g")
+    print(table(pd.read_csv(kept)))
