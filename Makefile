@@ -17,7 +17,7 @@ export OMP_NUM_THREADS := 1
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-lowest ui lint audit smoke bench bench-quick clean
+.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-lowest docs ui lint audit smoke bench bench-quick clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -62,6 +62,11 @@ test-lowest: ## run the tests with the lowest versions that pyproject.toml allow
 	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct --editable '.[dev]'
 	.venv-lowest/bin/python -m pytest -n 2
 
+docs: install ## build the documentation in build/site, the tutorial run anew
+	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	$(PY) -m sphinx --fail-on-warning --keep-going --quiet --conf-dir docs . build/site
+	@echo build/site/index.html
+
 ui: install ## open MLflow on the local store (PORT=5000)
 	@mkdir -p $(STORE)
 	@$(PY) -c "from symo_exp.tracking import page, store; \
@@ -90,5 +95,5 @@ bench-quick: install ## one system and one batch, in two minutes
 	$(PY) -m benchmarks --quick
 
 clean: ## remove what was built, trained and cached here, and the environment
-	rm -rf $(VENV) .venv-lowest build dist outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-lowest build dist docs/drawn outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

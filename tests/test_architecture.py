@@ -3,78 +3,15 @@
 import ast
 import re
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-import symo_exp
+from tests.architecture import ROOT, RULES, files, graph, imports
 
-ROOT = Path(symo_exp.__file__).parent
-
-# package: (packages of ours it may import, third parties it may import)
-RULES = {
-    "mechanics": (set(), {"torch", "jaxtyping"}),
-    "systems": (
-        {"mechanics"},
-        {"torch", "jaxtyping", "numpy", "scipy", "gymnasium", "pygame", "PIL", "yaml",
-         "mujoco"},
-    ),
-    "nets": ({"mechanics"}, {"torch", "jaxtyping"}),
-    "optim": ({"mechanics", "nets"}, {"torch", "jaxtyping", "numpy", "scipy"}),
-    "models": (
-        {"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "lightning", "torchdiffeq", "numpy"},
-    ),
-    "compile": ({"mechanics", "nets", "models"}, {"torch", "jaxtyping"}),
-    "data": (
-        {"mechanics", "systems"},
-        {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow", "filelock"},
-    ),
-    "evaluation": ({"mechanics", "systems"}, {"torch", "jaxtyping", "numpy"}),
-    "runs": ({"models"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
-    "training": ({"runs", "compile"}, {"torch", "lightning", "numpy", "tqdm"}),
-    "tracking": ({"runs", "models"}, {"torch", "mlflow", "filelock"}),
-    "report": (
-        {"runs", "tracking", "systems", "evaluation", "mechanics"},
-        {"torch", "numpy", "pandas", "matplotlib", "jinja2", "PIL", "yaml",
-         "mlflow", "pyarrow"},
-    ),
-    "thesis": (
-        {"report", "data", "systems", "tracking"},
-        {"torch", "numpy", "scipy", "pandas", "jaxtyping"},
-    ),
-    "sweep": (
-        # the columns of a recording and what a MuJoCo model says are part of a configuration
-        {"runs", "tracking", "training", "evaluation", "report", "data", "systems"},
-        {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
-    ),
-    "use": (
-        {"mechanics", "models", "runs", "tracking", "sweep"}, {"torch", "pandas", "PIL"},
-    ),
-}  # fmt: skip
 LONGEST_FILE, LONGEST_FUNCTION = 250, 50
 EVERYBODYS = {"errors", "files", "imports", "shipped", "code"}
 CONFIG_HOMES = {"sweep", "__main__", "runs"}
 """Where objects of Hydra and OmegaConf may be seen; `runs` builds a model from its file."""
-
-
-def imports(file: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert not node.level, f"{file} imports relatively"
-            assert node.module is not None
-            if node.module == "symo_exp":
-                yield from (f"symo_exp.{alias.name}" for alias in node.names)
-            else:
-                yield node.module
-
-
-def files(package: str) -> list[Path]:
-    found = sorted((ROOT / package).rglob("*.py"))
-    assert found
-    return found
 
 
 @pytest.mark.parametrize("package", RULES)
@@ -103,17 +40,13 @@ def test_every_package_has_its_rule():
 
 def test_no_circle():
     """A package that imports another, at any remove, is not imported by it."""
-    graph = {
-        package: {name.split(".")[1] for file in files(package) for name in imports(file)
-                  if name.startswith("symo_exp.")} - {package}
-        for package in RULES
-    }  # fmt: skip
+    left = graph()
     order = []
-    while graph:
-        free = [package for package, needs in graph.items() if not needs & set(graph)]
-        assert free, f"a circle among {sorted(graph)}"
+    while left:
+        free = [package for package, needs in left.items() if not needs & set(left)]
+        assert free, f"a circle among {sorted(left)}"
         order += free
-        graph = {package: needs for package, needs in graph.items() if package not in free}
+        left = {package: needs for package, needs in left.items() if package not in free}
     assert len(order) == len(RULES)
 
 

@@ -117,6 +117,7 @@ KEPT = [
     {"held_out": 1},
     {"n_traj": 2},
     {"noise_std": 1.0},
+    {"input_noise_std": 1.0},
     {"noise_seed": 7},
     {"noise_test": True},
     {"batch_size": 3},

@@ -121,7 +121,9 @@ def system_of(path: Path, rng: Generator) -> System:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize(
+    "seed", [*range(4), *(pytest.param(k, marks=pytest.mark.slow) for k in range(4, 10))]
+)
 def test_every_table_loads_or_is_refused_in_a_line(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
     ends = {"loaded": 0, "refused": 0}

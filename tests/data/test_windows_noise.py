@@ -74,6 +74,18 @@ def test_noise_has_the_variance_asked_for() -> None:
     assert (noisy.u == 0).all()
 
 
+def test_inputs_have_noise_of_their_own() -> None:
+    """It is neither that of the states nor does it change that."""
+    zero = Trajectories(*(torch.zeros(128, 34, k, dtype=torch.float64) for k in (1, 1, 1)))
+    without, noisy = (stacked(add_noise(zero.each(), 1.0, 0, std)) for std in (0.0, 0.3))
+    assert torch.equal(without.q, noisy.q)
+    assert torch.equal(without.v, noisy.v)
+    u = noisy.u.flatten() / 0.3
+    assert abs(u.var() - 1) < 5 * np.sqrt(2 / u.numel())
+    columns = torch.stack([noisy.q.flatten(), noisy.v.flatten(), u])
+    assert (torch.corrcoef(columns) - torch.eye(3)).abs().max() < 5 / np.sqrt(u.numel())
+
+
 def test_noise_of_a_trajectory_does_not_depend_on_the_others_and_scales() -> None:
     clean = labelled(6)
     small, large = (stacked(add_noise(clean.each(), std, 3)) for std in (0.1, 1.0))

@@ -65,7 +65,7 @@ def test_the_one_step_error_of_the_truth_is_the_known_floor_of_the_integrator(na
 def test_a_true_system_with_friction_has_its_floor_too_and_loses_the_energy_it_should():
     system = dataclasses.replace(systems()["cartpole"], viscous=[0.3, 0.01], coulomb=[0.1, 0.0])
     sets = TrajectoryData(
-        system=system, n_traj=1, n_val=1, n_test=32, n_train_max=1, n_integration=4,
+        system=system, n_traj=1, n_val=1, n_test=8, n_train_max=1, n_integration=2,
         integration_steps=60, dtype="float64",
     )  # fmt: skip
     sets.setup("test")

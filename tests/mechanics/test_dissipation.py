@@ -97,13 +97,12 @@ def test_order_of_convergence(name, n):
             q, p, _ = variational_step(method, lagrangian, TIGHT, q, p, f, f_next, h, guess)
         return q
 
-    counts = (16, 24, 32, 48) if method.order <= 4 else (6, 8, 10)
+    counts = (16, 24, 32) if method.order <= 4 else (6, 8, 10)
     slope = order(integrate, reference(lagrangian, n, forced=True), counts)
     assert slope == pytest.approx(method.order, abs=0.3)
 
 
-@every_n
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(("name", "n"), [*zip(METHODS, (1, 2, 3), strict=True)])
 @torch.no_grad()
 def test_energy_never_rises_without_input(name, n):
     """But for the oscillation of a symplectic method, which friction exceeds here."""

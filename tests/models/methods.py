@@ -34,17 +34,28 @@ def combinations() -> list[tuple[str, str]]:
     ]
 
 
-def pairwise() -> list[tuple[str, str, int]]:
-    """Every combination at one of n = 1, 2, 3; each n with every method and integrator in turn."""
+def flows() -> list[tuple[str, str]]:
+    """The combinations whose flows differ: without methods that are another one but for their
+    objective."""
+    kinds = {method: get_class(file._target_) for method, file in _files().items()}
+    own = [m for m, kind in kinds.items() if not any(k in kind.__mro__[1:] for k in kinds.values())]
+    return [(method, integrator) for method, integrator in combinations() if method in own]
+
+
+def pairwise(of: list[tuple[str, str]] | None = None) -> list[tuple[str, str, int]]:
+    """Every combination at one of n = 1, 2, 3; each n with every method and integrator in turn. If
+    only some are wanted they have the n that they have among all."""
     seen: Counter[str] = Counter()
     cases = []
     for method, integrator in combinations():
         cases.append((method, integrator, 1 + (seen[method] + seen[integrator]) % 3))
         seen.update((method, integrator))
-    return cases
+    return [case for case in cases if of is None or case[:2] in of]
 
 
 def _integrators_of(file: Any) -> dict[str, Any]:
+    if "integrator" not in file:
+        return {"none": None}
     return variational_integrators() if "root" in file else explicit_integrators()
 
 
@@ -57,8 +68,9 @@ def make(method: str, integrator: str, n: int, **overrides: Any) -> Any:
         "input_matrix": torch.eye(n, dtype=torch.float64)[:, -1:],
         "time_step": H,
         "width": 8,
-        "integrator": _integrators_of(file)[integrator],
     }
+    if "integrator" in file:
+        arguments["integrator"] = _integrators_of(file)[integrator]
     if "root" in file:
         arguments["root"] = Newton(tolerance=1e-12, max_iterations=50)
     model = get_class(file._target_)(**{**arguments, **overrides}).double()

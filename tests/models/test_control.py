@@ -5,9 +5,9 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Newton
-from tests.models.methods import make, pairwise, windows
+from tests.models.methods import flows, make, pairwise, windows
 
-PAIRWISE = pytest.mark.parametrize(("method", "integrator", "n"), pairwise())
+FLOWS = pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows()))
 
 
 def state_map(model, n):
@@ -26,7 +26,7 @@ def actuated(method, integrator, n, m):
     return make(method, integrator, n, input_matrix=torch.eye(n, m, dtype=torch.float64) + 0.1)
 
 
-@PAIRWISE
+@FLOWS
 def test_derivatives_of_a_step_are_those_of_finite_differences(method, integrator, n):
     model, data, eps = actuated(method, integrator, n, n), windows(n), 1e-5
     u = data.u.expand(-1, n)
@@ -114,7 +114,7 @@ def motion(model, data):
     return u, model.rollout(data.q, data.v, u[:, None].expand(-1, 3, -1)).q.unbind(1)
 
 
-@PAIRWISE
+@FLOWS
 def test_a_motion_of_the_model_gives_its_control_back(method, integrator, n):
     """Fully actuated and underactuated."""
     for m in {1, n}:

@@ -8,11 +8,12 @@ import torch
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.objectives import PreconditionedResidual
-from tests.models.methods import combinations, make, pairwise, windows
+from tests.models.methods import combinations, flows, make, pairwise, windows
 from tests.tables import variational_integrators
 
 ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
 PAIRWISE = pytest.mark.parametrize(("method", "integrator", "n"), pairwise())
+FLOWS = pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows()))
 
 
 @PAIRWISE
@@ -33,7 +34,7 @@ def test_gradient_of_the_loss_against_finite_differences(method, integrator, n):
         torch.testing.assert_close(computed.to(slope), slope.detach(), atol=1e-7, rtol=1e-5)
 
 
-@PAIRWISE
+@FLOWS
 def test_step_is_differentiable_in_its_inputs(method, integrator, n):
     """What a controller needs: derivatives in state and control, through the roots too."""
     model, data = make(method, integrator, n), windows(n, samples=2)
@@ -46,7 +47,7 @@ def test_step_is_differentiable_in_its_inputs(method, integrator, n):
     assert torch.autograd.gradcheck(outcome, inputs, eps=1e-6, atol=1e-5, rtol=1e-4, fast_mode=True)
 
 
-@PAIRWISE
+@FLOWS
 @torch.no_grad()
 def test_rollout_is_repeated_steps(method, integrator, n):
     model, data = make(method, integrator, n), windows(n)

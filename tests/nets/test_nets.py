@@ -7,10 +7,18 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
 from symo_exp.nets.embedding import Embedding
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
+from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
 
 ANGULAR = [(True,), (False,), (False, True), (True, True), (True, False, True), (True,) * 4]
-CASES = [(angular, harmonics) for angular in ANGULAR for harmonics in (0, 2)]
+KINDS = [
+    {},
+    {"harmonics": 2},
+    {"squares": True, "depth": 0},
+    {"squares": True, "relative": True, "depth": 0},
+    {"relative": True},
+]
+CASES = [(angular, kind) for angular in ANGULAR for kind in KINDS]
 
 
 class Plain(Lagrangian):
@@ -27,8 +35,8 @@ Plain.__abstractmethods__ = frozenset()
 
 @pytest.fixture(params=CASES, ids=str)
 def learned(request):
-    angular, harmonics = request.param
-    return learned_lagrangian(angular, harmonics=harmonics)
+    angular, kind = request.param
+    return learned_lagrangian(angular, **kind)
 
 
 def points(learned):
@@ -140,3 +148,35 @@ def test_initialisation_without_it_is_that_of_the_published_code():
     assert last.abs().max() <= 1 / 16
     assert last.std().item() == pytest.approx(1 / 16 / 3**0.5, rel=0.1)
     assert 0 < last_bias.abs().max() <= 1 / 16
+
+
+@pytest.mark.parametrize("links", [1, 2, 3])
+@pytest.mark.parametrize("relative", [False, True])
+def test_links_in_a_plane_are_affine_in_their_directions(links, relative):
+    """A chain on a slide with rotors in its joints: without a hidden layer it is said exactly."""
+    angles = torch.eye(links + 1)[1:]
+    if relative:
+        angles = angles.cumsum(0)  # of the links in the coordinates
+    angular = (False,) + (True,) * links
+    learned = StructuredLagrangian(
+        angular=angular, width=1, depth=0, squares=True, relative=relative
+    ).double()
+    ((weight, bias),) = learned.net.layers()
+    with torch.no_grad():
+        weight.zero_(), bias.zero_()
+        rows = weight[:-1].view(links + 1, -1, 1 + 2 * links)  # of L: 2n columns, one of its own
+        constant = bias[:-1].view(links + 1, -1)
+        constant[0, :links], constant[:, -1] = 1.0, 0.5  # the slide moves every mass
+        for mass in range(links):
+            for link in range(mass + 1):
+                for coordinate in angles[link].nonzero().flatten():
+                    rows[coordinate, mass, 1 + link] = 1.0  # cos, sideways
+                    rows[coordinate, links + mass, 1 + links + link] = 1.0  # sin, up
+        weight[-1, 1 : 1 + links] = -torch.arange(links, 0, -1)
+    chain = ChainPendulum(links, gravity=1.0)
+    q = torch.randn(50, links + 1, dtype=torch.float64)
+    turned = q @ angles.double().T
+    jacobian = angles[:, 1:].double()
+    expected = jacobian.T @ chain.mass_matrix(turned) @ jacobian + 0.25 * torch.eye(links)
+    torch.testing.assert_close(learned.mass_matrix(q)[:, 1:, 1:], expected, atol=1e-8, rtol=0)
+    torch.testing.assert_close(learned.potential(q), chain.potential(turned))

@@ -14,6 +14,7 @@ from symo_exp.optim import levenberg_marquardt
 from symo_exp.optim.chained import Chained
 from symo_exp.optim.lbfgs import LBFGS
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
+from symo_exp.optim.total_least_squares import TotalLeastSquares
 from tests.models.methods import make, windows
 
 
@@ -106,6 +107,16 @@ def test_it_stops_by_held_out_losses_and_keeps_the_best():
     assert optimizer.finished
     optimizer.ended()
     assert p.item() == 2.0
+
+
+def test_with_a_tolerance_the_last_of_the_nearly_best_is_kept():
+    p = nn.Parameter(torch.zeros(1, dtype=torch.float64))
+    optimizer = TotalLeastSquares([p], tolerance=0.3)
+    for value, loss in [(1.0, 0.5), (2.0, 0.3), (3.0, 0.38), (4.0, 0.4), (5.0, float("inf"))]:
+        p.data.fill_(value)
+        optimizer.validated(torch.tensor(loss))
+    optimizer.ended()
+    assert p.item() == 3.0
 
 
 def test_memory_that_is_not_there_is_named_before_the_work(monkeypatch):

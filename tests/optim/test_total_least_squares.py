@@ -103,7 +103,7 @@ def smoothed():
     nodes = (60, 80, 50, 70)
     clean, noisy = lengths(*nodes, n=1), lengths(*nodes, n=1, noise=NOISE)
     model = symo(1, dissipation=friction())
-    optimizer, found = train(model, noisy, epsilons=(0.3, 0.1), epochs=10, warm_up=100)
+    optimizer, found = train(model, noisy, epsilons=(0.3, 0.1), start=15, epochs=10, warm_up=100)
     return model, clean, noisy, optimizer, found
 
 
@@ -135,7 +135,7 @@ def test_the_best_start_goes_on():
     """Seen in the parameters that hardly move in a first step with much damping."""
     model, trajectories = symo(1), lengths(20, 20, n=1)
     optimizer = TotalLeastSquares(
-        model.parameters(), epsilons=(1.0,), starts=3, start=3, epochs=1, damping=1e9
+        model.parameters(), epsilons=(1.0,), starts=3, start=3, epochs=1, damping=1e9, warm_up=20
     )
     ends = []
     for _ in range(9):
@@ -163,16 +163,16 @@ def test_late_parameters_are_zero_until_their_stage():
 
 
 def test_it_goes_on_from_what_it_remembers_bit_for_bit():
-    trajectories = lengths(20, 25, noise=1e-3)
+    trajectories = lengths(20, 25, n=1, noise=1e-3)
     settings = {"epsilons": (1.0, 0.3), "start": 3, "epochs": 3, "warm_up": 10}
-    model = symo(dissipation=friction(width=2))
+    model = symo(1, dissipation=friction(width=2))
     optimizer = TotalLeastSquares(model.parameters(), **settings)
     kept = None
     while not optimizer.finished:
         if optimizer.memory["epoch"] == 7:
             kept = copy.deepcopy((optimizer.state_dict(), model.state_dict()))
         optimizer.epoch(model, trajectories)
-    again = symo(dissipation=friction(width=2))
+    again = symo(1, dissipation=friction(width=2))
     resumed = TotalLeastSquares(again.parameters(), **settings)
     again.load_state_dict(kept[1])
     resumed.load_state_dict(kept[0])
@@ -194,7 +194,30 @@ def test_a_method_that_reads_velocities_has_states_for_nodes():
     assert float(found[-1]["train_loss"]) < float(found[0]["train_loss"])
 
 
-@pytest.mark.parametrize("wrong", [{"epsilons": (1.0, 0.0)}, {"start": 0}, {"velocity_weight": -1}])
+def test_inputs_with_errors_are_nodes_too():
+    """They end nearer to the truth than they were measured, the rest of the model where it was."""
+    noise = NOISE / 20
+    clean = lengths(60, 50, n=1, noise=noise)
+    generator = torch.Generator().manual_seed(1)
+    errors = [torch.randn(t.u.shape, dtype=torch.float64, generator=generator) for t in clean]
+    noisy = [t._replace(u=t.u + e) for t, e in zip(clean, errors, strict=True)]
+    settings = {"epsilons": (0.3,), "starts": 1, "start": 15, "epochs": 10}
+    optimizer, found = train(symo(1), noisy, input_weight=1.0 / noise, **settings)
+    u = torch.cat([t.u for t in clean])
+    assert (optimizer.memory["nodes"][:, 1:] - u).std() < 0.8 * torch.cat(errors).std()
+    assert float(found[-1]["noise_estimate"]) == pytest.approx(noise, rel=0.3)
+
+
+BAD = (
+    {"epsilons": (1.0, 0.0)},
+    {"start": 0},
+    {"velocity_weight": -1},
+    {"input_weight": -1},
+    {"tolerance": -1},
+)
+
+
+@pytest.mark.parametrize("wrong", BAD)
 def test_bad_settings_are_refused_in_a_line(wrong):
     with pytest.raises(ConfigError, match=f"optimizer.{next(iter(wrong))}"):
         TotalLeastSquares(symo().parameters(), **wrong)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from symo_exp.report.answer import answers
+from symo_exp.report.answer import ROOTS, answers
 from symo_exp.report.tables import latex, markdown
 
 PAIRS = [("node", "rk4"), ("l_node", "rk4"), ("symo", "midpoint"), ("e2e_symo", "midpoint")]
@@ -101,6 +101,19 @@ def test_methods_that_were_not_run_on_all_systems_are_in_the_heat_map_of_theirs(
     assert tables == {
         "arm": ["NODE", "L-NODE", "SyMo", "E2E-SyMo"], "cart": ["L-NODE", "SyMo", "E2E-SyMo"],
     }  # fmt: skip
+
+
+def test_who_is_given_velocities_is_said_where_it_is_unfair():
+    runs = made(lambda *_: 1.0)
+    assert not any("velocities" in line for line in said(runs))
+    finding = [pair for pair in PAIRS if pair[1] == "midpoint"]
+    found = pd.concat([runs, made(lambda *_: 0.0, pairs=finding, metrics=(ROOTS,))])
+    assert said(found)[-1] == (
+        "**What they are given**: NODE and L-NODE velocities, too; SyMo and E2E-SyMo "
+        "configurations alone."
+    )
+    alone = found[found.method.isin(["symo", "e2e_symo"])]
+    assert not any("given" in line for line in said(alone))
 
 
 def test_the_heat_map_ranks_and_the_best_are_bold():

@@ -1,6 +1,8 @@
 """What a user adds is one class and one file each, found in a folder of the user's own."""
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 import torch
@@ -13,91 +15,20 @@ from symo_exp.sweep.recipe import build, run
 from tests.jobs import job_of, refusal
 from tests.tiny import TINY
 
-CLASSES = '''
-from dataclasses import dataclass
-from typing import Annotated
-
-import torch
-
-from symo_exp.evaluation.study import Finding, afresh
-from symo_exp.mechanics.explicit import RungeKutta
-from symo_exp.mechanics.types import Coordinates
-from symo_exp.models.learner import Learner
-from symo_exp.models.l_node import LNODE
-from symo_exp.models.objectives import Objective, Residual, Residuals
-from symo_exp.systems.base import LagrangianSystem
-
-
-@dataclass(frozen=True, kw_only=True)
-class Spring(LagrangianSystem):
-    mass: Annotated[float, "kg"]
-    stiffness: Annotated[float, "N/m"]
-    coordinates = Coordinates(names=("x",), angular=(False,))
-    input_matrix = torch.tensor([[1.0]], dtype=torch.float64)
-
-    def mass_matrix(self, q):
-        return torch.full_like(q, self.mass).unsqueeze(-1)
-
-    def potential(self, q):
-        return 0.5 * self.stiffness * q[:, 0] ** 2
-
-
-class Heun(RungeKutta):
-    def __init__(self):
-        super().__init__(name="heun", order=2, a=((), (1.0,)), b=(0.5, 0.5), c=(0.0, 1.0))
-
-
-class Scaled(Objective):
-    def __init__(self, *, factor: float = 10.0) -> None:
-        self.factor = factor
-
-    def __call__(self, flow, windows):
-        return Residuals(self.factor * Residual()(flow, windows).values)
-
-
-class Renamed(LNODE):
-    """A method: here one that exists, by another name."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Largest:
-    name: str
-
-    def __call__(self, model, system, data, *, remember=afresh):
-        error = model.predict(data.test).q - data.test.q_next
-        return Finding(measures={f"{self.name}_error": float(error.abs().max())})
-'''
+DOCS = Path(__file__).parents[2] / "docs"
 FILES = {
-    "system/spring.yaml": """# @package _global_
-# A mass on a spring.
-system:
-  _target_: mine.Spring
-  time_step: 0.1 # s
-  mass: 1.0 # kg
-  stiffness: 2.0 # N/m
-  box: {q: [[-1, 1]], v: [[-1, 1]], u: [[-1, 1]]}
-""",
-    "integrator/heun.yaml": """# Heun's method, order 2.
-explicit: {_target_: mine.Heun}
-variational: null
-sensitivity: direct
-""",
-    "objective/scaled.yaml": "# The residual, ten times as large.\n_target_: mine.Scaled\n",
-    "model/renamed.yaml": """# L-NODE by another name.
-defaults: [l_node]
-_target_: mine.Renamed
-""",
-    "study/largest.yaml": """# @package study.largest
-# The largest error of a step.
-_target_: mine.Largest
-name: largest
-""",
+    name: text
+    for page in sorted(DOCS.glob("own_*.md"))
+    for name, text in re.findall(
+        r"^`mine/(\S+)`\n\n```\w+\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.S | re.M
+    )
 }
+"""What the pages tell to write, and where."""
 ADDED = {
     "system": "system=spring model=symo",
     "integrator": "integrator=heun model=node",
-    "objective": "objective=scaled model=symo",
-    "method": "model=renamed integrator=rk4",
+    "objective": "objective=bounded model=symo",
+    "method": "model=reversible integrator=rk4",
     "measure": "study=largest model=node",
 }
 QUIET = [*TINY, "logger=none", "pictures=false"]
@@ -109,7 +40,6 @@ def mine(workplace):
     for name, text in FILES.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
-    (folder / "mine.py").write_text(CLASSES)
     return folder
 
 
@@ -133,17 +63,17 @@ def test_they_are_listed(mine, capsys):
     assert "spring" in capsys.readouterr().out
     assert main(["--help", "--config-dir", "mine_own"]) == 0
     told = capsys.readouterr().out
-    for name in ("spring", "heun", "scaled", "renamed", "largest"):
+    for name in ("spring", "heun", "bounded", "reversible", "largest"):
         assert name in told
-    assert "A mass on a spring." in told
+    assert "A mass on a spring that stiffens." in told
 
 
 def test_without_a_word_nothing_of_it_runs(mine, workplace, capsys, monkeypatch):
     monkeypatch.setattr("symo_exp.code._folders", [])
-    (mine / "mine.py").write_text("open('harm', 'w').close()\n")
+    (mine / "mine_system.py").write_text("open('harm', 'w').close()\n")
     assert main(["--config-dir", "mine_own", "system=spring", "model=node", *QUIET]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert "mine.Spring" in line
+    assert "mine_system.Spring" in line
     assert "code=FOLDER" in line
     assert not (workplace / "harm").exists()
 
@@ -163,7 +93,7 @@ def test_a_folder_that_is_none(word, wanted, workplace):
 
 def test_only_what_the_folder_defines_may_be_named(mine):
     (mine / "subprocess.py").write_text("")  # a name is not enough
-    text = FILES["objective/scaled.yaml"].replace("mine.Scaled", "subprocess.Popen")
-    (mine / "objective" / "scaled.yaml").write_text(text)
-    words = ["--config-dir", "mine_own", "code=mine_own", "objective=scaled", "model=symo"]
+    text = FILES["objective/bounded.yaml"].replace("mine_objective.Bounded", "subprocess.Popen")
+    (mine / "objective" / "bounded.yaml").write_text(text)
+    words = ["--config-dir", "mine_own", "code=mine_own", "objective=bounded", "model=symo"]
     assert "refused" in refusal(*words, *QUIET)

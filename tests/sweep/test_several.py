@@ -51,9 +51,10 @@ def test_all_are_run_and_a_failure_does_not_stop_the_next(folder, started, capsy
     assert capsys.readouterr().out.count("== ") == 2
 
 
-def test_the_command_line_narrows_them_all(folder, started):
-    main(["--config-dir", str(folder), "-cn", "both", "data.n_traj=8", "seed=0,1,2"])
-    assert started == [3, 3]
+def test_the_command_line_narrows_them_all(folder):
+    narrow = ["data.n_traj=8", "seed=0,1,2"]
+    both = Command(["--config-dir", str(folder), "-cn", "both", *narrow]).several()
+    assert [(one.name, one.overrides) for one in both] == [("a", narrow), ("b", narrow)]
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,9 @@ import sys
 
 import pytest
 
+from symo_exp.report.looks import written
 from symo_exp.runs.folder import About, RunFolder
-from symo_exp.sweep.table import run_line, table, written
+from symo_exp.sweep.table import run_line, table
 from symo_exp.training import phases
 
 MEASURES = {

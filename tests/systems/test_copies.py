@@ -13,7 +13,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.systems.environment import VectorEnvironment
 from symo_exp.systems.recorded import Recorded
 from symo_exp.systems.simulation import Solver
-from tests.models.methods import combinations, make
+from tests.models.methods import flows, make
 from tests.systems.every import SYSTEMS
 
 FINE = Solver("RK45", rtol=1e-10, atol=1e-11)
@@ -58,7 +58,7 @@ def test_copies_move_as_one_does_alone(name):
                 assert (alone[2], alone[3]) == (lost[i], over[i]) == (False, False)
 
 
-@pytest.mark.parametrize(("method", "integrator"), combinations())
+@pytest.mark.parametrize(("method", "integrator"), flows())
 def test_the_environment_of_a_model_is_accepted_and_is_its_step(method, integrator):
     system = SYSTEMS["acrobot"]
     model = model_of(system, method, integrator)

@@ -257,8 +257,7 @@ def test_friction_joins_the_forces_and_takes_energy(name: str) -> None:
     force = -torch.tensor(d) * v - 0.2 * torch.tanh(v / 0.05)
     expected = acceleration(system, q, v, generalised_force(system.input_matrix, u) + force)
     torch.testing.assert_close(damped.acceleration(q, v, u), expected)
-    at_rest = torch.zeros_like(u[:4])
-    path = simulate(damped, q[:4], v[:4], at_rest, 20, Solver())
+    path = simulate(damped, q[:2], v[:2], torch.zeros_like(u[:2]), 8, Solver())
     energy = along(damped.energy, path.q, path.v)
     assert (energy.diff(dim=1) < 0).all()
 

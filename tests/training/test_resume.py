@@ -14,8 +14,7 @@ from symo_exp.training.divergence import DivergenceError
 from tests.training.runs import Cut, cut, go, same, state
 
 METHODS = [
-    "model=node integrator=rk4",
-    "model=l_node",
+    "model=l_node integrator=rk4",
     "model=symo",
     "model=e2e_symo scheduler=cosine",
     "model=node optimizer=lbfgs scheduler=none",
@@ -44,11 +43,11 @@ def refused(caplog):
 @pytest.mark.parametrize("words", METHODS, ids=lambda words: words.replace(" ", ","))
 def test_cut_again_and_again_it_ends_with_the_same_bits(words, workplace, monkeypatch, caplog):
     whole = go(words, workplace / "whole")
-    for epoch in (1, 2, 4):
+    for epoch in (1, 4):
         cut(words, workplace / "cut", epoch, monkeypatch)
         torch.manual_seed(99)  # what another process would draw
     assert go(words, workplace / "cut") == whole
-    assert resumed(caplog) == [1, 2, 4]
+    assert resumed(caplog) == [1, 4]
     assert same(state(workplace / "cut"), state(workplace / "whole"))
     assert series(workplace / "cut") == series(workplace / "whole")
 
@@ -61,8 +60,9 @@ def series(folder):
     return [{name: value for name, value in row.items() if name not in clocks} for row in rows]
 
 
-@pytest.mark.parametrize("epoch", range(1, 6))
-@pytest.mark.parametrize("validate_every", [2, 3])
+@pytest.mark.parametrize(
+    ("epoch", "validate_every"), [(1, 2), (2, 2), (2, 3), (3, 3), (4, 2), (5, 3)]
+)
 def test_cut_in_any_epoch(validate_every, epoch, whole, folder, monkeypatch):
     shutil.rmtree(folder)
     words = f"{SYMO} trainer.validate_every={validate_every}"

@@ -60,7 +60,10 @@ def test_it_saves_before_the_launcher_has_its_turn(workplace, monkeypatch):
     assert left(workplace)[1]["status"] == "waiting"
     assert main(COMMAND) == 0
     cut = state(left(workplace)[0])
+    signal.signal(signal.SIGUSR2, signal.SIG_DFL)
+    monkeypatch.setattr(stopping, "_requeue", None)
     assert main([*COMMAND, "resume=false"]) == 0
+    assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL  # where no launcher listens
     assert same(cut, state(left(workplace)[0]))
 
 
@@ -73,9 +76,3 @@ def test_a_job_that_may_not_be_queued_again_says_why(workplace, monkeypatch, cap
     assert main(COMMAND) == 128 + signal.SIGUSR2
     assert "timed out too many times" in capsys.readouterr().err
     assert left(workplace)[1]["status"] == "interrupted"
-
-
-def test_nothing_of_it_where_no_launcher_listens(workplace):
-    assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL
-    assert main(COMMAND) == 0
-    assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL

@@ -15,13 +15,16 @@ SMALL = ["model=symo", *TINY, "logger=none"]
 
 
 def test_a_run_is_what_the_command_leaves(workplace):
-    run = symo_exp.run(*SMALL)
+    run = symo_exp.run(*SMALL, "pictures=false")
     assert [run.folder] == list((workplace / "outputs" / "default").glob("symo-*"))
     assert run.measures == RunFolder(run.folder).measures()
     assert run.measures["test_mse"] > 0
     assert {"trajectory", "t", "q_theta", "q_true_theta"} <= set(run.rollouts.columns)
     path = run.model.rollout([0.1], [0.0], steps=3)
     assert path.q.shape == (4, 1)
+    trained = (run.folder / "checkpoints" / "last.ckpt").stat().st_mtime_ns
+    assert symo_exp.run(*SMALL).folder == run.folder  # it is finished, but for the pictures
+    assert (run.folder / "checkpoints" / "last.ckpt").stat().st_mtime_ns == trained
     assert run.figure("phase_portrait").size[0] > 100
     with pytest.raises(ConfigError, match=r"no figure nothing; there is .*trajectories"):
         run.figure("nothing")

@@ -36,8 +36,9 @@ class DataModule(lightning.LightningDataModule, ABC):
     cut from, of any lengths, and ``integration``, all float64. It needs no Trainer.
 
     ``n_traj`` is the number of training trajectories, the first of all there are. Noise of
-    standard deviation ``noise_std`` is added to the training data, and with ``noise_test`` to the
-    test data too; validation stays clean. An epoch has batches of ``batch_size`` samples,
+    standard deviation ``noise_std`` is added to the training data, to its inputs that of
+    ``input_noise_std``, and with ``noise_test`` the first to the test data too; validation stays
+    clean. An epoch has batches of ``batch_size`` samples,
     ``4 n_traj`` if none is given. ``monitor`` says whether the windows of the validation or of the
     test trajectories are watched during training, the first ``monitor_trajectories`` of them.
     ``held_out`` takes that many trajectories out of the training set, its last ones, or below 1
@@ -56,6 +57,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         *,
         n_traj: int,
         noise_std: float = 0.0,
+        input_noise_std: float = 0.0,
         noise_test: bool = False,
         batch_size: int | None = None,
         shuffle: bool = True,
@@ -71,6 +73,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         self.velocities = one_of("data.velocities", velocities, ("given", "estimated"))
         self.n_traj = whole("data.n_traj", n_traj, low=1, high=self.counts["train"])
         self.noise_std = real("data.noise_std", noise_std, low=0)
+        self.input_noise_std = real("data.input_noise_std", input_noise_std, low=0)
         self.noise_test = noise_test
         self.batch_size = whole("data.batch_size", 4 * n_traj if batch_size is None else batch_size)
         self.shuffle = shuffle
@@ -104,7 +107,9 @@ class DataModule(lightning.LightningDataModule, ABC):
             return
         splits = self.load()
         train = splits.train[: self.n_traj]
-        self.train_trajectories = add_noise(train, self.noise_std, [self.noise_seed, 0])
+        self.train_trajectories = add_noise(
+            train, self.noise_std, [self.noise_seed, 0], self.input_noise_std
+        )
         if self.velocities == "estimated":
             self.train_trajectories = [
                 t._replace(v=central_differences(t.q, self.time_step))

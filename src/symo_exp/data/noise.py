@@ -11,20 +11,27 @@ from symo_exp.mechanics.types import Trajectory
 
 
 def add_noise(
-    trajectories: Sequence[Trajectory], std: float, seed: int | Sequence[int]
+    trajectories: Sequence[Trajectory],
+    std: float,
+    seed: int | Sequence[int],
+    input_std: float = 0.0,
 ) -> list[Trajectory]:
-    """``q + σ z`` and ``v + σ z'`` with independent standard normal z at every node.
+    """``q + σ z``, ``v + σ z'`` and ``u + σ_u z''``, all z independent and standard normal.
 
-    σ has the unit of what it is added to. Controls are commanded, not measured: they stay clean.
-    The draws of a trajectory depend on the seed and on those before it only, so they are the same
-    in smaller sets and scale with σ.
+    σ has the unit of what it is added to. Inputs are clean where they are commanded; ``input_std``
+    is for those that are measured. The draws of a trajectory depend on the seed and on those before
+    it only, so they are the same in smaller sets and scale with σ.
     """
-    if std == 0:
+    if std == 0 and input_std == 0:
         return list(trajectories)
-    generator = np.random.default_rng(seed)
+    sequence = np.random.SeedSequence(seed)
+    of_state, of_input = (np.random.default_rng(s) for s in (sequence, *sequence.spawn(1)))
     noisy = []
     for q, v, u in trajectories:
         nodes, n = q.shape
-        z = torch.from_numpy(generator.standard_normal((nodes, 2, n)))
-        noisy.append(Trajectory(q + std * z[:, 0].to(q), v + std * z[:, 1].to(v), u))
+        z = torch.from_numpy(of_state.standard_normal((nodes, 2, n)))
+        z_u = torch.from_numpy(of_input.standard_normal(tuple(u.shape)))
+        noisy.append(
+            Trajectory(q + std * z[:, 0].to(q), v + std * z[:, 1].to(v), u + input_std * z_u.to(u))
+        )
     return noisy

@@ -151,7 +151,7 @@ class Nodes:
         q, u = samples.q, samples.u
         v = samples.v
         if v is None:
-            v = central_differences(torch.from_numpy(q), h).numpy()
+            v = central_differences(torch.tensor(q), h).numpy()
         if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
             raise ConfigError(f"{where} has numbers too large to reckon with")
         return Trajectory(*(torch.tensor(field) for field in (q, v, u)))

@@ -12,14 +12,15 @@ from typing import NamedTuple
 
 import torch
 
+from symo_exp.data.base import DataModule
 from symo_exp.evaluation import measures
-from symo_exp.evaluation.protocols import Data, Model
 from symo_exp.evaluation.recordings import Recorded, on_recordings
 from symo_exp.evaluation.references import Reference
 from symo_exp.evaluation.rollouts import CHUNK, Rollouts, along, roll_out
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Windows
+from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import System
 
 SHORT = 100
@@ -29,9 +30,9 @@ SHORT = 100
 class Case(NamedTuple):
     """What is measured: a model in float64, and its rollouts along ``data.integration``."""
 
-    model: Model
+    model: DynamicsModel
     truth: Lagrangian | None
-    data: Data
+    data: DataModule
     rollouts: Rollouts
 
 
@@ -49,7 +50,7 @@ class Evaluation:
 
 @torch.no_grad()
 def evaluate(
-    model: Model, system: System, data: Data, reference: Reference | None = None
+    model: DynamicsModel, system: System, data: DataModule, reference: Reference | None = None
 ) -> Evaluation:
     """Measure a trained model on its data and against what is known of the true ``system``.
 
@@ -133,7 +134,7 @@ def inertia(case: Case) -> dict[str, float]:
     }
 
 
-def _one_step(model: Model, samples: Windows) -> tuple[float, float, float]:
+def _one_step(model: DynamicsModel, samples: Windows) -> tuple[float, float, float]:
     """Errors of configuration and state, and the fraction of samples whose root was not found."""
     samples = Windows(*(field.to(model.input_matrix) for field in samples))
     parts = [

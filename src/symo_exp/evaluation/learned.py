@@ -8,10 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.data.base import DataModule
 from symo_exp.evaluation import measures
-from symo_exp.evaluation.protocols import Data, Model
 from symo_exp.evaluation.rollouts import along, state_columns
 from symo_exp.evaluation.study import Finding, Remember, afresh, check_size
+from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver, simulate
 
@@ -34,7 +35,7 @@ class LearnedQuantities:
 
     @torch.no_grad()
     def __call__(
-        self, model: Model, system: System, data: Data, *, remember: Remember = afresh
+        self, model: DynamicsModel, system: System, data: DataModule, *, remember: Remember = afresh
     ) -> Finding:
         model = model.for_evaluation()
         if model.lagrangian is None or not isinstance(system, LagrangianSystem):
@@ -47,7 +48,7 @@ class LearnedQuantities:
 
 @torch.no_grad()
 def beside_true(
-    model: Model,
+    model: DynamicsModel,
     system: LagrangianSystem,
     q_true: Float[Tensor, "trajectories nodes n"],
     v_true: Float[Tensor, "trajectories nodes n"],

@@ -9,13 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from symo_exp.data.base import DataModule
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation import measures
 from symo_exp.evaluation.phase_space import log_volume
-from symo_exp.evaluation.protocols import Data, Model
 from symo_exp.evaluation.rollouts import along, roll_out, state_columns
 from symo_exp.evaluation.study import Finding, Remember, afresh, check_size
 from symo_exp.mechanics.types import Trajectories
+from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver, simulate_driven
 
@@ -49,7 +50,7 @@ class Motion:
 
     @torch.no_grad()
     def __call__(
-        self, model: Model, system: System, data: Data, *, remember: Remember = afresh
+        self, model: DynamicsModel, system: System, data: DataModule, *, remember: Remember = afresh
     ) -> Finding:
         if system.box is None:
             return Finding()
@@ -75,7 +76,7 @@ class Motion:
         return wave.unsqueeze(-1).expand(*wave.shape, system.input_matrix.shape[1])
 
     def _beside_truth(
-        self, model: Model, system: LagrangianSystem, remember: Remember
+        self, model: DynamicsModel, system: LagrangianSystem, remember: Remember
     ) -> tuple[Finding, Tensor, Tensor]:
         motion = roll_out(model, system, self._true(system, remember))
         columns, q, q_true = motion.columns(), motion.q[:, 1:], motion.q_true[:, 1:]
@@ -109,7 +110,9 @@ class Motion:
         arrays = remember(f"{type(system).__name__.lower()}-motion", recipe, make)
         return Trajectories(*(torch.from_numpy(arrays[name]) for name in Trajectories._fields))
 
-    def _alone(self, model: Model, system: System, u: Tensor) -> tuple[Finding, Tensor, Tensor]:
+    def _alone(
+        self, model: DynamicsModel, system: System, u: Tensor
+    ) -> tuple[Finding, Tensor, Tensor]:
         assert system.box is not None
         place, truth = model.input_matrix, system.lagrangian
         q0, v0, _ = system.box.points(self.count, self.seed)

@@ -6,13 +6,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.evaluation.protocols import Model
 from symo_exp.evaluation.rollouts import CHUNK
-from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.lagrangian import Lagrangian, jacobian
+from symo_exp.models.base import DynamicsModel
 
 
 def log_volume(
-    model: Model,
+    model: DynamicsModel,
     lagrangian: Lagrangian,
     q: Float[Tensor, "trajectories nodes n"],
     v: Float[Tensor, "trajectories nodes n"],
@@ -32,15 +32,11 @@ def log_volume(
     return torch.cat((torch.zeros_like(log_mass[:, :1]), steps.cumsum(1)), dim=1)
 
 
-def _one_step(model: Model, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Tensor:
+def _one_step(model: DynamicsModel, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Tensor:
     """``log |det ∂(q', v')/∂(q, v)|`` of one step."""
     with torch.enable_grad():
         state = torch.cat((q, v), dim=1).requires_grad_()
         configuration, velocity = state.split(q.shape[1], dim=1)
         step = model.step(configuration, velocity, u, u_next)
-        after = torch.cat((step.q, step.v), dim=1)
-        derivatives = [
-            torch.autograd.grad(after[:, i].sum(), state, retain_graph=True)[0]
-            for i in range(after.shape[1])
-        ]
-    return torch.linalg.slogdet(torch.stack(derivatives, dim=1)).logabsdet
+        derivatives = jacobian(torch.cat((step.q, step.v), dim=1), state)
+    return torch.linalg.slogdet(derivatives).logabsdet

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from symo_exp.evaluation.horizon import HORIZONS, Predictions, cut, median, predict
-from symo_exp.evaluation.protocols import Model
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
 from symo_exp.evaluation.starts import RollsOut
 from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.models.base import DynamicsModel
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class HeldOutErrors:
     Infinite where no motion has a window.
     """
 
-    def __call__(self, model: Model, trajectories: Sequence[Trajectory]) -> float:
+    def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
         windows = cut(trajectories, model.time_step, run_in=True)
         if windows is None:
             return math.inf
@@ -66,7 +66,7 @@ class HeldOutErrors:
 
 
 def on_recordings(
-    model: Model, trajectories: Sequence[Trajectory], reference: Reference | None = None
+    model: DynamicsModel, trajectories: Sequence[Trajectory], reference: Reference | None = None
 ) -> tuple[dict[str, float], Recorded | None]:
     """The measures of ``horizon`` for a model in float64, for constant velocity, and for a
     reference, with prefixes of their own; those of the measured start end in ``_measured``.

@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from symo_exp.evaluation.protocols import Model
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
+from symo_exp.models.base import DynamicsModel
 
 CHUNK = 1024
 """Rows evaluated at once: more cost memory and, beyond the cache, time."""
@@ -69,7 +69,7 @@ def state_columns(
 
 
 @torch.no_grad()
-def roll_out(model: Model, truth: Lagrangian | None, true: Trajectories) -> Rollouts:
+def roll_out(model: DynamicsModel, truth: Lagrangian | None, true: Trajectories) -> Rollouts:
     """All trajectories at once from their node 1, the first that has a predecessor."""
     true = Trajectories(*(field.to(model.input_matrix) for field in true))
     path = model.rollout(true.q[:, 1], model.initial_velocity(_first_window(true)), true.u[:, 1:])

@@ -18,7 +18,7 @@ from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalIntegrator
 from symo_exp.models.control import Linear, inverse_dynamics, linearize
-from symo_exp.models.fields import Field
+from symo_exp.models.fields import EulerLagrangeAcceleration, Field
 from symo_exp.models.flows import ExplicitFlow, Flow, Rollout, Step, VariationalFlow
 from symo_exp.models.inputs import Array, Inputs
 
@@ -200,6 +200,15 @@ class ExplicitModel(DynamicsModel):
     ) -> None:
         flow = ExplicitFlow(field, integrator, time_step, sensitivity, rollout_integrator)
         super().__init__(flow, *objective, **base)
+
+
+class LagrangianOde(ExplicitModel):
+    """The Euler-Lagrange equation of a Lagrangian in a Runge-Kutta method."""
+
+    def __init__(
+        self, lagrangian: Lagrangian, /, *objective: Any, input_matrix: Tensor, **base: Any
+    ) -> None:
+        super().__init__(EulerLagrangeAcceleration(lagrangian, input_matrix), *objective, **base)
 
 
 class VariationalModel(DynamicsModel):

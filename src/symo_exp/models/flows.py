@@ -59,7 +59,6 @@ class Flow(nn.Module, ABC):
 
     reads_velocity: ClassVar[bool]
     """Whether predictions start from measured velocities; else these follow from configurations."""
-
     branch_free = False
     """Whether no operation of a step depends on a number, as a search for roots does."""
     input_matrix: Float[Tensor, "n m"]
@@ -95,11 +94,9 @@ class Flow(nn.Module, ABC):
         u: Float[Tensor, "batch nodes m"],
         advance: Callable[..., Carried] | None = None,
     ) -> Rollout:
-        """From ``(q, v)`` under the controls ``u`` at every node; all trajectories at once.
-
-        It carries ``(q, y)`` from node to node, ``y`` the velocity or what a flow has instead.
-        ``advance`` does what ``self.advance`` does.
-        """
+        """From ``(q, v)`` under the controls ``u`` at every node; all trajectories at once. It
+        carries ``(q, y)``, ``y`` the velocity or what a flow has instead; ``advance`` does what
+        ``self.advance`` does."""
         y, none = self.encode(q, v), torch.zeros(len(q), dtype=torch.bool, device=q.device)
         nodes: list[Carried] = [(q, y, none)]
         for k in range(u.shape[1] - 1):
@@ -116,9 +113,10 @@ class Flow(nn.Module, ABC):
         """The velocity that belongs to ``(q, y)``."""
         return y
 
-    @abstractmethod
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
         """``(q, y)`` one time step later in a rollout, and which rows have their root."""
+        step = self.step(q, y, u, u_next)
+        return step.q, step.v, step.converged
 
 
 class ExplicitFlow(Flow):
@@ -153,11 +151,11 @@ class ExplicitFlow(Flow):
         return self.field.lagrangian
 
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
-        h, name = self.time_step, self.integrator.name
+        rule, h = self.integrator, self.time_step
         if self.sensitivity == "adjoint" and torch.is_grad_enabled():
-            state = adjoint_step(self.field, q, v, u, u_next, h, method=name)
+            state = adjoint_step(self.field, q, v, u, u_next, h, method=rule.name)
         else:  # without the hooks of a module, several times a step
-            state = self.integrator.step(self.field.forward, q, v, u, u_next, h)
+            state = rule.step(self.field.forward, q, v, u, u_next, h)
         converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
         return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
 

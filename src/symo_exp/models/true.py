@@ -7,11 +7,8 @@ different floors. ``width`` is that of a net, which a system sets for all models
 
 from typing import Any
 
-from torch import Tensor
-
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.models.base import ExplicitModel, VariationalModel
-from symo_exp.models.fields import EulerLagrangeAcceleration
+from symo_exp.models.base import LagrangianOde, VariationalModel
 
 
 class TrueVariational(VariationalModel):
@@ -21,13 +18,11 @@ class TrueVariational(VariationalModel):
         super().__init__(_of(lagrangian), **base)
 
 
-class TrueOde(ExplicitModel):
+class TrueOde(LagrangianOde):
     """A given Lagrangian in a Runge-Kutta method: what L-NODE, and NODE, would best be."""
 
-    def __init__(
-        self, *, lagrangian: Any, input_matrix: Tensor, width: int | None = None, **base: Any
-    ) -> None:
-        super().__init__(EulerLagrangeAcceleration(_of(lagrangian), input_matrix), **base)
+    def __init__(self, *, lagrangian: Any, width: int | None = None, **base: Any) -> None:
+        super().__init__(_of(lagrangian), **base)
 
 
 def _of(given: Any) -> Lagrangian:

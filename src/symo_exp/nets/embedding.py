@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 
 class Features(NamedTuple):
-    """``s(q)`` with its derivatives: every feature depends on one coordinate, its owner."""
+    """``s(q)`` with its derivatives: every feature depends on one coordinate, its owner, or, where
+    angles are relative, on one sum of them."""
 
     x: Float[Tensor, "batch features"]
     dx: Float[Tensor, "batch features"]
@@ -20,23 +21,29 @@ class Features(NamedTuple):
 class Embedding(nn.Module):
     """Angles enter a network as cosine and sine, so that it is periodic and smooth in them.
 
-    Features are ordered: translational coordinates, cosines, sines.
+    Features are ordered: translational coordinates, cosines, sines. With ``relative`` the angles
+    count from one to the next and their sums ``φ₁ + … + φᵢ`` take their place.
     """
 
     owner: Tensor
     selection: Tensor
     bend: Tensor
+    turn: Tensor | None
 
-    def __init__(self, *, angular: tuple[bool, ...]) -> None:
+    def __init__(self, *, angular: tuple[bool, ...], relative: bool = False) -> None:
         super().__init__()
         straight = [i for i, is_angle in enumerate(angular) if not is_angle]
         angles = [i for i, is_angle in enumerate(angular) if is_angle]
         owner = torch.tensor([*straight, *angles, *angles], dtype=torch.int64)
         self._straight, self._angles = len(straight), len(angles)
         self.register_buffer("owner", owner, persistent=False)
-        # selection[f, i] = 1 where coordinate i owns feature f.
-        selection = nn.functional.one_hot(owner, len(angular)).to(torch.get_default_dtype())
-        self.register_buffer("selection", selection, persistent=False)
+        turn = torch.eye(len(angular))
+        if relative:
+            for k, i in enumerate(angles):
+                turn[i, angles[: k + 1]] = 1.0
+        self.register_buffer("turn", turn if relative else None, persistent=False)
+        # selection[f, i] = 1 where coordinate i is in what owns feature f.
+        self.register_buffer("selection", turn[owner], persistent=False)
         bend = torch.cat((torch.zeros(len(straight)), -torch.ones(2 * len(angles))))
         self.register_buffer("bend", bend, persistent=False)
 
@@ -46,7 +53,7 @@ class Embedding(nn.Module):
         return self._straight + 2 * self._angles
 
     def forward(self, q: Float[Tensor, "batch n"]) -> Features:
-        owned = q.index_select(1, self.owner)
+        owned = self.spread(q)
         r = owned[:, : self._straight]
         phi = owned[:, self._straight : self._straight + self._angles]
         cos, sin = torch.cos(phi), torch.sin(phi)
@@ -60,7 +67,8 @@ class Embedding(nn.Module):
 
     def spread(self, direction: Float[Tensor, "batch n"]) -> Float[Tensor, "batch features"]:
         """The entry of its owner for each feature; ``dx`` times it is the features' rate."""
-        return direction.index_select(1, self.owner)
+        turned = direction if self.turn is None else direction @ self.turn.T
+        return turned.index_select(1, self.owner)
 
     def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
         """``s_q eᵢ`` for every coordinate ``i``."""
@@ -71,3 +79,12 @@ class Embedding(nn.Module):
     ) -> Float[Tensor, "batch n"]:
         """Sum of what belongs to each coordinate."""
         return cotangent @ self.selection
+
+    def curvature(
+        self, features: Features, cotangent: Float[Tensor, "batch features"]
+    ) -> Float[Tensor, "batch n n"]:
+        """Second derivatives in ``q`` of ``cotangent · s(q)``."""
+        own = self.second(features) * cotangent
+        if self.turn is None:
+            return torch.diag_embed(self.to_coordinates(own))
+        return (self.selection.T * own.unsqueeze(1)) @ self.selection

@@ -18,9 +18,9 @@ class MLP(nn.Module):
 
     def __init__(self, *, inputs: int, outputs: int, width: int, depth: int) -> None:
         super().__init__()
-        for name, value in (("width", width), ("depth", depth)):
-            if value < 1:
-                raise ValueError(f"{name} must be at least 1, got {value}")
+        for name, value, least in (("width", width, 1), ("depth", depth, 0)):
+            if value < least:
+                raise ValueError(f"{name} must be at least {least}, got {value}")
         sizes = [inputs, *[width] * depth, outputs]
         pairs = list(pairwise(sizes))
         self.weights = nn.ParameterList([torch.empty(out, into) for into, out in pairs])

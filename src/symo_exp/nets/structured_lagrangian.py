@@ -39,8 +39,8 @@ from symo_exp.mechanics.lagrangian import (
     vecmat,
 )
 from symo_exp.nets.affine import bias_gradient, linear, shift, weight_gradient
-from symo_exp.nets.cholesky import CholeskyHead, HeadPoint
 from symo_exp.nets.embedding import Embedding, Features
+from symo_exp.nets.factor import FactorHead, HeadPoint
 from symo_exp.nets.harmonics import Harmonics
 from symo_exp.nets.jet import tanh_jet_layer
 from symo_exp.nets.mlp import MLP
@@ -58,7 +58,9 @@ class StructuredLagrangian(nn.Module, Lagrangian):
     often lead to a nearly singular ``H`` whose accelerations fly off.
 
     ``harmonics`` is how many angles a harmonic couples at most; 0: none. Their weights ``S`` start
-    at zero.
+    at zero. With ``squares`` the kinetic energy is a sum of squared speeds (``FactorHead``),
+    ``relative`` angles count from one to the next (``Embedding``). Without a hidden layer,
+    ``depth=0``, speeds and potential are affine in ``s(q)``, as those of rigid links in a plane.
     """
 
     skip: Any
@@ -72,14 +74,16 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         depth: int = 2,
         initial_inertia: float | None = 1.0,
         harmonics: int = 0,
+        squares: bool = False,
+        relative: bool = False,
     ) -> None:
         super().__init__()
         if initial_inertia is not None and not initial_inertia > 0.0:
             raise ConfigError(
                 f"model.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
-        self.embedding = Embedding(angular=angular)
-        self.head = CholeskyHead(len(angular))
+        self.embedding = Embedding(angular=angular, relative=relative)
+        self.head = FactorHead(len(angular), squares=squares)
         self.net = MLP(
             inputs=self.embedding.size, outputs=self.head.outputs, width=width, depth=depth
         )
@@ -220,8 +224,7 @@ class StructuredExpansion(Expansion):
         *layers, (last, _) = self._lagrangian.net.layers()
         at = self._passes
         tangents = embedding.basis_tangents(at.features)  # (B, n, ·) from here on
-        own = embedding.second(at.features) * at.feature_cotangent
-        qq = torch.diag_embed(embedding.to_coordinates(own))
+        qq = embedding.curvature(at.features, at.feature_cotangent)
         rates = []
         for (weight, _), h, slope, d in zip(
             layers, at.hidden, at.slopes, at.cotangents, strict=True

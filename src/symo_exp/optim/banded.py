@@ -17,7 +17,8 @@ from symo_exp.mechanics.types import Trajectory, Windows
 class Chain(NamedTuple):
     """The nodes of trajectories of any lengths, one after another, and the windows over them.
 
-    ``x`` is what is measured at a node: the configuration, or with ``velocities`` the state.
+    ``x`` is what is measured at a node: the configuration, or with ``velocities`` the state, and
+    with ``inputs`` these, last.
     """
 
     x: Float[Tensor, "nodes d"]
@@ -25,16 +26,22 @@ class Chain(NamedTuple):
     centre: Int[Tensor, " windows"]
     """The middle node of each window."""
     n: int
+    inputs: bool
 
     @staticmethod
-    def of(trajectories: Sequence[Trajectory], *, velocities: bool) -> Chain:
+    def of(trajectories: Sequence[Trajectory], *, velocities: bool, inputs: bool = False) -> Chain:
         """Windows go over every trajectory but not from one to the next."""
         q, v, u = (torch.cat(fields) for fields in zip(*trajectories, strict=True))
         ends = np.cumsum([len(t.q) for t in trajectories])
         starts = ends - [len(t.q) for t in trajectories]
         centre = torch.cat([torch.arange(a + 1, b - 1) for a, b in zip(starts, ends, strict=True)])
-        x = torch.cat((q, v), dim=1) if velocities else q
-        return Chain(x, u, centre, q.shape[1])
+        parts = [q, *([v] if velocities else []), *([u] if inputs else [])]
+        return Chain(torch.cat(parts, dim=1), u, centre, q.shape[1], inputs)
+
+    @property
+    def known(self) -> int:
+        """Columns of ``x`` without the inputs."""
+        return self.x.shape[1] - (self.u.shape[1] if self.inputs else 0)
 
     def stencil(self, x: Float[Tensor, "nodes d"]) -> tuple[Tensor, Tensor, Tensor]:
         """The three nodes of every window, (windows, d) each."""
@@ -42,9 +49,10 @@ class Chain(NamedTuple):
 
     def windows(self, before: Tensor, at: Tensor, after: Tensor) -> Windows:
         """Samples whose three nodes are these; without velocities these are zero."""
-        n, none = self.n, torch.zeros_like(at[:, : self.n])
-        v, v_next = (x[:, n:] if x.shape[1] > n else none for x in (at, after))
-        u = (self.u[self.centre + shift] for shift in (-1, 0, 1))
+        n, known, nodes = self.n, self.known, (before, at, after)
+        none = torch.zeros_like(at[:, :n])
+        v, v_next = (x[:, n:known] if known > n else none for x in (at, after))
+        u = [x[:, known:] for x in nodes] if self.inputs else self.stencil(self.u)
         return Windows(before[:, :n], at[:, :n], after[:, :n], v, v_next, *u)
 
     def spread(

@@ -41,19 +41,22 @@ class EpochOptimizer(Optimizer, ABC):
     Everything else, gradients and line searches included, is its own business. What it must
     remember to be resumed goes into ``memory``, which ``state_dict`` carries.
 
-    Losses on held-out samples arrive through ``validated``: the best parameters are kept, and after
-    ``patience`` losses that do not improve by a hundredth the training is ``finished``.
+    Losses on held-out samples arrive through ``validated``: the best parameters are kept, later
+    ones also where they are worse by less than ``tolerance``, relatively. After ``patience`` losses
+    that do not improve by a hundredth the training is ``finished``.
     """
 
     reads_trajectories: ClassVar[bool] = False
     """Whether ``epoch`` is given whole trajectories instead of mini batches."""
 
-    def __init__(self, params: Iterable[Tensor], *, patience: int) -> None:
+    def __init__(self, params: Iterable[Tensor], *, patience: int, tolerance: float = 0.0) -> None:
         if patience < 1:
             raise ConfigError(f"optimizer.patience={patience}: expected at least 1")
+        if not 0 <= tolerance < math.inf:
+            raise ConfigError(f"optimizer.tolerance={tolerance}: expected 0 or more")
         super().__init__(params, {"lr": 1.0})
         self.parameters: list[Tensor] = [p for g in self.param_groups for p in g["params"]]
-        self.patience = patience
+        self.patience, self.tolerance = patience, tolerance
         self.finished = False
         self.memory: dict[str, Any] = {"best": math.inf, "waited": 0, "weights": None}
 
@@ -64,8 +67,8 @@ class EpochOptimizer(Optimizer, ABC):
     def validated(self, loss: Tensor) -> None:
         """Take note of a loss on held-out samples."""
         value, best = float(loss.detach()), self.memory["best"]
-        if value < best:
-            self.memory |= {"best": value, "weights": self.flat()}
+        if value < best * (1.0 + self.tolerance):
+            self.memory |= {"best": min(value, best), "weights": self.flat()}
         self.memory["waited"] = 0 if value < 0.99 * best else self.memory["waited"] + 1
         self.finished = self.finished or self.memory["waited"] >= self.patience
 

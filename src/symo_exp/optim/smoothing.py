@@ -20,6 +20,7 @@ SUCCESS, FAILURE, SURPRISE = 1 / 3, 8.0, 2.5
 
 TENTH, BEND = 0.1, 0.75
 """Where on the way its bend is measured; the longest correction for it, twice, over the step."""
+TRIALS = 14  # in a step: by then damping has grown by twelve powers of ten, to all that it may
 
 
 class Owner(Protocol):
@@ -27,14 +28,13 @@ class Owner(Protocol):
 
     parameters: list[Tensor]
     memory: dict[str, Any]
-    trials: int
-    velocity_weight: float
 
+    def weight(self, chain: Chain) -> Float[Tensor, " d"]: ...
     def flat(self) -> Tensor: ...
     def place(self, flat: Tensor) -> None: ...
 
 
-class Linear(NamedTuple):
+class Reduced(NamedTuple):
     """The problem around the present nodes and parameters, in units of the noise of ``q``."""
 
     e: Float[Tensor, "windows k"]
@@ -85,8 +85,7 @@ class Smoothing:
         """``epsilon=None`` holds the nodes; ``late`` lets the late parameters move."""
         self._owner, self._memory, self._model = owner, owner.memory, model
         self._chain, self._epsilon = chain, epsilon
-        self._weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
-        self._weight[chain.n :] = owner.velocity_weight
+        self._weight = owner.weight(chain)
         sizes = torch.tensor([p.numel() for p in owner.parameters])
         self._group = torch.repeat_interleave(torch.arange(len(sizes)), sizes)
         self._flat = torch.tensor([is_coefficient(p) for p in owner.parameters])
@@ -101,7 +100,7 @@ class Smoothing:
         by_theta = by_theta * self._moves
         free = self._eliminated(x, r, by_theta, by_x, 0.0)
         before = self._objective(x, r, theta)
-        for trial in range(owner.trials):
+        for trial in range(TRIALS):
             held = memory["held"] if self._epsilon else 0.0
             at = self._eliminated(x, r, by_theta, by_x, held) if held else free
             move = self._move(at, x, r, theta)
@@ -150,7 +149,7 @@ class Smoothing:
 
     def _eliminated(
         self, x: Tensor, r: Tensor, by_theta: Tensor, by_x: tuple[Tensor, ...], held: float
-    ) -> Linear:
+    ) -> Reduced:
         """The problem without its nodes, these damped by ``μ = held``."""
         weight = 1.0 + held
         target = x + (self._chain.x - x) / weight
@@ -160,7 +159,7 @@ class Smoothing:
             e, factor = self._factored(x, r, by_x, target, weight)
             white, white_e = factor.whiten(by_theta), factor.whiten(e).flatten()
         gram, gradient = white.T @ white, white.T @ white_e
-        return Linear(e, by_theta, by_x, factor, target, weight, gram, gradient)
+        return Reduced(e, by_theta, by_x, factor, target, weight, gram, gradient)
 
     def _factored(
         self, x: Tensor, r: Tensor, by_x: tuple[Tensor, ...], target: Tensor, weight: float
@@ -171,7 +170,7 @@ class Smoothing:
         scaled = tuple(j / weight**0.5 for j in by_x)
         return e, self._chain.factor(scaled, self._epsilon**2)
 
-    def _move(self, at: Linear, x: Tensor, r: Tensor, theta: Tensor) -> Move | None:
+    def _move(self, at: Reduced, x: Tensor, r: Tensor, theta: Tensor) -> Move | None:
         """The next trial, straight where the way bends too much; ``None`` without a factor."""
         prior = self._memory["noise"] * self._memory["precision"][self._group]
         slope = (at.gradient + prior * theta) * self._moves
@@ -191,7 +190,7 @@ class Smoothing:
         return Move(delta + turn, bend, foreseen)
 
     def _bend(
-        self, at: Linear, x: Tensor, r: Tensor, theta: Tensor, delta: Tensor
+        self, at: Reduced, x: Tensor, r: Tensor, theta: Tensor, delta: Tensor
     ) -> Float[Tensor, "windows k"]:
         """``½ r''`` along the step, by residuals a tenth of the way."""
         way = self._nodes(at, at.e + at.by_theta @ delta) - x
@@ -200,7 +199,7 @@ class Smoothing:
         there = self._residuals_at(x + TENTH * way)
         return (there - r - TENTH * linear) / TENTH**2
 
-    def _nodes(self, at: Linear, e: Tensor) -> Float[Tensor, "nodes d"]:
+    def _nodes(self, at: Reduced, e: Tensor) -> Float[Tensor, "nodes d"]:
         """``y − J_xᵀ S⁻¹ e``."""
         if at.factor is None:
             held: Tensor = self._memory["nodes"]
@@ -208,7 +207,7 @@ class Smoothing:
         moved = self._chain.spread(at.by_x, at.factor.solve(e)) / at.weight
         return at.target - self._weight * moved
 
-    def _arrived(self, at: Linear, move: Move) -> tuple[Tensor, Tensor]:
+    def _arrived(self, at: Reduced, move: Move) -> tuple[Tensor, Tensor]:
         """The nodes that go with the parameters in place, and the residuals there: after two steps
         or after the first, which alone is surely downhill."""
         x = self._nodes(at, at.e + at.by_theta @ move.delta + move.bend)
@@ -223,7 +222,7 @@ class Smoothing:
         steps = (x, r), (further, self._residuals_at(further))
         return min(steps, key=lambda step: self._misfit(*step))
 
-    def _nodes_settle(self, at: Linear, before: float, theta: Tensor) -> bool:
+    def _nodes_settle(self, at: Reduced, before: float, theta: Tensor) -> bool:
         """Whether the nodes alone find their way."""
         x = self._nodes(at, at.e)
         return self._objective(x, self._residuals_at(x), theta) <= before * (1.0 + 1e-13)

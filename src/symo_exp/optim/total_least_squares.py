@@ -17,6 +17,9 @@ from symo_exp.optim.evidence import FLAT
 from symo_exp.optim.smoothing import Smoothing
 from symo_exp.optim.splines import smoothed
 
+RATE = 1e-2
+"""Of Adam, at first: large, since it is to leave a basin, not to settle in one."""
+
 
 class Stage(NamedTuple):
     """Some epochs at one ``ε``; ``None``: the nodes are held where smoothing left them."""
@@ -34,14 +37,17 @@ class TotalLeastSquares(EpochOptimizer):
 
     ``y`` are the measured nodes of all trajectories, ``r(x; θ)`` the residuals of the model on
     three consecutive ones: the noise in the data is estimated with the model instead of being
-    learned (errors in variables, a weak constraint). See ``smoothing.Smoothing`` for a step.
+    learned (errors in variables, a weak constraint). With an ``input_weight`` the inputs are nodes,
+    too: ``Σ|u − u_measured|²/σ_u²`` joins. See ``smoothing.Smoothing`` for a step.
 
     The nodes are smoothed first, and held for ``start`` epochs from each of ``starts``: the initial
-    parameters, where ``warm_up`` steps of Adam take these, its ``rate`` along a half cosine, and
+    parameters, where ``warm_up`` steps of Adam take these, the rate along a half cosine, and
     where they take others, drawn alike. Now one is in the better basin, now another; what has the
     smallest residuals goes on. Each ε of ``epsilons`` has ``epochs``. Where a model has late
     parameters, these are zero so far; they join in a second round, with each ``ε ≤ late_from``. The
-    parameters that are best on held-out data are kept, wherever they come from.
+    parameters that are best on held-out data are kept, wherever they come from, or within
+    ``tolerance`` of these the last: a few noisy motions do not tell models apart, and where the
+    equations can be learned exactly the smaller ε is the better one.
     """
 
     reads_trajectories = True
@@ -56,24 +62,27 @@ class TotalLeastSquares(EpochOptimizer):
         epochs: int = 20,
         late_from: float = 0.3,
         warm_up: int = 300,
-        rate: float = 1e-2,
         damping: float = 1e-2,
-        trials: int = 14,
         velocity_weight: float = 1.0,
+        input_weight: float = 0.0,
+        tolerance: float = 0.0,
         seed: int = 0,
     ) -> None:
-        """``velocity_weight`` is the noise of velocities over that of configurations [1/s]."""
-        super().__init__(params, patience=10**9)
-        counts = ("starts", starts), ("start", start), ("epochs", epochs), ("trials", trials)
-        sizes = ("damping", damping), ("rate", rate), ("velocity_weight", velocity_weight)
+        """``velocity_weight`` is the noise of velocities over that of configurations [1/s],
+        ``input_weight`` that of inputs [N/m, N m/rad]; 0: inputs are exact."""
+        super().__init__(params, patience=10**9, tolerance=tolerance)
+        counts = ("starts", starts), ("start", start), ("epochs", epochs)
+        sizes = ("damping", damping), ("velocity_weight", velocity_weight)
         for name, value in (*counts, *sizes, *(("epsilons", e) for e in epsilons)):
             if not value > 0:
                 raise ConfigError(f"optimizer.{name}={value}: expected a number above 0")
+        if not 0 <= input_weight < float("inf"):
+            raise ConfigError(f"optimizer.input_weight={input_weight}: expected 0 or more")
         if any(p.dtype != torch.float64 for p in self.parameters):
             raise ConfigError("total least squares squares its condition: it needs dtype=float64")
-        self.start, self.epochs, self.trials, self.damping = start, epochs, trials, damping
-        self.warm_up, self.rate, self.seed = warm_up, rate, seed
-        self.velocity_weight = velocity_weight
+        self.start, self.epochs, self.damping = start, epochs, damping
+        self.warm_up, self.seed = warm_up, seed
+        self.velocity_weight, self.input_weight = velocity_weight, input_weight
         late = any(map(is_late, self.parameters))
         begins = [Stage(None, start=i) for i in range(starts)]
         rounds = [Stage(e) for e in epsilons]
@@ -104,15 +113,26 @@ class TotalLeastSquares(EpochOptimizer):
             epoch // self.start if beyond < 0 else self._starts + beyond // self.epochs
         ]
 
+    def weight(self, chain: Chain) -> Tensor:
+        """The noise of the columns of the nodes, in that of configurations."""
+        weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
+        weight[chain.n : chain.known] = self.velocity_weight
+        weight[chain.known :] = self.input_weight
+        return weight
+
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
         """One accepted step; ``batches`` are whole trajectories."""
         trajectories: Sequence[Trajectory] = batches
-        chain, memory = Chain.of(trajectories, velocities=model.reads_velocity), self.memory
+        memory = self.memory
+        chain = Chain.of(
+            trajectories, velocities=model.reads_velocity, inputs=self.input_weight > 0
+        )
         epoch = memory["epoch"]
         stage = self.stage(epoch)
         before = self.stage(epoch - 1) if epoch else None
         if before is None:
-            memory["nodes"] = smoothed(trajectories, model.reads_velocity)
+            x = smoothed(trajectories, model.reads_velocity)
+            memory["nodes"] = torch.cat((x, chain.x[:, chain.known :]), dim=1)
             self._set_late(to_start=False)
             memory["initial"] = self._snapshot(0.0)
         elif before != stage:
@@ -157,7 +177,7 @@ class TotalLeastSquares(EpochOptimizer):
             self._draw(generator)
         samples = chain.windows(*chain.stencil(self.memory["nodes"]))
         early = [p for p in self.parameters if not is_late(p)]
-        adam = torch.optim.Adam(early, lr=self.rate)
+        adam = torch.optim.Adam(early, lr=RATE)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, self.warm_up)
         for _ in range(self.warm_up):
             rows = torch.randint(0, len(samples.q), (256,), generator=generator)

@@ -12,6 +12,9 @@ from symo_exp.report.looks import in_order, letters, look, measure_name, number,
 from symo_exp.report.ranking import Interval, between, drawn, logarithms
 from symo_exp.report.tables import Table
 
+ROOTS = "test_newton_failed"
+"""A measure of methods that find the next configuration from configurations; the others start from
+velocities, which they are given."""
 DIVERGED = 30.0
 """The power of ten that ``logarithms`` has for what is infinite."""
 AGAINST = (
@@ -57,11 +60,25 @@ class Found(NamedTuple):
 
 
 def answers(runs: pd.DataFrame, variant: str) -> tuple[list[str], list[Table]]:
-    """A sentence for each question that the runs can answer, and a heat map for each system."""
+    """A sentence for each question that the runs can answer and one of what the methods are given,
+    and a heat map for each system."""
     rows = contestants(runs[runs.source == "ours"], variant)
     found = [one for question in QUESTIONS if (one := _ask(rows, question)) is not None]
     systems = sorted({system for one in found for system in one.values.index.unique("system")})
-    return [sentence(one) for one in found], [heat_map(system, found) for system in systems]
+    said = [sentence(one) for one in found]
+    return said + given(rows) * bool(said), [heat_map(system, found) for system in systems]
+
+
+def given(rows: pd.DataFrame) -> list[str]:
+    """Which methods are given velocities, where they are compared with some that are not."""
+    finds_roots = (rows.metric == ROOTS).groupby(rows.method).any()
+    named: dict[bool, list[str]] = {True: [], False: []}
+    for method in sorted(map(str, finds_roots.index), key=lambda name: in_order((name, ""))):
+        named[bool(finds_roots[method])].append(look(method).label)
+    alone, told = (" and ".join(named[finds]) for finds in (True, False))
+    if not (alone and told):
+        return []
+    return [f"**What they are given**: {told} velocities, too; {alone} configurations alone."]
 
 
 def contestants(runs: pd.DataFrame, variant: str) -> pd.DataFrame:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import pandas as pd
+if TYPE_CHECKING:
+    import pandas as pd
 
 Pair = tuple[str, str]
 """A method and an integrator by their names in the configuration."""
@@ -34,6 +35,7 @@ class Stroke(NamedTuple):
 
 METHODS = {
     "node": Look("NODE", "#E69F00", "o"),
+    "residual": Look("residual network", "#8C564B", "X"),
     "l_node": Look("L-NODE", "#009E73", "s"),
     "symo": Look("SyMo", "#0072B2", "^"),
     "e2e_symo": Look("E2E-SyMo", "#D55E00", "D"),
@@ -57,6 +59,8 @@ INTEGRATORS = {
     "dopri5": Stroke("Dormand-Prince 5", "-.", "6px,2px,1px,2px"),
     "galerkin4": Stroke("Galerkin 4", "--", "6px,3px"),
     "galerkin6": Stroke("Galerkin 6", "-.", "6px,2px,1px,2px"),
+    "galerkin10": Stroke("Galerkin 10", ":", "1px,2px"),
+    "none": Stroke("", "-", ""),
 }
 MEASURES = {
     "train_mse": ("train MSE", "m², rad²"),
@@ -131,12 +135,17 @@ def unit(metric: str) -> str:
 
 
 def short(x: float | None) -> str:
-    """Three digits: ``1.38e-4``, ``0.498``, ``38.6``; a dash for what is not there."""
+    """A measure in a table; a dash for what is not there."""
     if x is None or math.isnan(x):
         return "–"
     if math.isinf(x):
         return "diverged" if x > 0 else "-∞"
-    if x == 0 or 1e-2 <= abs(x) < 1e3:
+    return written(x)
+
+
+def written(x: float) -> str:
+    """Three digits: ``1.38e-4``, ``0.498``, ``38.6``."""
+    if x == 0 or not math.isfinite(x) or 1e-2 <= abs(x) < 1e3:
         return f"{x:.3g}"
     digits, exponent = f"{x:.2e}".split("e")
     return f"{digits}e{int(exponent)}"
@@ -144,7 +153,7 @@ def short(x: float | None) -> str:
 
 def number(x: float) -> str:
     """A setting; a dash where the run has none."""
-    return "–" if pd.isna(x) else f"{x:g}"
+    return "–" if math.isnan(x) else f"{x:g}"
 
 
 def letters(name: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
@@ -19,6 +19,9 @@ from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import Pair, axis_label, pair_name
 from symo_exp.runs.folder import STUDIES
 from symo_exp.tracking.store import Store, connect
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 POINTS = 600
 """Of a line at most: more are not seen, and weigh on the page."""
@@ -221,6 +224,12 @@ def coordinates(tables: Tables) -> list[str]:
 def first(tables: Tables, seconds: float = LONG) -> Tables:
     """The first motion in each table."""
     return {pair: t[(t.trajectory == 0) & (t.t <= seconds)] for pair, t in tables.items()}
+
+
+def ranking(errors: Tensor) -> dict[str, int]:
+    """The motions that are predicted ``best``, ``median`` and ``worst``."""
+    order = errors.argsort(stable=True).tolist()
+    return {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
 
 
 def _read(store: Store | None, run_id: str, files: str, study: str) -> pd.DataFrame | None:

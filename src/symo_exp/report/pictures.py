@@ -11,13 +11,13 @@ from torch import Tensor
 from symo_exp.evaluation.evaluate import Evaluation
 from symo_exp.evaluation.learned import beside_true
 from symo_exp.evaluation.measures import squared_error
-from symo_exp.evaluation.protocols import Model
 from symo_exp.evaluation.rollouts import Rollouts
+from symo_exp.models.base import DynamicsModel
 from symo_exp.report import recordings
 from symo_exp.report.animation import animate
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import TRUTH, axis_label, look
-from symo_exp.report.motions import kept, learned, over_time, phase_rows, rows, unbroken
+from symo_exp.report.motions import kept, learned, over_time, phase_rows, ranking, rows, unbroken
 from symo_exp.report.paper import save
 from symo_exp.systems.base import LagrangianSystem, System
 
@@ -28,7 +28,13 @@ DRAWN = 1e-16, 1e30
 
 
 def draw_run(
-    model: Model, system: System, found: Evaluation, *, method: str, title: str, folder: Path
+    model: DynamicsModel,
+    system: System,
+    found: Evaluation,
+    *,
+    method: str,
+    title: str,
+    folder: Path,
 ) -> list[Path]:
     """Write all pictures of a run into ``folder``; without a skeleton there is no animation.
 
@@ -40,13 +46,13 @@ def draw_run(
         made += recordings.figures(model, found.recorded, method, title)
     paths = [path for figure in made for path in save(figure, folder, ["png"])]
     if system.skeleton(rollouts.q_true[0, 0]) is not None:
-        which = ranking(rollouts)["median"]
+        which = ranking(_errors(rollouts))["median"]
         paths.append(animate(system, rollouts, which, look(method), title, folder))
     return paths
 
 
 def figures(
-    model: Model, system: System, rollouts: Rollouts, method: str, title: str
+    model: DynamicsModel, system: System, rollouts: Rollouts, method: str, title: str
 ) -> list[Figure]:
     """Those of a run; without an energy or a learned Lagrangian there is none of it."""
     made = [trajectories(rollouts, method, title), phase_portrait(rollouts, method, title)]
@@ -57,25 +63,19 @@ def figures(
     return made
 
 
-def ranking(rollouts: Rollouts) -> dict[str, int]:
-    """The trajectories that are predicted ``best``, ``median`` and ``worst``."""
-    order = _errors(rollouts).argsort(stable=True).tolist()
-    return {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
-
-
 def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
     """Every coordinate over time, prediction on truth, for a good, a typical and a bad rollout.
 
     Angles are wrapped where the truth turns over. Below, the error, which does not jump.
     """
     errors, table, pair = _errors(rollouts), _table(rollouts), (method, "")
-    chosen = {which: table[table.trajectory == at] for which, at in ranking(rollouts).items()}
+    chosen = {which: table[table.trajectory == at] for which, at in ranking(errors).items()}
     panels = []
     for (name, label), angular in zip(_labels(rollouts), rollouts.coordinates.angular, strict=True):
         columns = f"q_{name}", f"q_true_{name}"
         for which, one in chosen.items():
             turns = angular and np.ptp(one[columns[1]]) > 2 * np.pi
-            said = f"{which} of {len(errors)}: MSE {errors[one.trajectory.iloc[0]].item():.2g}"
+            said = f"{which} of {len(errors)}: MSE {errors[one.trajectory.iloc[0]]:.2g}"
             shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
     names = rollouts.coordinates.names
@@ -114,7 +114,7 @@ def energy(rollouts: Rollouts, method: str, title: str) -> Figure:
     assert rollouts.energy_true is not None
     initial, pair = rollouts.energy_true[:, :1], (method, "")
     table = _table(rollouts)
-    table = table[table.trajectory == ranking(rollouts)["median"]]
+    table = table[table.trajectory == ranking(_errors(rollouts))["median"]]
     above = over_time({pair: table}, "energy", "energy_true", "E [J]", "rollout of median error")
     lost = (rollouts.energy - initial).abs().nan_to_num(nan=float("inf")).clamp(*DRAWN).numpy()
     drift = (rollouts.energy_true - initial).abs().clamp(*DRAWN).numpy()
@@ -131,11 +131,11 @@ def energy(rollouts: Rollouts, method: str, title: str) -> Figure:
 
 
 def learned_quantities(
-    model: Model, system: LagrangianSystem, rollouts: Rollouts, method: str, title: str
+    model: DynamicsModel, system: LagrangianSystem, rollouts: Rollouts, method: str, title: str
 ) -> Figure:
     """Energies and inertia, learned and true, along one true motion."""
     nodes = 1 + round(LEARNED_SECONDS / rollouts.time_step)
-    which = ranking(rollouts)["median"]
+    which = ranking(_errors(rollouts))["median"]
     q, v = rollouts.q_true[which, :nodes], rollouts.v_true[which, :nodes]
     found = beside_true(model.for_evaluation(), system, q[None], v[None]).columns
     table = pd.DataFrame({name: column.numpy() for name, column in found.items()})

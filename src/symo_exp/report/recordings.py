@@ -11,19 +11,19 @@ import torch
 from torch import Tensor
 
 from symo_exp.evaluation.horizon import HORIZONS
-from symo_exp.evaluation.protocols import Model
 from symo_exp.evaluation.recordings import Recorded
 from symo_exp.evaluation.rollouts import along
+from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import Pair, axis_label, symbol
-from symo_exp.report.motions import over_time, rows
+from symo_exp.report.motions import over_time, ranking, rows
 
 REFERENCE: Pair = ("reference", "")
 Force = Callable[[Tensor, Tensor], Tensor]
 """The generalised force of dissipation at a batch of states."""
 
 
-def figures(model: Model, found: Recorded, method: str, title: str) -> list[Figure]:
+def figures(model: DynamicsModel, found: Recorded, method: str, title: str) -> list[Figure]:
     """The windows; where the model has a dissipation, what it does in them."""
     made = [windows(found, method, title)]
     learned = getattr(model, "dissipation", None)
@@ -33,16 +33,10 @@ def figures(model: Model, found: Recorded, method: str, title: str) -> list[Figu
     return made
 
 
-def ranking(found: Recorded) -> dict[str, int]:
-    """The windows that are predicted ``best``, ``median`` and ``worst``."""
-    order = found.model.rmse(HORIZONS[-1]).argsort(stable=True).tolist()
-    return {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
-
-
 def windows(found: Recorded, method: str, title: str) -> Figure:
     """Every coordinate over time, prediction on measurement, and the error below."""
-    table, errors = _table(found), found.model.rmse(HORIZONS[-1]).tolist()
-    chosen = {which: table[table.window == at] for which, at in ranking(found).items()}
+    table, errors = _table(found), found.model.rmse(HORIZONS[-1])
+    chosen = {which: table[table.window == at] for which, at in ranking(errors).items()}
     above, below = [], []
     for name, angular in zip(*found.coordinates, strict=True):
         for which, one in chosen.items():
@@ -57,14 +51,16 @@ def windows(found: Recorded, method: str, title: str) -> Figure:
     return Figure("windows", f"{title}: windows of the recordings", "", above + below)
 
 
-def dissipation(model: Model, force: Force, found: Recorded, method: str, title: str) -> Figure:
+def dissipation(
+    model: DynamicsModel, force: Force, found: Recorded, method: str, title: str
+) -> Figure:
     """Its generalised force over velocity in all windows, and over time in the median one."""
     place, v, pair = model.input_matrix, found.model.v, (method, "")
     finite = (found.model.q + v + found.model.q_true).isfinite().all(2, keepdim=True)
     states = (x.where(finite, 0.0).to(place) for x in (found.model.q, v))
     with torch.no_grad():
         values = along(force, *states).cpu().where(finite, torch.nan)
-    which, nodes = ranking(found)["median"], np.arange(v.shape[1])
+    which, nodes = ranking(found.model.rmse(HORIZONS[-1]))["median"], np.arange(v.shape[1])
     panels = []
     for i, (name, angular) in enumerate(zip(*found.coordinates, strict=True)):
         label = f"F of {symbol(name)} [{'N m' if angular else 'N'}]"

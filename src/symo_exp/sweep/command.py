@@ -101,7 +101,7 @@ class Command:
         os.environ.setdefault("HYDRA_FULL_ERROR", "1")
         entry = hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)
         before = sys.argv
-        sys.argv = [before[0], *self._with_sweeps(), *self.overrides, *extra]
+        sys.argv = [before[0], *self._with_sweeps(), *self._per_job(), *extra]
         try:
             entry()
         except SystemExit as end:
@@ -110,6 +110,18 @@ class Command:
             sys.argv = before
             phases.clear()
         return 0
+
+    def _per_job(self) -> list[str]:
+        """The overrides, with each setting of a group that is swept as a sweep of one value: Hydra
+        leaves that to the jobs, and sets others in the choice of the file as well."""
+        swept = {w.partition("=")[0] for w in self.overrides if "," in w}
+        words = []
+        for word in self.overrides:
+            key, _, value = word.partition("=")
+            group, dot, _ = key.partition(".")
+            per_job = dot and group in swept and value and not value.endswith(")")
+            words.append(f"{key}=choice({value})" if per_job else word)
+        return words
 
     def _with_sweeps(self) -> list[str]:
         """The options, and what lets ``-cn`` find the sweeps that ship: Hydra looks for them in one

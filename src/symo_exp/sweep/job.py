@@ -17,11 +17,12 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from symo_exp.errors import ConfigError
 from symo_exp.imports import first_import
+from symo_exp.report.looks import look
 from symo_exp.runs.folder import PICTURES, SERIES, About, RunFolder
 from symo_exp.runs.series import read
 from symo_exp.sweep.compose import plain
 from symo_exp.sweep.explain import one_line
-from symo_exp.sweep.table import run_line
+from symo_exp.sweep.table import brief, run_line
 from symo_exp.sweep.variant import variant
 from symo_exp.tracking.page import COMMAND
 from symo_exp.tracking.revision import revision_tags
@@ -156,14 +157,13 @@ def publish(tracker: Any, folder: RunFolder) -> str:
 
 def _about(config: DictConfig, choices: dict[str, Any], asked: Sequence[str]) -> About:
     """What the run is; its name says what its sweep varied: ``E2E-SyMo acrobot n=16``."""
-    from symo_exp.report.looks import look
 
     def compose(overrides: list[str]) -> DictConfig:
         return hydra.compose("config", overrides, return_hydra_config=True)
 
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
-    told = [o.rpartition(".")[2] for o in varied if not o.startswith(NAMED)]
+    told = [brief(o) for o in varied if not o.startswith(NAMED)]
     size = config.data.get("n_traj")
     name = [look(choices["model"]).label, choices["system"], f"n={size}" * bool(size), *told]
     command = shlex.join(["python", "-m", "symo_exp", *asked])

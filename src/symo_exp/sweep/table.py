@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from symo_exp.report.looks import written
 from symo_exp.runs.folder import LOG, RunFolder
 from symo_exp.runs.outcome import Outcome
 from symo_exp.training import phases, stopping
@@ -27,16 +28,8 @@ UNITS = {
 SHORT = "test_mse", "integration_mse", "rmse_2s"
 """Those of a line."""
 ENDED = "finished", "failed", "refused", "interrupted"
-WIDTH, NUMBER = 80, 8
+WIDTH = 80
 SECONDS = 0.5
-
-
-def written(x: float) -> str:
-    """Three digits: ``1.38e-4``, ``0.498``."""
-    if x == 0 or not math.isfinite(x) or 1e-2 <= abs(x) < 1e3:
-        return f"{x:.3g}"
-    digits, exponent = f"{x:.2e}".split("e")
-    return f"{digits}e{int(exponent)}"
 
 
 def run_line(folder: RunFolder) -> str:
@@ -61,7 +54,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     columns.append(["time", *(f"{outcome.seconds:.0f} s" for outcome in outcomes)])
     widths = [max(map(len, column)) for column in columns]
     room = WIDTH - sum(width + 2 for width in widths)
-    names = [_fitted(name, max(room, 12)) for name in ("", *map(_brief, labels))]
+    names = [_fitted(name, max(room, 12)) for name in ("", *map(brief, labels))]
     first = max(map(len, names))
     lines = []
     for name, *cells in zip(names, *columns, strict=True):
@@ -95,7 +88,7 @@ def _failures(
     ]
 
 
-def _brief(label: str) -> str:
+def brief(label: str) -> str:
     """``node n=8 seed=1`` for ``model=node data.n_traj=8 seed=1``."""
     words = []
     for word in label.split():

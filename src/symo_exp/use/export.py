@@ -12,9 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from symo_exp.compile.newton import iterate
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import rounding, row_norm
+from symo_exp.mechanics.roots import Newton
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
 from symo_exp.tracking.load import load
@@ -40,16 +40,12 @@ class FixedStep(nn.Module):
         forces, h = flow.forces(u, u_next), flow.time_step
         before, after = flow.integrator.impulses(*forces, h)
         problem = flow.matching(q, flow.encode(q, v) + before, forces)
-        x = problem.start(q + h * v)
-        at = problem.at(x)
+        root = Newton(tolerance=flow.rollout_root.tolerance)  # row by row, whatever the rollout's
+        at = iterate(problem, root, problem.start(q + h * v))
         for _ in range(self.iterations):
-            step = solve(at.jacobian(), -at.residual)
-            x = x + step
-            at = problem.at(x)
-        settled = (step.abs() <= rounding(x)).all(-1)
-        found = (row_norm(at.residual) <= flow.rollout_root.tolerance) | settled
-        q_next = x[:, : q.shape[1]]
-        return q_next, flow.decode(q_next, at.expansion.values.d2 + after), found
+            at = iterate(problem, root, at.next)
+        q_next = at.x[:, : q.shape[1]]
+        return q_next, flow.decode(q_next, at.after.values.d2 + after), at.found
 
 
 def export(

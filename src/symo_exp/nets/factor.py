@@ -5,6 +5,9 @@ its strictly lower part row by row (n(n−1)/2), and the potential V (1):
 
     H = L Lᵀ + ε I,   ℒ = ½ |y|² + ½ ε |v|² − V,   y = Lᵀ v.
 
+Or ``L`` (n, 3n) has ``2n`` columns of any entries and a diagonal, row by row: the kinetic energy
+is a sum of squared speeds ``y``, each linear in the velocities, as that of rigid bodies is.
+
 The closed forms below are those of ``ℒ`` as a function of ``o`` and ``v``.
 """
 
@@ -27,28 +30,35 @@ class HeadPoint(NamedTuple):
     """``ℒ(o, v)`` at one batch of outputs and velocities."""
 
     v: Float[Tensor, "batch n"]
-    factor: Float[Tensor, "batch n n"]
+    factor: Float[Tensor, "batch n r"]
     """``L``."""
-    slope: Float[Tensor, "batch n"]
+    slope: Float[Tensor, "batch soft"]
     """``σ(o)``, derivative of the softplus on the diagonal."""
-    y: Float[Tensor, "batch n"]
+    y: Float[Tensor, "batch r"]
     """``y = Lᵀ v``."""
 
 
-class CholeskyHead(nn.Module):
-    """The map ``o → (L, V)`` for ``n`` coordinates, and the derivatives of ``ℒ`` through it."""
+class FactorHead(nn.Module):
+    """The map ``o → (L, V)`` for ``n`` coordinates, and the derivatives of ``ℒ`` through it.
+
+    Without ``squares`` ``L`` is a Cholesky factor.
+    """
 
     place: Tensor
     lower_row: Tensor
     lower_column: Tensor
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, *, squares: bool = False) -> None:
         super().__init__()
-        self.n = n
-        row, column = torch.tril_indices(n, n, offset=-1)
-        place = torch.full((n, n), n + len(row))  # entries above the diagonal: the zero at the end
-        place[range(n), range(n)] = torch.arange(n)
-        place[row, column] = n + torch.arange(len(row))
+        self.n, self.columns = n, 3 * n if squares else n
+        self.soft = 0 if squares else n
+        """How many outputs, the first ones, are a diagonal before its softplus."""
+        own, full = torch.eye(n), torch.ones(n, n)
+        filled = torch.cat((full, full, own), dim=1) if squares else full.tril(-1)
+        row, column = filled.nonzero(as_tuple=True)
+        place = torch.full(filled.shape, self.soft + len(row))  # of no output: the zero at the end
+        place[range(self.soft), range(self.soft)] = torch.arange(self.soft)
+        place[row, column] = self.soft + torch.arange(len(row))
         for name, index in (
             ("place", place.flatten()),
             ("lower_row", row),
@@ -59,32 +69,33 @@ class CholeskyHead(nn.Module):
     @property
     def outputs(self) -> int:
         """Number of network outputs."""
-        return self.n * (self.n + 1) // 2 + 1
+        return self.soft + len(self.lower_row) + 1
 
     def outputs_of(self, diagonal: float) -> Float[Tensor, " outputs"]:
         """The outputs of ``L = diagonal · I`` and ``V = 0``."""
         outputs = torch.zeros(self.outputs)
-        outputs[: self.n] = math.log(math.expm1(diagonal))
+        own = self.place.view(self.n, -1).diagonal()
+        outputs[own] = math.log(math.expm1(diagonal)) if self.soft else diagonal
         return outputs
 
-    def factor(self, outputs: Float[Tensor, "*batch outputs"]) -> Float[Tensor, "*batch n n"]:
-        """``L``, lower triangular with a positive diagonal."""
-        diagonal = nn.functional.softplus(outputs[..., : self.n])
+    def factor(self, outputs: Float[Tensor, "*batch outputs"]) -> Float[Tensor, "*batch n r"]:
+        """``L``."""
+        diagonal = nn.functional.softplus(outputs[..., : self.soft])
         return self._fill(diagonal, outputs)
 
     def factor_tangent(
         self,
-        slope: Float[Tensor, "*#batch n"],
+        slope: Float[Tensor, "*#batch soft"],
         rates: Float[Tensor, "*batch outputs"],
-    ) -> Float[Tensor, "*batch n n"]:
+    ) -> Float[Tensor, "*batch n r"]:
         """``L'`` when the outputs change at ``rates``; linear in them."""
-        return self._fill(slope * rates[..., : self.n], rates)
+        return self._fill(slope * rates[..., : self.soft], rates)
 
-    def slope(self, outputs: Float[Tensor, "*batch outputs"]) -> Float[Tensor, "*batch n"]:
+    def slope(self, outputs: Float[Tensor, "*batch outputs"]) -> Float[Tensor, "*batch soft"]:
         """``σ(o)`` of the diagonal."""
-        return torch.sigmoid(outputs[..., : self.n])
+        return torch.sigmoid(outputs[..., : self.soft])
 
-    def mass(self, factor: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n n"]:
+    def mass(self, factor: Float[Tensor, "*batch n r"]) -> Float[Tensor, "*batch n n"]:
         """``H = L Lᵀ + ε I``."""
         identity = torch.eye(self.n, dtype=factor.dtype, device=factor.device)
         return factor @ factor.mT + EPSILON * identity
@@ -103,7 +114,8 @@ class CholeskyHead(nn.Module):
     def cotangent(self, at: HeadPoint) -> Float[Tensor, "batch outputs"]:
         """``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
         lower = _columns(at.v, self.lower_row) * _columns(at.y, self.lower_column)
-        return torch.cat((at.v * at.y * at.slope, lower, -torch.ones_like(at.v[:, :1])), dim=1)
+        diagonal = self._own(at.v, at.y) * at.slope
+        return torch.cat((diagonal, lower, -torch.ones_like(at.v[:, :1])), dim=1)
 
     def directional_cotangents(
         self,
@@ -118,8 +130,8 @@ class CholeskyHead(nn.Module):
         factor_rate = self.factor_tangent(at.slope, rates)
         y_rate = vecmat(at.v, factor_rate) + vecmat(b, at.factor)
         # The last factor of the diagonal is the second derivative of the softplus.
-        bend = at.v * at.y * at.slope * (1.0 - at.slope) * rates[:, : self.n]
-        diagonal = (at.v * y_rate + b * at.y) * at.slope + bend
+        bend = self._own(at.v, at.y) * at.slope * (1.0 - at.slope) * rates[:, : self.soft]
+        diagonal = (self._own(at.v, y_rate) + self._own(b, at.y)) * at.slope + bend
         row, column = self.lower_row, self.lower_column
         lower = _columns(at.v, row) * _columns(y_rate, column)
         lower = lower + _columns(b, row) * _columns(at.y, column)
@@ -137,17 +149,21 @@ class CholeskyHead(nn.Module):
         """
         factors = self.factor_tangent(at.slope.unsqueeze(1), rates)  # L_i: (B, k, n, n)
         ys = vecmat(at.v.unsqueeze(1), factors)
-        bend = at.v * at.y * at.slope * (1.0 - at.slope)
-        diagonal = rates[..., : self.n]
+        bend = self._own(at.v, at.y) * at.slope * (1.0 - at.slope)
+        diagonal = rates[..., : self.soft]
         second = ys @ ys.mT + (diagonal * bend.unsqueeze(1)) @ diagonal.mT
         momenta = matvec(factors, at.y.unsqueeze(1)) + ys @ at.factor.mT
         return second, momenta.mT
 
     def _fill(self, diagonal: Tensor, outputs: Tensor) -> Tensor:
-        lower = outputs[..., self.n : -1]
-        zero = torch.zeros_like(diagonal[..., :1])
+        lower = outputs[..., self.soft : -1]
+        zero = torch.zeros_like(outputs[..., :1])
         flat = torch.cat((diagonal, lower, zero), dim=-1).index_select(-1, self.place)
-        return flat.unflatten(-1, (self.n, self.n))
+        return flat.unflatten(-1, (self.n, self.columns))
+
+    def _own(self, v: Tensor, y: Tensor) -> Tensor:
+        """``v y`` of the diagonal under a softplus."""
+        return v[:, : self.soft] * y[:, : self.soft]
 
 
 def _columns(x: Tensor, index: Tensor) -> Tensor:

@@ -1,0 +1,57 @@
+"""The documentation holds together; the build itself is `make docs`."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+import symo_exp
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *DOCS.glob("*.ipynb")])
+
+
+def named(page: Path) -> set[Path]:
+    """The pages in the tables of contents of a page."""
+    blocks = re.findall(r"```{toctree}\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.S)
+    words = [line.rpartition("<")[2].rstrip(">") for b in blocks for line in b.splitlines()]
+    return {
+        found.resolve()
+        for word in words
+        if re.fullmatch(r"[\w./*]+", word)
+        for found in page.parent.glob(f"{word}.*")
+    }
+
+
+def test_every_page_is_in_a_table_of_contents():
+    start = DOCS / "index.md"
+    contents, new = {start}, {start}
+    while new:
+        new = {p for page in new if page.suffix == ".md" for p in named(page)} - contents
+        contents |= new
+    assert set(PAGES) | set((ROOT / "results").glob("**/README.md")) <= contents
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_a_page_links_to_exist(page):
+    for link in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
+        assert "://" in link or (page.parent / link).exists(), link
+
+
+def test_the_tutorial_is_kept_without_what_it_gives():
+    cells = json.loads((DOCS / "tutorial.ipynb").read_text(encoding="utf-8"))["cells"]
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
+
+
+def test_what_is_cited_is_this_version():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    (thesis,) = (one for one in cited["references"] if one["type"] == "thesis")
+    assert cited["version"] == symo_exp.__version__
+    assert f"## [{symo_exp.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    for page in ("README.md", "docs/index.md", "docs/cite.md"):
+        text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
+        for told in ("Saul Santos", thesis["title"], str(thesis["year"])):
+            assert told in text.replace("> ", ""), page
