@@ -1,7 +1,6 @@
 """The table of this folder from its runs.
 
-    python results/noise/table.py outputs/noise_robust outputs/noise_structure outputs/noise_inputs \
-        > results/noise/table.md
+    python results/noise/table.py outputs/noise_* > results/noise/table.md
 
 Keeps the numbers of the finished runs in ``runs.csv`` beside this file; without an argument it
 reads that. Cells are medians over seeds and, in brackets, the range of all of them.

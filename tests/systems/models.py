@@ -104,7 +104,8 @@ def urdf(s: Acrobot) -> str:
 
     def joint(name: str, parent: str, child: str, at: float) -> str:
         return (
-            f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+            f'<joint name="{name}" type="continuous">'
+            f'<parent link="{parent}"/><child link="{child}"/>'
             f'<origin xyz="0 0 {-at}"/><axis xyz="0 -1 0"/><dynamics damping="0.1"/></joint>'
         )
 
