@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,8 @@ def draw(figure: Figure) -> mpl.Figure:
         _panel(axes, panel)
     for axes in grid[len(figure.panels) :]:
         axes.remove()
-    drawn.suptitle(figure.title, x=0.01, ha="left", fontsize=11)
+    title = textwrap.fill(figure.title, 36 * max(columns, 2))
+    drawn.suptitle(title, x=0.01, ha="left", fontsize=11)
     drawn.legend(
         handles=list(legend.values()), labels=list(legend), loc="outside lower left",
         ncols=across, fontsize=7.5, handlelength=3.2,
