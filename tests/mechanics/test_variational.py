@@ -13,7 +13,7 @@ from symo_exp.mechanics.variational import (
 )
 from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
-from tests.mechanics.motions import DURATION, force_at, order, reference, start
+from tests.mechanics.motions import force_at, order, reference, refinement, start
 from tests.tables import explicit_integrators, systems, variational_integrators
 
 METHODS = variational_integrators()
@@ -43,13 +43,13 @@ def roll(method, lagrangian, q, p, steps, h, forced=False):
 def test_order_of_convergence(name, n, forced):
     method, chain = METHODS[name], ChainPendulum(n)
     q, v = start(n)
+    duration, counts = refinement(method.order, n)
 
     def integrate(steps):
         p = chain.momentum(q, v)
-        return roll(method, chain, q, p, steps, DURATION / steps, forced)[0][-1]
+        return roll(method, chain, q, p, steps, duration / steps, forced)[0][-1]
 
-    counts = (16, 24, 32, 48) if method.order <= 4 else (8, 10, 12)
-    slope = order(integrate, reference(chain, n, forced=forced), counts)
+    slope = order(integrate, reference(chain, n, forced=forced, duration=duration), counts)
     assert slope == pytest.approx(method.order, abs=0.3)
 
 

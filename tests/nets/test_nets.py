@@ -14,8 +14,8 @@ ANGULAR = [(True,), (False,), (False, True), (True, True), (True, False, True), 
 KINDS = [
     {},
     {"harmonics": 2},
-    {"squares": True, "depth": 0},
-    {"squares": True, "relative": True, "depth": 0},
+    {"squares": True},
+    {"squares": True, "relative": True},
     {"relative": True},
 ]
 CASES = [(angular, kind) for angular in ANGULAR for kind in KINDS]
@@ -159,7 +159,7 @@ def test_links_in_a_plane_are_affine_in_their_directions(links, relative):
         angles = angles.cumsum(0)  # of the links in the coordinates
     angular = (False,) + (True,) * links
     learned = StructuredLagrangian(
-        angular=angular, width=1, depth=0, squares=True, relative=relative
+        angular=angular, width=1, squares=True, relative=relative
     ).double()
     ((weight, bias),) = learned.net.layers()
     with torch.no_grad():

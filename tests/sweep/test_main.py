@@ -42,10 +42,10 @@ BAD = [
     ("+data.solver.metod=RK45", "data.solver.metod", "data.solver.method"),
     ("hydra.sweep.dirr=x", "dirr", ""),
     # choices
-    ("model=symoo", "symoo", "e2e_symo, l_node, node, symo"),
+    ("model=symoo", "symoo", "e2e_symo, l_node, node, residual, symo"),
     ("system=pendulun", "pendulun", "did you mean pendulum"),
-    ("integrator=rk5", "rk5", "midpoint, rk4"),
-    ("integrator=null", "null", "midpoint, rk4"),
+    ("integrator=rk5", "rk5", "galerkin6, midpoint"),
+    ("integrator=null", "null", "galerkin6, midpoint"),
     ("+model=symo", "model", ""),
     ("hydra/launcher=jobli", "jobli", "joblib"),
     ("dtype=float16", "float16", "float32, float64"),

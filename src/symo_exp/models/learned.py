@@ -59,7 +59,7 @@ class LearnsLagrangian(DynamicsModel):
         lagrangian: Lagrangian = StructuredLagrangian(
             angular=coordinates.angular,
             width=width,
-            depth=0 if squares else depth,
+            depth=depth,
             initial_inertia=initial_inertia,
             harmonics=harmonics,
             squares=squares,

@@ -16,12 +16,15 @@ class MLP(nn.Module):
     Weights are Xavier-uniform with the gain of tanh, biases zero.
     """
 
-    def __init__(self, *, inputs: int, outputs: int, width: int, depth: int) -> None:
+    def __init__(
+        self, *, inputs: int, outputs: int, width: int, depth: int, affine: bool = False
+    ) -> None:
+        """``affine``: no hidden layers, whatever ``width`` and ``depth`` say."""
         super().__init__()
-        for name, value, least in (("width", width, 1), ("depth", depth, 0)):
-            if value < least:
-                raise ValueError(f"{name} must be at least {least}, got {value}")
-        sizes = [inputs, *[width] * depth, outputs]
+        for name, value in (("width", width), ("depth", depth)):
+            if value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}")
+        sizes = [inputs, *([] if affine else [width] * depth), outputs]
         pairs = list(pairwise(sizes))
         self.weights = nn.ParameterList([torch.empty(out, into) for into, out in pairs])
         self.biases = nn.ParameterList([torch.zeros(out) for _, out in pairs])

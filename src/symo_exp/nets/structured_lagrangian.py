@@ -58,9 +58,9 @@ class StructuredLagrangian(nn.Module, Lagrangian):
     often lead to a nearly singular ``H`` whose accelerations fly off.
 
     ``harmonics`` is how many angles a harmonic couples at most; 0: none. Their weights ``S`` start
-    at zero. With ``squares`` the kinetic energy is a sum of squared speeds (``FactorHead``),
-    ``relative`` angles count from one to the next (``Embedding``). Without a hidden layer,
-    ``depth=0``, speeds and potential are affine in ``s(q)``, as those of rigid links in a plane.
+    at zero. With ``squares`` the kinetic energy is a sum of squared speeds (``FactorHead``); speeds
+    and potential are affine in ``s(q)``, without hidden layers, as those of rigid links in a plane.
+    ``relative`` angles count from one to the next (``Embedding``).
     """
 
     skip: Any
@@ -85,7 +85,11 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         self.embedding = Embedding(angular=angular, relative=relative)
         self.head = FactorHead(len(angular), squares=squares)
         self.net = MLP(
-            inputs=self.embedding.size, outputs=self.head.outputs, width=width, depth=depth
+            inputs=self.embedding.size,
+            outputs=self.head.outputs,
+            width=width,
+            depth=depth,
+            affine=squares,
         )
         self.harmonics = Harmonics(angular=angular, order=harmonics)
         size = self.harmonics.size
