@@ -1,11 +1,17 @@
 """A name that stands for several sweeps."""
 
+import json
+import shlex
+from pathlib import Path
+
 import pytest
 
 from symo_exp.__main__ import main
 from symo_exp.shipped import SWEEPS
 from symo_exp.sweep.command import Command
 from symo_exp.sweep.sweeper import Sweep
+from tests.jobs import job_of
+from tests.tiny import TINY
 
 ONE = """defaults: [config, {override logger: none}, _self_]
 hydra: {sweeper: {params: {data.n_traj: "8,16"}}}
@@ -75,3 +81,13 @@ def test_a_word_that_the_last_cannot_take_is_found_before_the_first(folder, star
     assert main(["--config-dir", str(folder), "-cn", "both"]) == 2
     assert "data.n_trajs" in capsys.readouterr().err
     assert started == []
+
+
+def test_a_job_of_a_sweep_says_what_to_type_for_it_alone(folder):
+    words = ["--config-dir", str(folder), "-cn", "a", *TINY, "model=node", "pictures=false"]
+    assert main(words) == 0
+    for run in Path("outputs/default").iterdir():
+        about = json.loads((run / "run.json").read_text())
+        python, *typed = shlex.split(about["tags"]["symo_exp.command"])
+        assert (python, typed[:2]) == ("python", ["-m", "symo_exp"])
+        assert job_of(*typed[2:]).folder.path.name == run.name

@@ -51,7 +51,8 @@ def job(config: DictConfig) -> float | None:
     if stopping.requested():
         return None
     choices, asked = dict(settings.runtime.choices), list(settings.overrides.task)
-    failure = _do(config, folder, lambda: _about(config, choices, asked))
+    command = typed(settings)
+    failure = _do(config, folder, lambda: _about(config, choices, asked, command))
     phases.clear()
     if failure is not None and debugging():
         raise failure
@@ -155,7 +156,20 @@ def publish(tracker: Any, folder: RunFolder) -> str:
         return ""
 
 
-def _about(config: DictConfig, choices: dict[str, Any], asked: Sequence[str]) -> About:
+def typed(settings: Any) -> str:
+    """The command of one run, by what Hydra has of it: alone it does what it did in its sweep."""
+    words = ["python", "-m", "symo_exp"]
+    if settings.job.config_name != "config":
+        words += ["-cn", settings.job.config_name]
+    for source in settings.runtime.config_sources:
+        if source.provider == "command-line":
+            words += ["--config-dir", source.path]
+    return shlex.join([*words, *settings.overrides.task])
+
+
+def _about(
+    config: DictConfig, choices: dict[str, Any], asked: Sequence[str], command: str = ""
+) -> About:
     """What the run is; its name says what its sweep varied: ``E2E-SyMo acrobot n=16``."""
 
     def compose(overrides: list[str]) -> DictConfig:
@@ -166,7 +180,6 @@ def _about(config: DictConfig, choices: dict[str, Any], asked: Sequence[str]) ->
     told = [brief(o) for o in varied if not o.startswith(NAMED)]
     size = config.data.get("n_traj")
     name = [look(choices["model"]).label, choices["system"], f"n={size}" * bool(size), *told]
-    command = shlex.join(["python", "-m", "symo_exp", *asked])
     return About(
         name=" ".join(filter(None, name)),
         parameters=groups | dict(_parameters(config)),
