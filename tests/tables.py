@@ -1,5 +1,6 @@
 """Everything that the configuration groups offer: a new file in one of them is tested by itself."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,13 @@ from omegaconf import OmegaConf
 CONF = Path(__file__).parents[1] / "conf"
 
 
+@cache
 def choices(group: str) -> list[str]:
     """Names of the choices of a group."""
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
 
 
+@cache
 def _integrators(kind: str) -> dict[str, Any]:
     found = {}
     for name in choices("integrator"):
@@ -28,6 +31,7 @@ def explicit_integrators() -> dict[str, Any]:
     return _integrators("explicit")
 
 
+@cache
 def variational_integrators() -> dict[str, Any]:
     """Name to variational integrator, at convergence: what measures are taken with."""
     return {name: found.converged() for name, found in _integrators("variational").items()}
@@ -44,6 +48,7 @@ def systems() -> dict[str, Any]:
     return {name: instantiate(stated(name)) for name in known_systems()}
 
 
+@cache
 def known_systems() -> list[str]:
     """Names of the systems that a file states whole; others are known by a recording or a model."""
     files = {name: (CONF / "system" / f"{name}.yaml").read_text() for name in choices("system")}

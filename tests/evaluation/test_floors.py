@@ -43,7 +43,10 @@ def given(system: System) -> dict:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", FLOORS)
+@pytest.mark.parametrize(
+    "name",
+    ["pendulum", *(pytest.param(n, marks=pytest.mark.slow) for n in ("cartpole", "acrobot"))],
+)
 def test_the_one_step_error_of_the_truth_is_the_known_floor_of_the_integrator(name: str):
     system = systems()[name]
     sets = data(name)

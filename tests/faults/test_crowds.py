@@ -39,7 +39,8 @@ def test_eight_that_differ(tmp_path):
     assert len([*folder.glob("outputs/*/*-*/outcome.json")]) == 8
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 4])
 def test_some_that_are_the_same(count, tmp_path):
     """One does the work, the others wait for it."""
     folder = tmp_path / "new"

@@ -84,6 +84,7 @@ def test_a_disk_that_is_full_for_a_while(disk, whole):
     assert "going on after epoch" in said
 
 
+@pytest.mark.slow
 def test_a_cache_that_can_only_be_read(tmp_path, disk):
     words = [*TINY, "model=node", "logger=none", "pictures=false", f"data.cache_dir={disk}"]
     assert go(tmp_path, *words)[0] == 0

@@ -1,6 +1,7 @@
 """Small models of every method and integrator that the configuration offers, at any n."""
 
 from collections import Counter
+from functools import cache
 from typing import Any
 
 import torch
@@ -20,18 +21,26 @@ def learned() -> list[str]:
     return list(_files())
 
 
+@cache
 def _files() -> dict[str, Any]:
     files = {name: OmegaConf.load(CONF / "model" / f"{name}.yaml") for name in choices("model")}
     return {name: file for name, file in files.items() if "width" in file}
 
 
 def combinations() -> list[tuple[str, str]]:
-    """Every pair of method and integrator that exists."""
+    """Every pair of method and kind of integrator that exists. Integrators of one class, which
+    differ in their order, are one kind: the mechanics' tests tell them apart."""
     return [
         (method, integrator)
         for method, file in _files().items()
-        for integrator in _integrators_of(file)
+        for integrator in _kinds(_integrators_of(file))
     ]
+
+
+def _kinds(integrators: dict[str, Any]) -> list[str]:
+    """The one of the lowest order of each class."""
+    by_order = sorted(integrators, key=lambda name: getattr(integrators[name], "order", 0))
+    return list({type(integrators[name]): name for name in reversed(by_order)}.values())
 
 
 def flows() -> list[tuple[str, str]]:
@@ -43,13 +52,15 @@ def flows() -> list[tuple[str, str]]:
 
 
 def pairwise(of: list[tuple[str, str]] | None = None) -> list[tuple[str, str, int]]:
-    """Every combination at one of n = 1, 2, 3; each n with every method and integrator in turn. If
-    only some are wanted they have the n that they have among all."""
-    seen: Counter[str] = Counter()
+    """Every combination at one of n = 1, 2, 3, in a Latin square: a method and an integrator have
+    each another n in every pair. If only some are wanted they have the n that they have among all.
+    """
+    methods = list(_files())
+    turns: Counter[str] = Counter()
     cases = []
     for method, integrator in combinations():
-        cases.append((method, integrator, 1 + (seen[method] + seen[integrator]) % 3))
-        seen.update((method, integrator))
+        cases.append((method, integrator, 1 + (methods.index(method) + turns[method]) % 3))
+        turns[method] += 1
     return [case for case in cases if of is None or case[:2] in of]
 
 

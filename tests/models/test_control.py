@@ -110,7 +110,7 @@ def test_a_row_without_a_root_has_no_derivative():
 def motion(model, data):
     """Three configurations under a held control, which an untrained network does not drown."""
     m = model.input_matrix.shape[1]
-    u = 0.2 * (data.u + torch.arange(m))
+    u = 0.05 * (data.u + torch.arange(m))
     return u, model.rollout(data.q, data.v, u[:, None].expand(-1, 3, -1)).q.unbind(1)
 
 

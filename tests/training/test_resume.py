@@ -61,7 +61,13 @@ def series(folder):
 
 
 @pytest.mark.parametrize(
-    ("epoch", "validate_every"), [(1, 2), (2, 2), (2, 3), (3, 3), (4, 2), (5, 3)]
+    ("epoch", "validate_every"),
+    [
+        (1, 2),
+        (2, 3),
+        (4, 2),
+        *(pytest.param(*x, marks=pytest.mark.slow) for x in ((2, 2), (3, 3), (5, 3))),
+    ],
 )
 def test_cut_in_any_epoch(validate_every, epoch, whole, folder, monkeypatch):
     shutil.rmtree(folder)
