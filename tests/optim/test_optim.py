@@ -10,6 +10,7 @@ import torch
 from torch import nn
 
 from symo_exp.errors import ConfigError
+from symo_exp.nets.affine import linear
 from symo_exp.optim import levenberg_marquardt
 from symo_exp.optim.chained import Chained
 from symo_exp.optim.lbfgs import LBFGS
@@ -23,29 +24,65 @@ def halves(n, samples=24):
     return [data.rows(slice(samples // 2)), data.rows(slice(samples // 2, None))]
 
 
+class Products:
+    """Residuals quadratic in the parameters: ``(W q)₁ (W q)₂ − 1`` and ``(W q)₃ (W q)₄``."""
+
+    gradient_clip, reads_velocity = None, False
+
+    def __init__(self, n):
+        self.weight = nn.Parameter(torch.randn(4, n, dtype=torch.float64))
+
+    def parameters(self):
+        return [self.weight]
+
+    def residuals(self, windows):
+        return self.of(linear(windows.q, self.weight))
+
+    @staticmethod
+    def of(y):
+        return torch.stack((y[:, 0] * y[:, 1] - 1.0, y[:, 2] * y[:, 3]), dim=1)
+
+
 @pytest.mark.parametrize("wide", [False, True], ids=["parameters", "residuals"])
 def test_a_step_solves_the_damped_normal_equations(wide):
-    """In both spaces, against a dense Jacobian by one backward pass a residual."""
-    model, samples = make("symo", "midpoint", 2), 6 if wide else 120
-    data = windows(2, samples)
-    parameters = list(model.parameters())
-    assert (sum(p.numel() for p in parameters) > 2 * samples) == wide
-    r = model.residuals(data).flatten() / math.sqrt(2 * samples)
-    rows = [
-        torch.cat([
-            x.flatten()
-            for x in torch.autograd.grad(y, parameters, retain_graph=True, materialize_grads=True)
-        ])
-        for y in r
-    ]  # fmt: skip
-    jacobian, damping = torch.stack(rows), 1e-2
-    matrix = jacobian.T @ jacobian + damping * torch.eye(jacobian.shape[1], dtype=torch.float64)
-    expected = -torch.linalg.solve(matrix, jacobian.T @ r.detach())
-    optimizer = LevenbergMarquardt(parameters, damping=damping, chunk=50)
-    before = optimizer.flat()
-    optimizer.epoch(model, [data.rows(slice(4)), data.rows(slice(4, None))])
-    assert optimizer.damping == pytest.approx(damping / 3)
-    torch.testing.assert_close(optimizer.flat() - before, expected, rtol=1e-6, atol=1e-9)
+    """In both spaces, to second order, against dense derivatives."""
+    torch.manual_seed(0)
+    model, data, damping = Products(3), windows(3, 4 if wide else 20), 10.0
+    assert (model.weight.numel() > 2 * len(data.q)) == wide
+
+    def residuals(flat):
+        return model.of(data.q @ flat.view(4, 3).T).flatten() / math.sqrt(2 * len(data.q))
+
+    def along(function, way):
+        return lambda x: torch.func.jvp(function, (x,), (way,))[1]
+
+    start = model.weight.detach().flatten().clone()
+    jacobian = torch.func.jacrev(residuals)(start)
+    gram = jacobian.T @ jacobian
+    scale = gram.diagonal() + 1e-6 * gram.diagonal().amax()
+    matrix = gram + damping * torch.diag(scale)
+    straight = -torch.linalg.solve(matrix, jacobian.T @ residuals(start))
+    bend = 0.5 * along(along(residuals, straight), straight)(start)
+    aside = -torch.linalg.solve(matrix, jacobian.T @ bend)
+    optimizer = LevenbergMarquardt([model.weight], damping=damping, chunk=3)
+    optimizer.epoch(model, [data.rows(slice(2)), data.rows(slice(2, None))])
+    torch.testing.assert_close(optimizer.flat() - start, straight + aside, rtol=1e-9, atol=1e-12)
+    assert aside.abs().max() > 1e-3 * straight.abs().max()  # else nothing is said of it
+
+
+def test_bent_valleys_take_fewer_steps(monkeypatch):
+    def epochs():
+        torch.manual_seed(1)
+        model, data = Products(3), windows(3, 40)
+        optimizer = LevenbergMarquardt([model.weight])
+        losses = [optimizer.epoch(model, [data])["train_loss"].item() for _ in range(60)]
+        return sum(loss > losses[-1] * (1 + 1e-9) for loss in losses), losses[-1]
+
+    bent, reached = epochs()
+    monkeypatch.setattr(levenberg_marquardt, "BEND", -1.0)
+    straight, same = epochs()
+    assert reached <= same * (1 + 1e-9)
+    assert bent < straight
 
 
 @pytest.mark.parametrize("n", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3))])

@@ -32,6 +32,7 @@ from symo_exp.mechanics.variational import (
     Forces,
     Slots,
     VariationalIntegrator,
+    distinct,
 )
 
 
@@ -63,8 +64,17 @@ class Galerkin(VariationalIntegrator):
     def slots(
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> Slots:
-        at = self.expand(lagrangian, q0, q1, h, forces)
-        return at.slots(q0, q1, forces) if torch.is_grad_enabled() else at.values
+        """Intervals that occur twice, as those of consecutive windows do, are solved once."""
+        ends = (q0, q1) if forces is None else (q0, q1, *forces)
+        chosen, place = distinct(torch.cat(ends, dim=1).detach())
+        if self.stages == 1 or 4 * len(chosen) > 3 * len(q0):
+            at = self.expand(lagrangian, q0, q1, h, forces)
+            return at.slots(q0, q1, forces) if torch.is_grad_enabled() else at.values
+        few = forces and forces.rows(chosen)
+        at = self.expand(lagrangian, q0[chosen], q1[chosen], h, few)
+        if not torch.is_grad_enabled():
+            return Slots(*(x[place] for x in at.values))
+        return at.condensed().rows(place).slots(q0, q1, forces)
 
     @torch.no_grad()
     def expand(
@@ -272,9 +282,13 @@ class GalerkinExpansion(DiscreteExpansion):
 
     def rows(self, index: Tensor) -> GalerkinExpansion:
         at = self._at.rows(self._points(index))
-        return GalerkinExpansion(
+        rows = GalerkinExpansion(
             self._basis, at, self.inner[:, index], self._pull[:, index], self._h
         )
+        if self._condensed is not None:
+            d2d1, transfer = self._condensed
+            rows._condensed = d2d1[index], transfer[index]
+        return rows
 
     def replace(self, index: Tensor, other: DiscreteExpansion) -> GalerkinExpansion:
         assert isinstance(other, GalerkinExpansion)
@@ -293,6 +307,11 @@ class GalerkinExpansion(DiscreteExpansion):
 
     def _hessian(self) -> Float[Tensor, "variables variables batch n n"]:
         return self._basis.hessian(self._at.curvature(), self._at.mass(), self._h)
+
+    def condensed(self) -> GalerkinExpansion:
+        """This expansion, with what its rows would otherwise compute by themselves."""
+        self._condense()
+        return self
 
     @torch.no_grad()
     def _condense(self) -> tuple[Tensor, Tensor]:

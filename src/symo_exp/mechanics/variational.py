@@ -357,3 +357,19 @@ def del_residual(
     f_minus = integrator.impulses(force, force_next, h)[0]
     f_plus = integrator.impulses(force_prev, force, h)[1]
     return slots.d2[: len(q)] + slots.d1[len(q) :] + f_plus + f_minus
+
+
+def distinct(rows: Float[Tensor, "batch k"]) -> tuple[Tensor, Tensor]:
+    """``chosen`` and ``place`` with ``rows[chosen]`` all different and ``rows[chosen][place]`` the
+    given ones.
+
+    By sorting column after column: ``torch.unique`` compares whole rows, three times as slowly.
+    """
+    order = torch.arange(len(rows), device=rows.device)
+    for column in rows.T.flip(0):
+        order = order[torch.argsort(column[order], stable=True)]
+    new = torch.ones(len(rows), dtype=torch.bool, device=rows.device)
+    new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(1)
+    place = torch.empty_like(order)
+    place[order] = new.cumsum(0) - 1
+    return order[new], place
