@@ -18,17 +18,25 @@ for machine in "$@"; do
     own=(integrator=midpoint structure=relative harmonics=0 dissipation=friction)
   fi
   explicit=(integrator=rk4)
+  conserved=() roots=()
+  for x in "${network[@]}"; do
+    [[ $x == dissipation* ]] || conserved+=("$x")
+    [[ $x == optimizer* ]] || roots+=("$x")
+  done
   case $method in
     symo) how=("${own[@]}") ;;
     symo-network) how=("${network[@]}") ;;
-    symo-none) how=("${network[@]}" dissipation=none) ;;
+    symo-none) how=("${conserved[@]}" dissipation=none) ;;
     symo-smoothed) how=("${network[@]}" 'optimizer.epsilons=[]') ;;
     l_node) how=(model=l_node "${network[@]}" "${explicit[@]}") ;;
     l_node-estimated) how=(model=l_node "${network[@]}" "${explicit[@]}" data.velocities=estimated) ;;
     node) how=(model=node model.width=32 "${explicit[@]}") ;;
     node-estimated) how=(model=node model.width=32 "${explicit[@]}" data.velocities=estimated) ;;
-    e2e_symo) how=(model=e2e_symo "${network[@]}" optimizer=levenberg_marquardt) ;;
-    e2e_symo-none) how=(model=e2e_symo "${network[@]}" optimizer=levenberg_marquardt dissipation=none) ;;
+    e2e_symo) how=(model=e2e_symo "${roots[@]}" optimizer=levenberg_marquardt) ;;
+    e2e_symo-none)
+      how=(model=e2e_symo optimizer=levenberg_marquardt dissipation=none)
+      for x in "${conserved[@]}"; do [[ $x == optimizer* ]] || how+=("$x"); done
+      ;;
   esac
   python -m symo_exp data=recorded system=recorded system.angular=all system.time_step=0.02 \
     preset=recorded data.path="recordings/$machine.parquet" reference="$machine" \

@@ -7,8 +7,10 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Newton
-from symo_exp.models.objectives import PreconditionedResidual
-from tests.models.methods import combinations, flows, make, pairwise, windows
+from symo_exp.mechanics.types import Windows
+from symo_exp.models.objectives import PreconditionedResidual, Residual
+from symo_exp.nets.affine import parameter_jacobian
+from tests.models.methods import H, combinations, flows, make, pairwise, windows
 from tests.tables import variational_integrators
 
 ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
@@ -32,6 +34,39 @@ def test_gradient_of_the_loss_against_finite_differences(method, integrator, n):
         slope = (ahead - behind) / (2 * eps)
         computed = torch.zeros(()) if gradient is None else (gradient * direction).sum()
         torch.testing.assert_close(computed.to(slope), slope.detach(), atol=1e-7, rtol=1e-5)
+
+
+@pytest.mark.parametrize("objective", [Residual, PreconditionedResidual])
+@pytest.mark.parametrize("integrator", variational_integrators())
+def test_consecutive_windows_are_like_windows_alone(objective, integrator):
+    """In any order, though an integrator may solve the intervals that they share once: the
+    residuals, and their derivatives in parameters and configurations."""
+    model = make("symo", integrator, 2, objective=objective())
+    parameters, generator = list(model.parameters()), torch.Generator().manual_seed(5)
+    shape = {"dtype": torch.float64, "generator": generator}
+    bends = H * H * torch.randn(8, 2, **shape)
+    q, u = torch.randn(2, **shape) + bends.cumsum(0).cumsum(0), torch.randn(8, 1, **shape)
+    order = torch.randperm(6, generator=generator)
+    q_prev, q, q_next, u_prev, u, u_next = (x[k : k + 6][order] for x in (q, u) for k in range(3))
+    data = Windows(q_prev, q, q_next, torch.zeros_like(q), torch.zeros_like(q), u_prev, u, u_next)
+
+    def linearised(rows):
+        nodes = [x.clone().requires_grad_() for x in rows[:3]]
+        return parameter_jacobian(
+            lambda: model.residuals(Windows(*nodes, *rows[3:])), parameters, nodes
+        )
+
+    together = linearised(data)
+    with torch.no_grad():
+        torch.testing.assert_close(model.residuals(data), together.residuals)
+    for k in range(6):
+        alone = linearised(data.rows(slice(k, k + 1)))
+        for x, y in zip(_tensors(together), _tensors(alone), strict=True):
+            torch.testing.assert_close(x[k : k + 1], y, rtol=1e-9, atol=1e-11)
+
+
+def _tensors(linearised):
+    return linearised.residuals, linearised.parameters, *linearised.inputs
 
 
 @FLOWS
