@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from symo_exp.training.compiling import watches_much
-from tests.models.methods import windows
+from symo_exp.training import compiling
+from symo_exp.training.compiling import COLD, WARM, CompileTraining, watches_much
+from tests.models.methods import make, windows
 
 
 @pytest.mark.parametrize(
@@ -21,3 +22,46 @@ def test_validation_is_compiled_where_it_sees_as_many_samples_as_training(watche
 
 def test_without_data_of_our_own_there_is_nothing_to_compare():
     assert not watches_much(SimpleNamespace(check_val_every_n_epoch=1))
+
+
+@pytest.fixture
+def trained(monkeypatch, tmp_path):
+    """``(steps, mode, state) → whether it is compiled``, and the state of its checkpoint; after an
+    epoch, on a machine with a compiler and kernels in a folder of its own."""
+    calls = []
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path / "kernels"))
+    monkeypatch.setattr(compiling, "compiler_available", lambda: True)
+    monkeypatch.setattr(compiling, "compile_training", lambda *_, **__: calls.append(True))
+    model = make("symo", "midpoint", 1)
+
+    def train(steps, mode="auto", state=None, rows=8):
+        batches = [windows(1, rows)]
+        data = SimpleNamespace(batches=lambda epoch: batches, val_dataloader=lambda: [])
+        trainer = SimpleNamespace(max_epochs=steps, datamodule=data, check_val_every_n_epoch=1)
+        callback, before = CompileTraining(mode, "settings"), len(calls)
+        if state is not None:
+            callback.load_state_dict(state)
+        callback.on_fit_start(trainer, model)
+        callback.on_train_epoch_end(trainer, model)
+        return len(calls) > before, callback.state_dict()
+
+    return train
+
+
+def test_a_short_training_is_compiled_where_its_kernels_are(trained):
+    assert not trained(WARM)[0]
+    assert not trained(COLD - 1)[0]
+    assert trained(COLD)[0]  # leaves kernels
+    assert trained(WARM)[0]
+    assert not trained(WARM - 1)[0]
+    assert not trained(WARM, rows=9)[0]  # these are kernels of other batches
+    assert not trained(COLD, mode=False)[0]
+
+
+def test_a_training_goes_on_the_way_it_began(trained):
+    _, eager = trained(WARM)
+    assert trained(1, mode=True)[0]  # another run leaves kernels
+    assert trained(WARM)[0]
+    assert not trained(WARM, state=eager)[0]
+    _, compiled = trained(WARM)
+    assert trained(1, state=compiled)[0]

@@ -12,7 +12,7 @@ from typing import Any
 
 from torch import Tensor
 
-from symo_exp.compile.inductor import CompilerError, compiler_available
+from symo_exp.compile.inductor import CompilerError, compiler_available, kernel_cache
 from symo_exp.compile.newton import RootLoss, VariationalAdvance
 from symo_exp.compile.program import Program
 from symo_exp.mechanics.roots import Newton
@@ -22,7 +22,13 @@ from symo_exp.models.flows import ExplicitFlow, VariationalFlow
 from symo_exp.models.learner import Learner
 from symo_exp.models.objectives import NOTHING, RootError, Statistics
 
-__all__ = ["compile_rollout", "compile_training", "compiler_available", "trains_compiled"]
+__all__ = [
+    "compile_rollout",
+    "compile_training",
+    "compiler_available",
+    "kernel_cache",
+    "trains_compiled",
+]
 
 log = logging.getLogger(__name__)
 

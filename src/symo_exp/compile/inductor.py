@@ -33,6 +33,12 @@ def compiler_available() -> bool:
     return any(shutil.which(name) for name in ("c++", "g++", "clang++"))
 
 
+def kernel_cache() -> Path:
+    """Where kernels are kept."""
+    own = os.environ.get("TORCHINDUCTOR_CACHE_DIR")
+    return Path(own) if own else Path.home() / ".cache" / "symo_exp" / "kernels"
+
+
 def trace(function: Callable[..., list[Tensor]], example: Sequence[Tensor]) -> torch.fx.GraphModule:
     """The operations of a function of tensors, with the cheaper kernels in place."""
     from torch.fx.experimental.proxy_tensor import make_fx
@@ -47,8 +53,7 @@ def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..
     next process that comes with the same graph, another job of a sweep say, finds its kernels on
     disk and spends seconds here instead of a minute.
     """
-    cache = Path.home() / ".cache" / "symo_exp" / "kernels"
-    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache))
+    os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(kernel_cache())
     os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")
     # The graph is traced and sound, so whatever goes wrong here is the compiler's, be it a missing
     # lowering, a broken g++ or a full disk: there is no common class of all that.

@@ -25,6 +25,12 @@ def digest(settings: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:10]
 
 
+def kernels(settings: Mapping[str, Any]) -> str:
+    """A digest of what a compiled training step depends on, but for the sizes of its batches."""
+    groups = {"seed", "data", "draws", "optimizer", "scheduler", "learning_rate", "trainer"}
+    return digest({key: value for key, value in settings.items() if key not in groups})
+
+
 def relevant(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """The settings that change numbers, flat (``data.n_traj``) and in canonical spelling."""
     for key, value in settings.items():

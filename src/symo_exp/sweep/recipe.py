@@ -21,7 +21,7 @@ from symo_exp.evaluation.recordings import Recorded
 from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.evaluation.study import afresh
-from symo_exp.runs.digest import digest
+from symo_exp.runs.digest import digest, kernels
 from symo_exp.runs.folder import (
     CHECKPOINTS,
     PICTURES,
@@ -110,6 +110,7 @@ def build(config: DictConfig, folder: RunFolder) -> Parts:
         "trainer",
         folder=folder / CHECKPOINTS,
         run=digest(plain(config)),
+        kernels=kernels(plain(config)),
         callbacks=[recording],
     )
     try:

@@ -3,45 +3,79 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import lightning
+import torch
 
-from symo_exp.compile import compile_training, compiler_available, trains_compiled
+from symo_exp.compile import compile_training, compiler_available, kernel_cache, trains_compiled
 from symo_exp.training import phases
 
 log = logging.getLogger(__name__)
 
-WORTHWHILE = 4000
-"""Optimiser steps from which ``auto`` compiles: it costs about a minute once, then seconds a run,
-and saves some milliseconds a step."""
+COLD, WARM = 7000, 700
+"""Optimiser steps from which compiling pays, where its kernels are made first or are there: that
+takes up to a minute or some seconds, and saves some milliseconds a step."""
 
 
 class CompileTraining(lightning.Callback):
     """``True``, ``False`` or ``"auto"``: compile the training step of a run on a CPU.
 
-    ``auto`` decides by the length of the whole run and by whether a C++ compiler is there, never
-    by a clock: a resumed run must take the same way to the same bits.
+    ``auto`` decides by whether a C++ compiler is there, by the length of the whole run, and by
+    whether an earlier run has left the kernels for these ``settings`` and batches in the cache:
+    never by a clock. A resumed run goes on the way it began, to the same bits.
     """
 
-    def __init__(self, mode: bool | str) -> None:
-        self.mode = mode
+    def __init__(self, mode: bool | str, settings: str = "") -> None:
+        self.mode, self._settings = mode, settings
+        self._compiled: bool | None = None
+        self._kernels: Path | None = None
 
     def on_fit_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         possible, available = trains_compiled(pl_module), compiler_available()
         if self.mode is True and not (possible and available):
             reason = "no C++ compiler here" if possible else "no fixed sequence of operations"
             log.warning("this training is not compiled: %s", reason)
-        elif possible and available and (self.mode is True or self._worthwhile(trainer, pl_module)):
+        if not (possible and available):
+            return
+        self._kernels = self._made(trainer)
+        if self._compiled is None:
+            self._compiled = self.mode is True or self._worthwhile(trainer, pl_module)
+        if self._compiled:
             phases.say("compiling the training step, up to a minute")
             compile_training(pl_module, validation=watches_much(trainer))
 
+    def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        if self._compiled and self._kernels is not None:
+            with suppress(OSError):  # nothing will be found in a cache that cannot be written to
+                self._kernels.parent.mkdir(parents=True, exist_ok=True)
+                self._kernels.touch()
+        self._kernels = None  # told once
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"compiled": self._compiled}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self._compiled = state_dict["compiled"]
+
     def _worthwhile(self, trainer: lightning.Trainer, pl_module: Any) -> bool:
-        datamodule: Any = getattr(trainer, "datamodule", None)
-        if not self.mode or datamodule is None or trainer.max_epochs is None:
+        if not self.mode or self._kernels is None or trainer.max_epochs is None:
             return False
+        datamodule: Any = trainer.datamodule  # type: ignore[attr-defined]
         steps = trainer.max_epochs * len(datamodule.batches(0))
-        return pl_module.device.type == "cpu" and steps >= WORTHWHILE
+        enough = WARM if self._kernels.exists() else COLD
+        return pl_module.device.type == "cpu" and steps >= enough
+
+    def _made(self, trainer: lightning.Trainer) -> Path | None:
+        """The file that says that there are kernels for this training."""
+        datamodule: Any = getattr(trainer, "datamodule", None)
+        if datamodule is None:
+            return None
+        sizes = sorted({len(windows.q) for windows in datamodule.batches(0)})
+        name = "-".join([self._settings, torch.__version__, *map(str, sizes)])
+        return kernel_cache() / "made" / name
 
 
 def watches_much(trainer: lightning.Trainer) -> bool:

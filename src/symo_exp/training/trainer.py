@@ -32,13 +32,15 @@ def make_trainer(
     compile: bool | str,
     folder: Path,
     run: str = "",
+    kernels: str = "",
     callbacks: Sequence[lightning.Callback] = (),
 ) -> lightning.Trainer:
     """A trainer whose Lightning batch is a whole epoch (see ``TrajectoryData``).
 
     ``validate_every`` counts epochs, ``checkpoint_every`` seconds. ``threads`` holds for the
     whole process: two jobs of a sweep on two cores get in each other's way with more than one.
-    ``compile`` is true, false or ``auto``: see ``CompileTraining``.
+    ``compile`` is true, false or ``auto``: see ``CompileTraining``; ``kernels`` names the settings
+    that a compiled step depends on.
     Checkpoints go to ``folder`` and say that they belong to ``run``. The ``callbacks`` of the
     caller come first.
     """
@@ -52,7 +54,8 @@ def make_trainer(
         raise ConfigError(f"trainer.compile={compile} must be true, false or auto")
     _settle(accelerator, threads)
     checkpoint = Checkpoint(folder, checkpoint_every, run)
-    ours = [StopOnDivergence(checkpoint), checkpoint, FinishEpochs(), CompileTraining(compile)]
+    compiling = CompileTraining(compile, kernels)
+    ours = [StopOnDivergence(checkpoint), checkpoint, FinishEpochs(), compiling]
     return lightning.Trainer(
         accelerator=accelerator,
         devices=1,
