@@ -4,6 +4,14 @@
 set -euo pipefail
 seeds=$1 method=$2
 shift 2
+roots=(optimizer=levenberg_marquardt)
+
+without() { # GROUPS SETTING...: the settings of other groups
+  local groups=$1
+  shift
+  printf '%s\n' "$@" | grep -vE "^($groups)" || true
+}
+
 for machine in "$@"; do
   case $machine in
     free_single_pendulum) network=(integrator=galerkin4) ;;
@@ -13,30 +21,24 @@ for machine in "$@"; do
       network=(integrator=midpoint model.width=2 model.depth=1 harmonics=1 dissipation=friction
         optimizer.starts=6) ;;
   esac
-  own=("${network[@]}")
+  own=("${network[@]}") wide=(model.width=32)
   if [ "$machine" = motor_double_pendulum ]; then
     own=(integrator=midpoint structure=relative harmonics=0 dissipation=friction)
+    wide=(model.width=8 model.depth=1)
   fi
   explicit=(integrator=rk4)
-  conserved=() roots=()
-  for x in "${network[@]}"; do
-    [[ $x == dissipation* ]] || conserved+=("$x")
-    [[ $x == optimizer* ]] || roots+=("$x")
-  done
   case $method in
     symo) how=("${own[@]}") ;;
     symo-network) how=("${network[@]}") ;;
-    symo-none) how=("${conserved[@]}" dissipation=none) ;;
+    symo-none) how=($(without dissipation "${network[@]}") dissipation=none) ;;
     symo-smoothed) how=("${network[@]}" 'optimizer.epsilons=[]') ;;
     l_node) how=(model=l_node "${network[@]}" "${explicit[@]}") ;;
     l_node-estimated) how=(model=l_node "${network[@]}" "${explicit[@]}" data.velocities=estimated) ;;
-    node) how=(model=node model.width=32 "${explicit[@]}") ;;
-    node-estimated) how=(model=node model.width=32 "${explicit[@]}" data.velocities=estimated) ;;
-    e2e_symo) how=(model=e2e_symo "${roots[@]}" optimizer=levenberg_marquardt) ;;
+    node) how=(model=node "${wide[@]}" "${explicit[@]}") ;;
+    node-estimated) how=(model=node "${wide[@]}" "${explicit[@]}" data.velocities=estimated) ;;
+    e2e_symo) how=(model=e2e_symo $(without optimizer "${network[@]}") "${roots[@]}") ;;
     e2e_symo-none)
-      how=(model=e2e_symo optimizer=levenberg_marquardt dissipation=none)
-      for x in "${conserved[@]}"; do [[ $x == optimizer* ]] || how+=("$x"); done
-      ;;
+      how=(model=e2e_symo $(without 'dissipation|optimizer' "${network[@]}") "${roots[@]}" dissipation=none) ;;
   esac
   python -m symo_exp data=recorded system=recorded system.angular=all system.time_step=0.02 \
     preset=recorded data.path="recordings/$machine.parquet" reference="$machine" \
