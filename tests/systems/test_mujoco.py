@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 import torch
@@ -19,11 +18,15 @@ from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.mujoco import environment, mechanism, theirs
 from symo_exp.systems.multibody import Multibody
+from symo_exp.systems.refusals import library
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 from tests.systems import models
 from tests.systems.every import points
 from tests.systems.models import compiled, mjcf, read
+from tests.tables import CONF
+
+mujoco = library()
 
 ACROBOT, CARTPOLE = stated("acrobot"), stated("cartpole")
 OURS: dict[str, tuple[LagrangianSystem, str]] = {
@@ -296,3 +299,25 @@ def test_a_urdf_file_is_a_system(tmp_path: Path) -> None:
     generate = {"n_train_max": 1, "n_val": 1, "n_test": 1, "n_steps": 2, "n_integration": 1}
     data = TrajectoryData(system=found, **generate, integration_steps=2, n_traj=1, dtype="float64")
     assert data.load().train[0].u.shape == (4, 0)
+
+
+def test_mujoco_draws_where_it_can_and_a_stick_figure_where_not(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text((CONF / "system" / "arm.xml").read_text())
+    parts = {"mechanism": mechanism(file), "time_step": 0.05, "viscous": None, "coulomb": None}
+    arm, lost = (Multibody(model=str(x), **parts) for x in (file, tmp_path / "lost.xml"))
+    q = torch.zeros(7, dtype=torch.float64)
+    assert lost.picture(q, 96) is None
+    env = lost.environment(render_mode="rgb_array")
+    env.reset(seed=0)
+    stick = env.render()
+    assert stick.std() > 1
+    if arm.picture(q, 96) is None:
+        pytest.skip("nothing draws off screen here")
+    assert arm.picture(q, 96).shape == (96, 96, 3)
+    assert np.array_equal(arm.picture(q, 96), arm.picture(q, 96))
+    assert not np.array_equal(arm.picture(q, 96), arm.picture(q + 0.5, 96))
+    env = arm.environment(render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().shape == stick.shape
+    assert not np.array_equal(env.render(), stick)

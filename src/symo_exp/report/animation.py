@@ -51,22 +51,14 @@ def _frame(
     size = (2 * PANEL * FINE, (PANEL + HEADER) * FINE)
     image = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(image)
-    true = system.skeleton(q_true)
-    assert true is not None
-    camera = points_of(true)[0]
-    left, right = ((x * FINE, HEADER * FINE, PANEL * FINE) for x in (0, PANEL))
-    paint(draw, left, true, camera, GHOST, GHOST)
-    gone = "diverged"
-    if torch.isfinite(q).all():
-        figure = system.skeleton(q)
-        assert figure is not None
-        paint(draw, left, figure, camera, style.colour)
-        away = (points_of(figure) - camera) / (MARGIN * figure.reach)
-        gone = "out of view" if (np.abs(away) > 1).any(axis=1).all() else ""
+    here = bool(torch.isfinite(q).all())
+    truth = system.picture(q_true, PANEL)
+    if truth is None:
+        gone = _figures(system, draw, q if here else None, q_true, style)
+    else:
+        gone = "" if here else "diverged"
+        _pictures(image, truth, system.picture(q, PANEL) if here else None)
     _text(draw, (PANEL / 2, HEADER + PANEL - 16), gone, style.colour, 12, "mm")
-    # the prediction may leave its panel: the truth's is cleared of it
-    draw.rectangle((PANEL * FINE, 0, *size), fill=PAPER)
-    paint(draw, right, true, camera, TRUTH.colour)
     draw.rectangle((0, 0, size[0], HEADER * FINE), fill=PAPER)
     draw.line((PANEL * FINE, HEADER * FINE, PANEL * FINE, size[1]), fill=RAIL, width=FINE)
     _text(draw, (8, 5), title, JOINT, 11, "la")
@@ -74,6 +66,38 @@ def _frame(
     _text(draw, (PANEL / 2, 24), style.label, style.colour, 13, "ma")
     _text(draw, (PANEL * 1.5, 24), TRUTH.label, TRUTH.colour, 13, "ma")
     return image.resize((2 * PANEL, PANEL + HEADER), Image.Resampling.BOX)
+
+
+def _figures(
+    system: System, draw: ImageDraw.ImageDraw, q: torch.Tensor | None, q_true: torch.Tensor,
+    style: Look,
+) -> str:  # fmt: skip
+    """Skeletons; what is to be said of a prediction that is not seen."""
+    true = system.skeleton(q_true)
+    assert true is not None
+    camera = points_of(true)[0]
+    left, right = ((x * FINE, HEADER * FINE, PANEL * FINE) for x in (0, PANEL))
+    paint(draw, left, true, camera, GHOST, GHOST)
+    gone = "diverged"
+    if q is not None:
+        figure = system.skeleton(q)
+        assert figure is not None
+        paint(draw, left, figure, camera, style.colour)
+        away = (points_of(figure) - camera) / (MARGIN * figure.reach)
+        gone = "out of view" if (np.abs(away) > 1).any(axis=1).all() else ""
+    # the prediction may leave its panel: the truth's is cleared of it
+    draw.rectangle((PANEL * FINE, 0, 2 * PANEL * FINE, (PANEL + HEADER) * FINE), fill=PAPER)
+    paint(draw, right, true, camera, TRUTH.colour)
+    return gone
+
+
+def _pictures(image: Image.Image, truth: np.ndarray, predicted: np.ndarray | None) -> None:
+    """The system's own: a quarter of what is seen on the left is the truth."""
+    seen = truth if predicted is None else 0.25 * truth + 0.75 * predicted
+    for x, picture in ((0, seen), (PANEL, truth)):
+        panel = Image.fromarray(picture.astype(np.uint8))
+        size = (PANEL * FINE, PANEL * FINE)
+        image.paste(panel.resize(size, Image.Resampling.NEAREST), (x * FINE, HEADER * FINE))
 
 
 def _text(

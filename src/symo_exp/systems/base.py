@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -91,6 +92,11 @@ class System(ABC):
 
     def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton | None:
         """Forward kinematics of one configuration, as a figure to draw."""
+        return None
+
+    def picture(self, q: Float[Tensor, " n"], size: int) -> np.ndarray | None:
+        """One configuration as a picture (size, size, 3), uint8, of a system that has a better one
+        than its skeleton."""
         return None
 
     @classmethod

@@ -37,7 +37,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.systems.base import System
 from symo_exp.systems.checks import whole
 from symo_exp.systems.copies import Copies, Motion, Reward, exact
-from symo_exp.systems.render import Renderer
+from symo_exp.systems.render import SIZE, Renderer, drawn
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
@@ -113,12 +113,16 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def _draw(self) -> np.ndarray | None:
         assert self.render_mode is not None
-        name, figure = type(self.system).__name__, self.system.skeleton(self.state()[0][0])
-        if figure is None:
-            raise ConfigError(f"{name} cannot be drawn: its class has no skeleton(q)")
+        name, q = type(self.system).__name__, self.state()[0][0]
+        picture = self.system.picture(q, SIZE)
+        if picture is None:
+            figure = self.system.skeleton(q)
+            if figure is None:
+                raise ConfigError(f"{name} cannot be drawn: its class has no skeleton(q)")
+            picture = drawn(figure)
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"], name)
-        return self._renderer.draw(figure)
+        return self._renderer.show(picture)
 
 
 @final

@@ -39,12 +39,32 @@ TINY = 1e-15
 
 def mechanism(path: str | os.PathLike[str]) -> dict[str, Any]:
     """That of an MJCF or URDF file; one that is not found is looked for among ours."""
-    file = Path(str(path)).expanduser()
-    if not file.is_file() and (CONF / "system" / file).is_file():
-        file = CONF / "system" / file
+    file = _file(path)
     if not file.is_file():
         raise ConfigError(f"system.model={path}: there is no such file; give an MJCF or URDF file")
     return _read(str(path), str(file.resolve()), file.stat().st_mtime_ns)
+
+
+def _file(path: str | os.PathLike[str]) -> Path:
+    file = Path(str(path)).expanduser()
+    ours = CONF / "system" / file
+    return ours if not file.is_file() and ours.is_file() else file
+
+
+def model_of(path: str | None, environment: str | None) -> Any:
+    """MuJoCo's own model of a file or of an environment; ``None`` where there is none."""
+    if path is not None:
+        return library().MjModel.from_xml_path(str(_file(path)))
+    return None if environment is None else _model_in(environment)
+
+
+def _model_in(name: str) -> Any:
+    library()  # before Gymnasium imports it
+    import gymnasium
+
+    made = gymnasium.make(name)
+    made.close()
+    return getattr(made.unwrapped, "model", None)
 
 
 @lru_cache(maxsize=4)  # the jobs of a sweep share it
@@ -61,16 +81,12 @@ def _read(path: str, file: str, version: int) -> dict[str, Any]:
 @lru_cache(maxsize=4)
 def environment(name: str) -> dict[str, Any]:
     """That of a Gymnasium environment over a MuJoCo model."""
-    import gymnasium
-
     where = f"system.id={name}"
     with heard() as warnings:
         try:
-            made = gymnasium.make(name)
+            model = _model_in(name)
         except Exception as error:  # an environment is anybody's code
             raise ConfigError(f"{where}: Gymnasium cannot make it: {one_line(error)}") from None
-        model = getattr(made.unwrapped, "model", None)
-        made.close()
         if not isinstance(model, library().MjModel):
             raise ConfigError(f"{where} is no environment over a MuJoCo model")
         return _with(of_model(model, where), warnings)

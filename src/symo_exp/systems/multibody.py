@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -18,6 +19,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import LagrangianSystem, Skeleton
 from symo_exp.systems.box import Range, SamplingBox, completed
 from symo_exp.systems.checks import one_of
+from symo_exp.systems.scene import scene
 
 
 @final
@@ -143,6 +145,11 @@ class Multibody(LagrangianSystem):
         reach = sum(float((flat[a] - flat[b]).norm()) for a, b in links)
         rail = self.joints[0].slides and abs(float(view[0] @ column(self.joints, "axis")[0])) > 0.9
         return Skeleton(points, tuple(links), (0,) if rail else (), max(reach, 1e-3))
+
+    def picture(self, q: Float[Tensor, " n"], size: int) -> np.ndarray | None:
+        """By MuJoCo, where it, the model and a way to draw are there."""
+        drawn = scene(self.model, self.id, size)
+        return None if drawn is None else drawn.draw(q.detach().cpu().double().numpy())
 
     @cached_property
     def _view(self) -> Tensor:

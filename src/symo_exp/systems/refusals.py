@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from symo_exp.errors import ConfigError
+from symo_exp.systems import scene
 
 
 def refusals(model: Any) -> Iterator[str]:
@@ -121,6 +122,7 @@ def disabled(model: Any, name: str) -> bool:
 
 def library() -> Any:
     """MuJoCo, if it is installed."""
+    scene.prepare()
     try:
         import mujoco
     except ImportError as error:

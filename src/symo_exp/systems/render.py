@@ -1,4 +1,4 @@
-"""Skeletons drawn by Pillow: one painter for the animation of a run and for the environment."""
+"""Skeletons drawn by Pillow: one painter for animations and the environment; and its window."""
 
 from __future__ import annotations
 
@@ -61,11 +61,17 @@ def points_of(skeleton: Skeleton) -> np.ndarray:
     return np.asarray(skeleton.points.detach().cpu().double().numpy())
 
 
-class Renderer:
-    """Skeletons in a window of pygame (``human``) or as arrays (``rgb_array``).
+def drawn(skeleton: Skeleton) -> np.ndarray:
+    """A skeleton, its first point in the middle, as a picture (SIZE, SIZE, 3), uint8."""
+    image = Image.new("RGB", (SIZE * FINE, SIZE * FINE), PAPER)
+    box = (0.0, 0.0, float(SIZE * FINE))
+    paint(ImageDraw.Draw(image), box, skeleton, points_of(skeleton)[0])
+    return np.array(image.resize((SIZE, SIZE), Image.Resampling.BOX))
 
-    The first point stays in the middle of the picture. Arrays need neither pygame nor a display.
-    """
+
+class Renderer:
+    """Pictures in a window of pygame (``human``) or as arrays (``rgb_array``), which need neither
+    pygame nor a display."""
 
     def __init__(self, mode: str, frames_per_second: float, title: str) -> None:
         self._fps = frames_per_second
@@ -74,16 +80,12 @@ class Renderer:
         if mode == "human":
             self._open(title)
 
-    def draw(self, skeleton: Skeleton) -> np.ndarray | None:
-        """The picture (height, width, 3), uint8; ``None`` where it went to the window."""
-        image = Image.new("RGB", (SIZE * FINE, SIZE * FINE), PAPER)
-        box = (0.0, 0.0, float(SIZE * FINE))
-        paint(ImageDraw.Draw(image), box, skeleton, points_of(skeleton)[0])
-        image = image.resize((SIZE, SIZE), Image.Resampling.BOX)
+    def show(self, picture: np.ndarray) -> np.ndarray | None:
+        """The picture (SIZE, SIZE, 3), uint8; ``None`` where it went to the window."""
         if self._window is None:
-            return np.array(image)
-        picture = self._pygame.image.frombuffer(image.tobytes(), image.size, "RGB")
-        self._window.blit(picture, (0, 0))
+            return picture
+        image = self._pygame.image.frombuffer(picture.tobytes(), (SIZE, SIZE), "RGB")
+        self._window.blit(image, (0, 0))
         self._pygame.event.pump()
         self._pygame.display.flip()
         self._clock.tick(self._fps)

@@ -39,10 +39,8 @@ def make_trainer(
 
     ``validate_every`` counts epochs, ``checkpoint_every`` seconds. ``threads`` holds for the
     whole process: two jobs of a sweep on two cores get in each other's way with more than one.
-    ``compile`` is true, false or ``auto``: see ``CompileTraining``; ``kernels`` names the settings
-    that a compiled step depends on.
-    Checkpoints go to ``folder`` and say that they belong to ``run``. The ``callbacks`` of the
-    caller come first.
+    ``compile`` and ``kernels``: see ``CompileTraining``. Checkpoints go to ``folder`` and say that
+    they belong to ``run``. The ``callbacks`` of the caller come first.
     """
     counts = {"max_epochs": max_epochs, "validate_every": validate_every, "threads": threads}
     for name, value in counts.items():
@@ -54,8 +52,8 @@ def make_trainer(
         raise ConfigError(f"trainer.compile={compile} must be true, false or auto")
     _settle(accelerator, threads)
     checkpoint = Checkpoint(folder, checkpoint_every, run)
-    compiling = CompileTraining(compile, kernels)
-    ours = [StopOnDivergence(checkpoint), checkpoint, FinishEpochs(), compiling]
+    bar = [ProgressBar()] if progress else []
+    ours = [StopOnDivergence(checkpoint), checkpoint, FinishEpochs()]
     return lightning.Trainer(
         accelerator=accelerator,
         devices=1,
@@ -64,7 +62,7 @@ def make_trainer(
         num_sanity_val_steps=0,
         inference_mode=False,  # a Lagrangian is differentiated in validation, too
         logger=False,
-        callbacks=[*callbacks, *ours, *([ProgressBar()] if progress else [])],
+        callbacks=[*callbacks, *ours, CompileTraining(compile, kernels), *bar],
         # on a cluster, too, a run is one process: Lightning's own ways of queueing it again and
         # of choosing a checkpoint would get in the way of ours
         plugins=[WholeFiles(), LightningEnvironment()],
