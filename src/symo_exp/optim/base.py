@@ -43,7 +43,8 @@ class EpochOptimizer(Optimizer, ABC):
 
     Losses on held-out samples arrive through ``validated``: the best parameters are kept, later
     ones also where they are worse by less than ``tolerance``, relatively. After ``patience`` losses
-    that do not improve by a hundredth the training is ``finished``.
+    in a row that do not improve by a hundredth the training is ``finished``; those do not count
+    during which the training loss ``falls``.
     """
 
     reads_trajectories: ClassVar[bool] = False
@@ -69,8 +70,17 @@ class EpochOptimizer(Optimizer, ABC):
         value, best = float(loss.detach()), self.memory["best"]
         if value < best * (1.0 + self.tolerance):
             self.memory |= {"best": min(value, best), "weights": self.flat()}
-        self.memory["waited"] = 0 if value < 0.99 * best else self.memory["waited"] + 1
+        falls = self.falls()
+        if value < 0.99 * best:
+            self.memory["waited"] = 0
+        elif not falls:
+            self.memory["waited"] += 1
         self.finished = self.finished or self.memory["waited"] >= self.patience
+
+    def falls(self) -> bool:
+        """Whether the training loss falls so fast, since this was asked last, that held-out losses
+        may well follow."""
+        return False
 
     def ended(self) -> None:
         """The last epoch is over: leave the best parameters in place."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -15,19 +16,24 @@ from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.optim.base import EpochOptimizer, Problem, whole
 from symo_exp.optim.linearised import Linearised
 
+FALLS = 0.9
+"""What is left of the training loss, from one held-out loss to the next, of one that falls."""
+
 TENTH, BEND = 0.1, 0.75
 """Where on the way its bend is measured; the longest correction for it, twice, over the step."""
 
 
 class LevenbergMarquardt(EpochOptimizer):
-    """``(JᵀJ + λ D) δ = −Jᵀ r`` on all samples: one accepted step an epoch (Marquardt 1963).
+    """``(JᵀJ + λ s I) δ = −Jᵀ r`` on all samples: one accepted step an epoch (Levenberg 1944).
 
     ``r`` are the residuals divided by the root of their number, ``J`` their derivatives in the
-    parameters, in float64; ``D`` is the diagonal of ``JᵀJ``, kept from zero. Valleys of the loss
-    are bent, and a straight step is no longer than the bend lets it be; so it is taken to second
-    order, by geodesic acceleration (Transtrum and Sethna 2012): with ``r''`` along ``δ``
+    parameters, in float64; ``s`` is the largest entry of the diagonal of ``JᵀJ``. (With that
+    diagonal itself, as Marquardt has it, parameters that hardly matter run away, and trainings end
+    far from the data that they could meet to rounding.) Valleys of the loss are bent, and a
+    straight step is no longer than the bend lets it be; so it is taken to second order, by geodesic
+    acceleration (Transtrum and Sethna 2012): with ``r''`` along ``δ``
 
-        (JᵀJ + λ D) a = −½ Jᵀ r''        θ⁺ = θ + δ + a
+        (JᵀJ + λ s I) a = −½ Jᵀ r''        θ⁺ = θ + δ + a
 
     unless ``a`` is long. ``λ`` is multiplied by ``max(⅓, 1 − (2ρ − 1)³)`` after a step that lowers
     ``‖r‖²`` by ``ρ`` of what was foreseen, and by 2, 4, 8, … after those that do not (Nielsen
@@ -56,7 +62,7 @@ class LevenbergMarquardt(EpochOptimizer):
                 "Levenberg-Marquardt squares the condition of the problem: it needs dtype=float64"
             )
         self.trials, self.chunk = trials, chunk
-        self.memory["damping"] = damping
+        self.memory |= {"damping": damping, "loss": math.inf, "asked": math.inf}
 
     @property
     def damping(self) -> float:
@@ -72,12 +78,12 @@ class LevenbergMarquardt(EpochOptimizer):
             if factor is not None:
                 straight = at.towards_zero(factor, at.r)
                 linear = at.change(straight)
-                self.place(start + TENTH * at.unit * straight)
+                self.place(start + TENTH * straight)
                 there = at.scale * self._residuals(model, samples)
                 bend = (there - at.r - TENTH * linear) / TENTH**2
                 aside = at.towards_zero(factor, bend)
                 bent = bool(2.0 * aside.norm() <= BEND * straight.norm())
-                self.place(start + at.unit * (straight + aside if bent else straight))
+                self.place(start + (straight + aside if bent else straight))
                 fall = before - float(self._residuals(model, samples).square().mean())
                 foreseen = -float(linear @ (2.0 * at.r + linear))
                 accepted = fall > 0.0
@@ -90,7 +96,12 @@ class LevenbergMarquardt(EpochOptimizer):
         if not accepted:
             self.place(start)
             self.finished = self.damping >= 1e12
+        self.memory["loss"] = before
         return {"train_loss": at.r @ at.r, "damping": torch.tensor(self.damping)}
+
+    def falls(self) -> bool:
+        before, self.memory["asked"] = self.memory["asked"], self.memory["loss"]
+        return bool(self.memory["loss"] < FALLS * before)
 
     def _damp(self, factor: float) -> None:
         self.memory["damping"] = min(max(self.damping * factor, 1e-16), 1e16)
