@@ -2,9 +2,9 @@
 
     python results/hardware/table.py outputs > results/hardware/table.md
 
-Reads the finished runs of ``outputs/hardware_*``, whose numbers it keeps in ``runs.csv``, and the
-makers' refitted equations in ``refitted.csv``, both beside this file. Without an argument it reads
-``runs.csv``. Cells are medians over seeds and, in brackets, the range of all of them.
+Reads the finished runs of ``outputs/hardware_*``, whose numbers it keeps in ``runs.csv`` in place
+of earlier ones, and the makers' refitted equations in ``refitted.csv``, both beside this file.
+Without an argument it reads ``runs.csv`` alone. Cells are medians over seeds and, in brackets, the range of all of them.
 """
 
 import sys
@@ -101,7 +101,10 @@ def tables(found: pd.DataFrame) -> Iterator[str]:
 if __name__ == "__main__":
     kept = HERE / "runs.csv"
     if sys.argv[1:]:
-        runs(Path(sys.argv[1])).to_csv(kept, index=False, float_format="%.5g")
+        both = pd.concat([runs(Path(sys.argv[1])), pd.read_csv(kept)])
+        one = ["machine", "method", "start", "seed"]
+        ordered = both.drop_duplicates(one).sort_values(one)
+        ordered.to_csv(kept, index=False, float_format="%.5g")
     found = pd.read_csv(kept)
     refitted = HERE / "refitted.csv"
     if refitted.exists():
