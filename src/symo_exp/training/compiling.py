@@ -38,7 +38,7 @@ class CompileTraining(lightning.Callback):
         if self.mode is True and not (possible and available):
             reason = "no C++ compiler here" if possible else "no fixed sequence of operations"
             log.warning("this training is not compiled: %s", reason)
-        if not (possible and available):
+        if not (self.mode and possible and available):
             return
         self._kernels = self._made(trainer)
         if self._compiled is None:
@@ -61,7 +61,7 @@ class CompileTraining(lightning.Callback):
         self._compiled = state_dict["compiled"]
 
     def _worthwhile(self, trainer: lightning.Trainer, pl_module: Any) -> bool:
-        if not self.mode or self._kernels is None or trainer.max_epochs is None:
+        if self._kernels is None or trainer.max_epochs is None:
             return False
         datamodule: Any = trainer.datamodule  # type: ignore[attr-defined]
         steps = trainer.max_epochs * len(datamodule.batches(0))
