@@ -106,7 +106,7 @@ class EpochOptimizer(Optimizer, ABC):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         state = dict(state_dict)
-        self.memory = dict(state.pop("memory"))
+        self.memory |= state.pop("memory")
         self.finished = self.memory["waited"] >= self.patience
         super().load_state_dict(state)
 
