@@ -1,4 +1,6 @@
-"""A step of total least squares over the length of a trajectory: ``python -m benchmarks.smoothing``.
+"""A step of total least squares over the length of one trajectory.
+
+    python -m benchmarks.smoothing
 
 Ratios are to the shortest trajectory, times and nodes alike: linear is where they agree.
 """

@@ -4,7 +4,8 @@
 
 Reads the finished runs of ``outputs/hardware_*``, whose numbers it keeps in ``runs.csv`` in place
 of earlier ones, and the makers' refitted equations in ``refitted.csv``, both beside this file.
-Without an argument it reads ``runs.csv`` alone. Cells are medians over seeds and, in brackets, the range of all of them.
+Without an argument it reads ``runs.csv`` alone. Cells are medians over seeds and, in brackets, the
+range of all of them.
 """
 
 import sys
