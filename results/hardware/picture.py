@@ -14,6 +14,7 @@ import pandas as pd
 
 from symo_exp.report.looks import axis_label
 
+SINGLE = 10  # windows that are drawn one by one
 OURS, MAKERS = {"color": "C0"}, {"color": "C1", "linestyle": (0, (4, 2))}
 
 
@@ -36,9 +37,14 @@ def draw(run: Path, file: Path) -> None:
         motion.plot(one.t, one[f"q_true_{name}"], "k.", ms=3, label="" if i else "measured")
     motion.set(xlabel="time [s]", ylabel="angle [rad]", title="measured, and predicted by SyMo")
     motion.legend(frameon=False, fontsize=8)
-    for at, (_, rows) in enumerate(table[table.t > 0].groupby("window")):
-        errors.plot(rows.t, rows.makers, lw=1.2, label="" if at else "makers' model", **MAKERS)
-        errors.plot(rows.t, rows.ours, lw=1.2, label="" if at else "SyMo", **OURS)
+    for key, label, look in (("makers", "makers' model", MAKERS), ("ours", "SyMo", OURS)):
+        over = table[table.t > 0].pivot(index="t", columns="window", values=key)
+        if len(totals) <= SINGLE:
+            errors.plot(over.index, over, lw=1.2, label=[label, *[""] * (len(totals) - 1)], **look)
+            continue
+        low, middle, high = (over.quantile(share, axis=1) for share in (0.1, 0.5, 0.9))
+        errors.plot(over.index, middle, lw=1.8, label=f"{label}, median and 80 %", **look)
+        errors.fill_between(over.index, low, high, color=look["color"], alpha=0.25, lw=0)
     errors.set(yscale="log", xlabel="time [s]", ylabel="error, RMS over angles [rad]")
     errors.set_title(f"all {len(totals)} windows of the test part")
     errors.legend(frameon=False, fontsize=8)
