@@ -119,18 +119,14 @@ def test_explicit_steps_do_not_keep_it(name, system, i):
 @pytest.mark.parametrize("name", METHODS)
 @torch.no_grad()
 def test_energy_stays_bounded_over_long_times(name, steps):
-    """The error oscillates: it is no larger at the end than at the beginning, but for one rounding
-    of the energy a step, which is all the error that order 10 has here."""
-    chain, h = ChainPendulum(1), 0.1
+    """The error oscillates: it is no larger at the end than at the beginning. Steps are as long as
+    it takes to see it: in a tenth of a second order 10 errs by roundings alone."""
+    chain, h = ChainPendulum(1), 0.1 if METHODS[name].order < 10 else 0.3
     q, v = start(1)
     configurations, momenta = roll(METHODS[name], chain, q, chain.momentum(q, v), steps, h)
     q, p = configurations[:, 0], momenta[:, 0]
-    energy = chain.energy(q, chain.velocity(q, p))
-    error, rounding = (
-        (energy - energy[0]).abs(),
-        steps * torch.finfo(q.dtype).eps * energy.abs().max(),
-    )
-    assert error[-steps // 3 :].max() < 1.05 * error[: steps // 3].max() + rounding
+    error = (chain.energy(q, chain.velocity(q, p)) - chain.energy(q, chain.velocity(q, p))[0]).abs()
+    assert error[-steps // 3 :].max() < 1.05 * error[: steps // 3].max()
 
 
 @torch.no_grad()

@@ -65,16 +65,23 @@ class Galerkin(VariationalIntegrator):
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> Slots:
         """Intervals that occur twice, as those of consecutive windows do, are solved once."""
+        if self.stages == 1:  # there is nothing to solve
+            return self._each(lagrangian, q0, q1, h, forces)
         ends = (q0, q1) if forces is None else (q0, q1, *forces)
         chosen, place = distinct(torch.cat(ends, dim=1).detach())
-        if self.stages == 1 or 4 * len(chosen) > 3 * len(q0):
-            at = self.expand(lagrangian, q0, q1, h, forces)
-            return at.slots(q0, q1, forces) if torch.is_grad_enabled() else at.values
+        if 4 * len(chosen) > 3 * len(q0):
+            return self._each(lagrangian, q0, q1, h, forces)
         few = forces and forces.rows(chosen)
         at = self.expand(lagrangian, q0[chosen], q1[chosen], h, few)
         if not torch.is_grad_enabled():
             return Slots(*(x[place] for x in at.values))
         return at.condensed().rows(place).slots(q0, q1, forces)
+
+    def _each(
+        self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None
+    ) -> Slots:
+        at = self.expand(lagrangian, q0, q1, h, forces)
+        return at.slots(q0, q1, forces) if torch.is_grad_enabled() else at.values
 
     @torch.no_grad()
     def expand(

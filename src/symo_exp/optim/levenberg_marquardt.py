@@ -14,7 +14,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.optim.base import EpochOptimizer, Problem, whole
-from symo_exp.optim.linearised import Linearised
+from symo_exp.optim.damped import DampedSystem
 
 FALLS = 0.9
 """What is left of the training loss, from one held-out loss to the next, of one that falls."""
@@ -106,14 +106,14 @@ class LevenbergMarquardt(EpochOptimizer):
     def _damp(self, factor: float) -> None:
         self.memory["damping"] = min(max(self.damping * factor, 1e-16), 1e16)
 
-    def _linearised(self, model: Problem, samples: Windows) -> Linearised:
+    def _linearised(self, model: Problem, samples: Windows) -> DampedSystem:
         size = len(self.flat())
         with torch.no_grad():
             per_sample = model.residuals(samples.rows(slice(1))).shape[1]
         self._require(size, len(samples.q) * per_sample)
         pieces = [self._differentiated(model, rows) for rows in _chunks(samples, self.chunk)]
         values, jacobians = zip(*pieces, strict=True)
-        return Linearised(torch.cat(values), jacobians)
+        return DampedSystem(torch.cat(values), jacobians)
 
     def _differentiated(self, model: Problem, samples: Windows) -> tuple[Tensor, Tensor]:
         """``r`` and ``J``, a row each residual."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-class Linearised:
+class DampedSystem:
     """``r + J δ``, residuals and derivatives divided by the root of the residuals' number."""
 
     def __init__(
