@@ -91,20 +91,39 @@ class Galerkin(VariationalIntegrator):
         at = GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
         if self.stages == 1:
             return at
+        share = torch.ones_like(q0[:, :1])
+        return self._settled(lagrangian, q0, q1, h, forces, at, share, self.max_iterations)
+
+    def _settled(
+        self,
+        lagrangian: Lagrangian,
+        q0: Tensor,
+        q1: Tensor,
+        h: float,
+        forces: Forces | None,
+        at: GalerkinExpansion,
+        share: Tensor,
+        rounds: int,
+    ) -> GalerkinExpansion:
+        """``at`` with stationary coefficients. Once a quarter of the rows rests, the others go on
+        alone. ``share`` is what a row takes of its update."""
         tolerance = max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps)
-        share = torch.ones_like(q0[:, :1])  # of the update that a row takes
-        for _ in range(self.max_iterations):
+        for left in range(rounds, 0, -1):
             update = at.update()
             reach = (q1 - q0).abs().amax(-1) + at.inner.abs().amax((0, -1))
-            open_ = ~(update.abs().amax((0, -1)) <= tolerance * reach)
-            if not bool(open_.any()):
+            moves = (~(update.abs().amax((0, -1)) <= tolerance * reach)).nonzero().squeeze(-1)
+            if len(moves) == 0:
                 break
+            if 4 * len(moves) <= 3 * len(q0):
+                some = q0[moves], q1[moves], h, forces and forces.rows(moves)
+                rest = self._settled(lagrangian, *some, at.rows(moves), share[moves], left)
+                return at.replace(moves, rest)
             c = at.inner - share * update
             there = GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
             better = there.imbalance() <= at.imbalance()
             if bool(better.all()):
                 at = there
-            elif bool((better & open_).any()):
+            elif bool(better[moves].any()):
                 index = better.nonzero().squeeze(-1)
                 at = at.replace(index, there.rows(index))
             elif not at.dissipates:

@@ -113,7 +113,7 @@ class FactorHead(nn.Module):
 
     def cotangent(self, at: HeadPoint) -> Float[Tensor, "batch outputs"]:
         """``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
-        lower = _columns(at.v, self.lower_row) * _columns(at.y, self.lower_column)
+        lower = self._entries(at.v, at.y)
         diagonal = self._own(at.v, at.y) * at.slope
         return torch.cat((diagonal, lower, -torch.ones_like(at.v[:, :1])), dim=1)
 
@@ -132,9 +132,7 @@ class FactorHead(nn.Module):
         # The last factor of the diagonal is the second derivative of the softplus.
         bend = self._own(at.v, at.y) * at.slope * (1.0 - at.slope) * rates[:, : self.soft]
         diagonal = (self._own(at.v, y_rate) + self._own(b, at.y)) * at.slope + bend
-        row, column = self.lower_row, self.lower_column
-        lower = _columns(at.v, row) * _columns(y_rate, column)
-        lower = lower + _columns(b, row) * _columns(at.y, column)
+        lower = self._entries(at.v, y_rate) + self._entries(b, at.y)
         outputs = torch.cat((diagonal, lower, torch.zeros_like(at.v[:, :1])), dim=1)
         velocity = matvec(at.factor, y_rate) + matvec(factor_rate, at.y) + EPSILON * b
         return outputs, velocity
@@ -156,15 +154,22 @@ class FactorHead(nn.Module):
         return second, momenta.mT
 
     def _fill(self, diagonal: Tensor, outputs: Tensor) -> Tensor:
+        if self.soft == 0:  # each row of L has its 2n entries and its own: without an index
+            rows = outputs[..., :-1].unflatten(-1, (self.n, -1))
+            return torch.cat((rows[..., :-1], torch.diag_embed(rows[..., -1])), dim=-1)
         lower = outputs[..., self.soft : -1]
         zero = torch.zeros_like(outputs[..., :1])
         flat = torch.cat((diagonal, lower, zero), dim=-1).index_select(-1, self.place)
         return flat.unflatten(-1, (self.n, self.columns))
 
+    def _entries(self, v: Tensor, y: Tensor) -> Tensor:
+        """``vᵢ yⱼ`` for the entries ``L_ij`` that are not under a softplus."""
+        if self.soft == 0:
+            shared = y[:, None, : 2 * self.n].expand(-1, self.n, -1)
+            rows = torch.cat((shared, y[:, 2 * self.n :].unsqueeze(-1)), dim=-1)
+            return (v.unsqueeze(-1) * rows).flatten(1)
+        return v.index_select(1, self.lower_row) * y.index_select(1, self.lower_column)
+
     def _own(self, v: Tensor, y: Tensor) -> Tensor:
         """``v y`` of the diagonal under a softplus."""
         return v[:, : self.soft] * y[:, : self.soft]
-
-
-def _columns(x: Tensor, index: Tensor) -> Tensor:
-    return x.index_select(1, index)

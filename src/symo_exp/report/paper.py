@@ -100,7 +100,8 @@ def _style(panel: Panel, series: Series) -> dict[str, Any]:
     style = {"color": look.colour, "ls": dash, "marker": look.marker, **STYLES[series.source]}
     if panel.mark == "line":
         if panel.rows.method.nunique() > 2 and series.method:  # and the truth: apart without colour
-            return style | {"markevery": (0.05 + sum(series.name.encode()) % 5 * 0.04, 0.25)}
+            first = int((0.05 + sum(series.name.encode()) % 5 * 0.04) * count)
+            return style | {"markevery": (first, max(1, count // 4))}
         return style | {"marker": ""} | ({"lw": 0.6} if count > LONG_LINE else {})
     if panel.mark == "points":
         style |= {"ls": "", "alpha": 0.8}
