@@ -5,6 +5,7 @@ import torch
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.drag import LearnedDrag
 from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
 
@@ -23,9 +24,8 @@ def dissipative_chain(n: int, rest_velocity: float = 0.5) -> DissipativeLagrangi
 def learned_dissipation(n: int, *, joints: str = "own") -> LearnedDissipation:
     """Of all kinds together, with random coefficients."""
     torch.manual_seed(n)
-    coordinates = Coordinates(tuple(f"q{i}" for i in range(n)), (True, False, True)[:n])
     found = LearnedDissipation(
-        coordinates=coordinates, viscous=True, coulomb=True, width=5, joints=joints
+        coordinates=_coordinates(n), viscous=True, coulomb=True, width=5, joints=joints
     ).double()
     with torch.no_grad():
         for p in found.parameters():
@@ -36,3 +36,17 @@ def learned_dissipation(n: int, *, joints: str = "own") -> LearnedDissipation:
 def dissipative_net(n: int) -> DissipativeLagrangian:
     conservative = learned_lagrangian((True, False, True)[:n], harmonics=2)
     return DissipativeLagrangian(conservative, learned_dissipation(n, joints="neighbours"))
+
+
+def learned_drag(n: int) -> LearnedDrag:
+    torch.manual_seed(n)
+    return LearnedDrag(coordinates=_coordinates(n)).double()
+
+
+def dragged_net(n: int) -> DissipativeLagrangian:
+    conservative = learned_lagrangian((True, False, True)[:n], harmonics=2)
+    return DissipativeLagrangian(conservative, learned_drag(n))
+
+
+def _coordinates(n: int) -> Coordinates:
+    return Coordinates(tuple(f"q{i}" for i in range(n)), (True, False, True)[:n])

@@ -8,14 +8,21 @@ import torch
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.variational import variational_step
-from tests.dissipative import dissipative_chain, dissipative_net, friction, learned_dissipation
+from tests.dissipative import (
+    dissipative_chain,
+    dissipative_net,
+    dragged_net,
+    friction,
+    learned_dissipation,
+    learned_drag,
+)
 from tests.mechanics.motions import force_at, order, reference, refinement, start
 from tests.tables import variational_integrators
 
 METHODS = variational_integrators()
 TIGHT = Newton(tolerance=1e-13, max_iterations=50)
 STEP = 1e-6
-KINDS = {"chain": dissipative_chain, "learned": dissipative_net}
+KINDS = {"chain": dissipative_chain, "learned": dissipative_net, "drag": dragged_net}
 every_kind = pytest.mark.parametrize("kind", KINDS)
 every_n = pytest.mark.parametrize("n", [1, 2, 3])
 
@@ -26,7 +33,7 @@ def states(n):
 
 
 @every_n
-@pytest.mark.parametrize("make", [friction, learned_dissipation], ids=["true", "learned"])
+@pytest.mark.parametrize("make", [friction, learned_dissipation, learned_drag])
 def test_the_power_of_dissipation_is_never_positive(make, n):
     dissipation, (q, v) = make(n), states(n)
     for scale in (1e-3, 1.0, 30.0):

@@ -37,10 +37,7 @@ class Embedding(nn.Module):
         owner = torch.tensor([*straight, *angles, *angles], dtype=torch.int64)
         self._straight, self._angles = len(straight), len(angles)
         self.register_buffer("owner", owner, persistent=False)
-        turn = torch.eye(len(angular))
-        if relative:
-            for k, i in enumerate(angles):
-                turn[i, angles[: k + 1]] = 1.0
+        turn = directions(angular) if relative else torch.eye(len(angular))
         self.register_buffer("turn", turn if relative else None, persistent=False)
         # selection[f, i] = 1 where coordinate i is in what owns feature f.
         self.register_buffer("selection", turn[owner], persistent=False)
@@ -88,3 +85,12 @@ class Embedding(nn.Module):
         if self.turn is None:
             return torch.diag_embed(self.to_coordinates(own))
         return (self.selection.T * own.unsqueeze(1)) @ self.selection
+
+
+def directions(angular: tuple[bool, ...]) -> Float[Tensor, "n n"]:
+    """The sums ``φ₁ + … + φᵢ`` of the angles, and the other coordinates as they are."""
+    turn = torch.eye(len(angular))
+    angles = [i for i, is_angle in enumerate(angular) if is_angle]
+    for k, i in enumerate(angles):
+        turn[i, angles[: k + 1]] = 1.0
+    return turn

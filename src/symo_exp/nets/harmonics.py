@@ -8,19 +8,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from symo_exp.nets.embedding import Features
+from symo_exp.nets.embedding import Features, directions
 
 
 class Harmonics(nn.Module):
     """``cos(k·q)`` and ``sin(k·q)`` for ``k`` in {−1, 0, 1} of at most ``order`` angles.
 
     They span the products of ``(1, cos, sin)`` of so many angles, of which inertia and potential of
-    a chain of rigid links are made. One of ``k`` and ``−k`` is enough.
+    a chain of rigid links are made. One of ``k`` and ``−k`` is enough. With ``relative`` the angles
+    count from one to the next and ``k`` is of their sums ``φ₁ + … + φᵢ``.
     """
 
     waves: Tensor
 
-    def __init__(self, *, angular: tuple[bool, ...], order: int) -> None:
+    def __init__(self, *, angular: tuple[bool, ...], order: int, relative: bool = False) -> None:
         super().__init__()
         angles = [i for i, is_angle in enumerate(angular) if is_angle]
         rows = []
@@ -31,6 +32,8 @@ class Harmonics(nn.Module):
                     wave[list(chosen)] = torch.tensor((1.0, *signs))
                     rows.append(wave)
         wave_numbers = torch.stack(rows) if rows else torch.zeros(0, len(angular))
+        if relative:
+            wave_numbers = wave_numbers @ directions(angular)
         self.register_buffer("waves", torch.cat((wave_numbers, wave_numbers)), persistent=False)
 
     @property

@@ -132,8 +132,9 @@ def _reference(config: DictConfig, system: Any, data: Any) -> Any:
 def make(config: DictConfig, group: str, **given: Any) -> Any:
     """What a node of the configuration names."""
     try:
-        # given afterwards: Hydra would take a system, a dataclass, for configuration
-        return instantiate(config[group], _partial_=True)(**given)
+        # given afterwards: Hydra would take a system, a dataclass, for configuration; and plain,
+        # for it cannot resolve a reference to what a resolver made of a model
+        return instantiate(plain(config[group]), _partial_=True)(**given)
     except ConfigError:
         raise
     except Exception as error:

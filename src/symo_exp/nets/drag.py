@@ -1,0 +1,68 @@
+"""Learned drag: the resistance of a fluid to links that move in a plane."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.lagrangian import matvec, vecmat
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.affine import linear, shift
+from symo_exp.nets.harmonics import Harmonics
+from symo_exp.nets.roles import mark
+
+
+class LearnedDrag(nn.Module, Dissipation):
+    """``F_d = −Σ_k (ν_k + |s_k|) s_k a_k(q)`` with the speeds ``s_k = a_k(q) · v``, ``ν_k ≥ 0``.
+
+    A body that moves through a fluid at rest feels, along each of its axes and about them, a force
+    linear and one quadratic in its own speed there. Seen from its axes, speeds of the points of
+    links in a plane are sums of ``cos`` and ``sin`` of directions and of their differences, times
+    velocities: ``a_k`` is affine in the harmonics of at most two directions, which are the angles
+    or, if ``relative``, their sums ``φ₁ + … + φᵢ``. Coefficients are within ``a_k``: a speed
+    ``s_k`` is in ∛N m^⅓ s^-⅓, which does not matter to what comes out. ``speeds`` is how many
+    there are, ``2n`` if null: three a link are enough.
+    """
+
+    def __init__(
+        self, *, coordinates: Coordinates, speeds: int | None = None, relative: bool = True
+    ) -> None:
+        super().__init__()
+        n = coordinates.n
+        count = 2 * n if speeds is None else speeds
+        if count < 1:
+            raise ConfigError(f"dissipation.speeds={count}: expected at least 1, or null")
+        self.harmonics = Harmonics(angular=coordinates.angular, order=2, relative=relative)
+        self.weight = nn.Parameter(0.1 * torch.randn(count * n, self.harmonics.size))
+        self.bias = nn.Parameter(0.3 * torch.randn(count * n))
+        self.viscous = nn.Parameter(torch.full((count,), -2.0))
+        self._shape = (count, n)
+        mark((self.weight, self.bias, self.viscous), "late")
+
+    def force(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n"]:
+        along = linear(self.harmonics(q).x, self.weight, self.bias).unflatten(1, self._shape)
+        speed = matvec(along, v)
+        zero = self.viscous.new_zeros(len(v), len(self.viscous))
+        rate = nn.functional.softplus(shift(zero, self.viscous)) + speed.abs()
+        return -vecmat(rate * speed, along)
+
+    @torch.no_grad()
+    def derivatives(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
+        """``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
+        features = self.harmonics(q)
+        along = (features.x @ self.weight.T + self.bias).unflatten(1, self._shape)
+        turned = self.harmonics.basis_tangents(features) @ self.weight.T
+        turned = turned.unflatten(2, self._shape)  # ∂a_k/∂q_i
+        speed, viscous = matvec(along, v), nn.functional.softplus(self.viscous)
+        slope = viscous + 2.0 * speed.abs()
+        by_v = -(along.mT * slope.unsqueeze(1)) @ along
+        bent = vecmat(((viscous + speed.abs()) * speed).unsqueeze(1), turned)
+        moved = matvec(turned, v.unsqueeze(1)) * slope.unsqueeze(1)
+        return -(bent + moved @ along).mT, by_v
