@@ -37,7 +37,7 @@ def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(n, make):
                 torch.testing.assert_close(mine[sample, i], oracle[sample])
 
 
-@pytest.mark.parametrize("wrong", [{"joints": "chain"}, {"rest_velocity": 0.0}])
+@pytest.mark.parametrize("wrong", [{"joints": "chain"}, {"rest_velocity": 0.0}, {"start": 0.0}])
 def test_bad_settings_are_refused_in_a_line(wrong):
     with pytest.raises(ConfigError, match=f"dissipation.{next(iter(wrong))}"):
         LearnedDissipation(coordinates=Coordinates(("a",), (True,)), **wrong)

@@ -155,14 +155,24 @@ class Lagrangian(ABC):
 class AutodiffExpansion(Expansion):
     """An expansion that differentiates automatically, for any Lagrangian."""
 
-    def __init__(self, lagrangian: Lagrangian, q: Tensor, v: Tensor) -> None:
-        self._lagrangian, self._q, self._v = lagrangian, q, v
+    def __init__(
+        self,
+        lagrangian: Lagrangian,
+        q: Tensor,
+        v: Tensor,
+        values: Gradients | None = None,
+        mass: Tensor | None = None,
+    ) -> None:
+        """``values`` and ``mass`` at the point, where they are known already."""
+        self._lagrangian, self._q, self._v, self._mass = lagrangian, q, v, mass
         with torch.no_grad():
-            self.values = lagrangian.gradients(q, v)
+            self.values = lagrangian.gradients(q, v) if values is None else values
 
     def mass(self) -> Tensor:
-        with torch.no_grad():
-            return self._lagrangian.mass_matrix(self._q)
+        if self._mass is None:
+            with torch.no_grad():
+                self._mass = self._lagrangian.mass_matrix(self._q)
+        return self._mass
 
     def curvature(self) -> Curvature:
         with torch.enable_grad():
@@ -175,15 +185,22 @@ class AutodiffExpansion(Expansion):
         return self._lagrangian.gradients(q, v)
 
     def rows(self, index: Tensor) -> AutodiffExpansion:
-        return AutodiffExpansion(self._lagrangian, self._q[index], self._v[index])
+        values = Gradients(*(x[index] for x in self.values))
+        mass = None if self._mass is None else self._mass[index]
+        q, v = self._q[index], self._v[index]
+        return AutodiffExpansion(self._lagrangian, q, v, values, mass)
 
     def replace(self, index: Tensor, other: Expansion) -> AutodiffExpansion:
         assert isinstance(other, AutodiffExpansion)
-        return AutodiffExpansion(
-            self._lagrangian,
-            self._q.index_copy(0, index, other._q),
-            self._v.index_copy(0, index, other._v),
-        )
+
+        def put(x: Tensor, y: Tensor) -> Tensor:
+            return x.index_copy(0, index, y)
+
+        values = Gradients(*(put(x, y) for x, y in zip(self.values, other.values, strict=True)))
+        q, v = put(self._q, other._q), put(self._v, other._v)
+        known = self._mass is not None and other._mass is not None
+        mass = put(self.mass(), other.mass()) if known else None
+        return AutodiffExpansion(self._lagrangian, q, v, values, mass)
 
 
 def matvec(

@@ -19,8 +19,6 @@ from symo_exp.nets.roles import mark
 
 VELOCITY = 5.0
 """Velocity [rad/s] that a network sees as 1."""
-START = 0.01
-"""Friction coefficients at the start of training [N m s, N m]."""
 
 
 class LearnedDissipation(nn.Module, Dissipation):
@@ -33,6 +31,7 @@ class LearnedDissipation(nn.Module, Dissipation):
     takes coordinates to joints: themselves, or with ``joints="neighbours"`` the differences
     ``v₁, v₂ − v₁, …`` of a chain whose angles are absolute. ``ε_v`` is learned too, beginning at
     ``rest_velocity`` and never below a fifth of it [rad/s]: a jump no root finder would like.
+    Coefficients begin at ``start`` [N m s, N m]; Levenberg-Marquardt takes long to much larger ones.
     """
 
     def __init__(
@@ -44,12 +43,14 @@ class LearnedDissipation(nn.Module, Dissipation):
         width: int = 0,
         joints: str = "own",
         rest_velocity: float = 0.1,
+        start: float = 0.01,
     ) -> None:
         super().__init__()
         if joints not in ("own", "neighbours"):
             raise ConfigError(f"dissipation.joints={joints}: expected own or neighbours")
-        if not rest_velocity > 0.0:
-            raise ConfigError(f"dissipation.rest_velocity={rest_velocity}: expected above 0")
+        for name, value in (("rest_velocity", rest_velocity), ("start", start)):
+            if not value > 0.0:
+                raise ConfigError(f"dissipation.{name}={value}: expected above 0")
         n = coordinates.n
         chain = torch.eye(n) - torch.diag(torch.ones(n - 1), -1)
         self.joints: Tensor
@@ -57,11 +58,11 @@ class LearnedDissipation(nn.Module, Dissipation):
         self._triangle = _Triangle(n)
         entries = self._triangle.entries
         self.viscous = self.coulomb = self.rest = self.net = None
-        start = math.log(math.expm1(START))
+        begin = math.log(math.expm1(start))
         if viscous:
-            self.viscous = nn.Parameter(self._triangle.flat(start * torch.eye(n)))
+            self.viscous = nn.Parameter(self._triangle.flat(begin * torch.eye(n)))
         if coulomb:
-            self.coulomb = nn.Parameter(torch.full((n,), start))
+            self.coulomb = nn.Parameter(torch.full((n,), begin))
             self.rest = nn.Parameter(torch.zeros(n))
             self._rest_velocity = rest_velocity
         if width > 0:

@@ -1,0 +1,123 @@
+"""The learned chain of rigid bodies: closed forms against autograd, and what it can be exactly."""
+
+import pytest
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.nets.affine import parameter_jacobian
+from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.systems.mujoco import mechanism
+from symo_exp.systems.multibody import Multibody
+from tests.systems import models
+from tests.systems.models import read
+from tests.tables import CONF
+
+ANGULAR = [(True,), (False,), (False, True, True), (True, False, True, True), (True,) * 7]
+
+
+def points(n, count=6):
+    generator = torch.Generator().manual_seed(3)
+    return torch.randn(2, count, n, dtype=torch.float64, generator=generator).unbind()
+
+
+@pytest.fixture(params=ANGULAR, ids=str)
+def chain(request):
+    torch.manual_seed(5)
+    return RigidChain(angular=request.param).double()
+
+
+@pytest.mark.parametrize("quantity", ["gradients", "rates"])
+def test_closed_forms_and_their_derivatives_are_those_of_autograd(chain, quantity):
+    q, v = (x.requires_grad_() for x in points(len(chain.turns)))
+    closed = getattr(chain, quantity)(q, v)
+    plain = getattr(Lagrangian, quantity)(chain, q, v)
+    weights = [torch.randn_like(x) for x in closed]
+    inputs = [q, v, *chain.parameters()]
+
+    def pullback(outputs):
+        total = sum((w * x).sum() for w, x in zip(weights, outputs, strict=True))
+        found = torch.autograd.grad(total, inputs, allow_unused=True)
+        return [torch.zeros_like(x) if g is None else g for g, x in zip(found, inputs, strict=True)]
+
+    for mine, oracle in zip(closed, plain, strict=True):
+        torch.testing.assert_close(mine, oracle, atol=1e-11, rtol=1e-11)
+    for mine, oracle in zip(pullback(closed), pullback(plain), strict=True):
+        torch.testing.assert_close(mine, oracle, atol=1e-10, rtol=1e-10)
+
+
+def test_the_inertia_is_positive_definite(chain):
+    q, _ = points(len(chain.turns), 200)
+    assert torch.linalg.eigvalsh(chain.mass_matrix(q)).min() > 0.0
+
+
+def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(chain):
+    q, v = points(len(chain.turns), 3)
+    parameters = list(chain.parameters())
+    found = parameter_jacobian(lambda: chain.gradients(q, v).q, parameters).parameters
+    for sample in range(3):
+        for i in range(q.shape[1]):
+            alone = chain.gradients(q[sample : sample + 1], v[sample : sample + 1]).q[0, i]
+            own = torch.autograd.grad(alone, parameters, allow_unused=True)
+            flat = [
+                (torch.zeros_like(p) if g is None else g).flatten()
+                for p, g in zip(parameters, own, strict=True)
+            ]
+            torch.testing.assert_close(found[sample, i], torch.cat(flat))
+
+
+TRUTHS = {
+    "arm": lambda: Multibody(mechanism=mechanism(CONF / "system" / "arm.xml"), time_step=0.05),
+    "cart and two links": lambda: read(models.PENDULUMS),
+}
+
+
+def of_truth(system: Multibody) -> RigidChain:
+    """The chain of a mechanism without branches and springs, its references zero."""
+    found, before = (
+        RigidChain(angular=system.coordinates.angular).double(),
+        torch.zeros(3, dtype=torch.float64),
+    )
+    with torch.no_grad():
+        for i, joint in enumerate(system.joints):
+            assert joint.parent == i - 1
+            anchor, centre, inertia = (
+                torch.tensor(x, dtype=torch.float64)
+                for x in (joint.anchor, joint.centre, joint.inertia)
+            )
+            centre = centre - anchor
+            second = 0.5 * inertia.trace() * torch.eye(3, dtype=torch.float64) - inertia
+            pseudo = torch.zeros(4, 4, dtype=torch.float64)
+            pseudo[:3, :3] = second + joint.mass * torch.outer(centre, centre)
+            pseudo[:3, 3] = pseudo[3, :3] = joint.mass * centre
+            pseudo[3, 3] = joint.mass
+            row, column = torch.tril_indices(4, 4)
+            factor = torch.linalg.cholesky(pseudo)[row, column]
+            found.moments.view(-1, 10)[i] = factor
+            found.axes.view(-1, 3)[i] = torch.tensor(joint.axis, dtype=torch.float64)
+            found.places.view(-1, 3)[i] = anchor - before
+            found.rotors[i] = joint.armature**0.5
+            before = anchor
+        found.gravity.copy_(torch.tensor(system.mechanism["gravity"], dtype=torch.float64))
+    return found
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_it_can_be_any_chain_of_rigid_bodies(name):
+    system = TRUTHS[name]()
+    q, _ = points(system.coordinates.n)
+    found = of_truth(system)
+    torch.testing.assert_close(found.mass_matrix(q), system.mass_matrix(q), rtol=1e-9, atol=1e-9)
+    height = found.potential(q) - system.potential(q)  # up to a constant
+    torch.testing.assert_close(height, height[:1].expand_as(height), rtol=1e-9, atol=1e-9)
+
+
+def test_an_inertia_that_is_none_is_refused():
+    with pytest.raises(ConfigError, match=r"model\.initial_inertia=-1"):
+        RigidChain(angular=(True,), initial_inertia=-1.0)
+
+
+@pytest.mark.parametrize("axes", [[[0, 0, 1]], [[0, 0, 1], [0, 1]], [[0, 0, 0], [0, 1, 0]], [1, 2]])
+def test_axes_that_are_none_are_refused_in_a_line(axes):
+    with pytest.raises(ConfigError, match="expected 2 rows of three numbers"):
+        RigidChain(angular=(True, True), axes=axes)
