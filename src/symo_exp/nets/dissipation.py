@@ -31,7 +31,7 @@ class LearnedDissipation(nn.Module, Dissipation):
     takes coordinates to joints: themselves, or with ``joints="neighbours"`` the differences
     ``v₁, v₂ − v₁, …`` of a chain whose angles are absolute. ``ε_v`` is learned too, beginning at
     ``rest_velocity`` and never below a fifth of it [rad/s]: a jump no root finder would like.
-    Coefficients begin at ``start`` [N m s, N m]; Levenberg-Marquardt takes long to much larger ones.
+    Coefficients begin at ``start`` [N m s, N m]; far larger ones take long to reach.
     """
 
     def __init__(
