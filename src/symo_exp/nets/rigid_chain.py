@@ -85,8 +85,8 @@ class RigidChain(nn.Module, Lagrangian):
     parameters, 17 a joint and 3, which is exact for any open chain without branches, in space or in
     a plane. Where all configurations are zero frames are parallel.
 
-    Training from ``axes`` that are right to some 15 degrees ends at the truth; from any, where none
-    are given, in one of three cases, and else far from the data.
+    Training ends at the truth from most starts if ``axes`` are right to some 15 degrees, from one
+    in three if they are any; else far from it, often with a joint too heavy to move.
 
     ``H`` is made of composites (Featherstone 2008, section 6.2). ``∂T/∂qᵢ`` follows from
     ``∂Ẋ_b/∂qᵢ = d/dt(Ξᵢ X_b)``: the part ``Ξᵢ V_b`` of that does no work, since ``Ξᵢ`` turns.
