@@ -9,6 +9,7 @@ from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.systems.mujoco import mechanism
 from symo_exp.systems.multibody import Multibody
+from tests.models.methods import make
 from tests.systems import models
 from tests.systems.models import read
 from tests.tables import CONF
@@ -121,3 +122,8 @@ def test_an_inertia_that_is_none_is_refused():
 def test_axes_that_are_none_are_refused_in_a_line(axes):
     with pytest.raises(ConfigError, match="expected 2 rows of three numbers"):
         RigidChain(angular=(True, True), axes=axes)
+
+
+def test_axes_of_another_structure_are_refused_in_a_line():
+    with pytest.raises(ConfigError, match="expected structure=rigid"):
+        make("symo", "midpoint", 1, axes=[[0.0, 0.0, 1.0]])

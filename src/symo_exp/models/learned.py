@@ -59,6 +59,10 @@ class LearnsLagrangian(DynamicsModel):
         known = get_args(Structure)
         if structure not in known:
             raise ConfigError(f"structure={structure}: expected one of {', '.join(known)}")
+        if axes is not None and structure != "rigid":
+            raise ConfigError(
+                f"axes={axes}: structure={structure} has none; expected structure=rigid"
+            )
         lagrangian: Lagrangian
         if structure == "rigid":
             lagrangian = RigidChain(

@@ -35,6 +35,11 @@ def shift(x: Float[Tensor, "rows out"], bias: Tensor) -> Tensor:
     return x + bias if _record is None else _Shift.apply(x, bias)
 
 
+def rows(parameter: Tensor, batch: int) -> Float[Tensor, "batch k"]:
+    """A vector of parameters in each row."""
+    return shift(parameter.new_zeros(batch, len(parameter)), parameter)
+
+
 def weight_gradient(weight: Tensor, *pairs: Pair) -> Tensor | None:
     """``Σ ḡ xᵀ`` over all pairs and rows, for a backward pass in closed form."""
     if _record is not None:

@@ -12,7 +12,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.affine import shift
+from symo_exp.nets.affine import rows
 from symo_exp.nets.embedding import Embedding
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark
@@ -126,10 +126,10 @@ class LearnedDissipation(nn.Module, Dissipation):
     ) -> Float[Tensor, "batch n"]:
         rate, found = matvec(self.joints, v), torch.zeros_like(v)
         if self.viscous is not None:
-            unit, d = self._factors(_rows(self.viscous, v.shape[0]))
+            unit, d = self._factors(rows(self.viscous, v.shape[0]))
             found = found - matvec(unit, d * vecmat(rate, unit))
         if self.coulomb is not None and self.rest is not None:
-            c, rest = self._dry(*(_rows(x, v.shape[0]) for x in (self.coulomb, self.rest)))
+            c, rest = self._dry(*(rows(x, v.shape[0]) for x in (self.coulomb, self.rest)))
             found = found - c * torch.tanh(rate / rest)
         found = vecmat(found, self.joints)
         if self.net is not None:
@@ -160,8 +160,3 @@ class _Triangle(nn.Module):
     def flat(self, matrix: Float[Tensor, "n n"]) -> Float[Tensor, " entries"]:
         """The vector of a matrix."""
         return matrix[tuple(torch.tril_indices(*matrix.shape))]
-
-
-def _rows(parameter: Tensor, batch: int) -> Tensor:
-    """A parameter in each row, so that its derivatives can be had by row."""
-    return shift(parameter.new_zeros(batch, len(parameter)), parameter)

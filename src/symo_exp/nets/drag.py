@@ -10,7 +10,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.affine import linear, shift
+from symo_exp.nets.affine import linear, rows
 from symo_exp.nets.harmonics import Harmonics
 from symo_exp.nets.roles import mark
 
@@ -47,8 +47,7 @@ class LearnedDrag(nn.Module, Dissipation):
     ) -> Float[Tensor, "batch n"]:
         along = linear(self.harmonics(q).x, self.weight, self.bias).unflatten(1, self._shape)
         speed = matvec(along, v)
-        zero = self.viscous.new_zeros(len(v), len(self.viscous))
-        rate = nn.functional.softplus(shift(zero, self.viscous)) + speed.abs()
+        rate = nn.functional.softplus(rows(self.viscous, len(v))) + speed.abs()
         return -vecmat(rate * speed, along)
 
     @torch.no_grad()

@@ -19,7 +19,7 @@ from symo_exp.mechanics.lagrangian import (
     Rates,
     matvec,
 )
-from symo_exp.nets.affine import shift
+from symo_exp.nets.affine import rows
 
 PLACE = 0.1
 """Distances of joints at the start of training [m]."""
@@ -150,10 +150,10 @@ class RigidChain(nn.Module, Lagrangian):
 
     def _at(self, q: Tensor) -> _Chain:
         batch, n = q.shape
-        axes = _rows(self.axes, batch).unflatten(1, (n, 3))
+        axes = rows(self.axes, batch).unflatten(1, (n, 3))
         axes = axes / axes.norm(dim=-1, keepdim=True)
-        places = _rows(self.places, batch).unflatten(1, (n, 3))
-        moments = _rows(self.moments, batch).unflatten(1, (n, 10))
+        places = rows(self.places, batch).unflatten(1, (n, 3))
+        moments = rows(self.moments, batch).unflatten(1, (n, 10))
         moments = torch.cat((moments, torch.zeros_like(moments[..., :1])), dim=-1)
         moments = moments[..., self.place]
         relative = _rotation(axes, q * self.turns)
@@ -175,17 +175,17 @@ class RigidChain(nn.Module, Lagrangian):
         twists = torch.cat((_cross(hinge * axis), about.unsqueeze(-1)), dim=-1)
         above = torch.stack(turns, 1) @ moments
         weighted = torch.cat((above, moments[..., 3:, :]), dim=-2)
-        own = _rows(self.rotors, batch).square()
-        return _Chain(twists, weighted @ weighted.mT, own, _rows(self.gravity, batch))
+        own = rows(self.rotors, batch).square()
+        return _Chain(twists, weighted @ weighted.mT, own, rows(self.gravity, batch))
 
 
 def _directions(given: Any, n: int) -> Float[Tensor, "n 3"]:
     """Such axes, or any."""
     if given is None:
         return torch.randn(n, 3)
-    rows = [list(row) if isinstance(row, Sequence) else [] for row in given]
-    if len(rows) == n and all(len(row) == 3 for row in rows):
-        found = torch.tensor(rows, dtype=torch.get_default_dtype())
+    listed = [list(row) if isinstance(row, Sequence) else [] for row in given]
+    if len(listed) == n and all(len(row) == 3 for row in listed):
+        found = torch.tensor(listed, dtype=torch.get_default_dtype())
         if bool(found.isfinite().all()) and bool(found.norm(dim=1).min() > 0.0):
             return found
     raise ConfigError(
@@ -223,8 +223,3 @@ def _cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     a, b, c = x.unbind(-1)
     zero = torch.zeros_like(a)
     return torch.stack((zero, -c, b, c, zero, -a, -b, a, zero), dim=-1).unflatten(-1, (3, 3))
-
-
-def _rows(parameter: Tensor, batch: int) -> Tensor:
-    """A parameter in each row, so that its derivatives can be had by row."""
-    return shift(parameter.new_zeros(batch, len(parameter)), parameter)
