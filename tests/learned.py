@@ -1,8 +1,10 @@
 """A learned Lagrangian whose derivatives are well scaled enough for finite differences."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
@@ -20,3 +22,20 @@ def learned_lagrangian(
             lagrangian.skip += 0.2 * torch.randn_like(lagrangian.skip)
         lagrangian.net.biases[-1][: len(angular)] += 1.5
     return lagrangian
+
+
+def assert_same(
+    closed: Sequence[Tensor], plain: Sequence[Tensor], inputs: Sequence[Tensor], tolerance: float
+) -> None:
+    """The same values, and derivatives in ``inputs`` to ten times that, of a random sum of them."""
+    weights = [torch.randn_like(x) for x in closed]
+
+    def pullback(outputs: Sequence[Tensor]) -> list[Tensor]:
+        total = sum((w * x).sum() for w, x in zip(weights, outputs, strict=True))
+        found = torch.autograd.grad(total, inputs, allow_unused=True)
+        return [torch.zeros_like(x) if g is None else g for g, x in zip(found, inputs, strict=True)]
+
+    for mine, oracle in zip(closed, plain, strict=True):
+        torch.testing.assert_close(mine, oracle, atol=tolerance, rtol=tolerance)
+    for mine, oracle in zip(pullback(closed), pullback(plain), strict=True):
+        torch.testing.assert_close(mine, oracle, atol=10 * tolerance, rtol=10 * tolerance)

@@ -11,6 +11,7 @@ from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import linear, rows
+from symo_exp.nets.embedding import Features
 from symo_exp.nets.harmonics import Harmonics
 from symo_exp.nets.roles import mark
 
@@ -45,10 +46,19 @@ class LearnedDrag(nn.Module, Dissipation):
     def force(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
-        along = linear(self.harmonics(q).x, self.weight, self.bias).unflatten(1, self._shape)
+        along = self._along(self.harmonics(q))
         speed = matvec(along, v)
         rate = nn.functional.softplus(rows(self.viscous, len(v))) + speed.abs()
         return -vecmat(rate * speed, along)
+
+    @torch.no_grad()
+    def damping(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n n"]:
+        """``∂F_d/∂v``."""
+        along = self._along(self.harmonics(q))
+        slope = nn.functional.softplus(self.viscous) + 2.0 * matvec(along, v).abs()
+        return -(along.mT * slope.unsqueeze(1)) @ along
 
     @torch.no_grad()
     def derivatives(
@@ -56,7 +66,7 @@ class LearnedDrag(nn.Module, Dissipation):
     ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
         """``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
         features = self.harmonics(q)
-        along = (features.x @ self.weight.T + self.bias).unflatten(1, self._shape)
+        along = self._along(features)
         turned = self.harmonics.basis_tangents(features) @ self.weight.T
         turned = turned.unflatten(2, self._shape)  # ∂a_k/∂q_i
         speed, viscous = matvec(along, v), nn.functional.softplus(self.viscous)
@@ -65,3 +75,7 @@ class LearnedDrag(nn.Module, Dissipation):
         bent = vecmat(((viscous + speed.abs()) * speed).unsqueeze(1), turned)
         moved = matvec(turned, v.unsqueeze(1)) * slope.unsqueeze(1)
         return -(bent + moved @ along).mT, by_v
+
+    def _along(self, features: Features) -> Float[Tensor, "batch speeds n"]:
+        """``a_k``."""
+        return linear(features.x, self.weight, self.bias).unflatten(1, self._shape)

@@ -32,18 +32,15 @@ class _Chain(NamedTuple):
     """``Ξᵢ = ∂X/∂qᵢ X⁻¹``, without its last row, zero: how joint ``i`` moves what it carries."""
     bodies: Float[Tensor, "batch n 4 4"]
     """``Π_b = X_b Λ_b Λ_bᵀ X_bᵀ``."""
+    pushed: Float[Tensor, "batch n 3 4"]
+    """``Ξᵢ Cᵢ``, of all that joint ``i`` carries: ``Cᵢ = Σ_{b ≥ i} Π_b``."""
     rotors: Float[Tensor, "batch n"]
     """``aᵢ²``."""
     gravity: Float[Tensor, "batch 3"]
 
-    def carried(self) -> Float[Tensor, "batch n 4 4"]:
-        """``Cᵢ = Σ_{b ≥ i} Π_b``."""
-        return _outwards(self.bodies)
-
     def mass(self) -> Float[Tensor, "batch n n"]:
         """``H_ij = ⟨Ξᵢ, Ξⱼ Cⱼ⟩`` for ``i ≤ j``, and rotors."""
-        pushed = (self.twists @ self.carried()).flatten(2)
-        upper = torch.triu(self.twists.flatten(2) @ pushed.mT)
+        upper = torch.triu(self.twists.flatten(2) @ self.pushed.flatten(2).mT)
         return upper + torch.triu(upper, 1).mT + torch.diag_embed(self.rotors)
 
     def potential(self) -> Float[Tensor, " batch"]:
@@ -52,15 +49,14 @@ class _Chain(NamedTuple):
 
     def rates(self, v: Float[Tensor, "batch n"]) -> _Rates:
         motion = (v[..., None, None] * self.twists).cumsum(1)
-        moved = _bracket(motion, self.twists)
-        return _Rates(motion, moved, motion @ self.bodies)
+        momenta = motion @ self.bodies
+        return _Rates(motion, _bracket(motion, self.twists), momenta, _outwards(momenta))
 
     def gradients(self, v: Float[Tensor, "batch n"], at: _Rates) -> Gradients:
         """``∂T/∂qᵢ = ⟨Ξ̇ᵢ, Σ_{b ≥ i} V_b Π_b⟩`` and ``pᵢ = ⟨Ξᵢ, Σ_{b ≥ i} V_b Π_b⟩``."""
-        momenta = _outwards(at.momenta)
-        weight = (self.twists @ self.carried())[..., 3]  # of what is moved, by each joint
-        dq = (at.twists * momenta).sum((-2, -1)) + matvec(weight, self.gravity)
-        return Gradients(dq, (self.twists * momenta).sum((-2, -1)) + self.rotors * v)
+        weight = self.pushed[..., 3]  # of what is moved, by each joint
+        dq = (at.twists * at.carried).sum((-2, -1)) + matvec(weight, self.gravity)
+        return Gradients(dq, (self.twists * at.carried).sum((-2, -1)) + self.rotors * v)
 
 
 class _Rates(NamedTuple):
@@ -72,6 +68,8 @@ class _Rates(NamedTuple):
     """``Ξ̇ᵢ = [Vᵢ, Ξᵢ]``."""
     momenta: Float[Tensor, "batch n 3 4"]
     """``V_b Π_b``."""
+    carried: Float[Tensor, "batch n 3 4"]
+    """``Σ_{b ≥ i} V_b Π_b``."""
 
 
 class RigidChain(nn.Module, Lagrangian):
@@ -144,8 +142,7 @@ class RigidChain(nn.Module, Lagrangian):
         turning = (v[..., None, None] * at.twists).cumsum(1)  # of V_b, at constant velocities
         change = turning @ chain.bodies
         change = change + at.motion @ _whole(at.momenta) + at.momenta @ _whole(at.motion).mT
-        momenta, rate = _outwards(at.momenta), _outwards(change)
-        moved = (at.twists * momenta + chain.twists * rate).sum((-2, -1))
+        moved = (at.twists * at.carried + chain.twists * _outwards(change)).sum((-2, -1))
         return Rates(chain.mass(), moved, chain.gradients(v, at).q)
 
     def _at(self, q: Tensor) -> _Chain:
@@ -175,8 +172,9 @@ class RigidChain(nn.Module, Lagrangian):
         twists = torch.cat((_cross(hinge * axis), about.unsqueeze(-1)), dim=-1)
         above = torch.stack(turns, 1) @ moments
         weighted = torch.cat((above, moments[..., 3:, :]), dim=-2)
-        own = rows(self.rotors, batch).square()
-        return _Chain(twists, weighted @ weighted.mT, own, rows(self.gravity, batch))
+        bodies, own = weighted @ weighted.mT, rows(self.rotors, batch).square()
+        pushed = twists @ _outwards(bodies)
+        return _Chain(twists, bodies, pushed, own, rows(self.gravity, batch))
 
 
 def _directions(given: Any, n: int) -> Float[Tensor, "n 3"]:
