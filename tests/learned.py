@@ -6,6 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
@@ -39,3 +41,25 @@ def assert_same(
         torch.testing.assert_close(mine, oracle, atol=tolerance, rtol=tolerance)
     for mine, oracle in zip(pullback(closed), pullback(plain), strict=True):
         torch.testing.assert_close(mine, oracle, atol=10 * tolerance, rtol=10 * tolerance)
+
+
+def assert_each_sample_alone(lagrangian: Lagrangian, q: Tensor, v: Tensor) -> None:
+    """Derivatives sample by sample, in parameters and inputs, are those of each sample alone."""
+    parameters = list(lagrangian.parameters())
+    inputs = q.clone().requires_grad_(), v.clone().requires_grad_()
+
+    def force(rows: slice = slice(None)) -> Tensor:
+        return lagrangian.gradients(*(x[rows] for x in inputs)).q
+
+    found = parameter_jacobian(force, parameters, inputs)
+    for sample in range(len(q)):
+        for i in range(q.shape[1]):
+            alone = force(slice(sample, sample + 1))[0, i]
+            (*by_input,) = torch.autograd.grad(alone, (*inputs, *parameters), allow_unused=True)
+            flat = torch.cat([
+                (torch.zeros_like(p) if g is None else g).flatten()
+                for p, g in zip(parameters, by_input[2:], strict=True)
+            ])  # fmt: skip
+            torch.testing.assert_close(found.parameters[sample, i], flat)
+            for mine, oracle in zip(found.inputs, by_input[:2], strict=True):
+                torch.testing.assert_close(mine[sample, i], oracle[sample])

@@ -5,10 +5,10 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.drag import LearnedDrag
 from tests.dissipative import dissipative_net, dragged_net
+from tests.learned import assert_each_sample_alone
 from tests.systems.models import mjcf, read
 
 
@@ -17,24 +17,7 @@ from tests.systems.models import mjcf, read
 def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(n, make):
     lagrangian = make(n)
     q, v = torch.randn(2, 4, n, dtype=torch.float64)
-    parameters = list(lagrangian.parameters())
-    inputs = q.clone().requires_grad_(), v.clone().requires_grad_()
-
-    def force(rows=slice(None)):
-        return lagrangian.gradients(*(x[rows] for x in inputs)).q
-
-    found = parameter_jacobian(force, parameters, inputs)
-    for sample in range(len(q)):
-        for i in range(n):
-            alone = force(slice(sample, sample + 1))[0, i]
-            (*by_input,) = torch.autograd.grad(alone, (*inputs, *parameters), allow_unused=True)
-            flat = torch.cat([
-                (torch.zeros_like(p) if g is None else g).flatten()
-                for p, g in zip(parameters, by_input[2:], strict=True)
-            ])  # fmt: skip
-            torch.testing.assert_close(found.parameters[sample, i], flat)
-            for mine, oracle in zip(found.inputs, by_input[:2], strict=True):
-                torch.testing.assert_close(mine[sample, i], oracle[sample])
+    assert_each_sample_alone(lagrangian, q, v)
 
 
 @pytest.mark.parametrize("wrong", [{"joints": "chain"}, {"rest_velocity": 0.0}, {"start": 0.0}])

@@ -5,11 +5,10 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.systems.mujoco import mechanism
 from symo_exp.systems.multibody import Multibody
-from tests.learned import assert_same
+from tests.learned import assert_each_sample_alone, assert_same
 from tests.models.methods import make
 from tests.systems import models
 from tests.systems.models import read
@@ -43,18 +42,7 @@ def test_the_inertia_is_positive_definite(chain):
 
 
 def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(chain):
-    q, v = points(len(chain.turns), 3)
-    parameters = list(chain.parameters())
-    found = parameter_jacobian(lambda: chain.gradients(q, v).q, parameters).parameters
-    for sample in range(3):
-        for i in range(q.shape[1]):
-            alone = chain.gradients(q[sample : sample + 1], v[sample : sample + 1]).q[0, i]
-            own = torch.autograd.grad(alone, parameters, allow_unused=True)
-            flat = [
-                (torch.zeros_like(p) if g is None else g).flatten()
-                for p, g in zip(parameters, own, strict=True)
-            ]
-            torch.testing.assert_close(found[sample, i], torch.cat(flat))
+    assert_each_sample_alone(chain, *points(len(chain.turns), 3))
 
 
 TRUTHS = {
