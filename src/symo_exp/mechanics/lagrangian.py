@@ -207,14 +207,21 @@ def matvec(
     matrix: Float[Tensor, "*#batch n k"], vector: Float[Tensor, "*#batch k"]
 ) -> Float[Tensor, "*batch n"]:
     """``A x`` for a batch of matrices and vectors."""
-    return torch.matmul(matrix, vector.unsqueeze(-1)).squeeze(-1)
+    return _product(matrix, vector.unsqueeze(-1)).squeeze(-1)
 
 
 def vecmat(
     vector: Float[Tensor, "*#batch n"], matrix: Float[Tensor, "*#batch n k"]
 ) -> Float[Tensor, "*batch k"]:
     """``xᵀ A``, likewise."""
-    return torch.matmul(vector.unsqueeze(-2), matrix).squeeze(-2)
+    return _product(vector.unsqueeze(-2), matrix).squeeze(-2)
+
+
+def _product(left: Tensor, right: Tensor) -> Tensor:
+    """`torch.matmul`; one batch on both sides, the rule here, is spared its broadcasting."""
+    if left.ndim == right.ndim == 3 and left.shape[0] == right.shape[0]:
+        return torch.bmm(left, right)
+    return torch.matmul(left, right)
 
 
 def solve(

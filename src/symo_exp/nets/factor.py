@@ -36,6 +36,8 @@ class HeadPoint(NamedTuple):
     """``σ(o)``, derivative of the softplus on the diagonal."""
     y: Float[Tensor, "batch r"]
     """``y = Lᵀ v``."""
+    diagonal: Float[Tensor, "batch soft"]
+    """``∂ℒ/∂o`` of the diagonal: ``v y σ(o)``."""
 
 
 class FactorHead(nn.Module):
@@ -104,8 +106,9 @@ class FactorHead(nn.Module):
         self, outputs: Float[Tensor, "batch outputs"], v: Float[Tensor, "batch n"]
     ) -> HeadPoint:
         """``ℒ`` at ``(o, v)``."""
-        factor = self.factor(outputs)
-        return HeadPoint(v, factor, self.slope(outputs), vecmat(v, factor))
+        factor, slope = self.factor(outputs), self.slope(outputs)
+        y = vecmat(v, factor)
+        return HeadPoint(v, factor, slope, y, self._own(v, y) * slope)
 
     def momentum(self, at: HeadPoint) -> Float[Tensor, "batch n"]:
         """``∂ℒ/∂v = L y + ε v``."""
@@ -114,8 +117,7 @@ class FactorHead(nn.Module):
     def cotangent(self, at: HeadPoint) -> Float[Tensor, "batch outputs"]:
         """``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
         lower = self._entries(at.v, at.y)
-        diagonal = self._own(at.v, at.y) * at.slope
-        return torch.cat((diagonal, lower, -torch.ones_like(at.v[:, :1])), dim=1)
+        return torch.cat((at.diagonal, lower, -torch.ones_like(at.v[:, :1])), dim=1)
 
     def directional_cotangents(
         self,
@@ -130,7 +132,7 @@ class FactorHead(nn.Module):
         factor_rate = self.factor_tangent(at.slope, rates)
         y_rate = vecmat(at.v, factor_rate) + vecmat(b, at.factor)
         # The last factor of the diagonal is the second derivative of the softplus.
-        bend = self._own(at.v, at.y) * at.slope * (1.0 - at.slope) * rates[:, : self.soft]
+        bend = at.diagonal * (1.0 - at.slope) * rates[:, : self.soft]
         diagonal = (self._own(at.v, y_rate) + self._own(b, at.y)) * at.slope + bend
         lower = self._entries(at.v, y_rate) + self._entries(b, at.y)
         outputs = torch.cat((diagonal, lower, torch.zeros_like(at.v[:, :1])), dim=1)
@@ -147,10 +149,11 @@ class FactorHead(nn.Module):
         """
         factors = self.factor_tangent(at.slope.unsqueeze(1), rates)  # L_i: (B, k, n, n)
         ys = vecmat(at.v.unsqueeze(1), factors)
-        bend = self._own(at.v, at.y) * at.slope * (1.0 - at.slope)
+        bend = at.diagonal * (1.0 - at.slope)
         diagonal = rates[..., : self.soft]
         second = ys @ ys.mT + (diagonal * bend.unsqueeze(1)) @ diagonal.mT
-        momenta = matvec(factors, at.y.unsqueeze(1)) + ys @ at.factor.mT
+        stacked = matvec(factors.flatten(1, 2), at.y).unflatten(1, factors.shape[1:3])
+        momenta = stacked + ys @ at.factor.mT
         return second, momenta.mT
 
     def _fill(self, diagonal: Tensor, outputs: Tensor) -> Tensor:
