@@ -19,7 +19,7 @@ import pandas as pd
 
 from symo_exp.report.looks import TRUTH, Look, Stroke, in_order, look, pair_name, stroke
 
-SMALLEST, LARGEST = 1e-16, 1e12
+SMALLEST, LARGEST = 1e-33, 1e12
 """What a logarithmic axis shows at most, whatever has diverged."""
 Range = tuple[float, float]
 
@@ -89,7 +89,9 @@ class Panel:
         if not len(values):
             return None
         low, high = max(values.min(), SMALLEST), min(values.max(), LARGEST)
-        return float(low / 2), float(2 * max(high, 10 * low))
+        high = max(high, 10 * low)
+        margin = max(2.0, (high / low) ** 0.03)  # a marker at the end is whole
+        return float(low / margin), float(high * margin)
 
     def x_limits(self) -> Range | None:
         """The same of a linear x axis: of a line over time all of it, however early one is lost."""

@@ -44,7 +44,7 @@ def sections(
     at_32 = mine[(mine.n_traj == curves.AT) & (mine.noise_std == 0)]
     floors, grown = runs[runs.source == "floor"], growth(runs)
     parts = [
-        Section("answer", "Answer", [*said, *warning(runs)], heat_maps),
+        Section("answer", "Answer", [*shown(variant), *said, *warning(runs)], heat_maps),
         Section("sizes", "Errors over the size of the training set",
                 figures=curves.data_size(drawn)),
         Section("noise", "Errors over noise", figures=curves.noise(drawn)),
@@ -57,7 +57,7 @@ def sections(
                 figures=grown[1]),
         Section("floors", "Floors: the integrators alone", figures=curves.steps(found)),
         Section("tables", "Tables", tables=[accuracy(found), floor_table(usual)], folded=True),
-        Section("state", "What has been run", state(runs, variant), [unfinished(runs)],
+        Section("state", "What has been run", state(runs), [unfinished(runs)],
                 folded=True),
     ]  # fmt: skip
     return [part for part in parts if part]
@@ -83,7 +83,12 @@ def warning(runs: pd.DataFrame) -> list[str]:
     return [f"{count} runs have no result; the last section says which."] if count else []
 
 
-def state(runs: pd.DataFrame, variant: str) -> list[str]:
+def shown(variant: str) -> list[str]:
+    """Of which settings the answer is, unless they are the defaults."""
+    return [f"Answer and figures are of the runs with {variant}."] if variant else []
+
+
+def state(runs: pd.DataFrame) -> list[str]:
     """How many runs there are, and of which sources they were made."""
     each = runs.drop_duplicates("run_id")
     if each.empty:
@@ -94,8 +99,6 @@ def state(runs: pd.DataFrame, variant: str) -> list[str]:
     lines = [f"{len(each)} runs: {told}. The finished ones trained for {hours:.1f} hours."]
     if revisions := sorted({r[:10] for r in finished.revision if r}):
         lines.append(f"Revisions: {', '.join(revisions)}.")
-    if variant:
-        lines.append(f"Answer and figures are of the runs with {variant}.")
     return lines
 
 
