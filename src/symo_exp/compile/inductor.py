@@ -15,8 +15,15 @@ from torch.utils import _pytree as pytree
 
 from symo_exp.compile.kernels import CHEAPER
 
-OPTIONS = {"config_patches": {"cpp_wrapper": True, "pattern_matcher": False}}
-"""What calls the kernels is compiled, too: with few rows a fifth of a step was Python doing that.
+OPTIONS = {
+    "config_patches": {
+        "cpp_wrapper": True,
+        "cpp_wrapper_build_separate": True,
+        "pattern_matcher": False,
+    }
+}
+"""What calls the kernels is compiled, too: with few rows a fifth of a step was Python doing that;
+apart from them and optimised less, which g++ is done with sooner and a step does not notice.
 Sums are not put back into products of matrices (``addmm``)."""
 logging.getLogger("torch._inductor.ir").setLevel(logging.ERROR)  # which solver is called how
 
