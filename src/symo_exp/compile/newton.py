@@ -10,7 +10,14 @@ from torch import Tensor, nn
 from symo_exp.compile.inductor import carry
 from symo_exp.compile.program import Program
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding, row_norm
+from symo_exp.mechanics.roots import (
+    Evaluation,
+    Newton,
+    RootFinder,
+    joint_norm,
+    rounding,
+    row_norm,
+)
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, MidpointExpansion, MomentumMatching
 from symo_exp.models.flows import VariationalFlow
@@ -49,18 +56,15 @@ def iterate(
     at, together = problem.at(x), root.stopping == "batch"
     jacobian = at.jacobian()
     step = solve(jacobian, -at.residual)
-    norm = joint_norm(at.residual).expand(len(x)) if together else row_norm(at.residual)
-    small = norm <= root.tolerance
-    # a row whose step is lost in rounding takes it and ends
-    settled = torch.zeros_like(small) if together else (step.abs() <= rounding(x)).all(-1)
+    near, ending = small(at.residual, root), settled(step, x, root)
     if last is None:
-        wanting = torch.ones_like(small) if together else ~small
+        wanting = torch.ones_like(near) if together else ~near
         iterations = wanting.to(x.dtype)
     else:
-        wanting = last.onward & ~small
+        wanting = last.onward & ~near
         iterations = last.iterations + wanting.to(x.dtype)
-    onward = wanting & ~settled
-    return Iterate(x, at.expansion, jacobian, x + step, small | settled, onward, iterations)
+    onward = wanting & ~ending
+    return Iterate(x, at.expansion, jacobian, x + step, near | ending, onward, iterations)
 
 
 class RootLoss:
@@ -122,38 +126,71 @@ class RootLoss:
 class VariationalAdvance:
     """``VariationalFlow.advance``: ``(q_k, p_k, u_k, u_{k+1}) → (q_{k+1}, p_{k+1}, converged)``.
 
-    The first piece takes the one step of Newton's method that is nearly always needed, others one
-    more each. A row that they do not bring home leaves all of them to the uncompiled step with its
-    safeguards.
+    The first piece takes the two steps of Newton's method that are nearly always needed, others
+    one more each; where a piece ends, the Jacobian is left out. A row that they do not bring home
+    leaves all of them to the uncompiled step with its safeguards.
     """
 
-    most_iterations = 10
+    first_iterations, most_iterations = 2, 10
 
     def __init__(self, model: nn.Module, flow: VariationalFlow) -> None:
         self._flow = flow
-        self._start, self._iterate = Program(model, self._first), Program(model, self._at)
+        self._start, self._iterate = Program(model, self._first), Program(model, self._next)
 
     def __call__(self, *given: Tensor) -> tuple[Tensor, ...]:
-        *reached, guess, over = self._start(*given)
-        for _ in range(1, min(self._flow.rollout_root.max_iterations, self.most_iterations)):
+        most = min(self._flow.rollout_root.max_iterations, self.most_iterations)
+        *reached, x, over = self._start(*given)
+        for _ in range(self.first_iterations, most):
             if over.item():
                 break
-            *reached, guess, over = self._iterate(*given, guess)
+            *reached, x, over = self._iterate(*given, x)
         return tuple(reached) if over.item() else self._flow.advance(*given)
 
     def _first(self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor) -> tuple[Tensor, ...]:
-        guess = q + self._flow.time_step * self._flow.decode(q, p)
-        guess = self._flow.integrator.unknowns(guess)
-        *_, following, _ = self._at(q, p, u, u_next, guess)
-        return self._at(q, p, u, u_next, following)
+        problem, _ = self._problem(q, p, u, u_next)
+        x = problem.start(q + self._flow.time_step * self._flow.decode(q, p))
+        for _ in range(1, min(self._flow.rollout_root.max_iterations, self.first_iterations)):
+            x = x + newton_step(problem.at(x))
+        return self._next(q, p, u, u_next, x)
 
-    def _at(self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, x: Tensor) -> tuple[Tensor, ...]:
-        """``q_{k+1}`` of the iterate ``x``, the momentum there, which rows are roots, the next
-        iterate, and whether every row is a root or was lost before."""
+    def _next(
+        self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, x: Tensor
+    ) -> tuple[Tensor, ...]:
+        """One step from ``x``: ``q_{k+1}``, the momentum there, which rows are roots, the iterate,
+        and whether every row is a root or was lost before."""
+        problem, f1 = self._problem(q, p, u, u_next)
+        step = newton_step(problem.at(x))
+        x = x + step
+        at = problem.at(x)
+        root = self._flow.rollout_root
+        found = small(at.residual, root) | settled(step, x, root)
+        lost = ~(q.isfinite() & p.isfinite()).all(-1)
+        q_next = x[:, : q.shape[1]].contiguous()
+        return q_next, at.expansion.values.d2 + f1, found, x.contiguous(), (found | lost).all()
+
+    def _problem(
+        self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor
+    ) -> tuple[MomentumMatching, Tensor]:
+        """The equations of a step, and the impulse ``f⁺`` at its end."""
         flow, forces = self._flow, self._flow.forces(u, u_next)
         f0, f1 = flow.integrator.impulses(*forces, flow.time_step)
-        at = iterate(flow.matching(q, p + f0, forces), flow.rollout_root, x)
-        lost = ~(q.isfinite() & p.isfinite()).all(-1)
-        over = (at.found | lost).all()
-        q_next = x[:, : q.shape[1]].contiguous()
-        return q_next, at.after.values.d2 + f1, at.found, at.next.contiguous(), over
+        return flow.matching(q, p + f0, forces), f1
+
+
+def newton_step(at: Evaluation) -> Tensor:
+    """``−J⁻¹ g``."""
+    return solve(at.jacobian(), -at.residual)
+
+
+def small(residual: Tensor, root: RootFinder) -> Tensor:
+    """Rows whose ``‖g‖`` is below the tolerance; by the rule of the thesis all together or none."""
+    together = isinstance(root, Newton) and root.stopping == "batch"
+    norm = joint_norm(residual).expand(len(residual)) if together else row_norm(residual)
+    return norm <= root.tolerance
+
+
+def settled(step: Tensor, x: Tensor, root: RootFinder) -> Tensor:
+    """Rows whose step is lost in rounding: they take it and end."""
+    if isinstance(root, Newton) and root.stopping == "batch":
+        return torch.zeros_like(step[:, 0], dtype=torch.bool)
+    return (step.abs() <= rounding(x)).all(-1)
