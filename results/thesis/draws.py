@@ -22,6 +22,8 @@ from symo_exp.data.simulate import generate
 from symo_exp.evaluation.evaluate import roll_out
 from symo_exp.evaluation.measures import rollout_mse
 from symo_exp.mechanics.types import Trajectories
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.report.tables import Table, markdown
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.base import System
@@ -41,9 +43,9 @@ def trajectories(system: System, config: dict) -> Trajectories:
     )
 
 
-def errors(folder: Path, system: System, true: Trajectories, over: str) -> np.ndarray:
-    """The integration error of each of the trajectories, over the pose or over the state."""
-    motion = roll_out(symo_exp.load(folder).for_evaluation(), system, true)
+def errors(model: DynamicsModel, system: System, true: Trajectories, over: str) -> np.ndarray:
+    """The integration error of each of the trajectories, over the configuration or the state."""
+    motion = roll_out(model.for_evaluation(), system, true)
     error = rollout_mse(motion.q[:, 1:], motion.q_true[:, 1:])
     if over == "state":
         error = 0.5 * (error + rollout_mse(motion.v[:, 1:], motion.v_true[:, 1:]))
@@ -65,22 +67,22 @@ def draws(runs: Path, name: str) -> str:
     for file in runs.glob(f"*-{name}-*/config.yaml"):
         config = yaml.safe_load(file.read_text())
         data, finished = config["data"], RunFolder(file.parent).outcome().status == "finished"
-        if not finished or data["n_traj"] != 32 or config["objective"] != "plain":
+        if not finished or data["n_traj"] != 32:
             continue
         noise = data["noise_std"]
         alike = cells[cells.noise_std == noise]
         if config["learning_rate"] not in alike.learning_rate.to_numpy():
             continue
         method = file.parent.name.split("-")[0]
-        kind = "variational" if "symo" in method or "variational" in method else "explicit"
-        chosen = config["integrator"][kind]
-        integrator = chosen["_target_"].rsplit(".", 1)[1].lower().removeprefix("variational")
-        integrator += f" of order {2 * chosen['stages']}" if "stages" in chosen else ""
+        model = symo_exp.load(file.parent)
+        if isinstance(getattr(model, "objective", None), PreconditionedResidual):
+            continue
+        integrator = model.flow.integrator.name
         like = alike[(alike.method == method) & (alike.integrator == integrator)].value
         if true is None:  # the same for all of them
             system = hydra.utils.instantiate(config["system"])
             true = trajectories(system, data)
-        error = errors(file.parent, system, true, over)
+        error = errors(model, system, true, over)
         drawn = np.random.default_rng(0).choice(error, (DRAWS, DRAWN)).mean(1)
         figures = [np.median(error), error.mean(), *np.quantile(drawn, [0.05, 0.5, 0.95]), *like]
         row = [f"{method} {integrator}", f"{noise:g}", str(config["seed"])]

@@ -35,7 +35,8 @@ HEAD = [
 def training_windows(config: dict, system: object) -> Windows:
     """Those of a run, in float64."""
     settings = config["data"] | {"dtype": "float64", "shuffle": False}
-    data: DataModule = hydra.utils.instantiate(settings, system=system)
+    # given afterwards: Hydra would take a system, a dataclass, for configuration
+    data: DataModule = hydra.utils.instantiate(settings, _partial_=True)(system=system)
     data.setup()
     return data.train
 
