@@ -1,0 +1,53 @@
+"""The scripts behind the tables of results/ read the runs of today."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+import symo_exp
+from tests.tiny import TINY
+
+RESULTS = Path(__file__).parents[1] / "results"
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """A folder with one finished run of those that both tables are of."""
+    folder = tmp_path_factory.mktemp("runs")
+    settings = ["model=symo", "data.n_traj=32", "data.n_train_max=32", "data.noise_std=1e-2"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        symo_exp.run(*TINY, *settings, "logger=none", "pictures=false", f"output_dir={folder}")
+    return folder / "default"
+
+
+@pytest.fixture
+def scripts(monkeypatch):
+    monkeypatch.syspath_prepend(RESULTS / "thesis")
+    yield
+    for name in ("noise", "draws"):
+        sys.modules.pop(name, None)
+
+
+def last_row(table):
+    return [cell.strip() for cell in table.strip().splitlines()[-1].strip("|").split("|")]
+
+
+def test_what_noise_makes_of_the_losses(runs, scripts):
+    import noise
+
+    run, level, *_, share = last_row(noise.table(runs, "pendulum"))
+    assert (run, level) == ("symo", "0.01")
+    assert float(share) > 0.0
+
+
+def test_what_the_drawn_trajectories_decide(runs, scripts, monkeypatch):
+    import draws
+
+    monkeypatch.setattr(draws, "TRAJECTORIES", 4)
+    run, level, *_, low, middle, high, published, below = last_row(draws.draws(runs, "pendulum"))
+    assert (run, level) == ("symo midpoint", "0.01")
+    assert float(low) <= float(middle) <= float(high)
+    assert float(published) > 0.0
+    assert below.endswith("%")
