@@ -23,7 +23,8 @@ def runs(tmp_path_factory):
 
 
 @pytest.fixture
-def scripts(monkeypatch):
+def scripts(runs, monkeypatch):
+    monkeypatch.chdir(runs)  # where the data that a script makes again are kept
     monkeypatch.syspath_prepend(RESULTS / "thesis")
     yield
     for name in ("noise", "draws"):
