@@ -134,11 +134,12 @@ class VariationalAdvance:
     first_iterations, most_iterations = 2, 10
 
     def __init__(self, model: nn.Module, flow: VariationalFlow) -> None:
-        self._flow = flow
+        assert isinstance(flow.rollout_root, Newton)
+        self._flow, self._root = flow, flow.rollout_root
         self._start, self._iterate = Program(model, self._first), Program(model, self._next)
 
     def __call__(self, *given: Tensor) -> tuple[Tensor, ...]:
-        most = min(self._flow.rollout_root.max_iterations, self.most_iterations)
+        most = min(self._root.max_iterations, self.most_iterations)
         *reached, x, over = self._start(*given)
         for _ in range(self.first_iterations, most):
             if over.item():
@@ -149,7 +150,7 @@ class VariationalAdvance:
     def _first(self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor) -> tuple[Tensor, ...]:
         problem, _ = self._problem(q, p, u, u_next)
         x = problem.start(q + self._flow.time_step * self._flow.decode(q, p))
-        for _ in range(1, min(self._flow.rollout_root.max_iterations, self.first_iterations)):
+        for _ in range(1, min(self._root.max_iterations, self.first_iterations)):
             x = x + newton_step(problem.at(x))
         return self._next(q, p, u, u_next, x)
 
@@ -162,8 +163,7 @@ class VariationalAdvance:
         step = newton_step(problem.at(x))
         x = x + step
         at = problem.at(x)
-        root = self._flow.rollout_root
-        found = small(at.residual, root) | settled(step, x, root)
+        found = small(at.residual, self._root) | settled(step, x, self._root)
         lost = ~(q.isfinite() & p.isfinite()).all(-1)
         q_next = x[:, : q.shape[1]].contiguous()
         return q_next, at.expansion.values.d2 + f1, found, x.contiguous(), (found | lost).all()
@@ -182,15 +182,15 @@ def newton_step(at: Evaluation) -> Tensor:
     return solve(at.jacobian(), -at.residual)
 
 
-def small(residual: Tensor, root: RootFinder) -> Tensor:
+def small(residual: Tensor, root: Newton) -> Tensor:
     """Rows whose ``‖g‖`` is below the tolerance; by the rule of the thesis all together or none."""
-    together = isinstance(root, Newton) and root.stopping == "batch"
+    together = root.stopping == "batch"
     norm = joint_norm(residual).expand(len(residual)) if together else row_norm(residual)
     return norm <= root.tolerance
 
 
-def settled(step: Tensor, x: Tensor, root: RootFinder) -> Tensor:
+def settled(step: Tensor, x: Tensor, root: Newton) -> Tensor:
     """Rows whose step is lost in rounding: they take it and end."""
-    if isinstance(root, Newton) and root.stopping == "batch":
+    if root.stopping == "batch":
         return torch.zeros_like(step[:, 0], dtype=torch.bool)
     return (step.abs() <= rounding(x)).all(-1)
