@@ -1,9 +1,11 @@
 """Total least squares: bands, what it recovers from noise, stages, and resuming."""
 
 import copy
+import math
 
 import pytest
 import torch
+from torch import nn
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
@@ -14,6 +16,7 @@ from symo_exp.models.l_node import LNODE
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
 from symo_exp.models.true import TrueVariational
+from symo_exp.nets.affine import linear
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.optim.banded import Chain
 from symo_exp.optim.total_least_squares import TotalLeastSquares
@@ -206,6 +209,52 @@ def test_inputs_with_errors_are_nodes_too():
     u = torch.cat([t.u for t in clean])
     assert (optimizer.memory["nodes"][:, 1:] - u).std() < 0.8 * torch.cat(errors).std()
     assert float(found[-1]["noise_estimate"]) == pytest.approx(noise, rel=0.3)
+
+
+class Springs:
+    """Residuals ``k q_k + f(q_{k+1})`` twice over, of which ``f`` may be anything."""
+
+    gradient_clip, reads_velocity = None, False
+
+    def __init__(self, f):
+        self.f, self.stiffness = f, nn.Parameter(torch.ones(1, 1, dtype=torch.float64))
+
+    def parameters(self):
+        return [self.stiffness]
+
+    def residuals(self, windows):
+        r = linear(windows.q, self.stiffness) + self.f(windows.q_next)
+        return torch.cat((r, r), dim=1)
+
+    def loss_and_gradients(self, windows):
+        self.stiffness.grad = None
+        loss = self.residuals(windows).square().mean()
+        loss.backward()
+        return loss.detach()
+
+
+ILL_CONDITIONED = {
+    "indefinite": lambda q: 1e12 * q,
+    "overflow": lambda q: 1e200 * q,
+    "infinite derivative": lambda q: (q - q.detach()).abs().sqrt(),
+    "not a number": lambda q: q / (q - q),
+    "not a number near zero": lambda q: (q - 0.5).sqrt(),
+}
+
+
+@pytest.mark.parametrize("f", ILL_CONDITIONED.values(), ids=ILL_CONDITIONED)
+def test_a_matrix_without_a_factor_is_a_refused_trial(f, caplog):
+    """Parameters stay finite, residuals end no larger; stages that cannot move end with a line."""
+    generator = torch.Generator().manual_seed(0)
+    q = torch.rand(30, 1, dtype=torch.float64, generator=generator)
+    model, settings = Springs(f), {"starts": 1, "start": 3, "epochs": 3, "warm_up": 3}
+    optimizer, found = train(model, [Trajectory(q, q, q[:, :0])], epsilons=(1.0, 0.1), **settings)
+    assert len(found) == optimizer.total_epochs
+    assert all(bool(p.isfinite().all()) for p in model.parameters())
+    assert optimizer.memory["nodes"].isfinite().all()
+    losses = [float(x["train_loss"]) for x in found]
+    assert losses[-1] <= losses[0] or not math.isfinite(losses[0])
+    assert math.isfinite(losses[0]) or "the best so far is kept" in caplog.text
 
 
 BAD = (

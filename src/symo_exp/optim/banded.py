@@ -71,8 +71,14 @@ class Chain(NamedTuple):
         parts = zip(jacobians, self.stencil(x), strict=True)
         return sum(((j * y.unsqueeze(1)).sum(-1) for j, y in parts), torch.zeros(()).to(x))
 
-    def factor(self, jacobians: Sequence[Float[Tensor, "windows k d"]], own: float) -> BandFactor:
-        """The Cholesky factor of ``J Jᵀ + own I``; windows two apart share a node at most."""
+    def factor(
+        self, jacobians: Sequence[Float[Tensor, "windows k d"]], own: float
+    ) -> BandFactor | None:
+        """Factor ``J Jᵀ + own I``; windows two apart share one node at most.
+
+        Returns:
+            The Cholesky factor, ``None`` if the matrix is not positive definite in floating point.
+        """
         a, b, c = jacobians
         joined = self.centre.diff() == 1  # windows of one trajectory
         second = joined[1:] & joined[:-1]
@@ -81,16 +87,28 @@ class Chain(NamedTuple):
             (a[1:] @ b[:-1].mT + b[1:] @ c[:-1].mT) * joined.view(-1, 1, 1),
             (a[2:] @ c[:-2].mT) * second.view(-1, 1, 1),
         )
-        return BandFactor(blocks, own)
+        return BandFactor.of(blocks, own)
 
 
 class BandFactor:
-    """``S = L Lᵀ`` of a symmetric matrix of blocks ``(k, k)``, ``(k+1, k)`` and ``(k+2, k)``."""
+    """The Cholesky factor ``L`` of a symmetric block-banded matrix ``S = L Lᵀ``.
 
-    def __init__(self, blocks: Sequence[Float[Tensor, "blocks m m"]], own: float) -> None:
-        """``own`` is added to the diagonal. Raises ``ArithmeticError`` where there is no factor."""
+    Args:
+        band: The lower bands of ``L``, as LAPACK stores them.
+        shape: Number and size of the blocks.
+    """
+
+    def __init__(self, band: np.ndarray, shape: tuple[int, int]) -> None:
+        self._band, self._shape = band, shape
+
+    @staticmethod
+    def of(blocks: Sequence[Float[Tensor, "blocks m m"]], own: float) -> BandFactor | None:
+        """Factor the matrix with blocks ``(k, k)``, ``(k+1, k)`` and ``(k+2, k)``, plus ``own I``.
+
+        Returns:
+            The factor, ``None`` if the matrix is not positive definite in floating point.
+        """
         count, m, _ = blocks[0].shape
-        self._like, self._shape = blocks[0], (count, m)
         band = np.zeros((len(blocks) * m, count, m))
         for offset, block in enumerate(blocks):
             values = block.numpy()
@@ -100,22 +118,22 @@ class BandFactor:
                         band[offset * m + i - j, : len(values), j] = values[:, i, j]
         flat = np.asfortranarray(band.reshape(len(blocks) * m, -1))
         flat[0] += own
-        self._band, info = lapack.dpbtrf(flat, lower=1, overwrite_ab=1)
-        if info != 0:
-            raise ArithmeticError("the matrix is not positive definite")
+        factor, info = lapack.dpbtrf(flat, lower=1, overwrite_ab=1)
+        # LAPACK does not report NaN, which always reaches the diagonal of the factor.
+        return (
+            BandFactor(factor, (count, m)) if info == 0 and np.isfinite(factor[0]).all() else None
+        )
 
     def whiten(self, x: Float[Tensor, "blocks m *k"]) -> Tensor:
-        """``L⁻¹ x``."""
+        """Return ``L⁻¹ x``."""
         return self._solve(x, b"N")
 
     def solve(self, x: Float[Tensor, "blocks m"]) -> Float[Tensor, "blocks m"]:
-        """``S⁻¹ x``."""
+        """Return ``S⁻¹ x``."""
         return self._solve(self._solve(x, b"N"), b"T").view(self._shape)
 
     def _solve(self, x: Tensor, transposed: bytes) -> Tensor:
         rows = x.reshape(self._shape[0] * self._shape[1], -1).numpy()
-        found, info = lapack.dtbtrs(self._band, rows, uplo=b"L", trans=transposed)
-        if info != 0:
-            raise ArithmeticError("the matrix is singular")
+        found, _ = lapack.dtbtrs(self._band, rows, uplo=b"L", trans=transposed)
         result = torch.from_numpy(np.ascontiguousarray(found))
         return result.squeeze(1) if x.ndim <= 2 and result.shape[1] == 1 else result

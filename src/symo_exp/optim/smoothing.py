@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -20,7 +21,10 @@ SUCCESS, FAILURE, SURPRISE = 1 / 3, 8.0, 2.5
 
 TENTH, BEND = 0.1, 0.75
 """Where on the way its bend is measured; the longest correction for it, twice, over the step."""
-TRIALS = 14  # in a step: by then damping has grown by twelve powers of ten, to all that it may
+TRIALS = 14
+"""Trials of a step; the damping grows by twelve powers of ten in them."""
+LIMIT, SETTLED = 1e12, 1e-6
+"""The largest damping, and the relative change of noise and priors that counts as none."""
 
 
 class Owner(Protocol):
@@ -63,6 +67,15 @@ class Move(NamedTuple):
     """By how much the objective should fall."""
 
 
+class Found(NamedTuple):
+    """The result of a step."""
+
+    metrics: dict[str, float]
+    ended: bool
+    """Whether further steps would find nothing: none was accepted at the largest damping, and noise
+    and priors no longer change."""
+
+
 class Smoothing:
     """One step. With ``J_x``, ``J_θ`` the derivatives of the residuals ``r``
 
@@ -92,24 +105,25 @@ class Smoothing:
         moves = [late or not is_late(p) for p in owner.parameters]
         self._moves = torch.tensor(moves)[self._group]
 
-    def step(self) -> dict[str, float]:
-        """Tries steps with growing damping until one is taken; the numbers of the epoch."""
+    def step(self) -> Found:
+        """Try steps with growing damping until one lowers the objective."""
         owner, memory = self._owner, self._memory
         x, theta = memory["nodes"], owner.flat()
         r, by_theta, by_x = self._differentiated(x, owner.parameters)
         by_theta = by_theta * self._moves
         free = self._eliminated(x, r, by_theta, by_x, 0.0)
-        before = self._objective(x, r, theta)
+        before, accepted = self._objective(x, r, theta), False
         for trial in range(TRIALS):
             held = memory["held"] if self._epsilon else 0.0
             at = self._eliminated(x, r, by_theta, by_x, held) if held else free
-            move = self._move(at, x, r, theta)
-            if move is not None:
+            move = None if at is None else self._move(at, x, r, theta)
+            if at is not None and move is not None:
                 moved = theta + move.delta
                 owner.place(moved)
                 there, r_there = self._arrived(at, move)
                 fall = before - self._objective(there, r_there, moved)
-                if fall > 0.0:
+                accepted = fall > 0.0
+                if accepted:
                     gain = fall / max(move.foreseen, 1e-300)
                     memory["nodes"], x, r, theta = there, there, r_there, moved
                     if gain < 0.2:
@@ -119,16 +133,18 @@ class Smoothing:
                         memory["held"] = held * SUCCESS if held > 1.0 else 0.0
                     break
             owner.place(theta)
-            if self._epsilon is None or self._nodes_settle(at, before, theta):
-                memory["damping"] = min(memory["damping"] * FAILURE, 1e12)
+            if self._epsilon is None or (at is not None and self._nodes_settle(at, before, theta)):
+                memory["damping"] = min(memory["damping"] * FAILURE, LIMIT)
             else:
-                memory["held"] = min(max(held * FAILURE, 1.0), 1e12)
-        self._weigh(free.gram, x, r, theta)
-        return {
+                memory["held"] = min(max(held * FAILURE, 1.0), LIMIT)
+        settled = free is None or self._weigh(free.gram, x, r, theta)
+        stuck = max(memory["damping"], memory["held"]) >= LIMIT
+        metrics = {
             "train_loss": float(r.square().mean()),
             "noise_estimate": memory["noise"] ** 0.5,
             "damping": memory["damping"],
         }
+        return Found(metrics, ended=not accepted and stuck and settled)
 
     def _residuals(self, stencil: Sequence[Tensor]) -> Tensor:
         """``r``, those of velocities over their weight."""
@@ -149,22 +165,24 @@ class Smoothing:
 
     def _eliminated(
         self, x: Tensor, r: Tensor, by_theta: Tensor, by_x: tuple[Tensor, ...], held: float
-    ) -> Reduced:
-        """The problem without its nodes, these damped by ``μ = held``."""
+    ) -> Reduced | None:
+        """Eliminate the nodes, damped by ``μ = held``; ``None`` if ``S`` has no factor."""
         weight = 1.0 + held
         target = x + (self._chain.x - x) / weight
         if self._epsilon is None:
             e, factor, white, white_e = r, None, by_theta.flatten(0, 1), r.flatten()
         else:
             e, factor = self._factored(x, r, by_x, target, weight)
+            if factor is None:
+                return None
             white, white_e = factor.whiten(by_theta), factor.whiten(e).flatten()
         gram, gradient = white.T @ white, white.T @ white_e
         return Reduced(e, by_theta, by_x, factor, target, weight, gram, gradient)
 
     def _factored(
         self, x: Tensor, r: Tensor, by_x: tuple[Tensor, ...], target: Tensor, weight: float
-    ) -> tuple[Tensor, BandFactor]:
-        """``e`` and the factor of ``S``."""
+    ) -> tuple[Tensor, BandFactor | None]:
+        """Return ``e`` and the factor of ``S``, if there is one."""
         assert self._epsilon is not None
         e = r + self._chain.apply(by_x, (target - x) / self._weight)
         scaled = tuple(j / weight**0.5 for j in by_x)
@@ -214,9 +232,8 @@ class Smoothing:
         if at.factor is None:
             return x, self._residuals_at(x)
         r, _, by_x = self._differentiated(x, ())
-        try:
-            e, factor = self._factored(x, r, by_x, at.target, at.weight)
-        except ArithmeticError:
+        e, factor = self._factored(x, r, by_x, at.target, at.weight)
+        if factor is None:
             return x, r
         further = self._nodes(at._replace(by_x=by_x, factor=factor), e)
         steps = (x, r), (further, self._residuals_at(further))
@@ -233,17 +250,24 @@ class Smoothing:
         return self._misfit(x, r) + self._memory["noise"] * float(precision @ theta.square())
 
     def _misfit(self, x: Tensor, r: Tensor) -> float:
-        """``χ²`` in units of ``σ²``."""
+        """Return ``χ²`` in units of ``σ²``, infinite if it is not a number."""
         if self._epsilon is None:
-            return float(r.square().sum())
-        moved = ((x - self._chain.x) / self._weight).square().sum()
-        return float(moved + r.square().sum() / self._epsilon**2)
+            misfit = r.square().sum()
+        else:
+            moved = ((x - self._chain.x) / self._weight).square().sum()
+            misfit = moved + r.square().sum() / self._epsilon**2
+        return float(misfit.nan_to_num(nan=math.inf, posinf=math.inf))
 
-    def _weigh(self, gram: Tensor, x: Tensor, r: Tensor, theta: Tensor) -> None:
-        """New noise and priors; where the posterior has no factor, the old ones."""
+    def _weigh(self, gram: Tensor, x: Tensor, r: Tensor, theta: Tensor) -> bool:
+        """Update noise and priors if the posterior has a factor; return whether they settled."""
         noise, precision = self._memory["noise"], self._memory["precision"]
         found = evidence(gram, noise, precision, theta, self._group, self._moves, self._flat)
-        if found is not None:
-            self._memory["precision"], determined = found
-            freedom = max(r.numel() - determined, 0.1 * r.numel())
-            self._memory["noise"] = max(self._misfit(x, r) / freedom, 1e-24)
+        misfit = self._misfit(x, r)
+        if found is None or not math.isfinite(misfit):
+            return True
+        self._memory["precision"], determined = found
+        freedom = max(r.numel() - determined, 0.1 * r.numel())
+        self._memory["noise"] = max(misfit / freedom, 1e-24)
+        return math.isclose(noise, self._memory["noise"], rel_tol=SETTLED) and torch.allclose(
+            precision, self._memory["precision"], rtol=SETTLED, atol=0.0
+        )

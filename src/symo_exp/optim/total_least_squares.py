@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -17,6 +18,8 @@ from symo_exp.optim.evidence import FLAT
 from symo_exp.optim.smoothing import Smoothing
 from symo_exp.optim.splines import smoothed
 
+log = logging.getLogger(__name__)
+
 RATE = 1e-2
 """Of Adam, at first: large, since it is to leave a basin, not to settle in one."""
 
@@ -30,6 +33,10 @@ class Stage(NamedTuple):
     start: int = 0
     """Which start it is: 0 from the initial parameters, 1 by way of Adam, others by way of Adam
     from parameters drawn anew."""
+
+    def __str__(self) -> str:
+        name = f"start {self.start + 1}" if self.epsilon is None else f"epsilon {self.epsilon}"
+        return f"stage {name}{' with late parameters' if self.late else ''}"
 
 
 class TotalLeastSquares(EpochOptimizer):
@@ -99,6 +106,7 @@ class TotalLeastSquares(EpochOptimizer):
             "precision": torch.tensor(precision, dtype=torch.float64),
             "initial": None,
             "rival": None,
+            "ended": None,
         }
 
     @property
@@ -145,11 +153,18 @@ class TotalLeastSquares(EpochOptimizer):
             elif stage.late and not before.late:
                 self._set_late(to_start=True)
             memory["damping"], memory["held"] = min(memory["damping"], self.damping), 0.0
+            memory["ended"] = None
         memory["epoch"] = epoch + 1
-        found = Smoothing(self, model, chain, stage.epsilon, late=stage.late).step()
-        memory["loss"] = found["train_loss"]
+        if memory["ended"] is None:
+            found = Smoothing(self, model, chain, stage.epsilon, late=stage.late).step()
+            memory["loss"], metrics = found.metrics["train_loss"], found.metrics
+            if found.ended:
+                memory["ended"] = metrics
+                log.warning("%s: no step lowers the objective; the best so far is kept", stage)
+        else:  # the remaining epochs only pass, so that validation keeps its schedule
+            metrics = memory["ended"]
         self.finished = memory["epoch"] >= self.total_epochs
-        return {name: torch.tensor(x, dtype=torch.float64) for name, x in found.items()}
+        return {name: torch.tensor(x, dtype=torch.float64) for name, x in metrics.items()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         super().load_state_dict(state_dict)
