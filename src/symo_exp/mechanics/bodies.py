@@ -164,3 +164,38 @@ class Drag(Dissipation):
 def column(rows: Sequence[Any], name: str) -> Tensor:
     """A field of all rows, float64."""
     return torch.tensor([getattr(row, name) for row in rows], dtype=torch.float64)
+
+
+THINNEST = 1e-6
+"""The least second moment of a body, relative to all of its moment about its joint."""
+
+
+def pseudo_inertia(
+    mass: Tensor, centre: Float[Tensor, 3], inertia: Float[Tensor, "3 3"], lever: float = 0.0
+) -> Float[Tensor, "4 4"]:
+    """Return the pseudo-inertia of a rigid body (Wensing, Kim and Slotine 2018, equation 10).
+
+    Second moments of thin bodies and of point masses are made slightly positive.
+
+    Args:
+        mass: Mass [kg].
+        centre: Centre of mass [m].
+        inertia: Inertia about the centre [kg m^2].
+        lever: Distance of the centre from the joint [m].
+    """
+    second = 0.5 * inertia.diagonal().sum() * torch.eye(3).to(inertia) - inertia
+    values, vectors = torch.linalg.eigh(second)
+    size = float(values.clamp_min(0.0).sum() + mass * lever**2)
+    values = values.clamp_min(max(THINNEST * size, 1e-12))
+    second = vectors @ torch.diag(values) @ vectors.T + mass * torch.outer(centre, centre)
+    edge = (mass * centre).unsqueeze(0)
+    top = torch.cat((second, edge.T), dim=1)
+    return torch.cat((top, torch.cat((edge, mass.reshape(1, 1)), dim=1)), dim=0)
+
+
+def of_pseudo_inertia(body: Float[Tensor, "4 4"]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return mass, centre of mass and inertia about it of a pseudo-inertia."""
+    mass = body[3, 3]
+    centre = body[3, :3] / mass
+    second = body[:3, :3] - mass * torch.outer(centre, centre)
+    return mass, centre, second.diagonal().sum() * torch.eye(3).to(body) - second

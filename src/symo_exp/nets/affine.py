@@ -35,6 +35,11 @@ def shift(x: Float[Tensor, "rows out"], bias: Tensor) -> Tensor:
     return x + bias if _record is None else _Shift.apply(x, bias)
 
 
+def by_sample() -> bool:
+    """Return whether derivatives are being kept sample by sample."""
+    return _record is not None
+
+
 def rows(parameter: Tensor, batch: int) -> Float[Tensor, "batch k"]:
     """A vector of parameters in each row."""
     return shift(parameter.new_zeros(batch, len(parameter)), parameter)

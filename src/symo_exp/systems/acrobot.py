@@ -47,7 +47,8 @@ class Acrobot(LagrangianSystem):
         delta = self.mass_2 * self.length_1 * self.centre_2 * q[:, 1].cos()
         off_diagonal = beta + delta
         return torch.stack(
-            [alpha + beta + 2 * delta, off_diagonal, off_diagonal, torch.full_like(delta, beta)], -1
+            [alpha + beta + 2 * delta, off_diagonal, off_diagonal, beta * torch.ones_like(delta)],
+            -1,
         ).unflatten(-1, (2, 2))
 
     def potential(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, " batch"]:

@@ -3,10 +3,11 @@
 # Annotations are not postponed here: fields are inherited by classes of other modules, which need
 # not know the names of their types.
 
+import copy
 import hashlib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import Self
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian, Friction
@@ -39,6 +41,21 @@ class Skeleton(NamedTuple):
     links: tuple[tuple[int, int], ...]
     carts: tuple[int, ...] = ()
     reach: float = 1.0
+
+
+class Constant(NamedTuple):
+    """A physical constant of known equations.
+
+    Attributes:
+        value: A positive number, or the positive definite 4 x 4 pseudo-inertia of a body about the
+            ``origin``, float64.
+        unit: Its unit; that of the mass for a pseudo-inertia.
+        origin: The joint that a pseudo-inertia's centre of mass is counted from [m].
+    """
+
+    value: Tensor
+    unit: str
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +176,26 @@ class LagrangianSystem(System, Lagrangian):
         given = {"viscous": self.viscous, "coulomb": self.coulomb}
         found: dict[str, object] = {name: list(x) for name, x in given.items() if x and any(x)}
         return found | ({"rest_velocity": self.rest_velocity} if "coulomb" in found else {})
+
+    @property
+    def constants(self) -> Mapping[str, Constant]:
+        """The constants of the inertia and the potential, by name."""
+        return {
+            name: Constant(torch.tensor(getattr(self, name), dtype=torch.float64), unit)
+            for name, unit in self.units().items()
+        }
+
+    def with_constants(self, values: Mapping[str, Tensor]) -> Self:
+        """Return a copy whose inertia and potential are differentiable in ``values``.
+
+        Args:
+            values: A tensor of the shape of ``constants[name].value`` for some or all names.
+        """
+        twin = copy.copy(self)
+        kept = {f.name: vars(self)[f.name] for f in fields(self) if f.name in vars(self)}
+        vars(twin).clear()  # of what was computed from the constants of this one
+        vars(twin).update(kept | dict(values))
+        return twin
 
     def acceleration(
         self,

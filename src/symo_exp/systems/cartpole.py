@@ -35,8 +35,9 @@ class Cartpole(LagrangianSystem):
 
     def mass_matrix(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, "batch 2 2"]:
         coupling = self.mass_pole * self.half_length * q[:, 1].cos()
-        total = torch.full_like(coupling, self.mass_cart + self.mass_pole)
-        pole = torch.full_like(coupling, 4 / 3 * self.mass_pole * self.half_length**2)
+        one = torch.ones_like(coupling)
+        total = (self.mass_cart + self.mass_pole) * one
+        pole = 4 / 3 * self.mass_pole * self.half_length**2 * one
         return torch.stack([total, coupling, coupling, pole], -1).unflatten(-1, (2, 2))
 
     def potential(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, " batch"]:

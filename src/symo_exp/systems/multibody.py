@@ -12,11 +12,21 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import Self
 
-from symo_exp.mechanics.bodies import Drag, Hull, Joint, Poses, Tree, column
+from symo_exp.mechanics.bodies import (
+    Drag,
+    Hull,
+    Joint,
+    Poses,
+    Tree,
+    column,
+    of_pseudo_inertia,
+    pseudo_inertia,
+)
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import LagrangianSystem, Skeleton
+from symo_exp.systems.base import Constant, LagrangianSystem, Skeleton
 from symo_exp.systems.box import Range, SamplingBox, completed
 from symo_exp.systems.checks import one_of
 from symo_exp.systems.scene import scene
@@ -100,6 +110,42 @@ class Multibody(LagrangianSystem):
         names = ("mass", "centre", "inertia", "armature", "stiffness", "rest")
         gravity = torch.tensor(self.mechanism["gravity"], dtype=torch.float64)
         return (*(column(self.joints, name) for name in names), gravity)
+
+    @property
+    def constants(self) -> Mapping[str, Constant]:
+        """Bodies with a mass, and armature and stiffness where they are not zero.
+
+        A body is given by its pseudo-inertia in the axes of the world at the reference.
+        """
+        mass, centre, inertia, armature, stiffness, *_ = self._numbers
+        found = {}
+        for i, joint in enumerate(self.joints):
+            length = "" if joint.slides else " m^2"
+            if joint.mass > 0.0:
+                lever = centre[i] - torch.tensor(joint.anchor, dtype=torch.float64)
+                body = pseudo_inertia(mass[i], centre[i], inertia[i], float(lever.norm()))
+                found[f"{joint.name}.body"] = Constant(body, "kg", joint.anchor)
+            if joint.armature > 0.0:
+                found[f"{joint.name}.armature"] = Constant(armature[i], f"kg{length}")
+            if joint.stiffness > 0.0:
+                unit = "N/m" if joint.slides else "N m/rad"
+                found[f"{joint.name}.stiffness"] = Constant(stiffness[i], unit)
+        return found
+
+    def with_constants(self, values: Mapping[str, Tensor]) -> Self:
+        twin = super().with_constants({})
+        rows: list[list[Tensor]] = [[], [], [], [], []]
+        for i, joint in enumerate(self.joints):
+            own = [x[i] for x in self._numbers[:5]]
+            if (body := values.get(f"{joint.name}.body")) is not None:
+                own[:3] = of_pseudo_inertia(body)
+            own[3] = values.get(f"{joint.name}.armature", own[3])
+            own[4] = values.get(f"{joint.name}.stiffness", own[4])
+            for column_of, value in zip(rows, own, strict=True):
+                column_of.append(value)
+        numbers = *(torch.stack(row) for row in rows), *self._numbers[5:]
+        vars(twin).update(_numbers=numbers, _tree=self._tree, joints=self.joints)
+        return twin
 
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         return self._mass_matrix(self._tree.poses(q))

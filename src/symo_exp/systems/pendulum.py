@@ -31,7 +31,7 @@ class Pendulum(LagrangianSystem):
 
     def mass_matrix(self, q: Float[Tensor, "batch 1"]) -> Float[Tensor, "batch 1 1"]:
         inertia = self.mass * self.length**2 / 3
-        return torch.full_like(q, inertia).unsqueeze(-1)
+        return (inertia * torch.ones_like(q)).unsqueeze(-1)
 
     def potential(self, q: Float[Tensor, "batch 1"]) -> Float[Tensor, " batch"]:
         return 0.5 * self.mass * self.gravity * self.length * (1 + q[:, 0].cos())

@@ -1,0 +1,244 @@
+"""Known equations of motion whose constants are learned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.lagrangian import Gradients, Lagrangian, Rates, matvec
+from symo_exp.nets.affine import by_sample, rows
+from symo_exp.nets.roles import mark
+
+TRIANGLE = 10
+"""Entries of an upper triangular 4 x 4 matrix."""
+SHIFT, AGREEMENT = 1e-4, 1e-5
+"""Change of the logarithm of a constant in the check of derivatives, and the error allowed."""
+
+
+class KnownConstant(Protocol):
+    """A constant of a system: a positive number or a positive definite 4 x 4 matrix."""
+
+    @property
+    def value(self) -> Tensor: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def origin(self) -> tuple[float, float, float]: ...
+
+
+class KnownSystem(Protocol):
+    """A system whose equations of motion are known (``symo_exp.systems.base.LagrangianSystem``)."""
+
+    @property
+    def constants(self) -> Mapping[str, Any]: ...
+    def with_constants(self, values: Mapping[str, Tensor]) -> Any: ...
+
+
+class KnownLagrangian(nn.Module, Lagrangian):
+    """A system's own inertia and potential, with its constants as parameters.
+
+    Numbers are ``c = c₀ exp(θ)`` and pseudo-inertias ``U₀ E Eᵀ U₀ᵀ`` with ``E`` upper triangular,
+    ``E_ii = exp(θ_ii)`` (the log-Cholesky parametrisation of Rucker and Wensing, "Smooth
+    parameterization of rigid-body inertia", 2022), so that every ``θ`` is a possible machine and
+    ``θ = 0`` the given one.
+
+    Args:
+        system: The system; its ``constants`` are the values to start from.
+        fixed: Names of constants that keep their values.
+    """
+
+    def __init__(self, *, system: Any, fixed: Sequence[str] = ()) -> None:
+        super().__init__()
+        known: Mapping[str, KnownConstant] | None = getattr(system, "constants", None)
+        if known is None:
+            raise ConfigError(
+                f"lagrangian=known: {type(system).__name__} has no known equations; give a system "
+                "that has, such as system=mujoco system.model=FILE, or another lagrangian"
+            )
+        unknown = sorted(set(fixed) - set(known))
+        if unknown:
+            raise ConfigError(
+                f"lagrangian.fixed={unknown}: no such constant; there are {', '.join(known)}"
+            )
+        self.system = system
+        self.numbers = [k for k, c in known.items() if k not in fixed and c.value.ndim == 0]
+        self.bodies = [k for k, c in known.items() if k not in fixed and c.value.ndim == 2]
+        if not self.numbers and not self.bodies:
+            raise ConfigError("lagrangian.fixed: at least one constant has to be free")
+        self.given = {name: known[name] for name in (*self.numbers, *self.bodies)}
+        upper = torch.triu_indices(4, 4)
+        place = torch.full((4, 4), TRIANGLE)
+        place[upper[0], upper[1]] = torch.arange(TRIANGLE)
+        self.place: Tensor
+        self.register_buffer("place", place, persistent=False)
+        self.logarithms = nn.Parameter(torch.zeros(len(self.numbers)))
+        self.factors = nn.Parameter(torch.zeros(TRIANGLE * len(self.bodies)))
+        mark(self.parameters(), "coefficient")
+        self._check_derivatives()
+
+    def constants(self) -> dict[str, Tensor]:
+        """Return the present values by name, differentiable in the parameters."""
+        return self._values(self.logarithms, self.factors)
+
+    def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+        return self.terms(q)[0]
+
+    def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
+        return self.terms(q)[1]
+
+    def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        if not by_sample():
+            found: tuple[Tensor, Tensor] = self.system.with_constants(self.constants()).terms(q)
+            return found
+        parameters = rows(self.logarithms, len(q)), rows(self.factors, len(q))
+        return torch.func.vmap(self._of_one)(*parameters, q)
+
+    def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
+        tracked = torch.is_grad_enabled()
+        with torch.enable_grad():
+            q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
+            mass, potential = self.terms(q_)
+            p = matvec(mass, v)
+            total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
+            (dq,) = torch.autograd.grad(total, q_, create_graph=tracked)
+        return Gradients(dq, p) if tracked else Gradients(dq, p.detach())
+
+    def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
+        tracked = torch.is_grad_enabled()
+        with torch.enable_grad():
+            q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
+            mass, potential = self.terms(q_)
+            p = matvec(mass, v)
+            total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
+            (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
+            turned = _derivative_along(p, q_, v, tracked)
+        found = Rates(mass, turned, dq)
+        return found if tracked else Rates(*(x.detach() for x in found))
+
+    def _of_one(self, logarithms: Tensor, factors: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
+        """``H`` and ``V`` of one sample with constants of its own."""
+        twin = self.system.with_constants(self._values(logarithms, factors))
+        mass, potential = twin.terms(q.unsqueeze(0))
+        return mass.squeeze(0), potential.squeeze(0)
+
+    def _values(self, logarithms: Tensor, factors: Tensor) -> dict[str, Tensor]:
+        found = {}
+        for i, name in enumerate(self.numbers):
+            found[name] = self.given[name].value.to(logarithms) * logarithms[i].exp()
+        for i, name in enumerate(self.bodies):
+            own = factors[TRIANGLE * i : TRIANGLE * (i + 1)]
+            square = torch.cat((own, torch.zeros_like(own[:1])))[self.place]
+            factor = torch.triu(square, 1) + torch.diag(square.diagonal().exp())
+            root = _upper(self.given[name].value).to(factors) @ factor
+            found[name] = root @ root.mT
+        return found
+
+    def _check_derivatives(self) -> None:
+        """Refuse a system whose code loses the derivatives in its constants."""
+        flat = torch.zeros(len(self.logarithms) + len(self.factors), dtype=torch.float64)
+        q, *_ = self.system.box.points(4, seed=0)
+        split = [len(self.logarithms), len(self.factors)]
+
+        def total(flat: Tensor) -> Tensor:
+            mass, potential = self.system.with_constants(self._values(*flat.split(split))).terms(q)
+            weight = torch.arange(1.0, 1.0 + mass[0].numel()).to(mass).view_as(mass[0]).cos()
+            return (mass * weight).sum() + potential.sum()
+
+        try:
+            with torch.enable_grad():
+                at = flat.clone().requires_grad_()
+                value = total(at)
+                gradient = (
+                    torch.autograd.grad(value, at)[0] if value.requires_grad else flat.clone()
+                )
+        except (RuntimeError, TypeError) as error:
+            raise ConfigError(self._complaint(" ".join(str(error).split())[:200])) from error
+        with torch.no_grad():
+            steps = SHIFT * torch.eye(len(flat), dtype=torch.float64)
+            slopes = [(total(flat + s) - total(flat - s)) / (2.0 * SHIFT) for s in steps]
+            size = max(float(value.detach().abs()), float(gradient.abs().max()), 1e-12)
+            apart = float((torch.stack(slopes) - gradient).abs().max())
+        if not apart <= AGREEMENT * size:
+            raise ConfigError(self._complaint("derivatives in a constant are wrong"))
+
+    def _complaint(self, reason: str) -> str:
+        return (
+            f"lagrangian=known: {type(self.system).__name__} cannot be differentiated in its "
+            f"constants ({reason}); write its equations in tensor operations, e.g. "
+            "`constant * torch.ones_like(q)` for torch.full_like(q, constant)"
+        )
+
+
+class KnownFriction(nn.Module, Dissipation):
+    """A system's own friction, its coefficients as parameters, beside its fixed drag.
+
+    ``F_d = −d ∘ v − c ∘ tanh(v / ε_v)``, with ``d = d₀ exp(θ)`` and ``c`` likewise: coefficients
+    that are zero to begin with stay so.
+
+    Args:
+        viscous: ``d₀`` [N m s], one for each coordinate.
+        coulomb: ``c₀`` [N m], likewise.
+        rest_velocity: ``ε_v`` [rad/s].
+        drag: Dissipation that joins and is not learned.
+    """
+
+    def __init__(
+        self,
+        *,
+        viscous: Sequence[float],
+        coulomb: Sequence[float],
+        rest_velocity: float,
+        drag: Dissipation | None = None,
+    ) -> None:
+        super().__init__()
+        self.rest_velocity, self.drag = rest_velocity, drag
+        given = torch.tensor([*viscous, *coulomb], dtype=torch.float64)
+        self.given: Tensor
+        self.register_buffer("given", given.to(torch.get_default_dtype()), persistent=False)
+        self.free = [i for i, x in enumerate((*viscous, *coulomb)) if x > 0.0]
+        index = torch.full((len(given),), len(self.free))
+        index[self.free] = torch.arange(len(self.free))
+        self.index: Tensor
+        self.register_buffer("index", index, persistent=False)
+        self.logarithms = nn.Parameter(torch.zeros(len(self.free)))
+        mark(self.parameters(), "coefficient")
+
+    def coefficients(self, batch: int = 1) -> tuple[Tensor, Tensor]:
+        """Return ``d`` and ``c``, (batch, n) each."""
+        own = rows(self.logarithms, batch)
+        padded = torch.cat((own, torch.zeros_like(self.given[:1]).expand(batch, 1)), dim=1)
+        found = self.given * padded[:, self.index].exp()
+        viscous, coulomb = found.chunk(2, dim=1)
+        return viscous, coulomb
+
+    def force(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n"]:
+        viscous, coulomb = self.coefficients(len(v))
+        found = -viscous * v - coulomb * torch.tanh(v / self.rest_velocity)
+        return found if self.drag is None else found + self.drag.force(q, v)
+
+
+def _derivative_along(y: Tensor, x: Tensor, direction: Tensor, tracked: bool) -> Tensor:
+    """``(∂y/∂x) direction`` of a function that acts row by row, by a backward pass for each row."""
+    found = []
+    for i in range(y.shape[1]):
+        gradient = torch.zeros_like(x)
+        if y.requires_grad:
+            (own,) = torch.autograd.grad(
+                y[:, i].sum(), x, create_graph=tracked, retain_graph=True, allow_unused=True
+            )
+            gradient = gradient if own is None else own
+        found.append((gradient * direction).sum(-1))
+    return torch.stack(found, dim=1)
+
+
+def _upper(matrix: Float[Tensor, "k k"]) -> Float[Tensor, "k k"]:
+    """The upper triangular ``U`` with ``U Uᵀ`` the matrix."""
+    return torch.linalg.cholesky(matrix.flip(0, 1)).flip(0, 1)
