@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # The runs of this page:  results/hardware/run.sh SEEDS METHOD MACHINE...
-# What belongs to a machine was chosen by the errors of rollouts on its validation part, seed 0.
+# SETTINGS='trainer.max_epochs=2' in the environment adds settings to every run.
+# The settings of each machine were chosen by rollout errors on its validation part, seed 0.
 set -euo pipefail
 seeds=$1 method=$2
 shift 2
@@ -42,5 +43,5 @@ for machine in "$@"; do
   esac
   python -m symo_exp data=recorded system=recorded system.angular=all system.time_step=0.02 \
     preset=recorded data.path="recordings/$machine.parquet" reference="$machine" \
-    experiment="hardware_$method" seed="$seeds" pictures=false logger=none "${how[@]}"
+    experiment="hardware_$method" seed="$seeds" pictures=false logger=none "${how[@]}" ${SETTINGS:-}
 done

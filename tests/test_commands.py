@@ -1,0 +1,320 @@
+"""Every command on a page, in a docstring or in a printed hint runs as it is written.
+
+``make test-commands`` runs the commands of each page in order, in one folder that is empty but for
+what the page says is there: the folders of a copy of the repository and the user's own files. Long
+runs take a short form, by the table ``SHORT``, which changes budgets only. Commands in ``NOT_RUN``
+need what a test does not have.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from tests import pages
+from tests.pages import PAGES, ROOT, SOURCES, Command
+
+NOT_RUN = {
+    "submitit_slurm": "needs SLURM: `make test-slurm`",
+    "http://SERVER": "needs a tracking server: `make test-server`",
+    "sudo -u postgres": "needs PostgreSQL: `make test-server`",
+    "mlflow server": "runs until it is stopped",
+    "python -m venv": "installs: `.ci/run` does it",
+    ".ci/run": "runs this test's own suite",
+    "-m pip install": "installs: `.ci/run` does it",
+    "-m benchmarks": "takes the machine for itself for minutes to an hour, to measure it",
+    "results/hardware/refit.py": "takes half an hour and has no budget to cut",
+    "results/thesis/draws.py": "simulates 256 long trajectories; tests/test_results.py runs it",
+}
+"""Parts of commands that are not run here, and why."""
+
+SHORT = [
+    # of a run: epochs; of simulated data: test trajectories and steps of rollouts
+    (r"-m symo_exp (?!record)", "trainer.max_epochs=2 trainer.validate_every=1"),
+    (r"-m symo_exp (?!record)(?!.*(data=recorded|draws=published|preset=thesis))",
+     "data.n_val=4 data.n_test=4 data.n_integration=2 data.integration_steps=30 "
+     "data.monitor_trajectories=null"),
+    (r"-cn search|hydra/sweeper=optuna", "hydra.sweeper.n_trials=2"),
+]  # fmt: skip
+"""Settings appended to a command in which the pattern is found.
+
+Of a list of numbers to sweep, only the first stays.
+"""
+
+PRELUDE = {
+    "README.md": "import torch; q0 = v0 = torch.ones(4, 1)",
+    "docs/recordings.md": "import torch; q, v, u = torch.zeros(1), torch.ones(1), None",
+    "docs/use.md": """
+import torch, symo_exp
+model = symo_exp.load("outputs/default/symo-pendulum-0123456789")
+q_prev = q = q_next = torch.zeros(4, 1)
+v = u = u_next = torch.ones(4, 1)
+""",
+}
+"""Names that the Python code of a page takes for granted."""
+
+SHORT_PYTHON = """
+import symo_exp
+_run = symo_exp.run
+symo_exp.run = lambda *words: _run(*words, "trainer.max_epochs=2", "trainer.validate_every=1")
+"""
+
+ARM = """<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.1"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.03" mass="1"/>
+      <body name="lower" pos="0 0 -0.5">
+        <joint name="elbow" type="hinge" axis="0 1 0" damping="0.1"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="shoulder" ctrlrange="-1 1"/>
+    <motor joint="elbow" ctrlrange="-1 1"/>
+  </actuator>
+</mujoco>
+"""
+CONTROLLER = "import numpy as np\n\n\ndef policy(observation):\n    return 0.1 * np.ones(2)\n"
+HINT = re.compile(r"(?:\S*/)?python\S* -m symo_exp[.\w]*(?: [^\n]*)?")
+FORMS = {
+    "SYSTEM ...": "pendulum",
+    "MACHINE...": "motor_pendulum",
+    "METHOD": "e2e_symo",
+    "RUN": "outputs/default/symo-recorded-0123456789",
+    "FILE": "file",
+    "record ENV": "record Swimmer-v5 --episodes 4 --steps 50",
+    "symo_exp WORDS": "symo_exp model=symo",
+}
+"""Words in capitals that stand for the reader's own."""
+
+
+def on_pages() -> Iterator[Command]:
+    """All commands of pages and sources."""
+    for page in PAGES:
+        yield from pages.typed(page)
+    for source in SOURCES:
+        yield from pages.told(source)
+
+
+EVERY = list(on_pages())
+
+
+def reason(line: str) -> str | None:
+    """Why a command is not run, if so."""
+    return next((why for part, why in NOT_RUN.items() if part in line), None)
+
+
+def test_pages_have_commands():
+    assert len({c.page for c in EVERY}) > 20
+    assert len(EVERY) > 120
+
+
+@pytest.mark.parametrize("part", NOT_RUN)
+def test_what_is_not_run_is_on_a_page(part):
+    assert any(part in command.line for command in EVERY)
+
+
+TARGETS = sorted({c.line.split()[1] for c in EVERY if c.line.startswith("make ")})
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_make_target_exists(target):
+    subprocess.run(["make", "--dry-run", target], cwd=ROOT, check=True, capture_output=True)
+
+
+def test_extras_that_pages_name_exist():
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    for command in EVERY:
+        for extra in re.findall(r"symo_exp\[(\w+)\]", command.line):
+            assert re.search(rf"^{extra} = \[", text, flags=re.M), command
+
+
+@pytest.fixture(scope="session")
+def home(tmp_path_factory):
+    """The home of a user who has just come."""
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory, home):
+    """Runs in the place of those whose folders pages name."""
+    place = tmp_path_factory.mktemp("trained")
+    write_log(place / "mine.csv")
+    simulated = "model=symo system=pendulum dissipation=viscous model.width=8"
+    recorded = (
+        "data=recorded data.path=mine.csv system=recorded system.angular=all system.time_step=0.02 "
+        "preset=recorded"
+    )
+    for name, words in (("pendulum", simulated), ("recorded", recorded)):
+        words += f" logger=none pictures=false {SHORT[0][1]}"
+        done = shell(f"python -m symo_exp {words}", place, home)
+        assert done.returncode == 0, done.stdout + done.stderr
+        (folder,) = (place / "outputs" / "default").glob(f"symo-{name}-*")
+        folder.rename(folder.with_name(f"symo-{name}-0123456789"))
+    return place / "outputs"
+
+
+@pytest.fixture
+def folder(tmp_path, trained):
+    """What a reader has: a copy of the repository, files of their own, and a run."""
+    for name in ("recordings", "examples", "benchmarks"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "results", tmp_path / "results")
+    shutil.copytree(trained, tmp_path / "outputs")
+    write_log(tmp_path / "mine.csv")
+    for name in ("arm.xml", "robot.xml"):
+        (tmp_path / name).write_text(ARM)
+    (tmp_path / "controller.py").write_text(CONTROLLER)
+    return tmp_path
+
+
+def write_log(file: Path) -> None:
+    """Write motions of a pendulum with friction, every 0.02 s."""
+    rows, h = [], 0.02
+    for trajectory in range(6):
+        q, v = 0.3 + 0.3 * trajectory, 0.0
+        for k in range(150):
+            rows.append({"trajectory": trajectory, "t": h * k, "q_theta": q})
+            for _ in range(20):
+                v += h / 20 * (-9.8 * np.sin(q) - 0.2 * v)
+                q += h / 20 * v
+    noise = np.random.default_rng(0).normal(scale=1e-4, size=len(rows))
+    pd.DataFrame(rows).assign(q_theta=lambda table: table.q_theta + noise).to_csv(file, index=False)
+
+
+def shell(line: str, place: Path, home: Path) -> subprocess.CompletedProcess[str]:
+    """Run a line as typed in a terminal of the environment."""
+    keep = {k: os.environ[k] for k in ("LANG", "TMPDIR", "OMP_NUM_THREADS") if k in os.environ}
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return subprocess.run(
+        ["bash", "-c", line], cwd=place, env={**keep, "HOME": str(home), "PATH": path},
+        capture_output=True, text=True, timeout=1800,
+    )  # fmt: skip
+
+
+def shortened(line: str) -> str:
+    """The short form of a command."""
+    line = re.sub(r" \[--[^]]*\]", "", line)  # options that a docstring leaves open
+    for form, own in FORMS.items():
+        line = line.replace(form, own)
+    line, *into = line.split(" > ")
+    information = {"-h", "--help", "--cfg", "--version", "--info"} & set(line.split())
+    if re.search(r"-m symo_exp( |$)", line) and not information:
+        words = [first_number(word) for word in line.split(" ")]
+        found = [settings for pattern, settings in SHORT if re.search(pattern, f"{line} ")]
+        more = " ".join(found).split()
+        more += [word for word in swept(line) if not keys([word]) & keys(words)]
+        line = " ".join([*(word for word in words if not keys([word]) & keys(more)), *more])
+    if "results/hardware/run.sh" in line:
+        line = f"SETTINGS='{SHORT[0][1]}' " + re.sub(r" \d[\d,]* ", " 0 ", line)
+    return " > ".join([line, *into])
+
+
+def keys(words: list[str]) -> set[str]:
+    """The settings that words give."""
+    return {word.partition("=")[0] for word in words if "=" in word}
+
+
+def first_number(word: str) -> str:
+    """``seed=0,1,2`` is ``seed=0``; names are all kept."""
+    key, equals, values = word.partition("=")
+    several = re.fullmatch(r"[-+.\de]+(,[-+.\de]+)+", values)
+    return f"{key}={values.split(',')[0]}" if equals and several else word
+
+
+def swept(line: str) -> list[str]:
+    """The first of the numbers that a kept sweep goes through."""
+    name = re.search(r"-cn (\w+)", line)
+    file = ROOT / "sweeps" / f"{name.group(1)}.yaml" if name else None
+    if file is None or "-cn search" in line:
+        return []
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    params = content.get("hydra", {}).get("sweeper", {}).get("params", {})
+    cut = {key: first_number(f"{key}={values}") for key, values in params.items()}
+    return [word for key, word in cut.items() if word != f"{key}={params[key]}"]
+
+
+def recipe(line: str) -> list[str]:
+    """The runs that a make target starts; the rest of a target is for `.ci/run`."""
+    done = subprocess.run(
+        ["make", "--dry-run", *line.split()[1:2]], cwd=ROOT, capture_output=True, text=True
+    )
+    found = re.findall(r"python (-m symo_exp .*)$", done.stdout, flags=re.M)
+    return [f"python {words}" for words in found]
+
+
+def hints(output: str) -> list[str]:
+    """The commands that a command prints."""
+    found = []
+    for line in output.splitlines():
+        for hint in HINT.findall(line):
+            hint = re.sub(r"(\. [A-Z]| \(| {2,}|; ).*", "", hint).rstrip(".`")
+            found.append(re.sub(r"^\S*python\S*", "python", hint))
+    return found
+
+
+def failures(lines: list[str], place: Path, home: Path) -> list[str]:
+    """Run lines in order, then what they print; what fails, with the end of its output."""
+    failed, done = [], set()
+    queue = list(lines)
+    while queue:
+        line = queue.pop(0)
+        if line in done or reason(line) or line.startswith("pip install"):
+            continue
+        done.add(line)
+        if line.startswith("make "):
+            queue[:0] = recipe(line)
+            continue
+        if line == ". .venv/bin/activate":
+            continue  # its effect is the PATH of `shell`
+        result = shell(shortened(line), place, home)
+        output = result.stdout + result.stderr
+        print(f"$ {shortened(line)}\n{output}")
+        if result.returncode or "Traceback" in output:
+            failed.append(f"{line}\n    {shortened(line)}\n{output[-1500:]}")
+        elif not {"-h", "--help"} & set(line.split()):
+            queue += hints(output)
+    return failed
+
+
+@pytest.mark.commands
+@pytest.mark.parametrize("page", [p for p in PAGES if pages.typed(p)], ids=pages.relative)
+def test_commands_of_a_page(page, folder, home):
+    for path, content in pages.files(page).items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(content)
+    found = failures([command.line for command in pages.typed(page)], folder, home)
+    assert not found, "\n\n".join(found)
+
+
+@pytest.mark.commands
+@pytest.mark.parametrize("source", [s for s in SOURCES if pages.told(s)], ids=pages.relative)
+def test_commands_in_a_source(source, folder, home):
+    found = failures([command.line for command in pages.told(source)], folder, home)
+    assert not found, "\n\n".join(found)
+
+
+@pytest.mark.commands
+@pytest.mark.parametrize(
+    "page",
+    [p for p in [*PAGES, ROOT / "docs" / "tutorial.ipynb"] if pages.python(p)],
+    ids=pages.relative,
+)
+def test_python_of_a_page(page, folder, home):
+    code = "\n".join([SHORT_PYTHON, PRELUDE.get(pages.relative(page), ""), pages.python(page)])
+    (folder / "page.py").write_text(code)
+    done = shell("MPLBACKEND=agg python page.py", folder, home)
+    assert done.returncode == 0, done.stdout + done.stderr
