@@ -24,7 +24,8 @@ RULES = {
     "compile": ({"mechanics", "nets", "models"}, {"torch", "jaxtyping"}),
     "data": (
         {"mechanics", "systems"},
-        {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow", "filelock"},
+        {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow", "filelock",
+         "rosbags"},
     ),
     "evaluation": (
         {"mechanics", "systems", "data", "models"}, {"torch", "jaxtyping", "numpy"},

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 
 from symo_exp.data.datamodule import TrajectoryData
 from symo_exp.data.draws import uniform
-from symo_exp.data.recorded import RecordedData, write
+from symo_exp.data.recorded import RecordedData, write_recordings
 from symo_exp.data.simulate import generate
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
@@ -35,7 +35,7 @@ def test_recorded(tmp_path: Path) -> None:
     system, path = stated("pendulum"), tmp_path / "mine.parquet"
     solver = Solver("RK45", 1e-4, 1e-4)
     truth = generate(system, uniform(system.box, 4, 0), steps=6, forced=True, solver=solver)
-    write(path, truth, system.coordinates, system.time_step)
+    write_recordings(path, truth, system.coordinates, system.time_step)
     data = composed("recorded", path=str(path))
     assert isinstance(data, RecordedData)
     data.setup()

@@ -78,7 +78,7 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({}, {"test": []}, "data.test=[]: expected the names"),
         ({}, {"test": ["a"], "n_val": 1}, "leave out n_val"),
         ({"split": "train"}, {}, "no trajectory for val; its column split has train"),
-        ({"split": ["train", "test"] * 20}, {}, "trajectory a is of the splits train, test"),
+        ({"split": ["train", "test"] * 20}, {}, "trajectory a is in the splits train, test"),
         ({"q_": 0.0}, {}, "system.input_matrix=null: say how the 2 input(s) (motor0, motor1)"),
         ({"v_leg": 0.0}, {}, "column v_leg is of no coordinate of the system (arm0, arm1)"),
         ({}, {"angular": None}, "system.angular=null: which of arm0, arm1 are angles?"),
@@ -127,7 +127,7 @@ def test_wrapped_angles_are_unwrapped_where_they_are_angles(tmp_path: Path) -> N
     turning = table().assign(q_arm0=lambda t: 9 * t["t"], q_arm1=lambda t: 9 * t["t"])
     jumping = turning.assign(q_arm0=lambda t: (t["q_arm0"] + np.pi) % (2 * np.pi) - np.pi)
     plain = read(turning, tmp_path, angular=["arm0"])
-    with pytest.raises(ConfigError, match=r"data\.wrapped=true mends"):
+    with pytest.raises(ConfigError, match=r"data\.wrapped=true unwraps"):
         read(jumping, tmp_path, angular=["arm0"])
     found = read(jumping, tmp_path, angular=["arm0"], wrapped=True)
     torch.testing.assert_close(found.train.q, plain.train.q)

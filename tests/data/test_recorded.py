@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from symo_exp.data.draws import uniform
-from symo_exp.data.recorded import RecordedData, write
+from symo_exp.data.recorded import RecordedData, write_recordings
 from symo_exp.data.simulate import generate
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
@@ -38,7 +38,7 @@ def recorded(system: System, path: Path, **arguments: object) -> RecordedData:
 @pytest.mark.parametrize("system", [stated("cartpole"), ChainPendulum(3)])
 def test_round_trip(system: System, suffix: str, tmp_path: Path) -> None:
     truth, path = trajectories(system), tmp_path / f"mine{suffix}"
-    write(path, truth, system.coordinates, system.time_step)
+    write_recordings(path, truth, system.coordinates, system.time_step)
     data = recorded(system, path, n_val=1, n_test=2, n_integration=1, dtype="float64")
     parts = [data.trajectories(part) for part in ("train", "val", "test")]
     found = [*itertools.chain(*parts), *data.integration.each()]
@@ -56,7 +56,9 @@ def test_round_trip(system: System, suffix: str, tmp_path: Path) -> None:
 @pytest.fixture
 def table(tmp_path: Path) -> pd.DataFrame:
     system = stated("cartpole")
-    write(tmp_path / "x.parquet", trajectories(system), system.coordinates, system.time_step)
+    write_recordings(
+        tmp_path / "x.parquet", trajectories(system), system.coordinates, system.time_step
+    )
     return pd.read_parquet(tmp_path / "x.parquet")
 
 
@@ -93,7 +95,7 @@ def test_without_velocities_central_differences(tmp_path: Path) -> None:
     for h in (0.02, 0.01):
         system = ChainPendulum(1, time_step=h)
         truth = trajectories(system, 4, round(0.4 / h))
-        write(tmp_path / "x.parquet", truth, system.coordinates, h)
+        write_recordings(tmp_path / "x.parquet", truth, system.coordinates, h)
         table = pd.read_parquet(tmp_path / "x.parquet").drop(columns="v_theta_1")
         found = recorded(system, save(table, tmp_path), n_traj=2, dtype="float64")
         errors.append((found.trajectories("train")[0].v - truth.v[0]).abs().max().item())

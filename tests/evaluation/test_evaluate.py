@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from symo_exp.data.draws import uniform
-from symo_exp.data.recorded import RecordedData, write
+from symo_exp.data.recorded import RecordedData, write_recordings
 from symo_exp.data.simulate import generate
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.learned import LearnedQuantities
@@ -170,7 +170,7 @@ def test_without_a_truth_its_measures_are_absent(model: type, tmp_path: Path):
     starts = uniform(chain.box, 4, 0)
     path = tmp_path / "mine.parquet"
     truth = generate(chain, starts, steps=30, forced=True, solver=Solver())
-    write(path, truth, chain.coordinates, chain.time_step)
+    write_recordings(path, truth, chain.coordinates, chain.time_step)
     sets = RecordedData(system=system, path=path)
     sets.setup()
     learned = model(

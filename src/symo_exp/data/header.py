@@ -1,52 +1,121 @@
-"""The columns of a table of recordings, known before its rows are read."""
+"""Columns of recordings, known before their rows are read."""
 
 from __future__ import annotations
 
-import csv
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-import pyarrow.parquet
-
+from symo_exp.data.formats import TIME, Dialect, Location, columns_of, few, files, readable, shown
 from symo_exp.errors import ConfigError
 
 OTHERS = ("trajectory", "split", "t")
-"""The columns that do not say of which coordinate or input they are."""
+"""Columns that belong to no coordinate or input."""
 KINDS = {"q": "coordinate", "v": "coordinate", "u": "input"}
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units of time [s]."""
+TRAJECTORY = ("traj", "traj_id", "trajectory_id", "episode", "episode_id")
+"""Names that are read as ``trajectory``."""
+
+POSITION = re.compile(r"^(?:pos|position|angle)_|_(?:pos|position|angle|rad)$")
+VELOCITY = re.compile(r"^(?:d|dot_|vel_|velocity_|omega_)(?=.)|_?(?:dot|vel|velocity)$")
+INPUT = re.compile(r"u\d*$|(?:tau|torque|force|effort|current|motor|input|cmd|control|act)", re.I)
 
 
-def header(path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> list[str]:
-    """The columns in their order, those that ``columns`` maps by their new names."""
-    file, where = located(path), f"data.path={path}"
-    with readable(path):
-        if file.suffix == ".csv":
-            with file.open(encoding="utf-8-sig", newline="") as text:
-                found = next(csv.reader(text), [])
-        else:
-            found = [str(name) for name in pyarrow.parquet.read_schema(file).names]
+class Header(NamedTuple):
+    """Columns by the names of this project.
+
+    Attributes:
+        names: Names in the order of the file; a column that is set aside begins with a dot.
+        seconds: Unit of the times [s].
+        notes: What was read differently from how it stands in the file, a line each.
+    """
+
+    names: tuple[str, ...]
+    seconds: float
+    notes: tuple[str, ...]
+
+
+def header(path: Location, columns: Mapping[str, str] | None = None) -> list[str]:
+    """Return the columns of recordings, renamed by ``columns``, of all files alike.
+
+    Args:
+        path: A file, a folder, a glob pattern or a list of them.
+        columns: A mapping of this project's names to those of the file.
+
+    Raises:
+        ConfigError: If a file cannot be read or has no coordinates.
+    """
+    return list(headers(path, columns)[0][1].names)
+
+
+def headers(path: Location, columns: Mapping[str, str] | None) -> list[tuple[Path, Header]]:
+    """Return every file of a path with its columns; all have the same coordinates and inputs."""
+    found = [(file, header_of(path, file, columns)) for file in files(path)]
+    kinds = [{name for name in one.names if name[:2] in ("q_", "v_", "u_")} for _, one in found]
+    for (file, _), here in zip(found[1:], kinds[1:], strict=True):
+        if here != kinds[0]:
+            raise ConfigError(
+                f"{shown(path)}: {file.name} has the columns {few(sorted(here))}, but "
+                f"{found[0][0].name} has {few(sorted(kinds[0]))}; all files need the same"
+            )
+    return found
+
+
+def header_of(path: Location, file: Path, columns: Mapping[str, str] | None) -> Header:
+    """Return the columns of one file; ``path`` is what the user gave."""
+    where = shown(path if isinstance(path, str | os.PathLike) and Path(path) == file else file)
+    with readable(file):
+        found = columns_of(file)
+        note = Dialect.of(file).note if file.suffix == ".csv" else None
     if not found:
         raise ConfigError(f"{where}: cannot be read (it is empty)")
     if twice := sorted({name for name in found if found.count(name) > 1}):
         raise ConfigError(f"{where}: column {', '.join(twice)} is there more than once")
-    return renamed(where, found, columns)
+    new, unit, notes = renamed(where, found, columns)
+    if not names("q", new):
+        raise ConfigError(
+            f"{where}: no column q_<name> with a coordinate; it has {few(found)}; map them: "
+            f"{suggestion(found)}"
+        )
+    return Header(tuple(new), unit, tuple(filter(None, (note, *notes))))
 
 
 def names(kind: str, columns: Sequence[str]) -> tuple[str, ...]:
-    """What follows ``q_``, ``v_`` or ``u_`` in the columns that begin so."""
+    """Return the names that follow ``q_``, ``v_`` or ``u_``."""
     return tuple(name[2:] for name in columns if name.startswith(f"{kind}_"))
 
 
-def renamed(where: str, found: Sequence[str], columns: Mapping[str, str] | None) -> list[str]:
-    """``found`` by the names of this project. A column whose own name is taken by the mapping is
-    set aside: its name begins with a dot then."""
+def renamed(
+    where: str, found: Sequence[str], columns: Mapping[str, str] | None
+) -> tuple[list[str], float, list[str]]:
+    """Return columns by the names of this project, the unit of time [s] and notes for the log.
+
+    A column whose own name is taken by the mapping is set aside: its name begins with a dot then.
+    """
+    new = _mapping(where, found, columns)
+    notes = []
+    for ours, theirs in _aliases(found, set(new.values()) | set(found)).items():
+        if theirs not in new:
+            new[theirs] = ours
+            notes.append(f"column {theirs} is read as {ours}")
+    taken = set(new.values())
+    result = [new.get(name, f".{name}" if name in taken else name) for name in found]
+    unit = next((_unit(theirs) for theirs, ours in new.items() if ours == "t"), "s")
+    if unit != "s":
+        notes.append(f"times are in {unit}, as their column's name says")
+    return result, UNITS[unit], notes
+
+
+def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None) -> dict[str, str]:
+    """What the user maps, by the names in the file."""
     if columns is None:
-        return list(found)
+        return {}
     if not isinstance(columns, Mapping):
         raise ConfigError(
-            f"data.columns={columns}: expected a mapping, data.columns={{t: time, q_arm: angle}}"
+            f"data.columns={columns}: expected a mapping, 'data.columns={{t: time, q_arm: angle}}'"
         )
     new = {str(theirs): str(ours) for ours, theirs in columns.items()}
     for theirs, ours in new.items():
@@ -61,29 +130,44 @@ def renamed(where: str, found: Sequence[str], columns: Mapping[str, str] | None)
             )
     if len(new) < len(columns):
         raise ConfigError(f"data.columns={dict(columns)}: one column cannot be two")
-    taken = set(new.values())
-    return [new.get(name, f".{name}" if name in taken else name) for name in found]
+    return new
 
 
-def located(path: str | os.PathLike[str]) -> Path:
-    """The file, if its name ends as it should."""
-    file = Path(str(path)).expanduser()
-    if file.suffix not in (".parquet", ".csv"):
-        raise ConfigError(f"data.path={path}: expected a file that ends in .parquet or .csv")
-    return file
+def _aliases(found: Sequence[str], taken: set[str]) -> dict[str, str]:
+    """Unambiguous other names of ``t`` and ``trajectory``."""
+    times = [name for name in found if TIME.fullmatch(name)]
+    groups = [name for name in found if name.lower() in TRAJECTORY]
+    others = {"t": times, "trajectory": groups}
+    return {
+        ours: theirs[0] for ours, theirs in others.items() if len(theirs) == 1 and ours not in taken
+    }
 
 
-@contextmanager
-def readable(path: str | os.PathLike[str]) -> Iterator[None]:
-    """What is wrong with a file, in a line."""
-    try:
-        yield
-    except (OSError, ValueError, csv.Error) as error:  # those of pandas and Arrow too
-        reason = getattr(error, "strerror", None) or next(iter(str(error).splitlines()), "")
-        raise ConfigError(f"data.path={path}: cannot be read ({reason})") from error
+def _unit(name: str) -> str:
+    match = TIME.fullmatch(name)
+    unit = match and (match[1] or match[2])
+    return {"sec": "s"}.get(unit.lower(), unit.lower()) if unit else "s"
 
 
-def few(words: Sequence[object]) -> str:
-    """The first of them in a line."""
-    text = ", ".join(map(str, words[:12]))
-    return f"{text}, and {len(words) - 12} more" if len(words) > 12 else text
+def suggestion(found: Sequence[str]) -> str:
+    """Return a setting of ``data.columns`` that guesses what the columns hold."""
+    others = [n for n in found if n not in OTHERS and not re.match(r"[qvu]_.|__index_", n)]
+    times = [name for name in others if TIME.fullmatch(name)]
+    free = [n for n in others if n not in times and n.lower() not in TRAJECTORY]
+    inputs = [name for name in free if INPUT.match(name)]
+    free = [name for name in free if name not in inputs]
+    places = {POSITION.sub("", name, count=1): name for name in free}
+    rates = {stem: n for n in free if (stem := VELOCITY.sub("", n, count=1)) != n}
+    places = {stem: n for stem, n in places.items() if n not in rates.values()}
+    mapping = {"t": times[0]} if times and "t" not in found else {}
+    mapping |= {f"q_{_short(stem)}": name for stem, name in list(places.items())[:4]}
+    if places and set(places) <= set(rates):
+        mapping |= {f"v_{_short(stem)}": rates[stem] for stem in list(places)[:4]}
+    mapping |= {f"u_{name}": name for name in inputs[:4]}
+    pairs = mapping or {"q_theta": "angle"}
+    return "'data.columns={" + ", ".join(f"{a}: {b}" for a, b in pairs.items()) + "}'"
+
+
+def _short(stem: str) -> str:
+    """``1`` of ``q1``."""
+    return stem[1:] if re.fullmatch(r"q\d+", stem) else stem

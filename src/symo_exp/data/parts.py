@@ -1,15 +1,26 @@
-"""Which recordings are for training, which for validation, which for testing."""
+"""Division of recordings into training, validation and test parts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 
-from symo_exp.data.header import few
+from symo_exp.data.formats import few
+from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 from symo_exp.systems.checks import whole
 
 PARTS = ("train", "val", "test")
+PATTERN = ("train", "train", "val", "train", "test")
+"""Parts of the blocks of a recording that is split in time, repeated."""
+BLOCK, ROUNDS = 6.0, 4
+"""Length that blocks have at least where the pattern is repeated [s], and how often it is, at
+most."""
+GAP = 0.5
+"""Left out between blocks of different parts [s], at most a tenth of a block."""
+FEWEST = 5
+"""Time steps of a block, at least."""
 Parts = dict[str, list[Recording]]
 
 
@@ -20,11 +31,18 @@ def divided(
     n_val: int | None,
     n_test: int | None,
 ) -> Parts:
-    """The recordings of each part, in the order of the table.
+    """Return the recordings of each part, in the order of the table.
 
-    ``named`` lists their labels; what it does not say, the column ``split`` does. Without either
-    the last ``n_test`` are for testing, the ``n_val`` before them for validation (``None``: one)
-    and the others for training; ``n_val`` or ``n_test`` given have this rule in any case.
+    Args:
+        where: The beginning of error messages.
+        recordings: All recordings, with the part of the column ``split`` where there is one.
+        named: Labels of the recordings of a part; they go before the column ``split``.
+        n_val: Number of recordings for validation, those before the test ones. Without names and
+            without a split ``None`` is one; a number goes before the column ``split``.
+        n_test: Number of recordings for testing, the last ones; ``None`` as for ``n_val``.
+
+    Raises:
+        ConfigError: If a part is empty.
     """
     counted = n_val is not None or n_test is not None
     listed = {part: _labels(part, labels) for part, labels in named.items() if labels is not None}
@@ -82,7 +100,11 @@ def _last(where: str, recordings: Sequence[Recording], n_val: int, n_test: int) 
     available = len(recordings) - n_val - n_test
     if available < 1:
         lone = len(recordings) == 1 and not recordings[0].label
-        hint = "; number trajectories apart in a column trajectory" if lone else ""
+        hint = (
+            " (and too short to be split in time); number trajectories apart in a column trajectory"
+            if lone
+            else ""
+        )
         raise ConfigError(
             f"{where} has {len(recordings)} trajectories, too few for data.n_val={n_val}, "
             f"data.n_test={n_test} and at least one to train on{hint}"
@@ -90,3 +112,48 @@ def _last(where: str, recordings: Sequence[Recording], n_val: int, n_test: int) 
     val = available + n_val
     bounds = {"train": (0, available), "val": (available, val), "test": (val, None)}
     return {part: list(recordings[low:high]) for part, (low, high) in bounds.items()}
+
+
+def split_in_time(
+    recordings: Sequence[Recording], time_step: float
+) -> tuple[list[Recording], str | None]:
+    """Return one or two long recordings as blocks with a part each, and a line that says so.
+
+    The blocks are equally long and belong to train, train, val, train and test, in turn.
+    Neighbours of one part stay together; between others a gap is left out. Three or more
+    recordings, those with a part and those too short for blocks are returned as they are.
+    """
+    spans = [one.samples.t[-1] - one.samples.t[0] for one in recordings]
+    short = [span < FEWEST * time_step * len(PATTERN) / 0.9 for span in spans]
+    if not 0 < len(recordings) < len(PARTS) or any(short) or any(one.part for one in recordings):
+        return list(recordings), None
+    blocks, told = [], []
+    for one, span in zip(recordings, spans, strict=True):
+        rounds = int(min(max(span // (BLOCK * len(PATTERN)), 1), ROUNDS))
+        size = span / (rounds * len(PATTERN))
+        gap = min(GAP, size / 10)
+        for part, first, last in _stretches(PATTERN * rounds):
+            low, high = first * size + gap * (first > 0), last * size
+            t = one.samples.t - one.samples.t[0]
+            inside = (t >= low) & (t <= high)
+            v = one.samples.v
+            samples = Samples(
+                one.samples.t[inside], one.samples.q[inside],
+                None if v is None else v[inside], one.samples.u[inside],
+            )  # fmt: skip
+            name = f"{low:.4g} to {high:.4g} s"
+            blocks.append(Recording(f"{one.label}/{name}" if one.label else name, part, samples))
+        told.append(f"{span:.4g} s in {rounds * len(PATTERN)} blocks of {size:.3g} s")
+    order = ", ".join(PATTERN)
+    return blocks, (
+        f"split in time: {' and '.join(told)}, in turn {order}; {gap:.2g} s left out between parts"
+    )
+
+
+def _stretches(parts: Sequence[str]) -> Iterator[tuple[str, int, int]]:
+    """Runs of equal parts: the part, its first block and the block after its last."""
+    at = 0
+    for part, group in itertools.groupby(parts):
+        size = len(list(group))
+        yield part, at, at + size
+        at += size

@@ -1,10 +1,9 @@
-"""A user's own recordings, read from Parquet or CSV."""
+"""Recordings of a real machine as data."""
 
 from __future__ import annotations
 
 import logging
 import math
-import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, final
@@ -14,23 +13,28 @@ import torch
 
 from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
-from symo_exp.data.header import few
-from symo_exp.data.parts import divided
+from symo_exp.data.formats import Location, few, shown
+from symo_exp.data.header import UNITS
+from symo_exp.data.parts import divided, split_in_time
 from symo_exp.data.resample import Samples, resample
-from symo_exp.data.table import Recording, read, write
+from symo_exp.data.table import Recording, RecordingTable, read_recordings, write_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.systems.base import System
-from symo_exp.systems.checks import whole
+from symo_exp.systems.checks import one_of, whole
 
-__all__ = ["RecordedData", "central_differences", "write"]
+__all__ = ["RecordedData", "central_differences", "write_recordings"]
 
 log = logging.getLogger(__name__)
 
 TIME_TOLERANCE = 1e-3
 """How far a recorded step may be from ``system.time_step``, as a share of it, to be one."""
+SLOW = 0.5
+"""Steps [s] from which times are taken for those of another unit."""
 LONGEST_GAP = 3
 """Steps over which a motion is interpolated, at most."""
+SWINGS = 4
+"""Sweeps from which the size of an oscillation is judged."""
 BATCHES = 8
 """In an epoch, unless their size is given."""
 
@@ -39,27 +43,45 @@ BATCHES = 8
 class RecordedData(DataModule):
     """Recorded trajectories in the place of simulated ones.
 
-    ``path`` is a ``.parquet`` or ``.csv`` table with one row a sample and the columns
+    A table has one row a sample and the columns
 
     - ``trajectory``: which trajectory the row belongs to, a number or a name;
     - ``split``, if there is one: ``train``, ``val`` or ``test``, the same all along a trajectory;
       those of any other split are not used;
-    - ``t``: time [s];
-    - ``q_<name>``: one for each coordinate of the system; angles [rad] go on beyond a turn, or are
-      ``wrapped``, whatever the interval;
+    - ``t``: time;
+    - ``q_<name>``: one for each coordinate of the system; angles go on beyond a turn, or are
+      ``wrapped``;
     - ``v_<name>``: velocities; without any, they come from the configurations;
     - ``u_<name>``: the inputs, ``u_0``, ``u_1``, … of a system that does not name its own; without
       any, zero.
 
-    ``columns`` maps names of this list to those of the table. Equal steps of ``system.time_step``
-    are taken as they are, other times resampled (``data.resample``).
+    Equal steps of ``system.time_step`` are taken as they are, other times resampled
+    (``data.resample``). Trajectories may differ in length. Fewer than three without a split are
+    split in time (``data.parts.split_in_time``).
 
-    Trajectories may differ in length. ``train``, ``val`` and ``test`` list them, else ``split``
-    says which is which, else the last ``n_test`` are for testing, the ``n_val`` before them for
-    validation (``None``: one each) and the others for training, which takes the first ``n_traj``
-    (``None``: all). Rollouts are held against the first ``n_integration`` test trajectories, up to
-    the end of the shortest. An epoch has batches of ``batch_size`` samples, ``None``: an eighth of
-    them. ``base`` holds the other arguments of ``DataModule``.
+    Args:
+        system: Whose motions were recorded.
+        path: A ``.parquet``, ``.csv``, ``.npz`` or ``.mat`` file, a ROS 2 bag, a folder or glob
+            pattern of these, or a list.
+        columns: A mapping of the names above to those of the table.
+        wrapped: Whether angles jump by a turn; they are unwrapped then.
+        degrees: Whether angles and their velocities are in degrees.
+        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None``: that of the column's name
+            (``t_ms``), else seconds.
+        train: Names of the training trajectories. ``None``: the column ``split`` says.
+        val: Those for validation.
+        test: Those for testing.
+        n_traj: The first so many training trajectories; ``None``: all.
+        n_val: Without names and split, the number of trajectories for validation, before the test
+            ones; ``None``: one.
+        n_test: Likewise for testing, the last ones.
+        n_integration: Rollouts are compared with the first so many test trajectories, up to the
+            end of the shortest.
+        batch_size: ``None``: an eighth of the samples.
+        base: The other arguments of ``DataModule``.
+
+    Raises:
+        ConfigError: If the recordings cannot be read, or not as recordings of this system.
     """
 
     recorded = True
@@ -68,9 +90,11 @@ class RecordedData(DataModule):
         self,
         *,
         system: System,
-        path: str | os.PathLike[str],
+        path: Location,
         columns: Mapping[str, str] | None = None,
         wrapped: bool = False,
+        degrees: bool = False,
+        time_unit: str | None = None,
         train: Sequence[str | int] | None = None,
         val: Sequence[str | int] | None = None,
         test: Sequence[str | int] | None = None,
@@ -82,18 +106,26 @@ class RecordedData(DataModule):
         **base: Any,
     ) -> None:
         whole("data.n_integration", n_integration)
-        where = f"data.path={path}"
-        table = read(path, system, columns)
+        if time_unit is not None:
+            one_of("data.time_unit", time_unit, tuple(UNITS))
+        where = shown(path)
+        table = read_recordings(path, system, columns, time_unit)
         named = {"train": train, "val": val, "test": test}
+        if all(given is None for given in (train, val, test, n_val, n_test)):
+            blocks, note = split_in_time(table.recordings, system.time_step)
+            notes = (*table.notes, note) if note else table.notes
+            table = table._replace(recordings=tuple(blocks), notes=notes)
         parts = divided(where, table.recordings, named, n_val, n_test)
         available = len(parts["train"])
         n_traj = whole("data.n_traj", available if n_traj is None else n_traj, high=available)
         parts["train"] = parts["train"][:n_traj]
-        nodes = Nodes(where, system.coordinates, system.time_step, wrapped)
+        nodes = Nodes(where, system.coordinates, system.time_step, wrapped, degrees)
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
         self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
-        self._report = list(_report(where, table.recordings, table.unread, parts, system.time_step))
-        self._sampled = [recording.samples for recording in parts["train"]]
+        self._sampled = [nodes.in_radians(recording.samples) for recording in parts["train"]]
+        with np.errstate(all="ignore"):  # values that overflow
+            doubts = list(_doubts(system.coordinates, self._sampled))
+        self._report = [*_report(where, table, parts, system.time_step), *doubts]
         self._system, self.time_step = system, system.time_step
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
@@ -121,7 +153,7 @@ class RecordedData(DataModule):
         h, sampled = self._system.time_step, self._sampled
         motions = [(q.numpy(), u.numpy()) for q, _, u in self._splits.train]
         gap = float(np.median(np.concatenate([np.diff(samples.t) for samples in sampled])))
-        with np.errstate(all="ignore"):  # of numbers beyond all measure
+        with np.errstate(all="ignore"):  # values that overflow
             raw = [samples.q for samples in sampled]
             return diagnose(motions, raw, self._system.coordinates, h, samples=h / gap)
 
@@ -129,14 +161,29 @@ class RecordedData(DataModule):
 class Nodes:
     """Recordings as trajectories with nodes a time step ``h`` apart."""
 
-    def __init__(self, where: str, coordinates: Coordinates, h: float, wrapped: bool) -> None:
-        self._where, self._coordinates, self._h, self._wrapped = where, coordinates, h, wrapped
+    def __init__(
+        self, where: str, coordinates: Coordinates, h: float, wrapped: bool, degrees: bool
+    ) -> None:
+        self._where, self._coordinates, self._h = where, coordinates, h
+        self._wrapped, self._degrees = wrapped, degrees
 
     def of(self, recording: Recording) -> Trajectory:
-        """Raises ``ConfigError`` where angles are wrapped or samples too far apart."""
+        """Return one as a trajectory.
+
+        Raises:
+            ConfigError: If angles are wrapped or samples too far apart.
+        """
         where, h = f"{self._where}: trajectory {recording.label}", self._h
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._of(where, recording.samples, h)
+            return self._of(where, self.in_radians(recording.samples), h)
+
+    def in_radians(self, samples: Samples) -> Samples:
+        """Return samples whose angles are in radians."""
+        if not self._degrees:
+            return samples
+        unit = np.where(self._coordinates.angular, np.pi / 180, 1.0)
+        v = None if samples.v is None else samples.v * unit
+        return samples._replace(q=samples.q * unit, v=v)
 
     def _of(self, where: str, samples: Samples, h: float) -> Trajectory:
         samples = self._unwrapped(where, samples)
@@ -153,7 +200,7 @@ class Nodes:
         if v is None:
             v = central_differences(torch.tensor(q), h).numpy()
         if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
-            raise ConfigError(f"{where} has numbers too large to reckon with")
+            raise ConfigError(f"{where} has numbers so large that their differences overflow")
         return Trajectory(*(torch.tensor(field) for field in (q, v, u)))
 
     def _unwrapped(self, where: str, samples: Samples) -> Samples:
@@ -163,9 +210,12 @@ class Nodes:
         turns = np.where(angular, np.abs(np.diff(q, axis=0)).max(0), 0)
         if turns.max() > np.pi:
             name = self._coordinates.names[int(turns.argmax())]
+            mend = "data.wrapped=true unwraps them) and be in radians (data.degrees=true converts"
+            if 300 < turns.max() < 400:
+                mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
             raise ConfigError(
                 f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
-                "wrapped (data.wrapped=true mends them) and be in radians"
+                f"wrapped ({mend})"
             )
         return samples
 
@@ -178,6 +228,12 @@ def _check_gaps(where: str, t: np.ndarray, h: float) -> None:
     gaps = np.diff(t)
     usual, worst = float(np.median(gaps)), int(np.argmax(gaps))
     if usual > h * (1 + TIME_TOLERANCE):
+        for unit, seconds in UNITS.items():
+            if usual >= SLOW and usual * seconds <= h * (1 + TIME_TOLERANCE):
+                raise ConfigError(
+                    f"{where} steps by {usual:.6g} s, but system.time_step={h:g}; if its times are "
+                    f"in {unit}, give data.time_unit={unit}"
+                )
         raise ConfigError(
             f"{where} steps by {usual:.6g} s, but system.time_step={h:g}, which may not be finer "
             f"than the recording; set system.time_step={usual:.3g} or more"
@@ -196,17 +252,17 @@ def _shortest(trajectories: Sequence[Trajectory]) -> Trajectories:
 
 
 def _report(
-    where: str, recordings: Sequence[Recording], unread: Sequence[str],
-    parts: Mapping[str, Sequence[Recording]], h: float,
-) -> Iterator[str]:  # fmt: skip
-    """What was read, what was not, and what was done to the times; a line each."""
+    where: str, table: RecordingTable, parts: Mapping[str, Sequence[Recording]], h: float
+) -> Iterator[str]:
+    """What was read, what was not, and how times were resampled; a line each."""
     used = [r for part in parts.values() for r in part]
     text = ", ".join(f"{len(part)} {name}" for name, part in parts.items())
-    others = Counter(r.part for r in recordings) - Counter(r.part for r in used)
+    others = Counter(r.part for r in table.recordings) - Counter(r.part for r in used)
     hint = ", ".join(f"{count} {part}".rstrip() for part, count in others.items())
     yield f"{where}: {text}" + (f"; not used: {hint}" if hint else "")
-    if unread:
-        yield f"columns that are not read: {few(unread)}"
+    yield from table.notes
+    if table.unread:
+        yield f"columns that are not read: {few(table.unread)}"
     gaps = [np.diff(r.samples.t) for r in used if not _equal(r.samples.t, h)]
     if gaps:
         usual = sorted(float(np.median(g)) for g in gaps)
@@ -216,3 +272,38 @@ def _report(
             f"resampled: {len(gaps)} of {len(used)} trajectories from {rate} s (the longest gap "
             f"{largest:.3g} s) to {h:g} s, by local cubics; inputs averaged over a step"
         )
+
+
+def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[str]:
+    """Signs of wrong units, a line each."""
+    for i, (name, angular) in enumerate(zip(*coordinates, strict=True)):
+        sweeps = np.concatenate([_sweeps(one.q[:, i]) for one in sampled])
+        if angular and len(sweeps) >= SWINGS and np.median(sweeps) > 2 * np.pi:
+            yield (
+                f"q_{name} swings to and fro by {np.median(sweeps):.3g} rad, more than a turn: if "
+                "angles are in degrees, give data.degrees=true"
+            )
+        ratios = [_ratio(one, i) for one in sampled if one.v is not None]
+        ratio = float(np.median(ratios)) if ratios else 1.0
+        if not 0.2 < ratio < 5.0:
+            yield (
+                f"v_{name} is {ratio:.2g} times the slope of q_{name}: check the units of times "
+                "and velocities, or leave velocities out (data.velocities=estimated)"
+            )
+
+
+def _sweeps(x: np.ndarray) -> np.ndarray:
+    """Distances between turning points, those beyond a tenth of the range."""
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(x))) != 0) + 1
+    return sweeps[sweeps > 0.1 * np.ptp(x)] if len(sweeps := np.abs(np.diff(x[turns]))) else sweeps
+
+
+def _ratio(samples: Samples, i: int) -> float:
+    """How far the integral of the measured velocity moves over how far the configuration does."""
+    assert samples.v is not None
+    t, v = samples.t - samples.t[0], samples.v[:, i]
+    moved = np.concatenate([[0.0], np.cumsum(np.diff(t) * (v[1:] + v[:-1]) / 2)])
+    sizes = [
+        float(np.std(x - np.polyval(np.polyfit(t, x, 1), t))) for x in (moved, samples.q[:, i])
+    ]
+    return sizes[0] / sizes[1] if min(sizes) > 0 and math.isfinite(sum(sizes)) else 1.0

@@ -1,4 +1,4 @@
-"""A table of recordings: read, checked, and taken apart into trajectories."""
+"""Tables of recordings: read, checked and divided into trajectories."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet
 
-from symo_exp.data.header import KINDS, OTHERS, few, header, located, readable
+from symo_exp.data.formats import Location, few, readable, shown, table_of
+from symo_exp.data.header import KINDS, OTHERS, UNITS, headers, suggestion
 from symo_exp.data.resample import Samples
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories
@@ -20,37 +20,81 @@ from symo_exp.systems.base import System
 
 
 class Recording(NamedTuple):
-    """One recorded trajectory: its name, its part (``""``: none is given) and its samples."""
+    """One recorded trajectory.
+
+    Attributes:
+        label: Its name.
+        part: The split it belongs to, ``""`` where none is given.
+        samples: What was measured.
+    """
 
     label: str
     part: str
     samples: Samples
 
 
-class Table(NamedTuple):
-    """The trajectories in order of appearance, and the columns that were not read."""
+class RecordingTable(NamedTuple):
+    """The recordings of one or several files, in their order.
+
+    Attributes:
+        recordings: The trajectories.
+        unread: Columns that were not read.
+        notes: What was read differently from how it stands in the files, a line each.
+    """
 
     recordings: tuple[Recording, ...]
     unread: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
-def read(
-    path: str | os.PathLike[str], system: System, columns: Mapping[str, str] | None = None
-) -> Table:
-    """The trajectories of a table, times rising; anything amiss is a ``ConfigError``."""
-    found = header(path, columns)
-    file = located(path)
-    with readable(path):
-        version = file.stat().st_mtime_ns
-    return _read(str(path), file, version, tuple(found), system.coordinates, tuple(system.inputs))
+def read_recordings(
+    path: Location,
+    system: System,
+    columns: Mapping[str, str] | None = None,
+    time_unit: str | None = None,
+) -> RecordingTable:
+    """Return the trajectories of a path, their times rising, in seconds.
+
+    With several files a trajectory is named ``<file>`` or ``<file>/<trajectory>``.
+
+    Args:
+        path: A file, a folder, a glob pattern or a list of them.
+        system: Whose coordinates and inputs are read.
+        columns: A mapping of this project's column names to those of the files.
+        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of the column's name.
+
+    Raises:
+        ConfigError: If a file cannot be read or is not sound.
+    """
+    found = headers(path, columns)
+    tables = []
+    for file, head in found:
+        with readable(path):
+            version = file.stat().st_mtime_ns
+        seconds = head.seconds if time_unit is None else UNITS[time_unit]
+        where = shown(path if len(found) == 1 else file)
+        names = system.coordinates, tuple(system.inputs)
+        one = _read(where, file, version, head.names, seconds, *names)
+        if len(found) > 1:
+            one = one._replace(recordings=tuple(_within(file, one.recordings)))
+        tables.append(one._replace(notes=head.notes))
+    recordings = [recording for one in tables for recording in one.recordings]
+    unread = dict.fromkeys(name for one in tables for name in one.unread)
+    notes = dict.fromkeys(note for one in tables for note in one.notes)
+    return RecordingTable(tuple(recordings), tuple(unread), tuple(notes))
 
 
-@lru_cache(maxsize=4)  # the jobs of a sweep share it
+def _within(file: Path, recordings: Sequence[Recording]) -> Iterator[Recording]:
+    for one in recordings:
+        alone = len(recordings) == 1
+        yield one._replace(label=file.stem if alone else f"{file.stem}/{one.label}")
+
+
+@lru_cache(maxsize=64)  # shared by the jobs of a sweep
 def _read(
-    path: str, file: Path, version: int, found: tuple[str, ...], coordinates: Coordinates,
-    inputs: tuple[str, ...],
-) -> Table:  # fmt: skip
-    where = f"data.path={path}"
+    where: str, file: Path, version: int, found: tuple[str, ...], seconds: float,
+    coordinates: Coordinates, inputs: tuple[str, ...],
+) -> RecordingTable:  # fmt: skip
     wanted = {kind: [f"{kind}_{name}" for name in coordinates.names] for kind in "qv"}
     wanted["u"] = [f"u_{name}" for name in inputs]
     _check_places(where, found, wanted)
@@ -59,30 +103,34 @@ def _read(
             wanted[kind] = []
     numbers = ["t", *wanted["q"], *wanted["v"], *wanted["u"]]
     if missing := [column for column in numbers if column not in found]:
-        raise ConfigError(f"{where}: no column {', '.join(missing)}; it has {few(found)}")
-    with readable(path):
-        if file.suffix == ".csv":
-            table = pd.read_csv(file)
-        else:  # an index that was written along is a column like others
-            table = pyarrow.parquet.read_table(file).to_pandas(ignore_metadata=True)
+        plain = {c: c[2:] for c in missing if c[2:] in found}
+        mend = "'data.columns={" + ", ".join(f"{a}: {b}" for a, b in plain.items()) + "}'"
+        raise ConfigError(
+            f"{where}: no column {', '.join(missing)}; it has {few(found)}"
+            + (f"; map it: {mend if plain else suggestion(found)}" if missing != ["t"] else "")
+        )
+    with readable(file):
+        table = table_of(file)
         table.columns = pd.Index(found)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
+    if seconds != 1.0:
+        table["t"] *= seconds
     columns = Columns(where, wanted, len(inputs))
     known = {*numbers, *OTHERS}
     unread = [c.lstrip(".") for c in found if c not in known and c[:8] != "__index_"]
-    return Table(tuple(columns.apart(table)), tuple(unread))
+    return RecordingTable(tuple(columns.divide(table)), tuple(unread))
 
 
 class Columns(NamedTuple):
-    """Which columns hold what; ``inputs`` is the number of inputs, recorded or not."""
+    """The columns of a table by what they hold; ``inputs`` counts inputs, recorded or not."""
 
     where: str
     wanted: Mapping[str, Sequence[str]]
     inputs: int
 
-    def apart(self, table: pd.DataFrame) -> Iterator[Recording]:
-        """The trajectories of a table that is sound as a whole."""
+    def divide(self, table: pd.DataFrame) -> Iterator[Recording]:
+        """Yield the trajectories of a table."""
         for column in {"trajectory", "split"} & set(table.columns):
             if table[column].isna().any():
                 raise ConfigError(f"{self.where}: rows without a {column}")
@@ -93,7 +141,7 @@ class Columns(NamedTuple):
             parts = list(rows["split"].astype(str).unique()) if "split" in rows else [""]
             if len(parts) > 1:
                 raise ConfigError(
-                    f"{self.where}: trajectory {label} is of the splits {few(parts)}; a "
+                    f"{self.where}: trajectory {label} is in the splits {few(parts)}; a "
                     "trajectory belongs to one of them"
                 )
             rows = rows.iloc[order]
@@ -114,7 +162,7 @@ def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
 
 
 def _check_places(where: str, found: Sequence[str], wanted: Mapping[str, Sequence[str]]) -> None:
-    """Refuse columns that look as if they were to be read and are not."""
+    """Refuse columns that look like a coordinate or an input and are not one of the system's."""
     for column in found:
         kind = column[0] if column[1:2] == "_" else ""
         if kind in KINDS and column not in wanted[kind]:
@@ -140,7 +188,7 @@ def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
 
 
 def _check_times(where: str, t: np.ndarray, order: np.ndarray) -> None:
-    """Rows may be shuffled, but a clock that was set back tells of two recordings."""
+    """Refuse repeated times, and a clock that was set back: that is a second recording."""
     if len(t) < 3:
         raise ConfigError(f"{where} has {len(t)} node(s); a sample needs 3")
     gaps = np.diff(t[order])
@@ -155,13 +203,13 @@ def _check_times(where: str, t: np.ndarray, order: np.ndarray) -> None:
         )
 
 
-def write(
+def write_recordings(
     path: str | os.PathLike[str],
     trajectories: Trajectories,
     coordinates: Coordinates,
     time_step: float,
 ) -> None:
-    """Trajectories as a table that ``read`` takes."""
+    """Write trajectories as a table that ``read_recordings`` takes."""
     count, nodes, _ = trajectories.q.shape
     columns: dict[str, np.ndarray] = {
         "trajectory": np.repeat(np.arange(count), nodes),

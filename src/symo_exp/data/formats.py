@@ -1,0 +1,288 @@
+"""Files of recordings as tables: CSV, Parquet, NumPy, MATLAB and ROS 2 bags."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import os
+import re
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet
+import scipy.io
+
+from symo_exp.errors import ConfigError
+
+TABLES = (".parquet", ".csv", ".npz", ".mat")
+BAGS = (".db3", ".mcap", ".bag")
+TIME = re.compile(
+    r"(?:t|time|timestamp|stamp)(?:_(s|sec|ms|us|ns)| *[\[(](s|sec|ms|us|ns)[\])])?", re.IGNORECASE
+)
+"""Names of a time column, with the unit that they state."""
+UNREADABLE = (
+    OSError, ValueError, TypeError, EOFError, csv.Error, zipfile.BadZipFile, zlib.error,
+    scipy.io.matlab.MatReadError,
+)  # fmt: skip
+"""Errors of a file that is damaged or of another format, those of pandas and Arrow among them."""
+JOINTS = "sensor_msgs/msg/JointState"
+
+Location = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+"""One file, folder or glob pattern, or a list of them."""
+
+
+def shown(path: Location) -> str:
+    """Return ``data.path=...`` as it begins every message about it."""
+    if isinstance(path, str | os.PathLike):
+        return f"data.path={path}"
+    return f"data.path=[{few(list(path))}]"
+
+
+def few(words: Sequence[object]) -> str:
+    """Return the first words in a line, and how many are left."""
+    text = ", ".join(map(str, words[:12]))
+    return f"{text}, and {len(words) - 12} more" if len(words) > 12 else text
+
+
+@contextmanager
+def readable(path: Location) -> Iterator[None]:
+    """Turn errors of reading a file into a ``ConfigError``."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except UNREADABLE as error:
+        reason = getattr(error, "strerror", None) or next(iter(str(error).splitlines()), "")
+        raise ConfigError(f"{shown(path)}: cannot be read ({reason})") from error
+
+
+def files(path: Location) -> list[Path]:
+    """Return the files that a path names, in order.
+
+    Args:
+        path: A file, a folder of tables, a bag, a glob pattern, or a list of these.
+
+    Raises:
+        ConfigError: If nothing is found or a file has an unknown suffix.
+    """
+    if isinstance(path, pd.DataFrame):
+        raise ConfigError(
+            "data.path is a DataFrame: write it with to_parquet('mine.parquet') and give that path"
+        )
+    if not isinstance(path, str | os.PathLike):
+        return [file for one in path for file in files(one)]
+    file = Path(str(path)).expanduser()
+    if is_bag(file):
+        return [file]
+    if file.is_dir():
+        found = sorted(one for one in file.iterdir() if one.suffix in TABLES or is_bag(one))
+        if not found:
+            raise ConfigError(f"{shown(path)}: the folder has no {', '.join(TABLES)} file or bag")
+        return found
+    if not file.exists() and glob.has_magic(str(file)):
+        found = [Path(one) for one in sorted(glob.glob(str(file), recursive=True))]
+        if not found:
+            raise ConfigError(f"{shown(path)}: no file matches")
+        return [one for match in found for one in files(match)]
+    if file.suffix not in TABLES:
+        raise ConfigError(
+            f"{shown(path)}: expected a file that ends in {', '.join(TABLES[:-1])} or {TABLES[-1]},"
+            " a ROS 2 bag, or a folder of these"
+        )
+    return [file]
+
+
+def is_bag(file: Path) -> bool:
+    """Whether a path is a ROS bag: a file of one, or a folder with its metadata."""
+    return file.suffix in BAGS or (file / "metadata.yaml").is_file()
+
+
+def columns_of(file: Path) -> list[str]:
+    """Return the names of a file's columns without reading all of its rows."""
+    if file.suffix == ".csv":
+        return Dialect.of(file).header(file)
+    if file.suffix == ".parquet":
+        return [str(name) for name in pyarrow.parquet.read_schema(file).names]
+    return [str(name) for name in table_of(file).columns]
+
+
+def table_of(file: Path) -> pd.DataFrame:
+    """Return all rows of a file; the columns are those of ``columns_of``."""
+    if file.suffix == ".csv":
+        return Dialect.of(file).read(file)
+    if file.suffix == ".parquet":  # an index that was written along is a column like others
+        return pyarrow.parquet.read_table(file).to_pandas(ignore_metadata=True)
+    if file.suffix == ".npz":
+        with np.load(file, allow_pickle=False) as arrays:
+            return from_arrays({name: arrays[name] for name in arrays.files})
+    if file.suffix == ".mat":
+        return from_arrays(_matlab(file))
+    return _bag(file)
+
+
+class Dialect(NamedTuple):
+    """How a text file separates its columns and writes its decimals."""
+
+    separator: str
+    decimal: str
+
+    @classmethod
+    def of(cls, file: Path) -> Dialect:
+        """Infer the dialect from the first lines of a file."""
+        with file.open(encoding="utf-8-sig", newline="") as text:
+            first, *others = [text.readline() for _ in range(20)]
+        counts = Counter({sign: first.count(sign) for sign in (",", ";", "\t")})
+        separator, count = counts.most_common(1)[0]
+        if count == 0 and len(first.split()) > 1:
+            separator = " "
+        cells = [cell for line in others for cell in line.strip().split(separator)]
+        comma = separator != "," and any(re.fullmatch(r"\s*[-+]?\d*,\d+\D*\d*", c) for c in cells)
+        return cls(separator, "," if comma else ".")
+
+    def header(self, file: Path) -> list[str]:
+        """Return the names in the first line."""
+        with file.open(encoding="utf-8-sig", newline="") as text:
+            if self.separator == " ":
+                return text.readline().split()
+            return [name.strip() for name in next(csv.reader(text, delimiter=self.separator), [])]
+
+    def read(self, file: Path) -> pd.DataFrame:
+        """Return the table."""
+        if self == Dialect(",", "."):
+            return pd.read_csv(file)
+        separator = r"\s+" if self.separator == " " else self.separator
+        return pd.read_csv(file, sep=separator, decimal=self.decimal)
+
+    @property
+    def note(self) -> str | None:
+        """What differs from a plain CSV file, in a line for the log."""
+        names = {";": "semicolons", "\t": "tabs", " ": "blanks"}
+        if self.separator not in names:
+            return None
+        decimal = " and decimal commas" if self.decimal == "," else ""
+        return f"read with {names[self.separator]} between columns{decimal}"
+
+
+def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
+    """Return named arrays as a table.
+
+    An array (T,) is a column; (T, k) is k columns ``<name>_0``, ...; (N, T, k) is N trajectories.
+    Arrays of other lengths, and those that hold no numbers, are left out. T is the length of the
+    array of times, which is named ``t`` or ``time``, perhaps with its unit.
+
+    Raises:
+        ConfigError: If there is no array of times.
+    """
+    found = {name: np.asarray(x) for name, x in arrays.items()}
+    found = {name: x for name, x in found.items() if x.dtype.kind in "biufUS" and x.size > 1}
+    times = [name for name in found if TIME.fullmatch(name)]
+    if not times:
+        raise ConfigError(
+            f"there is no array of times named t among {few(sorted(arrays)) or 'none'}: save t, q "
+            "and u as arrays with a row for each sample"
+        )
+    nodes = max(found[times[0]].shape)
+    count = max((len(x) for x in found.values() if x.ndim == 3 and x.shape[1] == nodes), default=0)
+    columns: dict[str, np.ndarray] = {}
+    if count:
+        columns["trajectory"] = np.repeat(np.arange(count), nodes)
+    for name, x in found.items():
+        rows = _rows(x, count, nodes)
+        if rows is None:
+            continue
+        many = rows.shape[1] > 1 or x.ndim == 3 or name in ("q", "v", "u")
+        for i, column in enumerate(rows.T):
+            columns[f"{name}_{i}" if many else name] = column
+    return pd.DataFrame(columns)
+
+
+def _rows(x: np.ndarray, count: int, nodes: int) -> np.ndarray | None:
+    """An array as (rows, columns) of the table, ``None`` where it does not fit."""
+    if count:
+        if x.ndim == 3 and x.shape[:2] == (count, nodes):
+            return x.reshape(count * nodes, -1)
+        if x.shape == (count, nodes):
+            return x.reshape(-1, 1)
+        if x.size == nodes:
+            return np.tile(x.reshape(-1), count)[:, None]
+        return np.repeat(x.reshape(-1), nodes)[:, None] if x.size == count else None
+    if x.size == nodes:
+        return x.reshape(-1, 1)
+    if x.ndim == 2 and nodes in x.shape:
+        return x if len(x) == nodes else x.T
+    return None
+
+
+def _matlab(file: Path) -> dict[str, Any]:
+    """Variables of a MATLAB file; those in structures by their own names."""
+    try:
+        found = scipy.io.loadmat(file, simplify_cells=True)
+    except NotImplementedError:
+        raise ConfigError(
+            f"data.path={file}: MATLAB 7.3 files are not read; save with save('{file.name}', '-v7')"
+        ) from None
+    flat: dict[str, Any] = {}
+
+    def add(values: Mapping[str, Any]) -> None:
+        for name, value in values.items():
+            if isinstance(value, Mapping):
+                add(value)
+            elif not name.startswith("__"):
+                flat[name] = value
+
+    add(found)
+    return flat
+
+
+def _bag(file: Path) -> pd.DataFrame:
+    """The joint states of a ROS bag: position as ``q_``, velocity ``v_``, effort ``u_``."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise ConfigError(
+            f"data.path={file}: reading a ROS bag needs rosbags, which is not installed: "
+            "pip install 'symo_exp[ros]'"
+        ) from error
+    folder = file.parent if (file.parent / "metadata.yaml").is_file() and file.is_file() else file
+    try:
+        with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            topics = {c.topic: c.msgtype for c in reader.connections}
+            joints = [c for c in reader.connections if c.msgtype == JOINTS]
+            if len({c.topic for c in joints}) != 1:
+                there = few(sorted(topics)) or "none"
+                raise ConfigError(
+                    f"data.path={file}: expected one topic of {JOINTS}; it has {there}; "
+                    "save the signals as a table of columns t, q_<name>, u_<name>"
+                )
+            messages = [
+                reader.deserialize(raw, c.msgtype)
+                for c, _, raw in reader.messages(connections=joints)
+            ]
+    except ConfigError:
+        raise
+    except Exception as error:  # the library has many
+        reason = " ".join(str(error).split())[:200]
+        raise ConfigError(f"data.path={file}: cannot be read as a ROS bag ({reason})") from error
+    return _joint_states(file, messages)
+
+
+def _joint_states(file: Path, messages: Sequence[Any]) -> pd.DataFrame:
+    if not messages:
+        raise ConfigError(f"data.path={file}: the bag has no joint states")
+    joints = list(messages[0].name)
+    whole = [message for message in messages if list(message.name) == joints]
+    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in whole])
+    columns: dict[str, np.ndarray] = {"t": (stamps - stamps[0]) * 1e-9}
+    for kind, field in (("q", "position"), ("v", "velocity"), ("u", "effort")):
+        if all(len(getattr(message, field)) == len(joints) for message in whole):
+            values = np.array([getattr(message, field) for message in whole])
+            columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(joints)}
+    return pd.DataFrame(columns)

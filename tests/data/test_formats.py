@@ -1,0 +1,246 @@
+"""One motion in files of every kind and with every habit is the same motion."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+import torch
+
+from symo_exp.data.formats import from_arrays
+from symo_exp.data.header import header, names
+from symo_exp.data.recorded import RecordedData
+from symo_exp.errors import ConfigError
+from symo_exp.systems.recorded import Recorded
+
+H = 0.02
+SECONDS = 30.0
+
+
+def motion(seconds: float = SECONDS) -> pd.DataFrame:
+    t = H / 2 * np.arange(round(2 * seconds / H))
+    return pd.DataFrame({"t": t, "q_0": np.sin(2 * t) + 0.3 * np.sin(t), "u_0": np.cos(3 * t)})
+
+
+def load(path: object, *, columns: object = None, **settings: object) -> RecordedData:
+    found = header(path, columns)
+    system = Recorded(time_step=H, names=names("q", found), inputs=names("u", found), angular="all")
+    data = RecordedData(system=system, path=path, columns=columns, dtype="float64", **settings)
+    data.setup()
+    return data
+
+
+def csv(name: str, change: Callable[[pd.DataFrame], pd.DataFrame] = lambda t: t, **options):
+    def write(folder: Path) -> object:
+        change(motion()).to_csv(folder / name, index=False, **options)
+        return folder / name
+
+    return write
+
+
+def arrays(folder: Path, name: str, **changes: np.ndarray) -> Path:
+    t = motion()
+    found = {"t": t.t.to_numpy(), "q": t[["q_0"]].to_numpy(), "u": t.u_0.to_numpy(), "rate": 100.0}
+    found |= changes
+    if name.endswith(".npz"):
+        np.savez(folder / name, **found)
+    else:
+        scipy.io.savemat(folder / name, found)
+    return folder / name
+
+
+def several(folder: Path, suffix: str = "csv") -> Path:
+    """Three pieces of the motion, a file each."""
+    (folder / "logs").mkdir()
+    for k, piece in enumerate(np.array_split(np.arange(len(motion())), 3)):
+        getattr(motion().iloc[piece], f"to_{suffix}")(folder / f"logs/{k}.{suffix}", index=False)
+    return folder / "logs"
+
+
+WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
+    "semicolons": (csv("x.csv", sep=";"), {}),
+    "decimal commas": (csv("x.csv", sep=";", decimal=","), {}),
+    "tabs": (csv("x.csv", sep="\t"), {}),
+    "blanks": (csv("x.csv", sep=" "), {}),
+    "time": (csv("x.csv", lambda t: t.rename(columns={"t": "Time [s]"})), {}),
+    "a unit in the name": (
+        csv("x.csv", lambda t: t.assign(t=1e3 * t.t).rename(columns={"t": "time_ms"})),
+        {},
+    ),
+    "a unit that is given": (csv("x.csv", lambda t: t.assign(t=1e6 * t.t)), {"time_unit": "us"}),
+    "degrees": (csv("x.csv", lambda t: t.assign(q_0=np.degrees(t.q_0))), {"degrees": True}),
+    "npz": (lambda folder: arrays(folder, "x.npz"), {}),
+    "mat": (lambda folder: arrays(folder, "x.mat"), {}),
+    "rows of MATLAB": (lambda folder: arrays(folder, "x.mat", q=motion().q_0.to_numpy()), {}),
+    "a structure": (
+        lambda folder: arrays(folder, "x.mat", log={"q": motion().q_0.to_numpy()}, q=0.0),
+        {},
+    ),
+    "other names": (
+        csv("x.csv", lambda t: t.rename(columns={"q_0": "angle"})),
+        {"columns": {"q_0": "angle"}},
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_the_motion_is_the_same_however_it_is_written(kind: str, tmp_path: Path) -> None:
+    motion().to_parquet(tmp_path / "plain.parquet", index=False)
+    writer, settings = WRITERS[kind]
+    expected, found = load(tmp_path / "plain.parquet"), load(writer(tmp_path), **settings)
+    for a, b in zip(found.train, expected.train, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-7)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_several_files_are_a_trajectory_each(suffix: str, tmp_path: Path) -> None:
+    folder = several(tmp_path, suffix)
+    ways = [folder, f"{folder}/*.{suffix}", [folder / f"{k}.{suffix}" for k in range(3)]]
+    all_of_them = [load(path) for path in ways]
+    for data in all_of_them:
+        assert data.counts["train"] == data.counts["val"] == data.counts["test"] == 1
+        assert torch.equal(data.test.q, all_of_them[0].test.q)
+    chosen = load(folder, test=["0"], val=["1"])
+    assert chosen.trajectories("test")[0].q[0].item() < all_of_them[0].test.q[0, 0]
+
+
+def test_files_with_other_columns_are_refused(tmp_path: Path) -> None:
+    folder = several(tmp_path)
+    motion().rename(columns={"u_0": "u_1"}).to_csv(folder / "1.csv", index=False)
+    with pytest.raises(ConfigError, match=r"1.csv has the columns q_0, u_1, but 0.csv has q_0"):
+        load(folder)
+
+
+@pytest.mark.parametrize("seconds", [1.5, 10.0, 70.0, 400.0])
+def test_a_long_log_is_split_in_time(seconds: float, tmp_path: Path, caplog) -> None:
+    """In parts of 60, 20 and 20 %, which do not touch."""
+    motion(seconds).to_csv(tmp_path / "log.csv", index=False)
+    with caplog.at_level(logging.INFO):
+        data = load(tmp_path / "log.csv")
+    nodes = {part: data.trajectories(part) for part in ("train", "val", "test")}
+    shares = {part: sum(len(t.q) for t in found) * H / seconds for part, found in nodes.items()}
+    assert shares == pytest.approx({"train": 0.6, "val": 0.2, "test": 0.2}, abs=0.1)
+    assert 0.85 < sum(shares.values()) < 1.0
+    rows = [tuple(row.tolist()) for found in nodes.values() for t in found for row in t.q]
+    assert len(set(rows)) == len(rows)
+    assert any("split in time" in record.getMessage() for record in caplog.records)
+
+
+@pytest.mark.parametrize("settings", [{"n_val": 1}, {"val": [""], "test": [""]}])
+def test_a_log_is_not_split_where_parts_are_given(settings: dict, tmp_path: Path) -> None:
+    motion().to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(ConfigError):
+        load(tmp_path / "log.csv", **settings)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda t: t.rename(columns={"t": "time", "q_0": "theta", "u_0": "torque"}),
+            "'data.columns={t: time, q_theta: theta, u_torque: torque}'",
+        ),
+        (
+            lambda t: t.rename(columns={"q_0": "q1", "u_0": "tau1"}).assign(dq1=0.0),
+            "'data.columns={q_1: q1, v_1: dq1, u_tau1: tau1}'",
+        ),
+        (
+            lambda t: t.rename(columns={"q_0": "arm_pos"}).assign(arm_vel=0.0),
+            "'data.columns={q_arm: arm_pos, v_arm: arm_vel}'",
+        ),
+        (lambda t: t.assign(t=1e3 * t.t), "give data.time_unit=ms"),
+        (lambda t: t.assign(t=1e9 * t.t), "give data.time_unit=ns"),
+        (
+            lambda t: t.assign(q_0=(200 * t.t) % 360),
+            "data.degrees=true data.wrapped=true",
+        ),
+    ],
+)
+def test_a_mistake_in_a_table_is_answered_by_the_setting_that_mends_it(
+    change, said: str, tmp_path: Path
+) -> None:
+    change(motion()).to_csv(tmp_path / "x.csv", index=False)
+    with pytest.raises(ConfigError) as error:
+        load(tmp_path / "x.csv")
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t.assign(q_0=np.degrees(t.q_0)), "data.degrees=true"),
+        (lambda t: t.assign(v_0=1e-3 * np.gradient(t.q_0, t.t)), "v_0 is 0.001 times the slope"),
+        (lambda t: t.assign(v_0=np.gradient(t.q_0, t.t)), None),
+        (lambda t: t.assign(q_0=t.q_0 + 9 * t.t), None),
+    ],
+)
+def test_doubtful_units_are_noted(change, said: str | None, tmp_path: Path, caplog) -> None:
+    change(motion()).to_csv(tmp_path / "x.csv", index=False)
+    with caplog.at_level(logging.INFO):
+        load(tmp_path / "x.csv")
+    told = [r.getMessage() for r in caplog.records if "if angles are in" in r.getMessage()]
+    told += [r.getMessage() for r in caplog.records if "times the slope" in r.getMessage()]
+    assert [said in line for line in told] == [True] if said else not told
+
+
+def test_arrays_of_many_trajectories() -> None:
+    q = np.arange(24.0).reshape(2, 4, 3)
+    found = from_arrays({"t": np.arange(4.0), "q": q, "mass": np.array([1.0, 2.0]), "note": "x"})
+    assert list(found) == ["trajectory", "t", "q_0", "q_1", "q_2", "mass"]
+    np.testing.assert_array_equal(found[["q_0", "q_1", "q_2"]], q.reshape(8, 3))
+    assert found.trajectory.tolist() == [0] * 4 + [1] * 4
+    with pytest.raises(ConfigError, match="no array of times"):
+        from_arrays({"q": q})
+
+
+def test_a_ros_bag(tmp_path: Path) -> None:
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    joint, head, time = (
+        types.types[name]
+        for name in (
+            "sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time",
+        )
+    )  # fmt: skip
+    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
+        topic = writer.add_connection("/joints", joint.__msgtype__, typestore=types)
+        for row in motion().itertuples():
+            stamp = int(1.7e18) + round(row.t * 1e9)
+            message = joint(
+                head(time(stamp // 10**9, stamp % 10**9), "base"), ["0"],
+                np.array([row.q_0]), np.array([]), np.array([row.u_0]),
+            )  # fmt: skip
+            writer.write(topic, stamp, types.serialize_cdr(message, joint.__msgtype__))
+    motion().to_parquet(tmp_path / "plain.parquet", index=False)
+    expected, found = load(tmp_path / "plain.parquet"), load(tmp_path / "bag")
+    torch.testing.assert_close(found.train.q, expected.train.q, rtol=1e-9, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("folder", None, "the folder has no"),
+        ("x*.csv", b"", "no file matches"),
+        ("x.txt", b"", "expected a file that ends in"),
+        ("x.npz", b"nonsense", "cannot be read"),
+        ("x.mat", b"nonsense", "cannot be read"),
+        ("x.db3", b"nonsense", "ROS bag"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(name, content, message, tmp_path: Path) -> None:
+    if content is None:
+        (tmp_path / name).mkdir()
+    elif "*" not in name:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(ConfigError, match=message) as error:
+        load(tmp_path / name)
+    assert "\n" not in str(error.value)
+    with pytest.raises(ConfigError, match="to_parquet"):
+        load(motion())
