@@ -48,7 +48,8 @@ RULES = {
         {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
     ),
     "use": (
-        {"mechanics", "models", "compile", "runs", "tracking", "sweep"}, {"torch", "pandas", "PIL"},
+        {"mechanics", "systems", "nets", "models", "compile", "runs", "tracking", "sweep"},
+        {"torch", "pandas", "PIL"},
     ),
 }  # fmt: skip
 

@@ -1,6 +1,6 @@
 """Known equations with learnable constants: the given system to begin with, differentiable."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import pytest
@@ -101,7 +101,8 @@ def test_a_fixed_constant_is_no_parameter():
 
 def test_friction_only_takes_energy():
     torch.manual_seed(4)
-    friction = KnownFriction(viscous=(0.3, 0.0), coulomb=(0.0, 0.2), rest_velocity=0.1).double()
+    system = replace(SYSTEMS["cartpole"], viscous=(0.3, 0.0), coulomb=(0.0, 0.2))
+    friction = KnownFriction(system=system).double()
     with torch.no_grad():
         friction.logarithms.add_(torch.randn(2))
     q, v = torch.randn(2, 64, 2, dtype=torch.float64).unbind()

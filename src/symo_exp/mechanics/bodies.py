@@ -45,6 +45,23 @@ class Joint(NamedTuple):
     limits: tuple[float, float] | None = None
 
 
+def link(
+    name: str,
+    mass: float,
+    centre: Vector = (0.0, 0.0, 0.0),
+    moments: Vector = (0.0, 0.0, 0.0),
+    *,
+    anchor: Vector = (0.0, 0.0, 0.0),
+    axis: Vector = (0.0, -1.0, 0.0),
+    parent: int = -1,
+    slides: bool = False,
+) -> Joint:
+    """Return a joint whose coordinate is zero at the reference, with a body on principal axes."""
+    a, b, c = moments
+    inertia = (a, 0.0, 0.0), (0.0, b, 0.0), (0.0, 0.0, c)
+    return Joint(name, slides, parent, axis, anchor, 0.0, mass, centre, inertia)
+
+
 class Hull(NamedTuple):
     """A box that a fluid drags at: the joint that moves it, and its middle, axes and sides."""
 

@@ -111,6 +111,16 @@ class LearnedDissipation(nn.Module, Dissipation):
         found = -(matvec(turned, y) + matvec(factor[:, None], vecmat(x, turned))).mT
         return found[..., :n], by_v + found[..., n:] - factor @ factor.mT
 
+    def coefficients(self) -> tuple[Tensor | None, tuple[Tensor, Tensor] | None]:
+        """Return ``D`` (n, n), and ``c`` with ``ε_v`` (n), of joint velocities, where they are."""
+        matrix = dry = None
+        if self.viscous is not None:
+            unit, d = (x[0] for x in self._factors(self.viscous.unsqueeze(0)))
+            matrix = unit * d @ unit.mT
+        if self.coulomb is not None and self.rest is not None:
+            dry = self._dry(self.coulomb, self.rest)
+        return matrix, dry
+
     def _factors(self, viscous: Tensor) -> tuple[Tensor, Tensor]:
         """``U`` and ``d``."""
         square = self._triangle.square(viscous)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import torch
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Gradients, Lagrangian, Rates, matvec
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import by_sample, rows
 from symo_exp.nets.roles import mark
 
@@ -51,9 +53,12 @@ class KnownLagrangian(nn.Module, Lagrangian):
     Args:
         system: The system; its ``constants`` are the values to start from.
         fixed: Names of constants that keep their values.
+        coordinates: Coordinates of the system.
     """
 
-    def __init__(self, *, system: Any, fixed: Sequence[str] = ()) -> None:
+    def __init__(
+        self, *, system: Any, fixed: Sequence[str] = (), coordinates: Coordinates | None = None
+    ) -> None:
         super().__init__()
         known: Mapping[str, KnownConstant] | None = getattr(system, "constants", None)
         if known is None:
@@ -182,22 +187,22 @@ class KnownFriction(nn.Module, Dissipation):
     that are zero to begin with stay so.
 
     Args:
-        viscous: ``d₀`` [N m s], one for each coordinate.
-        coulomb: ``c₀`` [N m], likewise.
-        rest_velocity: ``ε_v`` [rad/s].
-        drag: Dissipation that joins and is not learned.
+        system: The system; its coefficients are the values to start from.
+        coordinates: Coordinates of the system.
     """
 
-    def __init__(
-        self,
-        *,
-        viscous: Sequence[float],
-        coulomb: Sequence[float],
-        rest_velocity: float,
-        drag: Dissipation | None = None,
-    ) -> None:
+    def __init__(self, *, system: Any, coordinates: Coordinates | None = None) -> None:
         super().__init__()
-        self.rest_velocity, self.drag = rest_velocity, drag
+        n = system.coordinates.n
+        none = (0.0,) * n
+        if not hasattr(system, "viscous"):
+            raise ConfigError(
+                f"dissipation=known: {type(system).__name__} has no known friction; choose another "
+                "dissipation"
+            )
+        viscous, coulomb = system.viscous or none, system.coulomb or none
+        self.rest_velocity: float = system.rest_velocity
+        self.drag: Dissipation | None = replace(system, viscous=none, coulomb=none).dissipation
         given = torch.tensor([*viscous, *coulomb], dtype=torch.float64)
         self.given: Tensor
         self.register_buffer("given", given.to(torch.get_default_dtype()), persistent=False)

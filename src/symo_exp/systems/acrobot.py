@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import LagrangianSystem, Skeleton
+from symo_exp.systems.base import LagrangianSystem, Linkage, Skeleton
 
 
 @final
@@ -55,6 +56,20 @@ class Acrobot(LagrangianSystem):
         shoulder = self.mass_1 * self.centre_1 + self.mass_2 * self.length_1
         elbow = self.mass_2 * self.centre_2
         return -self.gravity * (shoulder * q[:, 0].cos() + elbow * q.sum(-1).cos())
+
+    @property
+    def linkage(self) -> Linkage:
+        far, near, next_ = (float(x) for x in (self.length_1, self.centre_1, self.centre_2))
+        first = link("theta_1", float(self.mass_1), (0.0, 0.0, -near), (float(self.inertia_1),) * 3)
+        second = link(
+            "theta_2",
+            float(self.mass_2),
+            (0.0, 0.0, -far - next_),
+            (float(self.inertia_2),) * 3,
+            anchor=(0.0, 0.0, -far),
+            parent=0,
+        )
+        return Linkage((first, second), (0.0, 0.0, -float(self.gravity)), torch.eye(2).double())
 
     def skeleton(self, q: Float[Tensor, " 2"]) -> Skeleton:
         first, second = q[0], q[0] + q[1]

@@ -19,6 +19,7 @@ from torch import Tensor
 from typing_extensions import Self
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.bodies import Joint
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian, Friction
 from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
@@ -56,6 +57,20 @@ class Constant(NamedTuple):
     value: Tensor
     unit: str
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Linkage(NamedTuple):
+    """A system as rigid bodies on joints.
+
+    Attributes:
+        joints: The joints with what they carry.
+        gravity: Acceleration of gravity [m/s^2] in the axes of the joints.
+        matrix: ``A`` in the joint coordinates ``A q``.
+    """
+
+    joints: Sequence[Joint]
+    gravity: tuple[float, float, float]
+    matrix: Float[Tensor, "n n"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +191,11 @@ class LagrangianSystem(System, Lagrangian):
         given = {"viscous": self.viscous, "coulomb": self.coulomb}
         found: dict[str, object] = {name: list(x) for name, x in given.items() if x and any(x)}
         return found | ({"rest_velocity": self.rest_velocity} if "coulomb" in found else {})
+
+    @property
+    def linkage(self) -> Linkage | None:
+        """Its rigid bodies, where it is described by them."""
+        return None
 
     @property
     def constants(self) -> Mapping[str, Constant]:

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import LagrangianSystem, Skeleton
+from symo_exp.systems.base import LagrangianSystem, Linkage, Skeleton
 
 
 @final
@@ -42,6 +43,16 @@ class Cartpole(LagrangianSystem):
 
     def potential(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, " batch"]:
         return self.mass_pole * self.gravity * self.half_length * q[:, 1].cos()
+
+    @property
+    def linkage(self) -> Linkage:
+        mass, half = float(self.mass_pole), float(self.half_length)
+        inertia = mass * half**2 / 3
+        cart = link("x", float(self.mass_cart), axis=(1.0, 0.0, 0.0), slides=True)
+        pole = link(
+            "theta", mass, (0.0, 0.0, half), (inertia, inertia, 0.0), axis=(0.0, 1.0, 0.0), parent=0
+        )
+        return Linkage((cart, pole), (0.0, 0.0, -float(self.gravity)), torch.eye(2).double())
 
     def skeleton(self, q: Float[Tensor, " 2"]) -> Skeleton:
         cart = torch.stack([q[0], torch.zeros_like(q[0])])

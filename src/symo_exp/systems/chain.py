@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import LagrangianSystem, Skeleton
+from symo_exp.systems.base import LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import SamplingBox, completed
 from symo_exp.systems.checks import whole
 
@@ -67,6 +68,23 @@ class ChainPendulum(LagrangianSystem):
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         weight = self._carried.diagonal().to(q) * self.gravity * self.length
         return -(weight * q.cos()).sum(-1)
+
+    @property
+    def linkage(self) -> Linkage:
+        """In angles between neighbours, ``θᵢ − θᵢ₋₁``."""
+        mass, length = float(self.mass), float(self.length)
+        links = tuple(
+            link(
+                f"joint_{i + 1}",
+                mass,
+                (0.0, 0.0, -length * (i + 1)),
+                anchor=(0.0, 0.0, -length * i),
+                parent=i - 1,
+            )
+            for i in range(self.links)
+        )
+        apart = torch.eye(self.links) - torch.diag(torch.ones(self.links - 1), -1)
+        return Linkage(links, (0.0, 0.0, -float(self.gravity)), apart.double())
 
     def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton:
         rods = self.length * torch.stack([q.sin(), -q.cos()], -1)

@@ -26,7 +26,7 @@ from symo_exp.mechanics.bodies import (
 )
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import Constant, LagrangianSystem, Skeleton
+from symo_exp.systems.base import Constant, LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import Range, SamplingBox, completed
 from symo_exp.systems.checks import one_of
 from symo_exp.systems.scene import scene
@@ -110,6 +110,17 @@ class Multibody(LagrangianSystem):
         names = ("mass", "centre", "inertia", "armature", "stiffness", "rest")
         gravity = torch.tensor(self.mechanism["gravity"], dtype=torch.float64)
         return (*(column(self.joints, name) for name in names), gravity)
+
+    @property
+    def linkage(self) -> Linkage:
+        names = ("mass", "centre", "inertia", "armature", "stiffness")
+        rows = zip(*(x.tolist() for x in self._numbers[:5]), strict=True)
+        joints = tuple(
+            joint._replace(**dict(zip(names, row, strict=True)))
+            for joint, row in zip(self.joints, rows, strict=True)
+        )
+        x, y, z = self._numbers[6].tolist()
+        return Linkage(joints, (x, y, z), torch.eye(len(joints)).double())
 
     @property
     def constants(self) -> Mapping[str, Constant]:

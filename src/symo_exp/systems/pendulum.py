@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import LagrangianSystem, Skeleton
+from symo_exp.systems.base import LagrangianSystem, Linkage, Skeleton
 
 
 @final
@@ -35,6 +36,13 @@ class Pendulum(LagrangianSystem):
 
     def potential(self, q: Float[Tensor, "batch 1"]) -> Float[Tensor, " batch"]:
         return 0.5 * self.mass * self.gravity * self.length * (1 + q[:, 0].cos())
+
+    @property
+    def linkage(self) -> Linkage:
+        mass, length = float(self.mass), float(self.length)
+        inertia = mass * length**2 / 12
+        rod = link("theta", mass, (0.0, 0.0, length / 2), (inertia, inertia, 0.0))
+        return Linkage((rod,), (0.0, 0.0, -float(self.gravity)), torch.eye(1).double())
 
     def skeleton(self, q: Float[Tensor, " 1"]) -> Skeleton:
         tip = self.length * torch.stack([-q[0].sin(), q[0].cos()])

@@ -18,6 +18,7 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
 from symo_exp.tracking.load import load
+from symo_exp.use.mjcf import write_bodies
 
 ARGUMENTS = ("q", "v", "u", "u_next")
 RESULTS = ("q_next", "v_next", "converged")
@@ -57,13 +58,18 @@ def export(
     model, the batch of any size; ``converged`` is (batch,). The control goes linearly from ``u`` to
     ``u_next``. A variational step takes so many ``iterations`` of Newton's method.
 
+    ``*.xml`` is the model itself as MJCF, ``*.urdf`` as URDF, where it consists of rigid bodies
+    (``symo_exp.use.mjcf.write_bodies``).
+
     ``run`` is a model, a run, its folder or the id of an MLflow run. ``*.pt2`` is read by
     ``torch.export.load(path).module()``, ``*.onnx`` by any ONNX runtime.
     """
     model = run if isinstance(run, DynamicsModel) else load(os.fspath(run))
     path = Path(path)
+    if path.suffix in (".xml", ".urdf"):
+        return write_bodies(model, path)
     if path.suffix not in (".pt2", ".onnx"):
-        raise ConfigError(f"{path}: expected a name that ends in .pt2 or .onnx")
+        raise ConfigError(f"{path}: expected a name that ends in .pt2, .onnx, .xml or .urdf")
     if iterations < 1:
         raise ConfigError(f"iterations={iterations}: expected a whole number of at least 1")
     if path.suffix == ".onnx" and (missing := [x for x in ONNX if not importlib.util.find_spec(x)]):

@@ -1,0 +1,213 @@
+"""Learned rigid bodies written back into a model file."""
+
+from __future__ import annotations
+
+import logging
+from functools import singledispatch
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from symo_exp.errors import ConfigError
+from symo_exp.files import write_whole
+from symo_exp.mechanics.bodies import Joint, of_pseudo_inertia
+from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
+from symo_exp.models.base import DynamicsModel
+from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.systems.base import LagrangianSystem, Linkage
+from symo_exp.systems.mjcf import mjcf, urdf
+
+log = logging.getLogger(__name__)
+
+Coupled = list[tuple[float, list[float]]]
+"""Coefficients and the directions in joint coordinates that they act along."""
+
+
+def write_bodies(model: DynamicsModel, path: Path) -> Path:
+    """Write the rigid bodies of a model as MJCF (``.xml``) or URDF (``.urdf``).
+
+    What the file cannot hold is named in a comment at its head and in a line of the log.
+
+    Raises:
+        ConfigError: If the model does not consist of rigid bodies.
+    """
+    model = model.for_evaluation()
+    lagrangian: Any = model.lagrangian
+    dissipation: Any = None
+    if isinstance(lagrangian, DissipativeLagrangian):
+        lagrangian, dissipation = lagrangian.conservative, lagrangian.dissipation
+    found = linkage(lagrangian, model.coordinates.names)
+    inverse = torch.linalg.inv(found.matrix)
+    damping, friction, missing = passive(dissipation, found.matrix.shape[0])
+    damping = inverse.T @ damping @ inverse
+    along: Coupled = [(c, _tidy(torch.tensor(a).double() @ inverse)) for c, a in friction]
+    if not torch.equal(found.matrix, torch.eye(len(inverse)).double()):
+        missing.append("joint coordinates are A q with A = " + str(found.matrix.tolist()))
+    if path.suffix == ".urdf":
+        missing += _beyond_urdf(found, damping, along)
+    mechanism = {
+        "joints": [
+            joint._replace(damping=float(damping[i, i]))._asdict()
+            for i, joint in enumerate(_with_friction(found.joints, along))
+        ],
+        "gravity": list(found.gravity),
+        "inputs": _inputs(model, inverse),
+    }
+    for line in missing:
+        log.warning("%s: %s", path.name, line)
+    if path.suffix == ".urdf":
+        text = urdf(mechanism, name=path.stem, comments=missing)
+    else:
+        text = mjcf(
+            mechanism,
+            name=path.stem,
+            damping=damping.tolist(),
+            friction=along,
+            comments=missing,
+        )
+    write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
+    return path
+
+
+@singledispatch
+def linkage(lagrangian: Any, names: tuple[str, ...]) -> Linkage:
+    """Return the rigid bodies of a Lagrangian; refuse one that has none."""
+    raise ConfigError(
+        f"{type(lagrangian).__name__} does not consist of rigid bodies, which is what .xml and "
+        ".urdf hold; learn with lagrangian=rigid or lagrangian=known, or write .pt2"
+    )
+
+
+@linkage.register
+def _(lagrangian: RigidChain, names: tuple[str, ...]) -> Linkage:
+    joints, at = [], torch.zeros(3, dtype=torch.float64)
+    axes, places = (x.double().view(-1, 3) for x in (lagrangian.axes, lagrangian.places))
+    moments = torch.cat(
+        (lagrangian.moments.view(-1, 10), lagrangian.moments.new_zeros(len(axes), 1)), 1
+    )
+    factors = moments.double()[:, lagrangian.place]
+    for i, name in enumerate(names):
+        at = at + places[i]
+        mass, centre, inertia = of_pseudo_inertia(factors[i] @ factors[i].T)
+        joints.append(
+            Joint(
+                name=name,
+                slides=not bool(lagrangian.turns[i]),
+                parent=i - 1,
+                axis=_three(axes[i] / axes[i].norm()),
+                anchor=_three(at),
+                reference=0.0,
+                mass=float(mass),
+                centre=_three(at + centre),
+                inertia=tuple(map(_three, inertia)),  # type: ignore[arg-type]
+                armature=float(lagrangian.rotors[i].square()),
+            )
+        )
+    return Linkage(joints, _three(lagrangian.gravity), torch.eye(len(names)).double())
+
+
+@linkage.register
+def _(lagrangian: KnownLagrangian, names: tuple[str, ...]) -> Linkage:
+    twin = lagrangian.system.with_constants(lagrangian.constants())
+    found: Linkage | None = twin.linkage
+    if found is None:
+        raise ConfigError(
+            f"{type(lagrangian.system).__name__} is not described by rigid bodies: give it a "
+            "`linkage`"
+        )
+    return found
+
+
+@linkage.register
+def _(lagrangian: LagrangianSystem, names: tuple[str, ...]) -> Linkage:
+    if lagrangian.linkage is None:
+        raise ConfigError(f"{type(lagrangian).__name__} is not described by rigid bodies")
+    return lagrangian.linkage
+
+
+@singledispatch
+def passive(dissipation: Any, n: int) -> tuple[Tensor, Coupled, list[str]]:
+    """Return viscous friction, dry friction with its directions, and what no file can hold."""
+    missing = [] if dissipation is None else [f"{type(dissipation).__name__} is not in this file"]
+    return torch.zeros(n, n).double(), [], missing
+
+
+@passive.register
+def _(dissipation: LearnedDissipation, n: int) -> tuple[Tensor, Coupled, list[str]]:
+    viscous, dry = dissipation.coefficients()
+    joints = dissipation.joints.double()
+    missing = [_smooth()] if dry is not None else []
+    if dissipation.net is not None:
+        missing.append("the network of the dissipation is not in this file")
+    coefficients = [] if dry is None else dry[0].tolist()
+    matrix = torch.zeros(n, n).double() if viscous is None else viscous.double()
+    along = list(zip(coefficients, joints.tolist(), strict=dry is not None))
+    return joints.T @ matrix @ joints, along, missing
+
+
+@passive.register
+def _(dissipation: KnownFriction, n: int) -> tuple[Tensor, Coupled, list[str]]:
+    viscous, coulomb = (x[0].double() for x in dissipation.coefficients())
+    along = list(zip(coulomb.tolist(), torch.eye(n).tolist(), strict=True))
+    missing = [_smooth()] if coulomb.any() else []
+    if dissipation.drag is not None:
+        missing.append("the drag of the fluid is not in this file")
+    return torch.diag(viscous), [(c, a) for c, a in along if c > 0.0], missing
+
+
+@passive.register
+def _(dissipation: Friction, n: int) -> tuple[Tensor, Coupled, list[str]]:
+    along = list(zip(dissipation.coulomb.tolist(), torch.eye(n).tolist(), strict=True))
+    missing = [_smooth()] if dissipation.coulomb.any() else []
+    return dissipation.viscous.double(), [(c, a) for c, a in along if c > 0.0], missing
+
+
+def _smooth() -> str:
+    return "dry friction is smooth about standstill in the learned model, and abrupt in this file"
+
+
+def _with_friction(joints: Any, along: Coupled) -> list[Joint]:
+    """The joints with the dry friction that acts on one of them alone."""
+    own = {int(torch.tensor(a).nonzero()[0]): c for c, a in along if sum(x != 0.0 for x in a) == 1}
+    return [joint._replace(friction=own.get(i, 0.0)) for i, joint in enumerate(joints)]
+
+
+def _beyond_urdf(found: Linkage, damping: Tensor, along: Coupled) -> list[str]:
+    missing = ["gravity and inputs are not in a URDF"]
+    if any(joint.armature for joint in found.joints):
+        values = ", ".join(f"{joint.name} {joint.armature:.6g}" for joint in found.joints)
+        missing.append(f"armature is not in a URDF: {values}")
+    if any(joint.stiffness for joint in found.joints):
+        missing.append("springs are not in a URDF")
+    if (damping - torch.diag(damping.diagonal())).any() or any(
+        sum(x != 0.0 for x in a) > 1 for _, a in along
+    ):
+        missing.append("friction between joints is not in a URDF, but that of each joint")
+    return missing
+
+
+def _inputs(model: DynamicsModel, inverse: Tensor) -> dict[str, Any]:
+    matrix = inverse.T @ model.input_matrix.double().cpu()
+    system = model.system
+    names = range(matrix.shape[1]) if system is None else system.inputs
+    box = getattr(system, "box", None)
+    return {
+        "names": [str(name) for name in names],
+        "matrix": [_tidy(row) for row in matrix],
+        "ranges": None if box is None else [list(x) for x in box.u],
+    }
+
+
+def _tidy(values: Tensor) -> list[float]:
+    """Numbers without the rounding errors of products of whole ones."""
+    rounded = values.round(decimals=12)
+    return [float(x) + 0.0 for x in rounded]
+
+
+def _three(values: Tensor) -> tuple[float, float, float]:
+    x, y, z = values.double().tolist()
+    return x, y, z

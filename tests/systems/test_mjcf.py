@@ -1,0 +1,106 @@
+"""Mechanisms written as MJCF and URDF are what they were when MuJoCo has read them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.systems.mjcf import mjcf, urdf
+from symo_exp.systems.mujoco import mechanism, of_model, theirs
+from symo_exp.systems.multibody import Multibody
+from symo_exp.systems.refusals import library
+from tests.systems import models
+from tests.systems.every import SYSTEMS, points
+from tests.systems.models import compiled
+
+mujoco = library()
+MECHANISMS = {
+    "crane": of_model(compiled(models.CRANE), "crane"),
+    "pendulums": of_model(compiled(models.PENDULUMS), "pendulums"),
+    "arm": mechanism("arm.xml"),
+}
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_a_mechanism_comes_back_from_its_file(name):
+    given = MECHANISMS[name]
+    system = Multibody(mechanism=given, time_step=0.05)
+    model = compiled(mjcf(given))
+    q, v, u = points(system, 16)
+    mass, rate = theirs(model, q, 3 * v, u)
+    assert (system.mass_matrix(q) - mass).abs().max() < 1e-9 * mass.abs().max()
+    assert (system.acceleration(q, 3 * v, u) - rate).abs().max() < 1e-9 * rate.abs().max()
+    again = Multibody(mechanism=of_model(model, "again"), time_step=0.05)
+    assert again.coordinates == system.coordinates
+    assert again.inputs == system.inputs
+    assert again.viscous == system.viscous
+
+
+def test_damping_that_couples_joints_is_written():
+    given = MECHANISMS["crane"]
+    n = len(given["joints"])
+    root = np.random.default_rng(0).normal(size=(n, n))
+    damping = root @ root.T
+    model = compiled(mjcf(given, damping=damping.tolist()))
+    data = mujoco.MjData(model)
+    model.jnt_stiffness[:] = 0.0
+    data.qvel[:] = np.arange(n)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qfrc_passive, -damping @ data.qvel, rtol=1e-12, atol=1e-12)
+
+
+def test_an_input_that_drives_several_joints_is_written():
+    given = MECHANISMS["pendulums"]
+    matrix = [[10.0, 0.0], [0.0, 1.0], [0.0, -2.0]]
+    inputs = {"names": ["cart", "belt"], "matrix": matrix, "ranges": [[-1, 1], [-1, 1]]}
+    model = compiled(mjcf(given | {"inputs": inputs}))
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 0.3, 0.5
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qfrc_actuator, np.array(matrix) @ [0.3, 0.5], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["pendulums", "arm"])
+def test_a_urdf_has_the_same_bodies(name):
+    given = MECHANISMS[name]
+    bare = [joint | {"armature": 0.0} for joint in given["joints"]]
+    system = Multibody(mechanism=given | {"joints": bare}, time_step=0.05)
+    model = compiled(urdf(given))
+    q, v, _ = points(system, 16)
+    none = torch.zeros(len(q), 0, dtype=torch.float64)
+    mass, rate = theirs(model, q, v, none)
+    assert (system.mass_matrix(q) - mass).abs().max() < 1e-9 * mass.abs().max()
+    still = torch.zeros(len(q), system.input_matrix.shape[1], dtype=torch.float64)
+    ours = system.acceleration(q, v, still)
+    assert (ours - rate).abs().max() < 1e-9 * rate.abs().max()
+
+
+def test_a_urdf_of_shifted_references_is_refused():
+    with pytest.raises(ConfigError, match=r"write \.xml"):
+        urdf(MECHANISMS["crane"])
+
+
+def test_comments_stand_at_the_head():
+    text = mjcf(MECHANISMS["pendulums"], comments=["not here: a -- network"])
+    assert "<!-- not here: a - - network -->" in text
+    compiled(text)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_bodies_of_a_system_are_the_system(name):
+    """Its linkage has its mass matrix and its forces of gravity, in its own coordinates."""
+    system = SYSTEMS[name]
+    found = system.linkage
+    joints = [joint._asdict() for joint in found.joints]
+    inputs = {"names": [], "matrix": [[]] * len(joints), "ranges": []}
+    bodies = Multibody(
+        mechanism={"joints": joints, "gravity": found.gravity, "inputs": inputs}, time_step=1.0
+    )
+    q, *_ = points(system, 16)
+    z = q @ found.matrix.T
+    mass = found.matrix.T @ bodies.mass_matrix(z) @ found.matrix
+    torch.testing.assert_close(mass, system.mass_matrix(q), rtol=1e-12, atol=1e-12)
+    height = bodies.potential(z) - system.potential(q)
+    torch.testing.assert_close(height, height[:1].expand_as(height), rtol=1e-10, atol=1e-10)

@@ -1,0 +1,152 @@
+"""Learned rigid bodies as MJCF and URDF: MuJoCo has the mass matrix, the forces and the motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import symo_exp
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.dissipation import DissipativeLagrangian
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.models.true import TrueVariational
+from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.systems.refusals import library
+from tests.systems import models
+from tests.systems.every import SYSTEMS, points
+
+mujoco = library()
+H = 0.01
+
+
+def perturbed(module):
+    torch.manual_seed(7)
+    with torch.no_grad():
+        for p in module.parameters():
+            p += 0.1 * torch.randn_like(p)
+    return module.double()
+
+
+def known(system):
+    n = system.coordinates.n
+    system = replace(system, viscous=tuple(0.1 * (i + 1) for i in range(n)))
+    lagrangian = perturbed(KnownLagrangian(system=system))
+    return DissipativeLagrangian(lagrangian, perturbed(KnownFriction(system=system))), system
+
+
+def rigid(angular):
+    torch.manual_seed(5)
+    names = tuple(f"q{i}" for i in range(len(angular)))
+    coordinates = Coordinates(names, angular)
+    friction = LearnedDissipation(coordinates=coordinates, joints="neighbours")
+    return DissipativeLagrangian(RigidChain(angular=angular).double(), perturbed(friction))
+
+
+def model_of(lagrangian, coordinates, matrix, system=None):
+    found = TrueVariational(
+        lagrangian=lagrangian,
+        coordinates=coordinates,
+        input_matrix=matrix,
+        time_step=H,
+        integrator=Galerkin(stages=3),
+        root=Newton(tolerance=1e-12, max_iterations=30),
+    ).double()
+    found.system = system
+    return found
+
+
+def cases():
+    crane = models.read(models.CRANE)
+    for name, system in (SYSTEMS | {"crane": crane}).items():
+        yield pytest.param(("known", system), id=name)
+    for angular in ((True,), (False, True, True), (True,) * 4):
+        yield pytest.param(("rigid", angular), id=f"rigid{len(angular)}")
+
+
+@pytest.fixture(params=cases())
+def case(request):
+    kind, given = request.param
+    if kind == "known":
+        lagrangian, system = known(given)
+        matrix = torch.eye(system.coordinates.n).double()
+        q, v, _ = points(system, 2)
+        joints = system.linkage.matrix
+        return model_of(lagrangian, system.coordinates, matrix), q, v, joints
+    n = len(given)
+    q, v = torch.randn(2, 2, n, generator=torch.Generator().manual_seed(1)).double().unbind()
+    coordinates = Coordinates(tuple(f"q{i}" for i in range(n)), given)
+    eye = torch.eye(n).double()
+    return model_of(rigid(given), coordinates, eye), q, v, eye
+
+
+def test_mujoco_has_the_same_mass_matrix_and_forces(case, tmp_path):
+    model, q, v, a = case
+    file = symo_exp.export(model, tmp_path / "machine.xml")
+    theirs = mujoco.MjModel.from_xml_path(str(file))
+    data, n = mujoco.MjData(theirs), q.shape[1]
+    rates = model.lagrangian.conservative.rates(q, v)
+    bias, passive = rates.mass_rate_v - rates.q, model.dissipation.force(q, v)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:] = (a @ q[k]).numpy(), (a @ v[k]).numpy()
+        mujoco.mj_forward(theirs, data)
+        mass = np.zeros((n, n))
+        for i, unit in enumerate(np.eye(n)):
+            mujoco.mj_mulM(theirs, data, mass[i], unit)
+        at = a.numpy()
+        springs = data.qfrc_passive - data.qfrc_damper  # ours are part of the potential
+        exact = {"rtol": 1e-9, "atol": 1e-9}
+        np.testing.assert_allclose(at.T @ mass @ at, rates.mass[k].detach(), **exact)
+        theirs_bias = at.T @ (data.qfrc_bias - springs)
+        np.testing.assert_allclose(theirs_bias, bias[k].detach(), **exact)
+        np.testing.assert_allclose(at.T @ data.qfrc_damper, passive[k].detach(), **exact)
+
+
+def test_mujoco_goes_where_the_model_goes(case, tmp_path):
+    model, q, v, a = case
+    file = symo_exp.export(model, tmp_path / "machine.xml")
+    theirs = mujoco.MjModel.from_xml_path(str(file))
+    theirs.opt.timestep = H / 20
+    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    data, steps = mujoco.MjData(theirs), round(1.0 / H)
+    force = 0.1 * torch.ones(len(q), steps + 1, q.shape[1]).double()
+    path = model.rollout(q, v, force)
+    assert path.converged.all()
+    for k in range(len(q)):
+        mujoco.mj_resetData(theirs, data)
+        data.qpos[:], data.qvel[:] = (a @ q[k]).numpy(), (a @ v[k]).numpy()
+        data.ctrl[:] = 0.1
+        for _ in range(20 * steps):
+            mujoco.mj_step(theirs, data)
+        np.testing.assert_allclose(data.qpos, a @ path.q[k, -1], rtol=0, atol=1e-6)
+
+
+def test_a_network_is_named_in_a_comment_and_a_line(tmp_path, caplog):
+    system = SYSTEMS["cartpole"]
+    friction = LearnedDissipation(coordinates=system.coordinates, coulomb=True, width=4)
+    lagrangian = DissipativeLagrangian(KnownLagrangian(system=system), friction).double()
+    model = model_of(lagrangian, system.coordinates, system.input_matrix, system)
+    file = symo_exp.export(model, tmp_path / "cart.xml")
+    told = "the network of the dissipation is not in this file"
+    assert told in file.read_text()
+    assert told in caplog.text
+    found = mujoco.MjModel.from_xml_path(str(file))
+    np.testing.assert_allclose(found.dof_frictionloss, 0.01, rtol=1e-6)
+    np.testing.assert_allclose(found.actuator_ctrlrange[0], system.box.u[0])
+
+
+def test_a_model_without_bodies_is_refused(tmp_path):
+    from tests.oscillator import oscillator
+
+    truth = oscillator(2)
+    coordinates = Coordinates(("a", "b"), (False, False))
+    model = model_of(truth, coordinates, torch.eye(2).double())
+    with pytest.raises(ConfigError, match="does not consist of rigid bodies"):
+        symo_exp.export(model, tmp_path / "machine.xml")
+    assert not list(tmp_path.iterdir())
