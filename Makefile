@@ -26,6 +26,7 @@ install: $(INSTALLED) ## make the environment in .venv from constraints.txt
 
 $(INSTALLED): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "No Python 3.10 or newer with venv found; give one: make PYTHON=/path/to/python3" >&2; exit 1; }
+	@echo "Making the environment $(VENV): one or two minutes, PyTorch is large"
 	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $@

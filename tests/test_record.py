@@ -1,5 +1,7 @@
 """Recordings of environments: what was done and seen, in a table that trains."""
 
+import shlex
+
 import gymnasium
 import numpy as np
 import pandas as pd
@@ -36,7 +38,7 @@ def test_a_recording_of_ours_is_the_simulated_motion(workplace, capsys):
         torch.testing.assert_close(path.v, v, rtol=1e-6, atol=1e-6)
     assert table.trajectory.nunique() == 3
     _, command = capsys.readouterr().out.strip().splitlines()
-    (job,) = jobs_of(*command.split()[3:])
+    (job,) = jobs_of(*shlex.split(command)[3:])
     assert job.config.system.angular == ["theta"]
 
 

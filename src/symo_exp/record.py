@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from symo_exp.errors import ConfigError
+from symo_exp.shell import python_command
 
 Policy = Callable[[np.ndarray], np.ndarray]
 """An action for an observation."""
@@ -39,7 +40,7 @@ class Plant(NamedTuple):
 
 def main(argv: Sequence[str]) -> int:
     """The command line; 0 when the table is written."""
-    parser = argparse.ArgumentParser(prog="python -m symo_exp record", description=__doc__)
+    parser = argparse.ArgumentParser(prog=python_command("symo_exp", "record"), description=__doc__)
     parser.add_argument("env", metavar="ENV", help="its name: Swimmer-v5, symo_exp/Acrobot-v0")
     parser.add_argument(
         "--policy",
@@ -192,6 +193,9 @@ def _told(path: Path, plant: Plant, motions: Sequence[Motion]) -> str:
     rows = sum(len(motion.t) for motion in motions)
     return (
         f"{path}: {len(motions)} trajectories, {rows} rows, a node every {h:g} s\n"
-        f"python -m symo_exp data=recorded data.path={path} system=recorded "
-        f"system.angular={angular} system.time_step={h:g} system.input_matrix={matrix}"
-    )
+        + python_command(
+            "symo_exp", "data=recorded", f"data.path={path}", "system=recorded",
+            f"system.angular={angular}", f"system.time_step={h:g}",
+            f"system.input_matrix={matrix}", "preset=recorded",
+        )
+    )  # fmt: skip

@@ -11,5 +11,10 @@ def _folder(name: str) -> Path:
     return inside if inside.is_dir() else _PACKAGE.parents[1] / name
 
 
+def in_checkout() -> bool:
+    """Return whether the working directory is the checkout that runs, with its Makefile."""
+    return Path.cwd() == _PACKAGE.parents[1] and Path("Makefile").is_file()
+
+
 CONF = _folder("conf")
 SWEEPS = _folder("sweeps")

@@ -56,7 +56,7 @@ BAD = [
     ("trainer.accelerator=tpu", "tpu", "cpu or gpu"),
     # values
     ("data.n_traj=0", "0", "1 to 128"),
-    ("data.n_traj=129", "129", "1 to 128"),
+    ("data.n_traj=129", "129", "data.n_train_max=129"),
     ("data.n_traj=8.5", "8.5", "whole number"),
     ("data.n_traj=null", "null", "whole number"),
     ("data.noise_std=-1", "-1", "at least 0"),

@@ -58,6 +58,46 @@ def test_one_class_and_one_file_is_all(what, mine):
         assert study["measures"]["largest_error"] > 0.0
 
 
+MODEL = """<mujoco><worldbody>
+  <body><joint name="swing" type="hinge" axis="0 1 0"/><geom type="capsule" size=".02 .2"/></body>
+</worldbody></mujoco>
+"""
+REQUIRED = """# @package _global_
+defaults: [pendulum]
+system:
+  mass: ???
+  length: ${system.mass}
+"""
+
+
+@pytest.mark.parametrize("by", ["command", "python"])
+@pytest.mark.parametrize("file", ["relative", "absolute"])
+def test_a_model_of_mujoco_is_trained(by, file, workplace):
+    pytest.importorskip("mujoco")
+    (workplace / "arm.xml").write_text(MODEL)
+    path = "arm.xml" if file == "relative" else str(workplace / "arm.xml")
+    trains(by, "system=mujoco", f"system.model={path}")
+
+
+@pytest.mark.parametrize("by", ["command", "python"])
+def test_a_system_of_ones_own_with_a_required_value_is_trained(by, workplace):
+    (workplace / "mine" / "system").mkdir(parents=True)
+    (workplace / "mine" / "system" / "swing.yaml").write_text(REQUIRED)
+    trains(by, "--config-dir", "mine", "system=swing", "system.mass=2.0")
+
+
+def trains(by, *words):
+    words = [*words, "model=node", *QUIET, "trainer.max_epochs=1"]
+    if by == "command":
+        assert main(words) == 0
+    else:
+        symo_exp.run(*words)
+    (file,) = Path("outputs").rglob("run.json")
+    variant = json.loads(file.read_text())["variant"]
+    (required,) = [word for word in words if word.startswith("system.")]
+    assert required.removesuffix(".0") in variant
+
+
 def test_they_are_listed(mine, capsys):
     assert main(["-h", "--config-dir", "mine_own"]) == 0
     assert "spring" in capsys.readouterr().out

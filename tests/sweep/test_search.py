@@ -1,6 +1,7 @@
 """Sweepers of other people get a number from each run."""
 
 import json
+import shlex
 
 import pytest
 
@@ -44,7 +45,19 @@ def test_a_number_that_there_is_not_is_named(workplace, capsys):
     assert "val_loss" in line
 
 
-def test_the_search_that_ships(workplace):
-    small = [word for word in TINY if not word.startswith("model.width")]
-    assert main(["-cn", "search", *small, "logger=none", "hydra.sweeper.n_trials=2"]) == 0
+def test_the_search_that_ships_counts_and_ends_with_a_command_that_repeats_the_best(
+    workplace, capsys
+):
+    """With fewer epochs than those between two validations."""
+    small = [word for word in TINY if not word.startswith(("model.width", "trainer.validate"))]
+    words = [*small, "logger=none", "hydra.sweeper.n_trials=2", "trainer.validate_every=10"]
+    assert main(["-cn", "search", *words]) == 0
+    out, err = capsys.readouterr()
     assert set(best(workplace)["best_params"]) == {"model.width", "learning_rate"}
+    assert "trial 1 of 2" in out
+    assert "trial 2 of 2" in out
+    assert "alembic" not in out + err
+    (told,) = [line for line in out.splitlines() if line.startswith("to repeat it: ")]
+    again = shlex.split(told.removeprefix("to repeat it: "))[3:]
+    assert main([*again, "logger=none", "pictures=false", "data.cache_dir=cache"]) == 0
+    assert "finished already" in capsys.readouterr().out

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from symo_exp.runs.folder import About, RunFolder
+from symo_exp.shell import python_command
 from symo_exp.tracking.page import COMMAND, NOTE, RESULT, VIEW, pages
 from symo_exp.tracking.publish import MlflowView
 from symo_exp.tracking.store import Store, connect, experiment_id
@@ -63,7 +64,8 @@ def test_runs_on_the_same_data_have_the_same_dataset(view, tmp_path):
 def test_the_page_is_that_of_training_with_the_view_of_the_last_sweep(view, store):
     experiment = experiment_id(store, "e")
     plain = f"http://127.0.0.1:5000/#/experiments/{experiment}/runs?workflowType=machine_learning"
-    assert view.page() == f"mlflow server --backend-store-uri {store.uri}, then {plain}"
+    serve = python_command("mlflow", "server", "--backend-store-uri", store.uri)
+    assert view.page() == f"{serve}, then {plain}"
     view.show(["model", "data.n_traj"])
     shared = f"{plain}&viewStateShareKey=symo_exp"
     assert view.page().endswith(shared)

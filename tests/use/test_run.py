@@ -23,7 +23,9 @@ def test_a_run_is_what_the_command_leaves(workplace):
     path = run.model.rollout([0.1], [0.0], steps=3)
     assert path.q.shape == (4, 1)
     trained = (run.folder / "checkpoints" / "last.ckpt").stat().st_mtime_ns
-    assert symo_exp.run(*SMALL).folder == run.folder  # it is finished, but for the pictures
+    words = {"model": "symo", "data.n_traj": 2, "logger": "none"}
+    again = symo_exp.run(*[word for word in TINY if "n_traj=" not in word], **words)
+    assert again.folder == run.folder  # it is finished, but for the pictures
     assert (run.folder / "checkpoints" / "last.ckpt").stat().st_mtime_ns == trained
     assert run.figure("phase_portrait").size[0] > 100
     with pytest.raises(ConfigError, match=r"no figure nothing; there is .*trajectories"):

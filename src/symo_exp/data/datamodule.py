@@ -80,6 +80,12 @@ class TrajectoryData(DataModule):
         self.draws = Independent() if draws is None else draws
         if not callable(self.draws):
             raise ConfigError(f"data.draws={draws!r}: choose with draws=NAME, a file of conf/draws")
+        n_traj = base.get("n_traj")
+        if isinstance(n_traj, int) and n_traj > n_train_max:
+            raise ConfigError(
+                f"data.n_traj={n_traj} is above data.n_train_max={n_train_max}, the number of "
+                f"training trajectories that are simulated; set data.n_train_max={n_traj} as well"
+            )
         super().__init__(**base)
         self.cache = None if cache_dir is None else Cache(cache_dir)
         self._name = type(system).__name__.lower()

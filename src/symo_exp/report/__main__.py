@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from symo_exp.errors import ConfigError
+from symo_exp.shell import python_command
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +67,7 @@ def report(runs: pd.DataFrame, source: str, store: Store | None = None) -> Repor
 def main(argv: Sequence[str] | None = None) -> int:
     """The command line. Returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m symo_exp.report",
+        prog=python_command("symo_exp.report"),
         description="Which method is best, by these runs: a page, tables and figures. Without an "
         "option: of all runs that there are.",
     )

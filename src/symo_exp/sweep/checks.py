@@ -219,4 +219,6 @@ def describe(hint: Any) -> str:
 
 
 def _spell(value: Any) -> str:
-    return {None: "null", True: "true", False: "false"}.get(value, str(value))
+    if value is None:
+        return "null"
+    return str(value).lower() if isinstance(value, bool) else str(value)

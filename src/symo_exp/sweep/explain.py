@@ -16,6 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from symo_exp.errors import ConfigError
+from symo_exp.shell import install_command
 from symo_exp.shipped import CONF
 from symo_exp.sweep.checks import closest, has, unknown_key
 
@@ -86,7 +87,7 @@ def _check_choice(group: str, value: Any, options: Sequence[str]) -> None:
     value = "null" if value is None else str(value)
     for beginning, (needed, extra) in EXTRAS.items():
         if group.startswith("hydra/") and value.startswith(beginning) and needed not in options:
-            raise ConfigError(f"{group}={value} needs more: pip install 'symo_exp[{extra}]'")
+            raise ConfigError(f"{group}={value} needs more: {install_command(extra)}")
     if value in options:
         return
     meant = closest(value, options)

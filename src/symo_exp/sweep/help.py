@@ -11,16 +11,16 @@ from pathlib import Path
 
 import yaml
 
+from symo_exp.shell import python_command
 from symo_exp.shipped import CONF, SWEEPS
 
-USAGE = """\
-Learn the dynamics of a mechanical system from trajectories.
-
-python -m symo_exp model=symo system=acrobot        one run
-python -m symo_exp model=symo -m data.n_traj=8,16   a sweep, one run for each
-python -m symo_exp -cn smoke                        a sweep kept in a file
-python -m symo_exp record Swimmer-v5 --out F.csv    motions of an environment
-"""
+USAGE = "Learn the dynamics of a mechanical system from trajectories.\n"
+EXAMPLES = {
+    ("model=symo", "system=acrobot"): "One run:",
+    ("model=symo", "-m", "data.n_traj=8,16"): "A sweep, a run for each value:",
+    ("-cn", "smoke"): "A sweep kept in a file:",
+    ("record", "Swimmer-v5", "--out", "F.csv"): "Motions of a Gymnasium environment as recordings:",
+}
 CHANGED = {
     "model": "", "system": "", "data": "", "integrator": "", "preset": "",
     "data.n_traj": "training trajectories", "data.noise_std": "noise [m, rad; m/s, rad/s]",
@@ -65,7 +65,7 @@ def screen(folders: Sequence[Path] = ()) -> str:
     lines += [""] + [
         textwrap.fill(f"{key}: {value}", 78, subsequent_indent="  ") for key, value in rest.items()
     ]
-    return "\n".join([USAGE, *lines, "", MORE])
+    return "\n".join([_usage(), *lines, "", MORE])
 
 
 def help_text(folders: Sequence[Path] = ()) -> str:
@@ -74,7 +74,12 @@ def help_text(folders: Sequence[Path] = ()) -> str:
     groups = sorted({group for root in roots for group in _groups(root)})
     blocks = [f"{g}=\n" + _choices([root / g for root in roots]) for g in groups]
     sweeps = "-cn (a sweep)\n" + _choices([SWEEPS])
-    return "\n".join([USAGE, *blocks, sweeps, NOTES])
+    return "\n".join([_usage(), *blocks, sweeps, NOTES])
+
+
+def _usage() -> str:
+    lines = [f"{said}\n  {python_command('symo_exp', *words)}" for words, said in EXAMPLES.items()]
+    return "\n".join([USAGE, *lines, ""])
 
 
 def _defaults() -> Iterator[tuple[str, object]]:

@@ -23,7 +23,7 @@ from symo_exp.runs.series import read
 from symo_exp.sweep.compose import plain
 from symo_exp.sweep.explain import one_line
 from symo_exp.sweep.table import brief, run_line
-from symo_exp.sweep.variant import variant
+from symo_exp.sweep.variant import alone, variant
 from symo_exp.tracking.page import COMMAND
 from symo_exp.tracking.revision import revision_tags
 from symo_exp.training import phases, stopping
@@ -51,16 +51,22 @@ def job(config: DictConfig) -> float | None:
     if stopping.requested():
         return None
     choices, asked = dict(settings.runtime.choices), list(settings.overrides.task)
-    command = typed(settings)
-    failure = _do(config, folder, lambda: _about(config, choices, asked, command))
+    searches = settings.sweeper._target_ != OURS
+
+    def about() -> About:
+        words = alone(config, choices, _compose) if searches else typed(settings)
+        return _about(config, choices, asked, shlex.join(["python", "-m", "symo_exp", *words]))
+
+    failure = _do(config, folder, about)
     phases.clear()
     if failure is not None and debugging():
         raise failure
-    if settings.sweeper._target_ == OURS:
+    if not searches:
         return None
     if isinstance(failure, ConfigError | stopping.Interrupted):
         raise failure
-    log.info(run_line(folder))
+    trials = settings.sweeper.get("n_trials")
+    log.info("%s%s", f"trial {settings.job.num + 1} of {trials}: " * bool(trials), run_line(folder))
     if failure is not None:
         maximize = "maximize" in str(settings.sweeper.get("direction"))
         return -math.inf if maximize else math.inf
@@ -156,24 +162,25 @@ def publish(tracker: Any, folder: RunFolder) -> str:
         return ""
 
 
-def typed(settings: Any) -> str:
-    """The command of one run, by what Hydra has of it: alone it does what it did in its sweep."""
-    words = ["python", "-m", "symo_exp"]
+def typed(settings: Any) -> list[str]:
+    """Return the words of the command that repeats one run of a sweep."""
+    words = []
     if settings.job.config_name != "config":
         words += ["-cn", settings.job.config_name]
     for source in settings.runtime.config_sources:
         if source.provider == "command-line":
             words += ["--config-dir", source.path]
-    return shlex.join([*words, *settings.overrides.task])
+    return [*words, *settings.overrides.task]
+
+
+def _compose(overrides: list[str]) -> DictConfig:
+    return hydra.compose("config", overrides, return_hydra_config=True)
 
 
 def _about(
     config: DictConfig, choices: dict[str, Any], asked: Sequence[str], command: str = ""
 ) -> About:
     """What the run is; its name says what its sweep varied: ``E2E-SyMo acrobot n=16``."""
-
-    def compose(overrides: list[str]) -> DictConfig:
-        return hydra.compose("config", overrides, return_hydra_config=True)
 
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
@@ -183,7 +190,7 @@ def _about(
     return About(
         name=" ".join(filter(None, name)),
         parameters=groups | dict(_parameters(config)),
-        variant=variant(config, choices, compose),
+        variant=variant(config, choices, _compose),
         sweep=os.environ.get(SWEEP, ""),
         tags={**revision_tags(), COMMAND: command},
     )

@@ -26,6 +26,7 @@ from omegaconf.errors import OmegaConfBaseException
 from symo_exp.errors import ConfigError
 from symo_exp.imports import first_import
 from symo_exp.runs.folder import DIED, LOG, RunFolder
+from symo_exp.shell import python_command
 from symo_exp.sweep import slurm
 from symo_exp.sweep.checks import check_job
 from symo_exp.sweep.compose import Composer, Job, expand, labels
@@ -214,7 +215,9 @@ class Sweep:
             print(table([job.label for job in jobs], folders))
             # to look for it takes the seconds of an import
             if len(finished) < len(jobs) and (page := instantiate(jobs[0].config.logger).page()):
-                print(f"To compare them: python -m symo_exp.report. To look at them: {page}")
+                print(
+                    f"To compare them: {python_command('symo_exp.report')}\nTo look at them: {page}"
+                )
         elif outcomes[0].status == "refused":
             raise ConfigError(outcomes[0].reason)
         elif outcomes[0].status == "finished":

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from symo_exp.errors import ConfigError
+from symo_exp.shell import install_command
 from symo_exp.systems import scene
 
 
@@ -127,7 +128,7 @@ def library() -> Any:
         import mujoco
     except ImportError as error:
         raise ConfigError(
-            "MuJoCo models need mujoco, which is not installed: pip install 'symo_exp[mujoco]'"
+            f"MuJoCo models need mujoco, which is not installed: {install_command('mujoco')}"
         ) from error
     return mujoco
 

@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from symo_exp.errors import ConfigError
+from symo_exp.shell import install_command
 from symo_exp.systems.base import Skeleton
 
 SIZE = 480
@@ -102,7 +103,7 @@ class Renderer:
             import pygame
         except ImportError as error:
             raise ConfigError(
-                "a window needs pygame, which is not installed: pip install 'symo_exp[render]'"
+                f"a window needs pygame, which is not installed: {install_command('render')}"
             ) from error
         self._pygame = pygame
         pygame.display.init()

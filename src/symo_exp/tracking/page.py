@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from symo_exp.runs.folder import About, Outcome
+from symo_exp.shell import python_command
+from symo_exp.shipped import in_checkout
 from symo_exp.tracking.store import Store, connect
 
 NOTE = "mlflow.note.content"
@@ -73,8 +75,9 @@ def page(store: Store, experiment: str) -> str:
     """Where a person looks at the runs of an experiment, and what serves it if nobody does."""
     if store.database is None:
         return runs_at(store, store.uri if store.uri.startswith("http") else LOCAL, experiment)
-    ours = Path("mlruns/mlflow.db").absolute() == store.database and Path("Makefile").is_file()
-    serve = "make ui" if ours else f"mlflow server --backend-store-uri {store.uri}"
+    ours = Path("mlruns/mlflow.db").absolute() == store.database and in_checkout()
+    by_hand = python_command("mlflow", "server", "--backend-store-uri", store.uri)
+    serve = "make ui" if ours else by_hand
     return f"{serve}, then {runs_at(store, LOCAL, experiment)}"
 
 

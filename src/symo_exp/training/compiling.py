@@ -44,8 +44,11 @@ class CompileTraining(lightning.Callback):
         if self._compiled is None:
             self._compiled = self.mode is True or self._worthwhile(trainer, pl_module)
         if self._compiled:
-            phases.say("compiling the training step, up to a minute")
             compile_training(pl_module, validation=watches_much(trainer))
+
+    def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        if self._compiled:  # it happens in the first epoch
+            phases.say("compiling the training step: once for each size, up to a minute")
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         if self._compiled and self._kernels is not None:

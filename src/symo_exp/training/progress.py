@@ -20,23 +20,24 @@ class ProgressBar(lightning.Callback):
     def __init__(self) -> None:
         self.shown = phases.shown(notebook=True)
         self._bar: Any = None
-        self._drawn = 0.0
+        self._start, self._drawn = 0, 0.0
 
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        phases.clear()
-        if self.shown:
-            start = trainer.current_epoch
+        self._start = trainer.current_epoch
+        phases.say("training the first epoch")
+
+    def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        if self.shown and self._bar is None:
+            phases.clear()
             self._bar = tqdm(
                 total=trainer.max_epochs,
-                initial=start,
+                initial=self._start,
                 desc=type(pl_module).__name__,
                 unit="epoch",
                 leave=False,
                 dynamic_ncols=True,
                 bar_format="{desc} {n_fmt}/{total_fmt} |{bar}| {remaining} left{postfix}",
             )
-
-    def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         if self._bar is None or time.monotonic() - self._drawn < _REFRESH:
             return
         self._drawn = time.monotonic()

@@ -58,11 +58,11 @@ def make_trainer(
         accelerator=accelerator,
         devices=1,
         max_epochs=max_epochs,
-        check_val_every_n_epoch=validate_every,
+        check_val_every_n_epoch=min(validate_every, max_epochs),  # at the end at least
         num_sanity_val_steps=0,
         inference_mode=False,  # a Lagrangian is differentiated in validation, too
         logger=False,
-        callbacks=[*callbacks, *ours, CompileTraining(compile, kernels), *bar],
+        callbacks=[*callbacks, *ours, *bar, CompileTraining(compile, kernels)],
         # on a cluster, too, a run is one process: Lightning's own ways of queueing it again and
         # of choosing a checkpoint would get in the way of ours
         plugins=[WholeFiles(), LightningEnvironment()],

@@ -17,6 +17,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
+from symo_exp.shell import python_command
 from symo_exp.tracking.load import load
 from symo_exp.use.mjcf import write_bodies
 
@@ -73,7 +74,9 @@ def export(
     if iterations < 1:
         raise ConfigError(f"iterations={iterations}: expected a whole number of at least 1")
     if path.suffix == ".onnx" and (missing := [x for x in ONNX if not importlib.util.find_spec(x)]):
-        raise ConfigError(f"ONNX needs packages that are missing: pip install {' '.join(missing)}")
+        raise ConfigError(
+            f"ONNX needs packages that are missing: {python_command('pip', 'install', *missing)}"
+        )
     step = FixedStep(model.flow, iterations).eval()
     try:
         program = _program(step, model)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from PIL import Image
@@ -12,6 +13,7 @@ from PIL import Image
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.runs.folder import LOG, PICTURES, ROLLOUTS, RunFolder
+from symo_exp.shell import override_value
 from symo_exp.sweep.command import Command
 from symo_exp.sweep.explain import BAD_INPUT, explained
 from symo_exp.sweep.sweeper import watched
@@ -56,14 +58,30 @@ class Run:
         return Image.open(found[name])
 
 
-def run(*words: str) -> Run | list[Run]:
-    """What ``python -m symo_exp WORDS`` does, and the run; of a sweep, ``-m`` or ``-cn NAME``, all
-    its runs in order.
+def run(*words: str, **settings: Any) -> Run | list[Run]:
+    """Do what ``python -m symo_exp WORDS`` does.
 
-    A run that is finished already is not done again. Raises ``ConfigError`` for bad input before
-    anything runs, ``RuntimeError`` for a run that fails, ``KeyboardInterrupt`` where it is stopped.
+    A run that is finished already is not done again::
+
+        symo_exp.run("model=symo", "data.n_traj=16")
+        symo_exp.run(model="symo", **{"data.n_traj": 16})
+
+    Args:
+        *words: Words of the command line.
+        **settings: Settings and choices of files by name; numbers, truth values, ``None``, lists
+            and dictionaries are written as the command line has them, strings stand as they are.
+
+    Returns:
+        The run, or all runs in order where ``-m`` or ``-cn NAME`` makes a sweep.
+
+    Raises:
+        ConfigError: For bad input, before anything runs.
+        RuntimeError: For a run that fails.
+        KeyboardInterrupt: Where it is stopped.
     """
-    command = Command(words)
+    command = Command(
+        [*words, *(f"{key}={override_value(value)}" for key, value in settings.items())]
+    )
     if not command.runs:
         raise ConfigError(f"{' '.join(command.options)} asks for no run")
     with watched() as folders:

@@ -1,0 +1,58 @@
+"""Commands as a person can type them, which messages name."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+def python_command(*words: str) -> str:
+    """Return ``python -m WORDS`` for the running interpreter, quoted for a shell.
+
+    The interpreter is spelled ``python`` where that is found on ``PATH``, and else by its path,
+    which is relative if it lies below the working directory.
+    """
+    return shlex.join([_interpreter(), "-m", *words])
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra of this package."""
+    return python_command("pip", "install", f"symo_exp[{extra}]")
+
+
+def override_value(value: Any, *, nested: bool = False) -> str:
+    """Spell a value as an override of Hydra has it; a string stands as it is, unless nested."""
+    if isinstance(value, Mapping):
+        items = (f"{key}: {override_value(x, nested=True)}" for key, x in value.items())
+        return "{" + ", ".join(items) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(override_value(x, nested=True) for x in value) + "]"
+    if isinstance(value, str | os.PathLike):
+        return json.dumps(os.fspath(value)) if nested else os.fspath(value)
+    if value is None:
+        return "null"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _interpreter() -> str:
+    found = shutil.which("python")
+    running = Path(sys.executable or "python")
+    if found is not None and _same(Path(found), running):
+        return "python"
+    if running.is_relative_to(Path.cwd()):
+        return os.path.join(".", running.relative_to(Path.cwd())).removeprefix("./")
+    return str(running)
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Compare folders, too: the interpreter of an environment is a link to one of another."""
+    try:
+        return one.samefile(other) and one.parent.samefile(other.parent)
+    except OSError:
+        return False
