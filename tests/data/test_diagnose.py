@@ -56,6 +56,7 @@ def test_a_free_motion_is_explained_without_inputs_and_fixes_no_scale(n: int) ->
     assert free.explained > 0.9
     assert not free.fixes_scale
     assert "no inputs" in free.lines()[-1]
+    assert "%" not in free.lines()[0]
 
 
 def test_inputs_of_another_machine_explain_nothing() -> None:

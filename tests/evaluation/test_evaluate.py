@@ -180,7 +180,9 @@ def test_without_a_truth_its_measures_are_absent(model: type, tmp_path: Path):
     found = evaluate(learned, system, sets)
     windows = {*found.recorded.model.measures()}
     windows |= {f"constant_velocity_{name}" for name in windows} | {"windows"}
-    windows |= {f"{name}_measured" for name in windows}
+    windows |= {f"{name}_measured" for name in windows} | {"noise"}
+    own = ("usable_s", "open_loop_rmse")
+    windows |= {f"{who}{name}" for who in ("", "constant_velocity_") for name in own}
     assert set(found.measures) == windows | NAMES - {"energy_mse", "energy_std"}
     assert all(math.isfinite(value) for value in found.measures.values())
     assert found.rollouts.energy is found.rollouts.energy_true is None

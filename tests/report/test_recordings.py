@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from symo_exp.evaluation.recordings import on_recordings
-from symo_exp.evaluation.references import ConstantVelocity, Path
+from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.report import recordings
 from symo_exp.report.motions import ranking
@@ -29,7 +29,11 @@ def recorded(n: int, lost: bool = False, **more: object):
         far = (q0.abs().sum(1) > 0.6 * n)[:, None, None] & (torch.arange(u.shape[1]) > 20)[:, None]
         gone = far.clone()
         gone[:, :40] = False
-        return Path(*(x.where(~far, 1e300).where(~gone, math.nan) for x in path)) if lost else path
+        return (
+            ReferenceRollout(*(x.where(~far, 1e300).where(~gone, math.nan) for x in path))
+            if lost
+            else path
+        )
 
     t = H * torch.arange(200, dtype=torch.float64)[:, None]
     speed = 1.0 + torch.arange(n, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""What recordings can teach, found before anything is trained."""
+"""Diagnosis of recordings before training: inputs, noise, time step and scale."""
 
 from __future__ import annotations
 
@@ -14,19 +14,29 @@ from symo_exp.mechanics.types import Coordinates
 HALF = 5
 """Nodes on either side of the middle of a test function."""
 POOR, NOISY, COARSE = 0.5, 0.5, 0.7
-"""Share of power explained below which a model must fail; noise over curvature, and angle [rad] in
-a step, above which the time step does not suit."""
+"""Share of explained power below which no model can succeed; noise over curvature, and change of an
+angle in a step [rad], above which the time step does not suit."""
 HELP = 0.1
-"""Share of what is left unexplained that meaningful inputs explain at least."""
+"""Share of the unexplained power that meaningful inputs explain at least."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """``explained`` and ``free``: the share of the accelerations' power that configurations,
-    velocities and friction explain with the inputs and without them, ``None`` where there are too
-    few nodes. For each coordinate: ``noise`` (standard deviation of the samples), ``encoder``
-    (its step, 0 where none is seen), ``turn`` (the largest change in a time step) and
-    ``curvature`` (root mean square of ``h² q̈``). ``blur``: noise of the nodes over curvature."""
+    """What recordings tell before training.
+
+    Attributes:
+        coordinates: Those of the system.
+        time_step: Distance of the nodes [s].
+        driven: Whether any input is not zero.
+        explained: Share of the accelerations' power that configurations, velocities, friction and
+            inputs explain, ``None`` with too few nodes.
+        free: The same without the inputs.
+        noise: Standard deviation of the noise of each coordinate's samples [rad, m].
+        encoder: Step of each coordinate's encoder [rad, m], 0 where none is seen.
+        turn: Largest change of each coordinate in a time step [rad, m].
+        curvature: Root mean square of ``h² q̈`` of each coordinate [rad, m].
+        blur: Noise of the nodes over curvature, the largest.
+    """
 
     coordinates: Coordinates
     time_step: float
@@ -41,23 +51,27 @@ class Diagnosis:
 
     @property
     def fixes_scale(self) -> bool:
-        """Whether inputs tell how large the inertia is, not only its ratio to the forces."""
+        """Whether inputs determine the inertia, not only its ratio to the forces."""
         if not self.driven or self.explained is None or self.free is None:
             return self.driven
         return self.explained - self.free >= HELP * (1 - self.free)
 
     def lines(self) -> list[str]:
-        """For the log: inputs, noise, time step and scale."""
+        """Return lines for the log: inputs, noise, time step and scale."""
         return [self._inputs(), self._noise(), self._step(), self._scale()]
 
     def _inputs(self) -> str:
         if self.explained is None:
             return "inputs: too few nodes to tell what they explain"
-        text = f"inputs: {100 * self.explained:.3g} % of the accelerations' power is explained"
+        poor = self.explained < POOR
+        hint = "; something else moves the machine, or a sensor fails" if poor else ""
+        share = f"{100 * self.explained:.3g} % of the accelerations' power"
         if self.driven:
-            text += f" with them, {100 * (self.free or 0.0):.3g} % without"
-        hint = "; something else moves the machine, or a sensor fails"
-        return text + (hint if self.explained < POOR else "")
+            without = 100 * (self.free or 0.0)
+            return f"inputs: {share} is explained with them, {without:.3g} % without{hint}"
+        if poor:
+            return f"inputs: none, and configurations and velocities explain only {share}{hint}"
+        return "inputs: none; accelerations follow from configurations and velocities"
 
     def _noise(self) -> str:
         each = zip(self.coordinates.names, self.noise, self.encoder, strict=True)
@@ -81,7 +95,7 @@ class Diagnosis:
 
     def _scale(self) -> str:
         if not self.driven:
-            return "scale: no inputs, so the Lagrangian is known up to a factor"
+            return "scale: no inputs, so the Lagrangian and friction are known up to a factor"
         if not self.fixes_scale:
             return "scale: the inputs explain next to nothing, so the inertia's scale is doubtful"
         return "scale: the inputs fix that of the inertia"
@@ -98,8 +112,15 @@ def diagnose(
     time_step: float,
     samples: float = 1.0,
 ) -> Diagnosis:
-    """``motions`` at nodes ``time_step`` apart, ``raw`` (T', n) the configurations as sampled,
-    ``samples`` of them in a step."""
+    """Return the diagnosis of recordings.
+
+    Args:
+        motions: Configurations (T, n) and inputs (T, m) of each recording, at the nodes.
+        raw: Its configurations (T', n) as sampled.
+        coordinates: Those of the system.
+        time_step: Distance of the nodes [s].
+        samples: Number of samples in a time step.
+    """
     second = [np.diff(q, 2, axis=0) for q, _ in motions]
     noise = np.array([noise_of(columns) for columns in _columns(raw)])
     # a cubic fitted to N equal steps has 9/4N of their variance in its middle
@@ -112,8 +133,8 @@ def diagnose(
         coordinates,
         time_step,
         driven=any(bool(u.any()) for _, u in motions),
-        explained=explained(motions, coordinates, time_step, driven=True),
-        free=explained(motions, coordinates, time_step, driven=False),
+        explained=explained_power(motions, coordinates, time_step, driven=True),
+        free=explained_power(motions, coordinates, time_step, driven=False),
         noise=noise,
         encoder=np.array([encoder_of(columns) for columns in _columns(raw)]),
         turn=np.max([np.abs(np.diff(q, axis=0)).max(0) for q, _ in motions], axis=0),
@@ -127,8 +148,11 @@ def _columns(raw: Sequence[np.ndarray]) -> list[list[np.ndarray]]:
 
 
 def noise_of(columns: Sequence[np.ndarray]) -> float:
-    """Standard deviation of white noise on smooth motions: that of their k-th differences over
-    ``√C(2k, k)``, the least over k; a twentieth of them, gaps and shocks, is left out."""
+    """Return the standard deviation of white noise on smooth motions.
+
+    It is that of their k-th differences over ``√C(2k, k)``, the least over k; the largest twentieth
+    of them, gaps and shocks, is left out. NaN with too few samples.
+    """
     found = []
     for k in range(3, 9):
         squares = np.sort(np.concatenate([np.diff(x, k) ** 2 for x in columns]))
@@ -138,7 +162,7 @@ def noise_of(columns: Sequence[np.ndarray]) -> float:
 
 
 def encoder_of(columns: Sequence[np.ndarray]) -> float:
-    """The step that all increments are multiples of; 0 where there is none to be seen."""
+    """Return the step that all increments are multiples of, 0 if there is none."""
     rises = np.concatenate([np.abs(np.diff(x)) for x in columns])
     rises = rises[rises > 1e-9]
     if not len(rises):
@@ -149,11 +173,13 @@ def encoder_of(columns: Sequence[np.ndarray]) -> float:
     return step if len(ratios) >= 20 and whole.mean() > 0.98 else 0.0
 
 
-def explained(
+def explained_power(
     motions: Sequence[Motion], coordinates: Coordinates, h: float, *, driven: bool
 ) -> float | None:
-    """Share of the power of weak accelerations that a ridge regression predicts, each left out in
-    turn; ``None`` where there are fewer than 20 or nothing moves."""
+    """Return the share of the power of weak accelerations that a ridge regression predicts.
+
+    Each row is predicted from the others. ``None`` with fewer than 20 rows or without motion.
+    """
     s = np.arange(-HALF, HALF + 1) / (HALF + 1)
     bump = (1 - s**2) ** 3
     rows = []
@@ -186,7 +212,7 @@ def _left_out(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _terms(q: np.ndarray, v: np.ndarray, u: np.ndarray, coordinates: Coordinates) -> np.ndarray:
-    """What accelerations are made of: places, products of velocities, friction, inputs."""
+    """Terms of accelerations: places, products of velocities, friction, inputs."""
     each = [
         [np.cos(x), np.sin(x)] if angular else [x]
         for x, angular in zip(q.T, coordinates.angular, strict=True)

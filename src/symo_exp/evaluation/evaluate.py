@@ -14,7 +14,7 @@ import torch
 
 from symo_exp.data.base import DataModule
 from symo_exp.evaluation import measures
-from symo_exp.evaluation.recordings import Recorded, on_recordings
+from symo_exp.evaluation.recordings import RecordedPredictions, on_recordings
 from symo_exp.evaluation.references import Reference
 from symo_exp.evaluation.rollouts import CHUNK, Rollouts, along, roll_out
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
@@ -45,7 +45,7 @@ class Evaluation:
 
     measures: dict[str, float]
     rollouts: Rollouts
-    recorded: Recorded | None = None
+    recorded: RecordedPredictions | None = None
 
 
 @torch.no_grad()

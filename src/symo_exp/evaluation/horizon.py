@@ -1,14 +1,15 @@
-"""How far a model predicts recorded motions: errors over horizons of 0.5, 1 and 2 s.
+"""Errors of predicted recordings over horizons of 0.5, 1 and 2 s, and over whole recordings.
 
-The protocol needs no truth. Windows of 2 s begin every 0.25 s (or up to a step less) of each
-trajectory; those in which nothing moves by 0.2 rad (m) are left out. A model predicts each from a
-start and the measured inputs alone, open loop. There are two starts:
+The protocol needs no true system. Windows of 2 s begin every 0.25 s (or up to a step less) of each
+trajectory; those in which nothing moves are left out (``movement``). A model predicts each window
+from a start and the measured inputs alone, in open loop. There are two starts:
 
 * *fitted*: the state that makes the model's own motion fit the configurations of a run-in of 0.2 s
-  (its nodes, the last of which is the window's first). It asks the model, not a velocity sensor;
+  (its nodes, the last of which is the window's first). It depends on no velocity sensor;
 * *measured*: configuration and velocity of the window's first node, as they were recorded.
 
-A trajectory shorter than run-in and window gives one window of what it has.
+A trajectory shorter than run-in and window gives one window of all it has. Where all of them are
+shorter than 0.8 s, the run-in is a quarter of the longest.
 """
 
 from __future__ import annotations
@@ -21,29 +22,40 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from symo_exp.data.diagnose import noise_of
 from symo_exp.evaluation.measures import VALID_ERROR, squared_error
 from symo_exp.evaluation.rollouts import CHUNK
 from symo_exp.evaluation.starts import RollsOut, State, fitted_start
 from symo_exp.mechanics.types import Trajectory
 
 HORIZONS = (0.5, 1.0, 2.0)
-"""Up to which errors are measured [s]; the last is the length of a window."""
+"""Times up to which errors are measured [s]; the last is the length of a window."""
 EVERY, RUN_IN = 0.25, 0.2
-"""From the start of a window to that of the next, and what is fitted before it [s]."""
-MOVES = 0.2
-"""Range of a coordinate [rad, m] below which it rests."""
+"""Distance of the starts of windows, and length of the run-in before each [s]."""
+MOVES, SHARE, ABOVE_NOISE = 0.2, 0.05, 10.0
+"""A coordinate moves in a window where its range exceeds so many rad or m, or this share of its
+range in the recordings if that is less, and so many times its noise."""
+TOLERANCE, TURNS = 0.1, 1.0
+"""Share of the motion in a window up to which a prediction is usable, and the motion of an angle
+[rad] at most."""
 
 
-class Windows(NamedTuple):
+class PredictionWindows(NamedTuple):
     """Pieces of trajectories, padded to the longest: run-in and prediction.
 
-    Node ``lead`` is the first of the window; the run-in ends there. After the end of its
-    trajectory a piece has no configurations (NaN) and no input (0).
+    After the end of its trajectory a piece has no configurations (NaN) and no input (0).
+
+    Attributes:
+        trajectory: Index of the trajectory that each was cut from.
+        first: Its node with which the window begins.
+        lead: Node of the piece that is the first of the window; the run-in ends there.
+        q: Configurations.
+        v: Velocities.
+        u: Inputs.
     """
 
     trajectory: Int[Tensor, " windows"]
     first: Int[Tensor, " windows"]
-    """Node of the trajectory with which the window begins."""
     lead: int
     q: Float[Tensor, "windows nodes n"]
     v: Float[Tensor, "windows nodes n"]
@@ -52,22 +64,28 @@ class Windows(NamedTuple):
 
 @dataclass(frozen=True)
 class Predictions:
-    """What a model made of the windows, in float64; node 0 is the start.
+    """Predicted windows, in float64; node 0 is the start.
 
-    ``q_true`` and ``v_true`` were measured; after the end of a trajectory they are NaN.
+    Attributes:
+        time_step: Distance of the nodes [s].
+        windows: What was predicted.
+        q: Predicted configurations.
+        v: Predicted velocities.
     """
 
     time_step: float
-    windows: Windows
+    windows: PredictionWindows
     q: Float[Tensor, "windows nodes n"]
     v: Float[Tensor, "windows nodes n"]
 
     @property
     def q_true(self) -> Float[Tensor, "windows nodes n"]:
+        """Measured configurations; NaN after the end of a trajectory."""
         return self.windows.q[:, self.windows.lead :]
 
     @property
     def v_true(self) -> Float[Tensor, "windows nodes n"]:
+        """Measured velocities; NaN after the end of a trajectory."""
         return self.windows.v[:, self.windows.lead :]
 
     @property
@@ -76,7 +94,7 @@ class Predictions:
         return (self.q.shape[1] - 1) * self.time_step
 
     def errors(self) -> Float[Tensor, "windows steps"]:
-        """Mean squared error over the coordinates at each predicted node, the start left out.
+        """Return the mean squared error over coordinates at each predicted node.
 
         Infinite where the prediction is not finite, NaN after the end of the trajectory.
         """
@@ -85,17 +103,26 @@ class Predictions:
         return error.where(true.isfinite().all(2), torch.nan)
 
     def rmse(self, seconds: float) -> Float[Tensor, " windows"]:
-        """Root mean square error of each window over coordinates and time to ``seconds``."""
+        """Return the root mean square error of each window over coordinates and time."""
         return self._until(seconds).nanmean(1).sqrt()
 
     def valid_seconds(self) -> Float[Tensor, " windows"]:
-        """Until the error, root mean square over coordinates, exceeds 0.1 [rad, m]."""
+        """Return the time until the error, RMS over coordinates, exceeds 0.1 [rad, m]."""
         error = self.errors()
-        left = (error.sqrt() > VALID_ERROR) | error.isnan()
+        return self._before((error.sqrt() > VALID_ERROR) | error.isnan())
+
+    def usable_seconds(self, tolerance: Float[Tensor, " n"]) -> Float[Tensor, " windows"]:
+        """Return the time until the error over ``tolerance``, RMS over coordinates, exceeds 1."""
+        true = self.q_true[:, 1:]
+        error = (squared_error(self.q[:, 1:], true) / tolerance.square()).mean(2)
+        return self._before((error > 1.0) | ~true.isfinite().all(2))
+
+    def _before(self, left: Tensor) -> Tensor:
+        """Time before the first node that is ``left``."""
         return (left.cumsum(1) == 0).sum(1).double() * self.time_step
 
     def measures(self) -> dict[str, float]:
-        """``rmse_<T>s``, ``pooled_rmse_<T>s`` [rad, m] and ``valid_s`` (docs/metrics.md)."""
+        """Return ``rmse_<T>s``, ``pooled_rmse_<T>s`` [rad, m] and ``valid_s`` [s]."""
         found = {"valid_s": median(self.valid_seconds())}
         for seconds in HORIZONS:
             name = f"rmse_{seconds:g}s"
@@ -104,29 +131,62 @@ class Predictions:
         return found
 
     def _until(self, seconds: float) -> Tensor:
-        return self.errors()[:, : round(seconds / self.time_step)]
+        return self.errors()[:, : max(1, round(seconds / self.time_step))]
 
 
-def cut(trajectories: Sequence[Trajectory], time_step: float, *, run_in: bool) -> Windows | None:
-    """The windows of all trajectories, with or without a run-in; ``None`` if there are none."""
-    lead = max(2, round(RUN_IN / time_step) - 1) if run_in else 0
+def cut(
+    trajectories: Sequence[Trajectory], time_step: float, *, run_in: bool
+) -> PredictionWindows | None:
+    """Return the windows of all trajectories, with or without a run-in; ``None`` without any."""
+    lead = _run_in(trajectories, time_step) if run_in else 0
     length = lead + round(HORIZONS[-1] / time_step)
     pieces = [
         (at, start + lead, Trajectory(*(x[start : start + length + 1] for x in whole)))
         for at, whole in enumerate(trajectories)
         for start in _starts(len(whole.q) - 1, lead, length, time_step)
     ]
-    pieces = [piece for piece in pieces if _moves(piece[2].q[lead:])]
+    least = movement(trajectories)
+    pieces = [piece for piece in pieces if bool((_ranges(piece[2].q[lead:]) > least).any())]
     if not pieces:
         return None
     trajectory, first, cuts = zip(*pieces, strict=True)
     q, v, u = (_padded(field) for field in zip(*cuts, strict=True))
-    return Windows(torch.tensor(trajectory), torch.tensor(first), lead, q, v, u.nan_to_num())
+    return PredictionWindows(
+        torch.tensor(trajectory), torch.tensor(first), lead, q, v, u.nan_to_num()
+    )
+
+
+def movement(trajectories: Sequence[Trajectory]) -> Float[Tensor, " n"]:
+    """Return the range of each coordinate beyond which it moves in a window [rad, m]."""
+    ranges = torch.stack([_ranges(one.q) for one in trajectories]).amax(0)
+    least = (SHARE * ranges).clamp(max=MOVES)
+    return torch.maximum(least, ABOVE_NOISE * noise(trajectories))
+
+
+def noise(trajectories: Sequence[Trajectory]) -> Float[Tensor, " n"]:
+    """Return the standard deviation of each coordinate's noise at the nodes, an estimate."""
+    columns = zip(*(one.q.double().unbind(1) for one in trajectories), strict=True)
+    found = [noise_of([x.numpy() for x in each]) for each in columns]
+    return torch.tensor(found, dtype=torch.float64).nan_to_num(0.0)
+
+
+def tolerance(windows: PredictionWindows, angular: Sequence[bool]) -> Float[Tensor, " n"]:
+    """Return the error of each coordinate up to which a prediction is usable [rad, m].
+
+    It is a tenth of the motion in a window (standard deviation, root mean square over windows); of
+    an angle that moves by more than 1 rad, 0.1 rad.
+    """
+    q = windows.q[:, windows.lead :]
+    motion = (q - q.nanmean(1, keepdim=True)).square().nanmean((0, 1)).sqrt()
+    motion = torch.where(torch.tensor(angular), motion.clamp(max=TURNS), motion)
+    return TOLERANCE * motion.where(motion > 0, motion.max())
 
 
 @torch.no_grad()
-def predict(model: RollsOut, windows: Windows, time_step: float, place: Tensor) -> Predictions:
-    """A model's motions through the windows, from the fitted start where they have a run-in.
+def predict(
+    model: RollsOut, windows: PredictionWindows, time_step: float, place: Tensor
+) -> Predictions:
+    """Return a model's motions through the windows, from fitted starts where they have a run-in.
 
     ``place`` is a tensor of the precision and on the device in which the model works.
     """
@@ -137,6 +197,23 @@ def predict(model: RollsOut, windows: Windows, time_step: float, place: Tensor) 
     ]
     q, v = (torch.cat(field) for field in zip(*parts, strict=True))
     return Predictions(time_step, windows, q, v)
+
+
+@torch.no_grad()
+def predict_whole(
+    model: RollsOut, trajectories: Sequence[Trajectory], time_step: float, place: Tensor
+) -> Predictions:
+    """Return a model's motions along whole trajectories, in open loop from their first nodes.
+
+    The start is fitted to the configurations of the first 0.2 s.
+    """
+    lead = min(_run_in(trajectories, time_step), min(len(one.q) for one in trajectories) - 1)
+    q, v, u = (_padded(field) for field in zip(*trajectories, strict=True))
+    count = torch.arange(len(trajectories))
+    whole = PredictionWindows(count, torch.zeros_like(count), 0, q, v, u.nan_to_num())
+    start, inputs = whole.q[:, : lead + 1].to(place), whole.u.to(place)
+    path = model.rollout(*fitted_start(model, start, inputs[:, : lead + 1], time_step), inputs)
+    return Predictions(time_step, whole, path.q.double().cpu(), path.v.double().cpu())
 
 
 def _roll_out(
@@ -156,8 +233,14 @@ def _starts(steps: int, lead: int, length: int, time_step: float) -> range:
     return range(0, steps - length + 1, max(1, int(EVERY / time_step + 1e-9)))
 
 
-def _moves(q: Tensor) -> bool:
-    return bool((q.amax(0) - q.amin(0) >= MOVES).any())
+def _run_in(trajectories: Sequence[Trajectory], time_step: float) -> int:
+    """Steps of a run-in."""
+    longest = max(len(one.q) for one in trajectories) - 1
+    return max(2, min(round(RUN_IN / time_step) - 1, longest // 4))
+
+
+def _ranges(q: Tensor) -> Tensor:
+    return q.amax(0) - q.amin(0)
 
 
 def _padded(pieces: Sequence[Tensor]) -> Tensor:
@@ -166,6 +249,6 @@ def _padded(pieces: Sequence[Tensor]) -> Tensor:
 
 
 def median(values: Tensor) -> float:
-    """The median, the mean of the two in the middle where their number is even."""
+    """Return the median, the mean of the two in the middle where their number is even."""
     ordered = values.double().sort().values
     return (0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2])).item()

@@ -1,7 +1,8 @@
-"""Recorded motions: a trained model over their windows, beside what it is held to."""
+"""Measures of a trained model on recordings, beside baselines and references."""
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,24 +10,37 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from symo_exp.evaluation.horizon import HORIZONS, Predictions, cut, median, predict
+from symo_exp.evaluation.horizon import (
+    HORIZONS,
+    Predictions,
+    cut,
+    median,
+    noise,
+    predict,
+    predict_whole,
+    tolerance,
+)  # fmt: skip
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
 from symo_exp.evaluation.starts import RollsOut
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.models.base import DynamicsModel
 
+log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
-class Recorded:
-    """What a model and, where there is one, a reference made of all windows, from fitted starts."""
+class RecordedPredictions:
+    """Predictions of all windows from fitted starts, by a model and by a reference if given."""
 
     coordinates: Coordinates
     model: Predictions
     reference: Predictions | None
 
     def columns(self) -> dict[str, Tensor]:
-        """A row for each node of each window: ``window``, ``trajectory``, ``start`` [s] (of the
-        window, in its trajectory), ``t`` [s] (from there), ``q_<name>``, ``v_<name>`` (predicted),
+        """Return a table with a row for each node of each window.
+
+        Its columns are ``window``, ``trajectory``, ``start`` [s] (of the window, in its
+        trajectory), ``t`` [s] (from there), ``q_<name>``, ``v_<name>`` (predicted),
         ``q_true_<name>``, ``v_true_<name>`` (measured) and, of a reference, ``q_reference_<name>``.
         """
         found = self.model
@@ -50,10 +64,9 @@ class Recorded:
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOutErrors:
-    """What a training on recordings is judged by: the geometric mean of the errors ``rmse_<T>s``
-    [rad, m] of a model's rollouts over held-out motions, from fitted starts.
+    """Score of a training on recordings, by rollouts over held-out motions from fitted starts.
 
-    Infinite where no motion has a window.
+    It is the geometric mean of the errors ``rmse_<T>s`` [rad, m], infinite without a window.
     """
 
     def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
@@ -67,17 +80,22 @@ class HeldOutErrors:
 
 def on_recordings(
     model: DynamicsModel, trajectories: Sequence[Trajectory], reference: Reference | None = None
-) -> tuple[dict[str, float], Recorded | None]:
-    """The measures of ``horizon`` for a model in float64, for constant velocity, and for a
-    reference, with prefixes of their own; those of the measured start end in ``_measured``.
+) -> tuple[dict[str, float], RecordedPredictions | None]:
+    """Return the measures of recordings (docs/metrics.md) and the predictions of the windows.
 
-    ``windows`` are how many. There is nothing where no trajectory has a window.
+    Those of constant velocity and of a reference have prefixes of their own; those of the measured
+    start end in ``_measured``.
+
+    Args:
+        model: The model, in float64.
+        trajectories: The recordings to predict.
+        reference: A model to compare with.
     """
     h, place = model.time_step, model.input_matrix
     who: dict[str, RollsOut] = {"": model, "constant_velocity_": ConstantVelocity(h)}
     if reference is not None:
         who["reference_"] = Continuous(reference, h)
-    measures: dict[str, float] = {}
+    measures: dict[str, float] = {"windows": 0.0}
     recorded = None
     for suffix, run_in in (("", True), ("_measured", False)):
         windows = cut(trajectories, h, run_in=run_in)
@@ -88,5 +106,17 @@ def on_recordings(
         for prefix, one in found.items():
             measures |= {f"{prefix}{key}{suffix}": x for key, x in one.measures().items()}
         if run_in:
-            recorded = Recorded(model.coordinates, found[""], found.get("reference_"))
+            recorded = RecordedPredictions(model.coordinates, found[""], found.get("reference_"))
+            usable = tolerance(windows, model.coordinates.angular)
+            for prefix, one in found.items():
+                measures[f"{prefix}usable_s"] = median(one.usable_seconds(usable))
+    for prefix, simulator in who.items():
+        errors = predict_whole(simulator, trajectories, h, place).errors()
+        measures[f"{prefix}open_loop_rmse"] = errors.nanmean().sqrt().item()
+    measures["noise"] = noise(trajectories).square().mean().sqrt().item()
+    if recorded is None:
+        log.warning(
+            "no windows: the test recordings are too short for one, or nothing moves in them; "
+            "there are no errors over 0.5, 1 and 2 s, only open_loop_rmse over whole recordings"
+        )
     return measures, recorded

@@ -1,4 +1,4 @@
-"""What a learned model is held to: motion at constant velocity, and models that others made."""
+"""Baselines and reference models."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.explicit import RK4
 
 SUBSTEPS = 10
-"""Of a reference in a time step: its error shall be its own, not the integrator's."""
+"""Integration steps of a reference in a time step, so that the integrator's error is negligible."""
 
 
 class Reference(Protocol):
-    """A model in continuous time, whatever is known of it (``conf/reference``)."""
+    """A model in continuous time (``conf/reference``)."""
 
     def acceleration(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"], u: Float[Tensor, "batch m"]
     ) -> Float[Tensor, "batch n"]:
-        """``v̇`` of a batch of states under the controls ``u``."""
+        """Return ``v̇`` of a batch of states under the controls ``u``."""
 
 
 def check_fit(reference: Reference, n: int, m: int) -> None:
-    """Refuse a reference that is not one of ``n`` coordinates and ``m`` inputs."""
+    """Raise ``ConfigError`` unless a reference has ``n`` coordinates and ``m`` inputs."""
     q, u = torch.zeros(1, n, dtype=torch.float64), torch.zeros(1, m, dtype=torch.float64)
     reason = "it gives no finite acceleration at rest"
     try:
@@ -41,7 +41,7 @@ def check_fit(reference: Reference, n: int, m: int) -> None:
     )
 
 
-class Path(NamedTuple):
+class ReferenceRollout(NamedTuple):
     """A rollout, start included."""
 
     q: Float[Tensor, "batch nodes n"]
@@ -50,14 +50,15 @@ class Path(NamedTuple):
 
 @dataclass(frozen=True)
 class ConstantVelocity:
-    """``q_k = q_0 + k h v_0``: what one would say of a motion without any model."""
+    """Motion at constant velocity, ``q_k = q_0 + k h v_0``: the baseline without any model."""
 
     time_step: float
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Path:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+        """Return the motion from a start over as many nodes as ``u`` has."""
         t = self.time_step * torch.arange(u.shape[1]).to(q0)
         v = v0[:, None].expand(-1, len(t), -1)
-        return Path(q0[:, None] + t[:, None] * v, v)
+        return ReferenceRollout(q0[:, None] + t[:, None] * v, v)
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class Continuous:
     reference: Reference
     time_step: float
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Path:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+        """Return the motion from a start over as many nodes as ``u`` has."""
         method, h = RK4(), self.time_step / SUBSTEPS
         q, v = [q0], [v0]
         for before, after in zip(u[:, :-1].unbind(1), u[:, 1:].unbind(1), strict=True):
@@ -77,4 +79,4 @@ class Continuous:
                 state = method.step(self.reference.acceleration, *state, *ends, h)
             q.append(state[0])
             v.append(state[1])
-        return Path(torch.stack(q, 1), torch.stack(v, 1))
+        return ReferenceRollout(torch.stack(q, 1), torch.stack(v, 1))

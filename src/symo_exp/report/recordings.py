@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.evaluation.horizon import HORIZONS
-from symo_exp.evaluation.recordings import Recorded
+from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.rollouts import along
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
@@ -23,7 +23,9 @@ Force = Callable[[Tensor, Tensor], Tensor]
 """The generalised force of dissipation at a batch of states."""
 
 
-def figures(model: DynamicsModel, found: Recorded, method: str, title: str) -> list[Figure]:
+def figures(
+    model: DynamicsModel, found: RecordedPredictions, method: str, title: str
+) -> list[Figure]:
     """The windows; where the model has a dissipation, what it does in them."""
     made = [windows(found, method, title)]
     learned = getattr(model, "dissipation", None)
@@ -33,7 +35,7 @@ def figures(model: DynamicsModel, found: Recorded, method: str, title: str) -> l
     return made
 
 
-def windows(found: Recorded, method: str, title: str) -> Figure:
+def windows(found: RecordedPredictions, method: str, title: str) -> Figure:
     """Every coordinate over time, prediction on measurement, and the error below."""
     table, errors = _table(found), found.model.rmse(HORIZONS[-1])
     chosen = {which: table[table.window == at] for which, at in ranking(errors).items()}
@@ -52,7 +54,7 @@ def windows(found: Recorded, method: str, title: str) -> Figure:
 
 
 def dissipation(
-    model: DynamicsModel, force: Force, found: Recorded, method: str, title: str
+    model: DynamicsModel, force: Force, found: RecordedPredictions, method: str, title: str
 ) -> Figure:
     """Its generalised force over velocity in all windows, and over time in the median one."""
     place, v, pair = model.input_matrix, found.model.v, (method, "")
@@ -82,7 +84,7 @@ def _beside(panel: Panel, table: pd.DataFrame, column: str) -> Panel:
     return replace(panel, rows=pd.concat([panel.rows, other]))
 
 
-def _with_errors(found: Recorded, table: pd.DataFrame) -> pd.DataFrame:
+def _with_errors(found: RecordedPredictions, table: pd.DataFrame) -> pd.DataFrame:
     """``error`` of the predicted nodes, and ``error_reference`` where there is one."""
     names, errors = found.coordinates.names, {}
     for suffix in ("", "_reference"):
@@ -92,5 +94,5 @@ def _with_errors(found: Recorded, table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(**errors)[1:]
 
 
-def _table(found: Recorded) -> pd.DataFrame:
+def _table(found: RecordedPredictions) -> pd.DataFrame:
     return pd.DataFrame({name: column.numpy() for name, column in found.columns().items()})

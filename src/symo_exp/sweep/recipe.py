@@ -17,7 +17,7 @@ from omegaconf import DictConfig
 from symo_exp import code
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
-from symo_exp.evaluation.recordings import Recorded
+from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.evaluation.study import afresh
@@ -183,7 +183,7 @@ def _train(parts: Parts, folder: Path, run: str) -> None:
     stopping.raise_if_requested()
 
 
-def _tell(folder: RunFolder, name: str, found: Rollouts | Recorded) -> None:
+def _tell(folder: RunFolder, name: str, found: Rollouts | RecordedPredictions) -> None:
     folder.write_table(name, {key: x.numpy() for key, x in found.columns().items()})
 
 

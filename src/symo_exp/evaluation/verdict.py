@@ -1,0 +1,53 @@
+"""Verdict on a model of recordings, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+HORIZONS = ("0.5s", "1s", "2s")
+BETTER = 0.9
+"""Share of constant velocity's error below which a model is better."""
+LONG = 1.9
+"""Time for which a good model is usable [s], nearly that of a window."""
+
+
+def verdict(measures: Mapping[str, float]) -> str | None:
+    """Return what a model of recordings is good for, ``None`` where its measures do not say.
+
+    A model is *good* if its error stays within a tenth of the motion over windows of 2 s (median
+    over windows), *usable* to the time until which it does, and *no better than constant velocity*
+    if its error exceeds 0.9 times that baseline's over 0.5, 1 and 2 s.
+
+    Args:
+        measures: Those of a run by name (docs/metrics.md).
+    """
+    if measures.get("windows") == 0.0:
+        return "not judged: the test recordings are too short, or nothing moves in them"
+    if "usable_s" not in measures:
+        return None
+    pairs = [
+        (measures[f"rmse_{t}"], measures[f"constant_velocity_rmse_{t}"])
+        for t in HORIZONS
+        if f"constant_velocity_rmse_{t}" in measures
+    ]
+    if pairs and all(not own < BETTER * other for own, other in pairs):
+        return "no better than constant velocity"
+    seconds = measures["usable_s"]
+    if math.isfinite(seconds) and seconds >= LONG:
+        return "good"
+    return f"usable to {seconds:.2g} s" if seconds > 0 else "not usable, off from the start"
+
+
+def comparison(measures: Mapping[str, float]) -> str | None:
+    """Return the errors of a model beside the baseline's and the noise, in a line.
+
+    ``None`` where there are no windows.
+    """
+    if "rmse_1s" not in measures or "constant_velocity_rmse_1s" not in measures:
+        return None
+    noise = f", noise {measures['noise']:.2g}" if "noise" in measures else ""
+    return (
+        f"RMSE to 1 s {measures['rmse_1s']:.2g}, of constant velocity "
+        f"{measures['constant_velocity_rmse_1s']:.2g}{noise}"
+    )
