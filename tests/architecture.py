@@ -28,7 +28,8 @@ RULES = {
          "rosbags"},
     ),
     "evaluation": (
-        {"mechanics", "systems", "data", "models"}, {"torch", "jaxtyping", "numpy"},
+        {"mechanics", "nets", "optim", "systems", "data", "models"},
+        {"torch", "jaxtyping", "numpy"},
     ),
     "runs": ({"models"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
     "training": ({"runs", "compile"}, {"torch", "lightning", "numpy", "tqdm"}),

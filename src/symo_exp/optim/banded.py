@@ -124,6 +124,11 @@ class BandFactor:
             BandFactor(factor, (count, m)) if info == 0 and np.isfinite(factor[0]).all() else None
         )
 
+    @property
+    def log_determinant(self) -> float:
+        """``log det S``."""
+        return float(2.0 * np.log(self._band[0]).sum())
+
     def whiten(self, x: Float[Tensor, "blocks m *k"]) -> Tensor:
         """Return ``L⁻¹ x``."""
         return self._solve(x, b"N")

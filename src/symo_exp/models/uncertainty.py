@@ -1,0 +1,136 @@
+"""Models with the posterior of their parameters: samples and intervals of rollouts."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.errors import ConfigError
+from symo_exp.optim.posterior import Posterior
+
+if TYPE_CHECKING:
+    from symo_exp.models.base import DynamicsModel
+
+MOST_DIRECTIONS = 24
+"""Directions of a posterior up to which intervals are by linearisation, beyond by samples."""
+SAMPLES = 48
+SEED = 0
+
+
+class Interval(NamedTuple):
+    """Configurations between which a motion lies with the probability asked for."""
+
+    lower: Float[Tensor, "*batch nodes n"]
+    upper: Float[Tensor, "*batch nodes n"]
+
+
+@dataclass(frozen=True)
+class ModelPosterior:
+    """The posterior of a model's parameters, and its error beyond it.
+
+    Attributes:
+        parameters: Posterior of all parameters, in their order.
+        error: Standard deviation (nodes, n) of held-out motions about the model's that the
+            parameters do not explain, by node; ``None`` where they explain them or there were none.
+    """
+
+    parameters: Posterior
+    error: Float[Tensor, "nodes n"] | None = None
+
+    def state(self) -> dict[str, Any]:
+        """Return it as plain values and tensors."""
+        return {**self.parameters._asdict(), "error": self.error}
+
+    @staticmethod
+    def of_state(state: dict[str, Any]) -> ModelPosterior:
+        """Return it from what ``state`` gave."""
+        fields = {name: state[name] for name in Posterior._fields}
+        return ModelPosterior(Posterior(**fields), state["error"])
+
+
+@torch.no_grad()
+def place(model: DynamicsModel, flat: Float[Tensor, " p"]) -> DynamicsModel:
+    """Put a vector of parameters in place."""
+    parameters = list(model.parameters())
+    for p, part in zip(parameters, flat.split([p.numel() for p in parameters]), strict=True):
+        p.copy_(part.view_as(p))
+    return model
+
+
+def sample(model: DynamicsModel, count: int, seed: int) -> list[DynamicsModel]:
+    """Return models with parameters drawn from the posterior."""
+    generator = torch.Generator().manual_seed(seed)
+    drawn = known(model).parameters.samples(count, generator)
+    return [place(copy.deepcopy(model), flat) for flat in drawn]
+
+
+def known(model: DynamicsModel) -> ModelPosterior:
+    """Return the posterior of a model; refuse one that has none."""
+    found: ModelPosterior | None = vars(model).get("posterior")
+    if found is None:
+        raise ConfigError(
+            "this model has no posterior: it is kept of runs with "
+            "optimizer=levenberg_marquardt or total_least_squares"
+        )
+    return found
+
+
+@torch.no_grad()
+def interval(
+    model: DynamicsModel, q: Tensor, v: Tensor, u: Float[Tensor, "batch nodes m"], level: float
+) -> Interval:
+    """Return the interval of rollouts, by linearisation or by samples, widened by the error."""
+    if not 0.0 < level < 1.0:
+        raise ConfigError(f"level={level}: expected a number between 0 and 1")
+    posterior = known(model)
+    middle = model.flow.rollout(q, v, u).q
+    variance = spread(model, posterior.parameters, q, v, u, middle)
+    if posterior.error is not None:
+        variance = variance + extended(posterior.error, u.shape[1]).to(middle).square()
+    width = quantile(level) * variance.sqrt()
+    return Interval(middle - width, middle + width)
+
+
+def quantile(level: float) -> float:
+    """Return how many standard deviations on both sides hold this probability."""
+    return float(torch.special.ndtri(torch.tensor(0.5 + 0.5 * level, dtype=torch.float64)))
+
+
+def extended(error: Float[Tensor, "nodes n"], nodes: int) -> Float[Tensor, "nodes n"]:
+    """Return an error for so many nodes; beyond its last it goes on growing linearly."""
+    last = len(error) - 1
+    if nodes <= len(error) or last == 0:
+        return error[:nodes] if nodes <= len(error) else error[-1:].expand(nodes, -1)
+    beyond = torch.arange(last + 1, nodes).to(error).unsqueeze(1) / last
+    return torch.cat((error, error[-1:] * beyond))
+
+
+@torch.no_grad()
+def spread(
+    model: DynamicsModel, posterior: Posterior, q: Tensor, v: Tensor, u: Tensor, middle: Tensor
+) -> Float[Tensor, "batch nodes n"]:
+    """Return the variance of rollouts under the posterior; infinite where they diverge."""
+    twin = copy.deepcopy(model)
+    total, count = torch.zeros_like(middle), 0
+    linear = posterior.directions.shape[1] <= MOST_DIRECTIONS
+    for flat in _placed(posterior, linear):
+        path = place(twin, flat).flow.rollout(q, v, u).q
+        total, count = total + (path - middle).square(), count + 1
+    total = total / 2.0 if linear else total / max(count, 1)
+    return total.nan_to_num(torch.inf, torch.inf)
+
+
+def _placed(posterior: Posterior, linear: bool) -> Iterator[Tensor]:
+    if not linear:
+        yield from posterior.samples(SAMPLES, torch.Generator().manual_seed(SEED))
+        return
+    for direction in posterior.directions.T:
+        bounded = direction / direction.norm().clamp_min(1.0)
+        yield posterior.mean + bounded
+        yield posterior.mean - bounded

@@ -1,0 +1,128 @@
+"""Physical numbers that a learned Lagrangian or dissipation stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import singledispatch
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.mechanics.bodies import of_pseudo_inertia
+from symo_exp.mechanics.dissipation import DissipativeLagrangian
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.drag import LearnedDrag
+from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.rigid_chain import RigidChain
+
+ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
+
+
+class Reading(NamedTuple):
+    """A physical number, differentiable in the parameters behind it."""
+
+    name: str
+    unit: str
+    value: Float[Tensor, ""]
+
+
+@singledispatch
+def readings(module: Any, coordinates: Coordinates) -> list[Reading]:
+    """Return the physical numbers of a module; none where it is a network."""
+    return []
+
+
+@readings.register
+def _(module: DissipativeLagrangian, coordinates: Coordinates) -> list[Reading]:
+    parts = module.conservative, module.dissipation
+    return [reading for part in parts for reading in readings(part, coordinates)]
+
+
+@readings.register
+def _(module: KnownLagrangian, coordinates: Coordinates) -> list[Reading]:
+    found: list[Reading] = []
+    for name, value in module.constants().items():
+        given = module.given[name]
+        if value.ndim == 0:
+            found.append(Reading(name, given.unit, value))
+        else:
+            origin = torch.tensor(given.origin).to(value)
+            found += _body(name.removesuffix(".body"), value, origin)
+    return found
+
+
+@readings.register
+def _(module: RigidChain, coordinates: Coordinates) -> list[Reading]:
+    n = coordinates.n
+    axes, places = module.axes.view(n, 3), module.places.view(n, 3)
+    zero = module.moments.new_zeros(n, 1)
+    factors = torch.cat((module.moments.view(n, 10), zero), dim=1)[:, module.place]
+    found: list[Reading] = []
+    for i, name in enumerate(coordinates.names):
+        found += _body(name, factors[i] @ factors[i].mT)
+        found += _vector(f"{name}.axis", "1", axes[i] / axes[i].norm())
+        found += _vector(f"{name}.place", "m", places[i])
+        unit = "kg m^2" if coordinates.angular[i] else "kg"
+        found.append(Reading(f"{name}.armature", unit, module.rotors[i].square()))
+    return found + _vector("gravity", "m/s^2", module.gravity)
+
+
+@readings.register
+def _(module: KnownFriction, coordinates: Coordinates) -> list[Reading]:
+    viscous, coulomb = (x[0] for x in module.coefficients())
+    n, found = coordinates.n, []
+    for k in module.free:
+        i, dry = k % n, k >= n
+        unit = _units(coordinates.angular[i])[dry]
+        value = (coulomb if dry else viscous)[i]
+        kind = "dry_friction" if dry else "viscous_friction"
+        found.append(Reading(f"{coordinates.names[i]}.{kind}", unit, value))
+    return found
+
+
+@readings.register
+def _(module: LearnedDissipation, coordinates: Coordinates) -> list[Reading]:
+    matrix, dry = module.coefficients()
+    names, found = coordinates.names, []
+    for i, name in enumerate(names):
+        unit, force = _units(coordinates.angular[i])
+        if matrix is not None:
+            found.append(Reading(f"{name}.viscous_friction", unit, matrix[i, i]))
+            for j in range(i):
+                mixed = unit if coordinates.angular[i] == coordinates.angular[j] else "N s"
+                label = f"{name}.viscous_friction.{names[j]}"
+                found.append(Reading(label, mixed, matrix[i, j]))
+        if dry is not None:
+            found.append(Reading(f"{name}.dry_friction", force, dry[0][i]))
+            rate = "rad/s" if coordinates.angular[i] else "m/s"
+            found.append(Reading(f"{name}.rest_velocity", rate, dry[1][i]))
+    return found
+
+
+@readings.register
+def _(module: LearnedDrag, coordinates: Coordinates) -> list[Reading]:
+    values = torch.nn.functional.softplus(module.viscous)
+    return [Reading(f"drag_{k + 1}.linear", "N^(2/3) s^(1/3)", x) for k, x in enumerate(values)]
+
+
+def _body(name: str, body: Tensor, origin: Tensor | None = None) -> list[Reading]:
+    """Mass, centre of mass from the joint, and inertia about the centre, of a pseudo-inertia."""
+    mass, centre, inertia = of_pseudo_inertia(body)
+    centre = centre if origin is None else centre - origin
+    found = [Reading(f"{name}.mass", "kg", mass), *_vector(f"{name}.centre", "m", centre)]
+    for entry in ENTRIES:
+        i, j = ("xyz".index(axis) for axis in entry)
+        found.append(Reading(f"{name}.inertia_{entry}", "kg m^2", inertia[i, j]))
+    return found
+
+
+def _vector(name: str, unit: str, values: Sequence[Tensor] | Tensor) -> list[Reading]:
+    return [Reading(f"{name}_{axis}", unit, x) for axis, x in zip("xyz", values, strict=True)]
+
+
+def _units(angular: bool) -> tuple[str, str]:
+    """Those of viscous and of dry friction."""
+    return ("N m s/rad", "N m") if angular else ("N s/m", "N")

@@ -1,0 +1,220 @@
+"""Gaussian posterior of parameters that were estimated by least squares along trajectories.
+
+Two methods estimate parameters from trajectories of noisy nodes ``y``: Levenberg-Marquardt
+minimises ``Σ|r(y; θ)|²``, total least squares ``Σ|x − y|²/σ² + Σ|r(x; θ)|²/(ε σ)²``, which around
+its solution is ``eᵀ S_ε⁻¹ e`` with ``e = r + J_x (y − x)`` and ``S_ε = J_x J_xᵀ + ε² I``. The noise
+of the nodes and of the model make the covariance of ``e``
+
+    σ̂² Ŝ,   Ŝ = J_x J_xᵀ + ε̂² I,
+
+with ``σ̂`` and ``ε̂`` by maximum likelihood, whatever ``ε`` the estimate was made with. With the
+weights ``W = S_ε⁻¹``, or ``W = I``, its covariance is (Huber 1967; White 1982)
+
+    (JᵀWJ + P)⁻¹ (σ̂² JᵀW Ŝ W J + σ̂² P) (JᵀWJ + P)⁻¹,   P = σ̂² diag(α),
+
+the prior precisions ``α`` being those of total least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from symo_exp.mechanics.types import Trajectory, Windows
+from symo_exp.nets.affine import parameter_jacobian
+from symo_exp.optim.banded import BandFactor, Chain
+
+ITERATIONS = 15
+"""Steps that put the nodes where the model has them, at most."""
+LOW, HIGH = 1e-3, 1e3
+"""Range of ``ε̂``."""
+SINGULAR = 1e-8
+"""Singular values below this share of the largest belong to directions without information."""
+LARGEST = 1.0
+"""Standard deviation of a direction in parameters, beyond which samples do not go."""
+
+
+class Posterior(NamedTuple):
+    """A Gaussian posterior of a vector of parameters, direction by direction.
+
+    Attributes:
+        mean: The parameters.
+        directions: Columns ``d_i``, so that the covariance is ``Σ d_i d_iᵀ``.
+        free: Orthonormal columns along which the data have no information.
+        noise: ``σ̂``, standard deviation of the nodes [rad, m].
+        model_noise: ``ε̂ σ̂``, that of the residuals.
+        residuals: Number of residuals.
+    """
+
+    mean: Float[Tensor, " p"]
+    directions: Float[Tensor, "p k"]
+    free: Float[Tensor, "p f"]
+    noise: float
+    model_noise: float
+    residuals: int
+
+    def covariance(self) -> Float[Tensor, "p p"]:
+        """Return the covariance, without that of the free directions, which is infinite."""
+        return self.directions @ self.directions.T
+
+    def samples(self, count: int, generator: torch.Generator) -> Float[Tensor, "count p"]:
+        """Draw parameters; free directions keep their values, and no other goes beyond 1."""
+        drawn = torch.randn(
+            count, self.directions.shape[1], dtype=torch.float64, generator=generator
+        )
+        size = self.directions.norm(dim=0)
+        bounded = self.directions * (LARGEST / size.clamp_min(LARGEST))
+        return self.mean + drawn @ bounded.T
+
+
+def posterior(
+    residuals: Callable[[Windows], Float[Tensor, "samples k"]],
+    parameters: Sequence[Tensor],
+    trajectories: Sequence[Trajectory],
+    *,
+    velocities: bool = False,
+    epsilon: float | None = None,
+    velocity_weight: float = 1.0,
+    precision: Float[Tensor, " p"] | None = None,
+) -> Posterior:
+    """Return the posterior of parameters at their estimate.
+
+    Args:
+        residuals: Residuals of a batch of windows, those that were made small.
+        parameters: The parameters, float64, at their estimate.
+        trajectories: What they were estimated from.
+        velocities: Whether residuals read velocities.
+        epsilon: ``ε`` of total least squares; ``None`` for Levenberg-Marquardt.
+        velocity_weight: Noise of velocities over that of configurations [1/s].
+        precision: ``α`` of each parameter; none where it is zero.
+    """
+    chain = Chain.of(trajectories, velocities=velocities)
+    problem = _Linearisation(residuals, parameters, chain, velocity_weight)
+    x = chain.x if epsilon is None else problem.settled(epsilon)
+    r, by_theta, by_x = problem.at(x)
+    e = r + chain.apply(by_x, (chain.x - x) / problem.weight)
+    count, size = e.numel(), by_theta.shape[2]
+    own, variance = _likeliest(chain, by_x, e)
+    variance *= count / max(count - size, 0.1 * count)
+    alpha = torch.zeros(size, dtype=torch.float64) if precision is None else precision
+    mean = torch.cat([p.detach().flatten() for p in parameters])
+    factor = None if epsilon is None else chain.factor(by_x, epsilon**2)
+    return _of_estimate(chain, by_x, by_theta, factor, own, variance, alpha, mean)
+
+
+class _Linearisation:
+    """Residuals along a chain and their derivatives."""
+
+    def __init__(
+        self,
+        residuals: Callable[[Windows], Tensor],
+        parameters: Sequence[Tensor],
+        chain: Chain,
+        velocity_weight: float,
+    ) -> None:
+        self._residuals, self._parameters, self._chain = residuals, parameters, chain
+        self.weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
+        self.weight[chain.n :] = velocity_weight
+
+    def at(
+        self, x: Tensor, *, nodes_only: bool = False
+    ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+        """``r``, ``J_θ`` and ``J_x`` of nodes in units of their noise."""
+        stencil = [y.clone().requires_grad_() for y in self._chain.stencil(x)]
+
+        def function() -> Tensor:
+            found = self._residuals(self._chain.windows(*stencil))
+            return found / self.weight[: found.shape[1]]
+
+        r, by_theta, by_x = parameter_jacobian(
+            function, () if nodes_only else self._parameters, stencil
+        )
+        return r, by_theta, tuple(j * self.weight for j in by_x)
+
+    def settled(self, epsilon: float) -> Float[Tensor, "nodes d"]:
+        """The nodes that minimise ``|x − y|² + |r|²/ε²``, by Gauss-Newton steps that descend."""
+        chain = self._chain
+        best, least = chain.x, torch.inf
+        x = chain.x
+        for _ in range(ITERATIONS):
+            r, _, by_x = self.at(x, nodes_only=True)
+            moved = ((x - chain.x) / self.weight).square().sum()
+            cost = float(moved + r.square().sum() / epsilon**2)
+            if not cost < least * (1.0 - 1e-9):
+                if not cost < least:
+                    x = 0.5 * (x + best)
+                    if (x - best).abs().max() < 1e-9 * (1.0 + best.abs().max()):
+                        break
+                    continue
+                best = x
+                break
+            best, least = x, cost
+            e = r + chain.apply(by_x, (chain.x - x) / self.weight)
+            factor = chain.factor(by_x, epsilon**2)
+            if factor is None:
+                break
+            pull = factor.solve(e)
+            x = chain.x - self.weight * chain.spread(by_x, pull)
+        return best
+
+
+def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, float]:
+    """``ε̂²`` and ``σ̂²`` of the largest likelihood of ``e``, by golden section in ``log ε̂``."""
+
+    def of(exponent: float) -> tuple[float, float, float]:
+        own = 10.0 ** (2.0 * exponent)
+        factor = chain.factor(by_x, own)
+        if factor is None:
+            return torch.inf, own, 1.0
+        white = factor.whiten(e)
+        variance = max(float(white.square().sum()) / e.numel(), 1e-300)
+        log = float(torch.tensor(variance).double().log())
+        return 0.5 * (factor.log_determinant + e.numel() * log), own, variance
+
+    low, high = (float(torch.tensor(x).log10()) for x in (LOW, HIGH))
+    grid = [low + (high - low) * i / 12 for i in range(13)]
+    best = min(grid, key=lambda a: of(a)[0])
+    a, b = best - 0.5, best + 0.5
+    for _ in range(14):
+        c, d = b - 0.618034 * (b - a), a + 0.618034 * (b - a)
+        a, b = (a, d) if of(c)[0] < of(d)[0] else (c, b)
+    _, own, variance = of(0.5 * (a + b))
+    return own, variance
+
+
+def _of_estimate(
+    chain: Chain,
+    by_x: Sequence[Tensor],
+    by_theta: Float[Tensor, "windows k p"],
+    factor: BandFactor | None,
+    own: float,
+    variance: float,
+    alpha: Float[Tensor, " p"],
+    mean: Float[Tensor, " p"],
+) -> Posterior:
+    """The sandwich, along the singular vectors of the weighted derivatives."""
+    flat = by_theta.flatten(0, 1)
+    white = flat if factor is None else factor.whiten(by_theta)
+    prior = torch.diag((variance * alpha).sqrt())
+    upper = torch.linalg.qr(torch.cat((white, prior)), mode="r")[1]
+    scale = upper.norm(dim=0)
+    scale = torch.where(scale > 0.0, scale, 1.0)
+    _, values, right = torch.linalg.svd(upper / scale)
+    there = values > SINGULAR * values.amax().clamp_min(1e-300)
+    basis = right[there].T / values[there] / scale.unsqueeze(1)
+    free = right[~there].T / scale.unsqueeze(1)
+    free = torch.linalg.qr(free)[0] if free.shape[1] else free
+    moved = (flat @ basis).T.unflatten(1, by_theta.shape[:2])
+    pulled = moved if factor is None else torch.stack([factor.solve(column) for column in moved])
+    spread = torch.stack([chain.spread(by_x, column).flatten() for column in pulled])
+    columns = pulled.flatten(1)
+    meat = variance * (spread @ spread.T + own * columns @ columns.T)
+    meat = meat + variance**2 * basis.T @ (alpha.unsqueeze(1) * basis)
+    stretch, turn = torch.linalg.eigh(0.5 * (meat + meat.T))
+    directions = basis @ turn * stretch.clamp_min(0.0).sqrt()
+    noise = variance**0.5
+    return Posterior(mean, directions, free, noise, own**0.5 * noise, len(flat))

@@ -1,0 +1,100 @@
+"""The table of physical parameters says what data determine, and in what combinations."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from symo_exp.evaluation.parameters import physical_parameters
+from symo_exp.mechanics.dissipation import DissipativeLagrangian
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Trajectory
+from symo_exp.models.objectives import PreconditionedResidual
+from symo_exp.models.true import TrueVariational
+from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.optim.posterior import posterior
+from symo_exp.systems.simulation import Solver, simulate
+from tests.systems.every import SYSTEMS
+
+SIGMA = 1e-3
+
+
+def table(system, *, forced, fixed=()):
+    """The table of a system at its true values, from noisy motions of itself."""
+    system = replace(system, viscous=(0.1,) * system.coordinates.n, time_step=0.05)
+    q, v, u = system.box.points(3, 1)
+    path = simulate(system, q, v, u if forced else 0.0 * u, 60, Solver())
+    noise = SIGMA * torch.randn(path.q.shape, generator=torch.Generator().manual_seed(2)).double()
+    motions = [Trajectory(*x) for x in zip(path.q + noise, path.v, path.u, strict=True)]
+    lagrangian = DissipativeLagrangian(
+        KnownLagrangian(system=system, fixed=fixed), KnownFriction(system=system)
+    ).double()
+    model = TrueVariational(
+        lagrangian=lagrangian,
+        coordinates=system.coordinates,
+        input_matrix=system.input_matrix,
+        time_step=system.time_step,
+        integrator=Galerkin(stages=2),
+        root=Newton(),
+    ).double()
+    parameters = list(lagrangian.parameters())
+
+    def residuals(windows):
+        return PreconditionedResidual()(model.flow, windows).values
+
+    found = posterior(residuals, parameters, motions, epsilon=0.03)
+    assert 0.8 * SIGMA < found.noise < 1.2 * SIGMA
+    rows = physical_parameters(lagrangian, system.coordinates, parameters, found)
+    return {row.name: row for row in rows}
+
+
+@pytest.fixture(autouse=True)
+def double():
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(before)
+
+
+def test_a_driven_pendulum_is_determined_up_to_one_scale():
+    found = table(SYSTEMS["pendulum"], forced=True)
+    assert {found[x].determined for x in ("gravity", "mass", "length")} == {"no"}
+    assert "length" in found["gravity"].note
+    assert math.isnan(found["mass"].standard_deviation)
+    assert found["theta.viscous_friction"].determined == "yes"
+    products = [row for row in found.values() if row.note == "product that is determined"]
+    assert len(products) == 2
+    g, m, length = (found[x].value for x in ("gravity", "mass", "length"))
+    for row in products:  # of g/l and m l², in whatever powers
+        assert 0.0 < row.standard_deviation < 0.1 * row.value
+        powers = {
+            part.partition("^")[0]: float(part.partition("^")[2] or 1) for part in row.name.split()
+        }
+        a, b, c = (powers.get(x, 0.0) for x in ("gravity", "mass", "length"))
+        assert a + c == pytest.approx(2.0 * b)
+        assert row.value == pytest.approx(g**a * m**b * length**c)
+
+
+def test_one_known_constant_determines_a_driven_pendulum():
+    found = table(SYSTEMS["pendulum"], forced=True, fixed=("gravity",))
+    assert {row.determined for row in found.values()} == {"yes"}
+    assert set(found) == {"mass", "length", "theta.viscous_friction"}
+    assert found["length"].unit == "m"
+
+
+def test_an_unforced_pendulum_is_determined_up_to_its_mass_as_well():
+    found = table(SYSTEMS["pendulum"], forced=False, fixed=("gravity",))
+    assert found["length"].determined == "yes"
+    assert found["mass"].determined == "no"
+    assert "theta.viscous_friction" in found["mass"].note
+    assert "mass^-1" in " ".join(found) or "viscous_friction^-1" in " ".join(found)
+
+
+def test_without_a_posterior_nothing_is_said_to_be_determined():
+    system = SYSTEMS["cartpole"]
+    found = KnownLagrangian(system=system)
+    rows = physical_parameters(found, system.coordinates, list(found.parameters()), None)
+    assert {row.determined for row in rows} == {"unknown"}
+    assert [row.name for row in rows] == ["gravity", "mass_cart", "mass_pole", "half_length"]

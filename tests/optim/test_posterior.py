@@ -1,0 +1,107 @@
+"""The posterior of a linear problem is that of its closed form; noise is found by likelihood."""
+
+import pytest
+import torch
+
+from symo_exp.mechanics.types import Trajectory
+from symo_exp.nets.affine import rows
+from symo_exp.optim.posterior import posterior
+
+H, NODES = 0.1, 400
+
+
+class Falling:
+    """``q'' = θ₁ s(q) + θ₂`` in second differences: residuals linear in the parameters."""
+
+    def __init__(self, size=2):
+        self.theta = torch.zeros(size, dtype=torch.float64, requires_grad=True)
+
+    def residuals(self, windows):
+        second = windows.q_next - 2.0 * windows.q + windows.q_prev
+        theta = rows(self.theta, len(windows.q))
+        return second - H**2 * (theta[:, :1] * windows.u + theta[:, 1:2])
+
+
+def motions(sigma, tau, count=3, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    found = []
+    for k in range(count):
+        t = H * torch.arange(NODES).double()
+        u = torch.sin((1.0 + k) * t)
+        q, v = torch.zeros(NODES).double(), 0.3
+        for i in range(1, NODES):
+            kick = (
+                H**2 * (2.0 * u[i - 1] - 0.5) + tau * torch.randn(1, generator=generator).double()
+            )
+            step = (q[i - 1] - q[i - 2] if i > 1 else H * v) + kick
+            q[i] = q[i - 1] + step
+        y = q + sigma * torch.randn(NODES, generator=generator).double()
+        found.append(Trajectory(y[:, None], torch.zeros(NODES, 1).double(), u[:, None]))
+    return found
+
+
+@pytest.mark.parametrize(("sigma", "tau"), [(1e-2, 0.0), (1e-2, 2e-3), (1e-5, 2e-3)])
+def test_noise_of_nodes_and_of_the_model_are_told_apart(sigma, tau):
+    problem = Falling()
+    with torch.no_grad():
+        problem.theta.copy_(torch.tensor([2.0, -0.5]))
+    found = posterior(problem.residuals, [problem.theta], motions(sigma, tau), epsilon=0.1)
+    if sigma > tau:
+        assert found.noise == pytest.approx(sigma, rel=0.1)
+    if tau:
+        assert found.model_noise == pytest.approx(tau, rel=0.2)
+    else:
+        assert found.model_noise < 0.01 * sigma
+
+
+@pytest.mark.parametrize("epsilon", [None, 1.0, 0.1])
+def test_the_covariance_is_that_of_estimates(epsilon):
+    """Estimates from many sets of noise scatter as one posterior says."""
+    sigma, tau, estimates, covariances = 1e-2, 1e-3, [], []
+    for seed in range(40):
+        data = motions(sigma, tau, count=1, seed=seed)
+        problem = Falling()
+        with torch.no_grad():  # residuals are linear: one step is the estimate
+            problem.theta.copy_(_estimate(problem, data, epsilon))
+        at = posterior(problem.residuals, [problem.theta], data, epsilon=epsilon)
+        estimates.append(at.mean - torch.tensor([2.0, -0.5]).double())
+        covariances.append(at.covariance())
+    scatter = torch.stack([torch.outer(e, e) for e in estimates]).mean(0)
+    expected = torch.stack(covariances).mean(0)
+    ratio = scatter.diagonal() / expected.diagonal()
+    assert (ratio > 0.5).all()
+    assert (ratio < 1.9).all()
+
+
+def _estimate(problem, data, epsilon):
+    """The minimum over parameters, and over nodes where there is an ``ε``, by linear algebra."""
+    (motion,) = data
+    y, u = motion.q[:, 0], motion.u[:, 0]
+    n = len(y)
+    difference = torch.zeros(n - 2, n).double()
+    for k in range(n - 2):
+        difference[k, k : k + 3] = torch.tensor([1.0, -2.0, 1.0]).double()
+    e = difference @ y
+    slopes = H**2 * torch.stack((u[1:-1], torch.ones(n - 2).double()), 1)
+    weight = torch.eye(n - 2).double()
+    if epsilon is not None:
+        weight = torch.linalg.inv(difference @ difference.T + epsilon**2 * weight)
+    return torch.linalg.solve(slopes.T @ weight @ slopes, slopes.T @ weight @ e)
+
+
+def test_what_has_no_effect_is_free():
+    problem = Falling(3)
+    found = posterior(problem.residuals, [problem.theta], motions(1e-2, 0.0), epsilon=0.1)
+    torch.testing.assert_close(found.free.abs(), torch.tensor([[0.0], [0.0], [1.0]]).double())
+    assert found.directions.shape == (3, 2)
+    assert found.samples(5, torch.Generator().manual_seed(0))[:, 2].abs().max() == 0.0
+
+
+def test_a_prior_bounds_what_data_do_not():
+    problem = Falling(3)
+    alpha = torch.tensor([0.0, 0.0, 4.0]).double()
+    found = posterior(
+        problem.residuals, [problem.theta], motions(1e-2, 0.0), epsilon=0.1, precision=alpha
+    )
+    assert found.free.shape[1] == 0
+    assert found.covariance()[2, 2].sqrt() == pytest.approx(0.5)
