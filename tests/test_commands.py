@@ -267,7 +267,7 @@ def hints(output: str) -> list[str]:
 
 
 def failures(lines: list[str], place: Path, home: Path) -> list[str]:
-    """Run lines in order, then what they print; what fails, with the end of its output."""
+    """Run lines in order, each followed by what it prints; return what fails with its output."""
     failed, done = [], set()
     queue = list(lines)
     while queue:
@@ -286,7 +286,7 @@ def failures(lines: list[str], place: Path, home: Path) -> list[str]:
         if result.returncode or "Traceback" in output:
             failed.append(f"{line}\n    {shortened(line)}\n{output[-1500:]}")
         elif not {"-h", "--help"} & set(line.split()):
-            queue += hints(output)
+            queue[:0] = hints(output)
     return failed
 
 

@@ -46,7 +46,9 @@ def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(chain):
 
 
 TRUTHS = {
-    "arm": lambda: Multibody(mechanism=mechanism(CONF / "system" / "arm.xml"), time_step=0.05),
+    "arm": lambda: Multibody(
+        mechanism=mechanism(CONF / "system" / "arm_of_seven.xml"), time_step=0.05
+    ),
     "cart and two links": lambda: read(models.PENDULUMS),
 }
 

@@ -19,7 +19,7 @@ mujoco = library()
 MECHANISMS = {
     "crane": of_model(compiled(models.CRANE), "crane"),
     "pendulums": of_model(compiled(models.PENDULUMS), "pendulums"),
-    "arm": mechanism("arm.xml"),
+    "arm": mechanism("arm_of_seven.xml"),
 }
 
 

@@ -86,9 +86,9 @@ def test_our_systems_written_as_mjcf_are_the_same(name: str) -> None:
 def test_what_is_read_is_what_mujoco_has(name: str) -> None:
     if name == "arm":
         model = mujoco.MjModel.from_xml_path(
-            str(Path(models.__file__).parents[2] / "conf/system/arm.xml")
+            str(Path(models.__file__).parents[2] / "conf/system/arm_of_seven.xml")
         )
-        system = Multibody(mechanism=mechanism("arm.xml"), time_step=0.05)
+        system = Multibody(mechanism=mechanism("arm_of_seven.xml"), time_step=0.05)
     else:
         model, system = compiled(MODELS[name]), read(MODELS[name])
     q, v, u = points(system, 16)
@@ -307,7 +307,7 @@ def test_a_urdf_file_is_a_system(tmp_path: Path) -> None:
 
 def test_mujoco_draws_where_it_can_and_a_stick_figure_where_not(tmp_path):
     file = tmp_path / "arm.xml"
-    file.write_text((CONF / "system" / "arm.xml").read_text())
+    file.write_text((CONF / "system" / "arm_of_seven.xml").read_text())
     parts = {"mechanism": mechanism(file), "time_step": 0.05, "viscous": None, "coulomb": None}
     arm, lost = (Multibody(model=str(x), **parts) for x in (file, tmp_path / "lost.xml"))
     q = torch.zeros(7, dtype=torch.float64)
