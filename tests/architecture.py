@@ -32,7 +32,8 @@ RULES = {
         {"torch", "jaxtyping", "numpy"},
     ),
     "runs": ({"models"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
-    "training": ({"runs", "compile"}, {"torch", "lightning", "numpy", "tqdm"}),
+    "process": (set(), set()),
+    "training": ({"process", "runs", "compile"}, {"torch", "lightning", "numpy", "tqdm"}),
     "tracking": ({"runs", "models"}, {"torch", "mlflow", "filelock"}),
     "report": (
         {"runs", "tracking", "systems", "models", "evaluation", "mechanics"},
@@ -43,13 +44,17 @@ RULES = {
         {"report", "data", "systems", "tracking"},
         {"torch", "numpy", "scipy", "pandas", "jaxtyping"},
     ),
-    "sweep": (
+    "job": (
         # the columns of a recording and what a MuJoCo model says are part of a configuration
-        {"runs", "tracking", "training", "evaluation", "report", "data", "systems"},
-        {"hydra", "omegaconf", "yaml", "lightning", "torch", "numpy"},
+        {"process", "runs", "tracking", "training", "evaluation", "report", "data", "systems"},
+        {"hydra", "omegaconf", "lightning", "torch"},
+    ),
+    "cli": ({"process", "job"}, {"hydra", "omegaconf", "yaml"}),
+    "sweep": (
+        {"process", "job", "cli", "runs", "tracking", "report"}, {"hydra", "omegaconf", "yaml"},
     ),
     "use": (
-        {"mechanics", "systems", "nets", "models", "compile", "runs", "tracking", "sweep"},
+        {"mechanics", "systems", "nets", "models", "compile", "runs", "tracking", "cli", "sweep"},
         {"torch", "pandas", "PIL"},
     ),
 }  # fmt: skip

@@ -10,10 +10,10 @@ from unittest import mock
 
 from hydra.core.global_hydra import GlobalHydra
 
+from symo_exp.cli.command import Command
+from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError
-from symo_exp.sweep.command import Command
 from symo_exp.sweep.compose import Job
-from symo_exp.sweep.explain import BAD_INPUT, explained
 from symo_exp.sweep.sweeper import Sweep
 
 
@@ -67,7 +67,7 @@ def planned(*words: str) -> Iterator[tuple[Sweep, list[Job]]]:
         yield sweep, sweep._plan(settings, params)
     except BAD_INPUT as error:
         GlobalHydra.instance().clear()
-        raise explained(error, command) from error
+        raise explained(error, command.overrides) from error
     finally:
         GlobalHydra.instance().clear()
 

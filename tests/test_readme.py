@@ -10,8 +10,8 @@ import torch
 
 import symo_exp
 from symo_exp.__main__ import main
+from symo_exp.cli.command import Command
 from symo_exp.report.__main__ import main as report
-from symo_exp.sweep.command import Command
 from tests.jobs import jobs_of
 from tests.pages import ROOT, python, typed
 from tests.test_commands import ARM

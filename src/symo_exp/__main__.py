@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from symo_exp.errors import ConfigError
-from symo_exp.training import stopping
+from symo_exp.process import stopping
 
 if TYPE_CHECKING:
-    from symo_exp.sweep.command import Command
+    from symo_exp.cli.command import Command
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,11 +54,11 @@ def _execute(argv: list[str]) -> int:
         from symo_exp.record import main as record
 
         return record(argv[1:])
-    from symo_exp.sweep.command import CHECK_ONLY, Command
+    from symo_exp.cli.command import CHECK_ONLY, Command
 
     command = Command([word for word in argv if word not in ("-h", "--help")])
     if len(command.options) + len(command.overrides) < len(argv):
-        from symo_exp.sweep.help import help_text, screen
+        from symo_exp.cli.help import help_text, screen
 
         show = help_text if "--help" in argv else screen
         print(show([command.folder] if command.folder else []), end="")
@@ -76,12 +76,12 @@ def _execute(argv: list[str]) -> int:
 
 
 def _run(command: Command, *extra: str) -> int:
-    from symo_exp.sweep.explain import BAD_INPUT, explained
+    from symo_exp.cli.explain import BAD_INPUT, explained
 
     try:
         return command.execute(*extra)
     except BAD_INPUT as error:
-        raise explained(error, command) from error
+        raise explained(error, command.overrides) from error
 
 
 if __name__ == "__main__":

@@ -1,11 +1,30 @@
-"""The one error that a user causes and can mend."""
+"""Errors of the user's making, and messages of one line."""
 
 
 class ConfigError(ValueError):
-    """Bad input, said in one line: what was given, what was wanted, what to do.
+    """Raised for invalid user input.
 
-    The entry point prints the message without a traceback and exits with code 2.
+    The message says in one line what was given, what was expected and what to do. The command line
+    prints it without a traceback and exits with code 2.
     """
 
     def __init__(self, message: object) -> None:
-        super().__init__(" ".join(str(message).split()))  # what a user gave may have more lines
+        super().__init__(" ".join(str(message).split()))  # the user's words may have more lines
+
+
+def one_line(error: BaseException) -> str:
+    """Return the message of an error, with that of its cause where it adds something."""
+    error = _refusal(error) or error
+    cause = error.__cause__
+    text = str(error)
+    if not isinstance(error, ConfigError) and cause is not None and str(cause) not in text:
+        text = f"{text}: {cause}"
+    return " ".join(text.split())
+
+
+def _refusal(error: BaseException) -> ConfigError | None:
+    """Return the error of a resolver, which OmegaConf wraps."""
+    inner: BaseException | None = error
+    while inner is not None and type(inner).__module__.startswith("omegaconf."):
+        inner = inner.__cause__ or inner.__context__
+    return inner if isinstance(inner, ConfigError) else None

@@ -9,9 +9,9 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
+from symo_exp.job.config import plain
+from symo_exp.job.recipe import build
 from symo_exp.runs.folder import RunFolder
-from symo_exp.sweep.compose import plain
-from symo_exp.sweep.recipe import build
 from tests.jobs import job_of
 
 FILES = sorted((Path(__file__).parents[2] / "recordings").glob("*.parquet"))

@@ -4,11 +4,11 @@ import pytest
 import torch
 import yaml
 
+from symo_exp.cli.help import description
 from symo_exp.errors import ConfigError
+from symo_exp.job.recipe import build
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
-from symo_exp.sweep.help import description
-from symo_exp.sweep.recipe import build
 from symo_exp.thesis.published import published
 from tests.jobs import job_of, jobs_of
 from tests.systems.models import PENDULUMS

@@ -11,11 +11,11 @@ import pytest
 from omegaconf import OmegaConf
 
 from symo_exp.__main__ import main
+from symo_exp.cli.command import CHECK_ONLY
+from symo_exp.cli.help import CHANGED
+from symo_exp.job.job import _about
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
-from symo_exp.sweep.command import CHECK_ONLY
-from symo_exp.sweep.help import CHANGED
-from symo_exp.sweep.job import _about
 from symo_exp.sweep.sweeper import Sweep, watched
 from tests.jobs import job_of, jobs_of, planned, refusal
 from tests.tiny import TINY, copy_store
@@ -315,7 +315,7 @@ def test_an_unforeseen_error_is_a_line_and_an_exit_code(workplace, capsys, monke
     def broken(*_):
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("symo_exp.sweep.recipe.evaluate", broken)
+    monkeypatch.setattr("symo_exp.job.recipe.evaluate", broken)
     assert main(QUIET) == 1
     out, err = capsys.readouterr()
     assert "ZeroDivisionError: oh" in err

@@ -10,8 +10,8 @@ import torch
 import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
+from symo_exp.job.recipe import build, run
 from symo_exp.runs.folder import About
-from symo_exp.sweep.recipe import build, run
 from tests.jobs import job_of, refusal
 from tests.tiny import TINY
 

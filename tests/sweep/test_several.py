@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from symo_exp.__main__ import main
+from symo_exp.cli.command import Command
 from symo_exp.shipped import SWEEPS
-from symo_exp.sweep.command import Command
 from symo_exp.sweep.sweeper import Sweep
 from tests.jobs import job_of
 from tests.tiny import TINY

@@ -6,9 +6,9 @@ import threading
 import pytest
 from omegaconf import OmegaConf
 
+from symo_exp.cli.explain import _check_choice
 from symo_exp.errors import ConfigError
 from symo_exp.sweep import slurm
-from symo_exp.sweep.explain import _check_choice
 from tests.jobs import jobs_of
 
 SLURM = {"_target_": "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher"}

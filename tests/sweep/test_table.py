@@ -6,10 +6,11 @@ import sys
 
 import pytest
 
+from symo_exp.job.lines import run_line
+from symo_exp.process import phases
 from symo_exp.report.looks import written
 from symo_exp.runs.folder import About, RunFolder
-from symo_exp.sweep.table import run_line, table
-from symo_exp.training import phases
+from symo_exp.sweep.table import table
 
 MEASURES = {
     "train_mse": 1.234e-4, "test_mse": 2e-4, "integration_mse": 1.9e6, "energy_mse": 5.0,

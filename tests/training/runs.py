@@ -5,9 +5,9 @@ import functools
 import pytest
 import torch
 
+from symo_exp.job.recipe import build, run
 from symo_exp.models.learner import Learner
 from symo_exp.runs.folder import About, RunFolder
-from symo_exp.sweep.recipe import build, run
 from tests.jobs import job_of
 from tests.tiny import TINY
 

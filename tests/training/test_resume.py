@@ -155,7 +155,7 @@ def test_without_a_sound_checkpoint_it_starts_anew(whole, folder, caplog):
 
 def test_cut_after_the_training_only_the_evaluation_is_done_again(whole, folder, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("symo_exp.sweep.recipe.evaluate", lambda *_: 1 / 0)
+        patch.setattr("symo_exp.job.recipe.evaluate", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             go(SYMO, folder)
     monkeypatch.setattr("lightning.Trainer.fit", lambda *_, **__: pytest.fail("it trains again"))

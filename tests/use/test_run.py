@@ -55,7 +55,7 @@ def test_what_cannot_run_is_raised(workplace, monkeypatch):
     }.items():
         with pytest.raises(ConfigError, match=said):
             symo_exp.run(*words)
-    monkeypatch.setattr("symo_exp.sweep.recipe.evaluate", lambda *_: 1 / 0)
+    monkeypatch.setattr("symo_exp.job.recipe.evaluate", lambda *_: 1 / 0)
     with pytest.raises(RuntimeError, match=r"failed: ZeroDivisionError.*symo_exp\.log"):
         symo_exp.run(*SMALL, "pictures=false")
     assert sys.argv == argv

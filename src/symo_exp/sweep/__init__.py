@@ -1,1 +1,1 @@
-"""From a command to finished runs: compose and check every job, have them done, sum up."""
+"""Many runs: jobs composed and checked, launched, watched, summed up."""

@@ -12,8 +12,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+import symo_exp.job.config  # noqa: F401 (its resolvers)
 from symo_exp.errors import ConfigError
-from symo_exp.runs.digest import digest
 from symo_exp.runs.folder import RunFolder
 
 
@@ -85,6 +85,23 @@ class Composer:
         """The configuration with these choices of files."""
         return self._merge(choices)
 
+    def check_choices(self, job: Job) -> None:
+        """Refuse a choice that has nothing for this model: SyMo has no Runge-Kutta method."""
+        references = _raw(job.config.model)
+        for reference in references.values():
+            name = str(reference).strip("${}")
+            group = name.partition(".")[0]
+            here = OmegaConf.select(job.config, name, default="nothing")  # null, not nothing
+            if group == name or group not in job.choices or here is not None:
+                continue
+            others = [f"{group}={option}" for option in self.options(group)]
+            fits = [o for o in others if OmegaConf.select(self.files(o), name) is not None]
+            if fits:
+                raise ConfigError(
+                    f"{group}={job.choices[group]} does not go with model={job.choices['model']}; "
+                    f"what does: {', '.join(fits)}"
+                )
+
     def _merge(self, overrides: Sequence[str]) -> DictConfig:
         """Of Hydra's own part only what names a folder is kept: jobs are copies of this."""
         key = tuple(overrides)
@@ -105,52 +122,3 @@ def _raw(config: DictConfig) -> Any:
 
 def _is_value(override: Override) -> bool:
     return not (override.is_add() or override.is_force_add() or override.is_delete())
-
-
-def plain(config: DictConfig) -> dict[str, Any]:
-    """The configuration with every reference resolved."""
-    values = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    assert isinstance(values, dict)
-    return {str(key): value for key, value in values.items() if key != "hydra"}
-
-
-def run_folder(*, _root_: DictConfig) -> str:
-    """The name of a run's folder: what was run, and a digest of what shapes its result."""
-    choices = _root_.hydra.runtime.choices
-    nodes = {str(key): value for key, value in _root_.items() if key != "hydra"}
-    values: Any = {
-        key: OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
-        for key, value in nodes.items()
-    }
-    return f"{choices.model}-{choices.system}-{digest(values)}"
-
-
-def recorded_columns(kind: str, *, _root_: DictConfig) -> list[str]:
-    """The names of a recording's coordinates ("q") or inputs ("u"), none without a recording.
-
-    So the configuration of a run is whole, and a trained model is loaded without its data."""
-    from symo_exp.data.header import header, names
-
-    data = _root_.data
-    if "path" not in data:
-        return []
-    return list(names(kind, header(data.path, data.get("columns"))))
-
-
-def mechanism(kind: str, name: str | None) -> dict[str, Any]:
-    """What a MuJoCo model says: that of a file ("model") or of a Gymnasium environment ("id").
-
-    It is part of the configuration for the same reason: a run needs neither file nor MuJoCo."""
-    from symo_exp.systems import mujoco
-
-    if name is None:
-        raise ConfigError("system.model has no value yet; give it one: system.model=robot.xml")
-    return mujoco.mechanism(name) if kind == "model" else mujoco.environment(name)
-
-
-OmegaConf.register_new_resolver("mechanism", mechanism, replace=True)
-OmegaConf.register_new_resolver("run_folder", run_folder, replace=True)
-OmegaConf.register_new_resolver("recorded_columns", recorded_columns, replace=True)
-OmegaConf.register_new_resolver(
-    "if", lambda condition, then, otherwise: then if condition else otherwise, replace=True
-)

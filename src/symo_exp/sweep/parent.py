@@ -8,14 +8,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
+from symo_exp.job.job import SWEEP, VARIED, publish
+from symo_exp.job.lines import MEASURES
+from symo_exp.process import stopping
 from symo_exp.report.looks import written
 from symo_exp.runs.digest import digest
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.sweep.compose import Job
-from symo_exp.sweep.job import SWEEP, VARIED, publish
-from symo_exp.sweep.table import MEASURES
 from symo_exp.tracking.page import COMMAND, RESULT
-from symo_exp.training import stopping
 
 
 @contextmanager

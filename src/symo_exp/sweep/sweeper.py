@@ -23,19 +23,19 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from symo_exp.errors import ConfigError
+from symo_exp.cli.explain import blamed
+from symo_exp.errors import ConfigError, one_line
 from symo_exp.imports import first_import
+from symo_exp.job.checks import check, check_parts
+from symo_exp.job.job import debugging, is_done, publish
+from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
 from symo_exp.shell import python_command
 from symo_exp.sweep import slurm
-from symo_exp.sweep.checks import check_job
 from symo_exp.sweep.compose import Composer, Job, expand, labels
-from symo_exp.sweep.explain import blamed, one_line
-from symo_exp.sweep.job import debugging, is_done, publish
 from symo_exp.sweep.parent import parent
 from symo_exp.sweep.places import check_folder, check_places
 from symo_exp.sweep.table import Watch, table
-from symo_exp.training import phases, stopping
 
 log = logging.getLogger(__name__)
 
@@ -99,7 +99,9 @@ class Sweep:
                 job = self._composer.job(overrides, label)
                 check_places(job.config, self._master.hydra.sweep)
                 if not is_done(job.config, job.folder):
-                    check_job(job, self._composer)
+                    check_parts(job.config)
+                    self._composer.check_choices(job)
+                    check(job.config, job.files)
             except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
                 blame = blamed(error, overrides, self._context.config_loader)
                 raise _labelled(blame, label) from error
@@ -114,8 +116,8 @@ class Sweep:
         if not jobs:
             return  # without the seconds of the import
         phases.say("importing PyTorch and Lightning")
-        with first_import("symo_exp.sweep.recipe"):
-            from symo_exp.sweep.recipe import build
+        with first_import("symo_exp.job.recipe"):
+            from symo_exp.job.recipe import build
         stores = []
         for place, job in enumerate(jobs, 1):
             phases.say(f"checking run {place} of {len(jobs)}")

@@ -15,7 +15,7 @@ import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from symo_exp.files import write_whole
-from symo_exp.training import stopping
+from symo_exp.process import stopping
 
 log = logging.getLogger(__name__)
 

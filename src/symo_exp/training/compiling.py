@@ -11,7 +11,7 @@ import lightning
 import torch
 
 from symo_exp.compile import compile_training, compiler_available, kernel_cache, trains_compiled
-from symo_exp.training import phases
+from symo_exp.process import phases
 
 log = logging.getLogger(__name__)
 

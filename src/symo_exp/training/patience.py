@@ -7,7 +7,7 @@ from typing import Any
 
 import lightning
 
-from symo_exp.training import stopping
+from symo_exp.process import stopping
 
 
 class FinishEpochs(lightning.Callback):

@@ -8,7 +8,7 @@ from typing import Any
 import lightning
 from tqdm import tqdm
 
-from symo_exp.training import phases
+from symo_exp.process import phases
 
 _REFRESH = 0.2  # seconds; reading a loss from a GPU waits for it
 

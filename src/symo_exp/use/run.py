@@ -10,12 +10,12 @@ from typing import Any
 import pandas as pd
 from PIL import Image
 
+from symo_exp.cli.command import Command
+from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.runs.folder import LOG, PICTURES, ROLLOUTS, RunFolder
 from symo_exp.shell import override_value
-from symo_exp.sweep.command import Command
-from symo_exp.sweep.explain import BAD_INPUT, explained
 from symo_exp.sweep.sweeper import watched
 from symo_exp.tracking.load import load
 
@@ -88,7 +88,7 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
         try:
             codes = [one.execute() for one in command.several() or [command]]
         except BAD_INPUT as error:
-            raise explained(error, command) from error
+            raise explained(error, command.overrides) from error
     if any(code > 128 for code in codes):
         raise KeyboardInterrupt
     for folder in folders:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import hydra
 from hydra.core.config_loader import ConfigLoader
@@ -15,13 +15,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, one_line
+from symo_exp.job.checks import closest, has, unknown_key
 from symo_exp.shell import install_command
 from symo_exp.shipped import CONF
-from symo_exp.sweep.checks import closest, has, unknown_key
-
-if TYPE_CHECKING:
-    from symo_exp.sweep.command import Command
 
 BAD_INPUT = (
     ConfigError, HydraException, OmegaConfBaseException, YAMLError, RecursionError, ValueError,
@@ -31,7 +28,7 @@ EXTRAS = {"submitit": ("submitit_slurm", "cluster"), "optuna": ("optuna", "optun
 """By the beginning of a choice: the choice that is there when its extra is installed, and which."""
 
 
-def explained(error: BaseException, command: Command) -> ConfigError:
+def explained(error: BaseException, overrides: Sequence[str]) -> ConfigError:
     """The error of a command: of the override that is to blame, where one is."""
     if isinstance(error, ConfigError):
         return error
@@ -42,7 +39,7 @@ def explained(error: BaseException, command: Command) -> ConfigError:
     try:
         with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
             loader = GlobalHydra.instance().config_loader()
-            return blamed(error, command.overrides, loader)
+            return blamed(error, overrides, loader)
     except (HydraException, OmegaConfBaseException):
         return ConfigError(one_line(error))
 
@@ -116,21 +113,3 @@ def _names(config: DictConfig, path: str = "") -> Iterator[str]:
             value = config[key]
             if isinstance(value, DictConfig):
                 yield from _names(value, name)
-
-
-def one_line(error: BaseException) -> str:
-    """The message of an error in a line, with that of its cause where it adds something."""
-    error = refused(error) or error
-    cause = error.__cause__
-    text = str(error)
-    if not isinstance(error, ConfigError) and cause is not None and str(cause) not in text:
-        text = f"{text}: {cause}"
-    return " ".join(text.split())
-
-
-def refused(error: BaseException) -> ConfigError | None:
-    """What a resolver refused, which OmegaConf wraps."""
-    inner: BaseException | None = error
-    while isinstance(inner, OmegaConfBaseException):
-        inner = inner.__cause__ or inner.__context__
-    return inner if isinstance(inner, ConfigError) else None

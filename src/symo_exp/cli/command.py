@@ -13,8 +13,8 @@ from typing import NoReturn
 import yaml
 
 from symo_exp.errors import ConfigError
+from symo_exp.process import phases
 from symo_exp.shipped import CONF, SWEEPS
-from symo_exp.training import phases
 
 SWITCHES = "-m --multirun", "-r --run", "--hydra-help", "--resolve", "-sc --shell-completion"
 WITH_A_VALUE = (
@@ -111,7 +111,7 @@ class Command:
             phases.say("reading the configuration")
         import hydra
 
-        from symo_exp.sweep.job import job
+        from symo_exp.job.job import job
 
         os.environ.setdefault("HYDRA_FULL_ERROR", "1")
         entry = hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)

@@ -21,6 +21,8 @@ from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.evaluation.study import afresh
+from symo_exp.job.config import plain
+from symo_exp.process import phases, stopping
 from symo_exp.runs.digest import digest, kernels
 from symo_exp.runs.folder import (
     CHECKPOINTS,
@@ -32,8 +34,7 @@ from symo_exp.runs.folder import (
     RunFolder,
 )
 from symo_exp.runs.series import Series
-from symo_exp.sweep.compose import plain
-from symo_exp.training import phases, resuming, stopping
+from symo_exp.training import resuming
 from symo_exp.training.recording import Recording
 
 log = logging.getLogger(__name__)

@@ -15,18 +15,17 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, one_line
 from symo_exp.imports import first_import
+from symo_exp.job.config import plain
+from symo_exp.job.lines import brief, run_line
+from symo_exp.job.variant import alone, variant
+from symo_exp.process import phases, stopping
 from symo_exp.report.looks import look
 from symo_exp.runs.folder import PICTURES, SERIES, About, RunFolder
 from symo_exp.runs.series import read
-from symo_exp.sweep.compose import plain
-from symo_exp.sweep.explain import one_line
-from symo_exp.sweep.table import brief, run_line
-from symo_exp.sweep.variant import alone, variant
 from symo_exp.tracking.page import COMMAND
 from symo_exp.tracking.revision import revision_tags
-from symo_exp.training import phases, stopping
 
 log = logging.getLogger(__name__)
 
@@ -110,8 +109,8 @@ def _do(config: DictConfig, folder: RunFolder, about: Callable[[], About]) -> Ba
         status, reason = "finished", ""
         try:
             folder.record("running")
-            with first_import("symo_exp.sweep.recipe"):
-                from symo_exp.sweep.recipe import build, run
+            with first_import("symo_exp.job.recipe"):
+                from symo_exp.job.recipe import build, run
 
             parts = build(config, folder)
             tracker = parts.tracker

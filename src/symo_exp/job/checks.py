@@ -9,15 +9,12 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from symo_exp import code
 from symo_exp.errors import ConfigError
-
-if TYPE_CHECKING:
-    from symo_exp.sweep.compose import Composer, Job
 
 ALLOWED = ("symo_exp", "torch", "lightning")
 """The packages a ``_target_`` may name besides those of ``code=FOLDER``: a configuration is data
@@ -30,32 +27,16 @@ PARTS = ("system", "data", "model", "trainer", "logger")
 """What every run is made of: each of them names a class."""
 
 
-def check_job(job: Job, composer: Composer) -> None:
-    """Refuse a job whose parts are not there, do not fit each other, or take other settings."""
-    code.add(job.config.code)
-    check_parts(job.config)
-    check_pairs(job, composer)
-    check_nodes(job.config, job.files)
+def check(config: DictConfig, files: DictConfig) -> None:
+    """Refuse a configuration that names no such parts, or gives them other settings.
 
-
-def check_pairs(job: Job, composer: Composer) -> None:
-    """Refuse a choice that has nothing for this model: SyMo has no Runge-Kutta method."""
-    choices = job.choices
-    references = OmegaConf.to_container(job.config.model, resolve=False)
-    assert isinstance(references, dict)
-    for reference in references.values():
-        name = str(reference).strip("${}")
-        group = name.partition(".")[0]
-        here = OmegaConf.select(job.config, name, default="nothing")  # null, not nothing
-        if group == name or group not in choices or here is not None:
-            continue
-        others = [f"{group}={option}" for option in composer.options(group)]
-        fits = [o for o in others if OmegaConf.select(composer.files(o), name) is not None]
-        if fits:
-            raise ConfigError(
-                f"{group}={choices[group]} does not go with model={choices['model']}; "
-                f"what does: {', '.join(fits)}"
-            )
+    Args:
+        config: The configuration of a run.
+        files: The configuration that its choices of files alone would give.
+    """
+    code.add(config.code)
+    check_parts(config)
+    check_nodes(config, files)
 
 
 def check_parts(config: DictConfig) -> None:

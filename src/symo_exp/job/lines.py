@@ -1,0 +1,47 @@
+"""A run in one line."""
+
+from __future__ import annotations
+
+from symo_exp.report.looks import written
+from symo_exp.runs.folder import RunFolder
+
+MEASURES = {
+    "train_mse": "train", "test_mse": "test", "integration_mse": "integration",
+    "energy_mse": "energy", "inertia_mse": "inertia",
+    "rmse_2s": "to 2 s",  # of runs on recordings
+}  # fmt: skip
+"""The measures that a table shows, and their columns; the others are in the files of the run."""
+UNITS = {
+    "test_mse": "MSE in m², rad²", "energy_mse": "energy in J²",
+    "inertia_mse": "inertia in kg², kg² m², kg² m⁴", "rmse_2s": "to 2 s: RMSE in m, rad",
+}  # fmt: skip
+SHORT = "test_mse", "integration_mse", "rmse_2s"
+"""Those of a line."""
+
+
+def run_line(folder: RunFolder) -> str:
+    """A run that has ended, its folder last."""
+    about, outcome, measures = folder.about(), folder.outcome(), folder.measures()
+    told = [f"{MEASURES[name]} {written(measures[name])}" for name in SHORT if name in measures]
+    if outcome.status != "finished":
+        told = [f"{outcome.status}: {outcome.reason}"]
+    name = about.name if about else folder.path.name
+    return "  ".join([name, *told, duration(outcome.seconds), str(folder)])
+
+
+def brief(label: str) -> str:
+    """``node n=8 seed=1`` for ``model=node data.n_traj=8 seed=1``."""
+    words = []
+    for word in label.split():
+        key, equals, value = word.partition("=")
+        named = {"model": "", "system": "", "pair": "", "data.n_traj": "n="} if equals else {}
+        words.append(named.get(key, key.rpartition(".")[2] + equals) + value)
+    return " ".join(words)
+
+
+def duration(seconds: float) -> str:
+    """In the unit that a human would choose."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
