@@ -51,7 +51,8 @@ RULES = {
     ),
     "cli": ({"process", "job"}, {"hydra", "omegaconf", "yaml"}),
     "sweep": (
-        {"process", "job", "cli", "runs", "tracking", "report"}, {"hydra", "omegaconf", "yaml"},
+        {"process", "job", "cli", "runs", "tracking", "evaluation", "report"},
+        {"hydra", "omegaconf", "yaml"},
     ),
     "use": (
         {"mechanics", "systems", "nets", "models", "compile", "runs", "tracking", "cli", "sweep"},

@@ -33,4 +33,4 @@ def test_a_verdict_follows_from_the_measures(changes, said):
 def test_other_runs_have_none():
     assert verdict({"test_mse": 1.0}) is None
     assert comparison({"test_mse": 1.0}) is None
-    assert comparison(GOOD) == "RMSE to 1 s 0.02, of constant velocity 1, noise 0.001"
+    assert comparison(GOOD) == "RMSE to 1 s 0.02 (constant velocity 1, noise 0.001)"

@@ -35,10 +35,13 @@ def only(workplace) -> RunFolder:
 
 
 def test_another_reference_measures_a_finished_run_again_and_does_not_train_it(
-    recordings, monkeypatch
+    recordings, monkeypatch, capsys
 ):
     monkeypatch.setattr("symo_exp.evaluation.references.SUBSTEPS", 1)
     assert main([*WORDS, "pictures=false"]) == 0
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if "verdict: " in line]
+    assert "constant velocity" in said
+    assert "noise" in said
     folder = only(recordings)
     before = folder.measures()
     assert before["rmse_2s"] > 0.0

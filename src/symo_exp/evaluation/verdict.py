@@ -47,7 +47,5 @@ def comparison(measures: Mapping[str, float]) -> str | None:
     if "rmse_1s" not in measures or "constant_velocity_rmse_1s" not in measures:
         return None
     noise = f", noise {measures['noise']:.2g}" if "noise" in measures else ""
-    return (
-        f"RMSE to 1 s {measures['rmse_1s']:.2g}, of constant velocity "
-        f"{measures['constant_velocity_rmse_1s']:.2g}{noise}"
-    )
+    baseline = measures["constant_velocity_rmse_1s"]
+    return f"RMSE to 1 s {measures['rmse_1s']:.2g} (constant velocity {baseline:.2g}{noise})"

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.job.lines import MEASURES, UNITS, brief, duration, run_line
 from symo_exp.process import phases, stopping
 from symo_exp.report.looks import written
@@ -43,7 +44,18 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
         units = [unit for name, unit in UNITS.items() if name in shown]
         told = "; ".join([*["* the best"] * (len(folders) > 1), *units])
         lines += textwrap.wrap(told, WIDTH)
-    return "\n".join([*lines, *_failures(labels, folders, outcomes)])
+    verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
+    return "\n".join([*lines, *verdicts, *_failures(labels, folders, outcomes)])
+
+
+def _verdicts(names: Sequence[str], found: Sequence[Mapping[str, float]]) -> list[str]:
+    """What models of recordings are good for, beside the baseline, a line each."""
+    lines = []
+    for name, measures in zip(names, found, strict=True):
+        told = [text for text in (verdict(measures), comparison(measures)) if text]
+        if told:
+            lines.append(f"{name}: {'; '.join(told)}")
+    return lines
 
 
 def _column(name: str, found: Sequence[Mapping[str, float]]) -> list[str]:
