@@ -7,7 +7,7 @@ import torch
 
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.variational import variational_step
+from symo_exp.mechanics.variational import DiscreteLagrangian, Forces
 from tests.dissipative import (
     dissipative_chain,
     dissipative_net,
@@ -101,10 +101,10 @@ def test_order_of_convergence(name, n):
 
     def integrate(steps):
         q, p, h = q0, lagrangian.momentum(q0, v0), duration / steps
+        discrete = DiscreteLagrangian(method, lagrangian, h)
         for k in range(steps):
-            f, f_next = (force_at(n, i * h, forced=True) for i in (k, k + 1))
-            guess = q + h * lagrangian.velocity(q, p)
-            q, p, _ = variational_step(method, lagrangian, TIGHT, q, p, f, f_next, h, guess)
+            forces = Forces(*(force_at(n, i * h, forced=True) for i in (k, k + 1)))
+            q, p, _ = discrete.step(TIGHT, q, p, forces, q + h * lagrangian.velocity(q, p))
         return q
 
     slope = order(integrate, reference(lagrangian, n, forced=True, duration=duration), counts)
@@ -118,8 +118,8 @@ def test_energy_never_rises_without_input(name, n):
     method, lagrangian, h = METHODS[name], dissipative_chain(n, rest_velocity=0.2), 0.02
     q, v = start(n)
     p, zero, energies = lagrangian.momentum(q, v), torch.zeros_like(q), [lagrangian.energy(q, v)]
+    discrete, free = DiscreteLagrangian(method, lagrangian, h), Forces(zero, zero)
     for _ in range(25):
-        guess = q + h * lagrangian.velocity(q, p)
-        q, p, _ = variational_step(method, lagrangian, TIGHT, q, p, zero, zero, h, guess)
+        q, p, _ = discrete.step(TIGHT, q, p, free, q + h * lagrangian.velocity(q, p))
         energies.append(lagrangian.energy(q, lagrangian.velocity(q, p)))
     assert (torch.stack(energies).diff(dim=0) < 0).all()

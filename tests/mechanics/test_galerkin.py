@@ -8,11 +8,9 @@ from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.variational import (
+    DiscreteLagrangian,
     Forces,
     VariationalMidpoint,
-    del_residual,
-    momentum_before,
-    next_configuration,
 )
 from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
@@ -102,12 +100,12 @@ def test_derivatives_of_residual_root_and_momentum(stages: int, n: int) -> None:
             configurations: Tensor, forces: Tensor, *_: Tensor, lagrangian: Lagrangian = lagrangian
         ) -> Tensor:
             (a, b, c), (f, g, k) = configurations, forces
-            residual = del_residual(integrator, lagrangian, a, b, c, f, g, k, h)
-            p = momentum_before(integrator, lagrangian, a, b, f, g, h)
-            impulse = p + integrator.impulses(g, k, h)[0]
-            root, _ = next_configuration(
-                integrator, lagrangian, ROOT, b, impulse, h, 2 * b - a, forces=Forces(g, k)
-            )
+            discrete = DiscreteLagrangian(integrator, lagrangian, h)
+            before, after = Forces(f, g), Forces(g, k)
+            residual = discrete.residual(a, b, c, before, after)
+            p = discrete.momentum(a, b, before)
+            impulse = p + discrete.impulses(after)[0]
+            root, _ = discrete.next_configuration(ROOT, b, impulse, 2 * b - a, after)
             return (weight * torch.stack((residual, p, root))).sum()
 
         inputs = [x.clone().requires_grad_() for x in (configurations, forces)]

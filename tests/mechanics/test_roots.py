@@ -1,10 +1,13 @@
 """Root finders: convergence, its report, and rows that do not disturb each other."""
 
+import ast
+
 import pytest
 import torch
 
 from symo_exp.mechanics.implicit import attach_root
 from symo_exp.mechanics.roots import Broyden, Newton
+from tests.architecture import files
 
 
 class At:
@@ -35,13 +38,17 @@ class At:
 
 
 class Problem:
-    def __init__(self, function):
-        self.function, self.rows_evaluated = function, 0
+    def __init__(self, function, index=None, counts=None):
+        self.function, self.index, self.counts = function, index, counts or []
 
-    def at(self, x, index=None):
-        self.rows_evaluated += len(x)
-        index = torch.arange(len(x)) if index is None else index
+    def at(self, x):
+        self.counts.append(len(x))
+        index = torch.arange(len(x)) if self.index is None else self.index
         return At(self, x, index, self.function(x, index))
+
+    def rows(self, index):
+        mine = index if self.index is None else self.index[index]
+        return Problem(self.function, mine, self.counts)
 
 
 FINDERS = {
@@ -99,7 +106,7 @@ def test_one_bad_row_costs_one_row():
     assert root.converged.tolist() == [False] + [True] * 99
     assert iterations[0] < 20  # given up: no damping helps
     assert iterations[1:].max() <= 6
-    assert by_batch.rows_evaluated > 2 * by_row.rows_evaluated
+    assert sum(by_batch.counts) > 2 * sum(by_row.counts)
 
 
 def test_damping_rescues_a_start_from_which_newton_diverges():
@@ -154,3 +161,22 @@ def test_implicit_derivative_of_any_residual_by_any_finder(name, n):
 def test_nonsense_is_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         Newton(**arguments)
+
+
+def test_newtons_iteration_stands_in_two_places():
+    """Problems are evaluated by the eager loop and by the branch-free step of compiled code.
+
+    The other place is an integrator with nothing to iterate.
+    """
+    places = set()
+    packages = ("mechanics", "models", "compile", "evaluation", "use")
+    for file in (path for package in packages for path in files(package)):
+        for function in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(function, ast.FunctionDef) and any(
+                isinstance(node, ast.Call) and ast.unparse(node.func) == "problem.at"
+                for node in ast.walk(function)
+            ):
+                places.add(f"{file.stem}.{function.name}")
+    assert places == {"roots.iterate", "roots._iterate", "newton.iterate_branch_free"} | {
+        "galerkin.expand"
+    }

@@ -5,12 +5,7 @@ import torch
 
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.variational import (
-    del_residual,
-    momentum_before,
-    next_configuration,
-    variational_step,
-)
+from symo_exp.mechanics.variational import DiscreteLagrangian, Forces
 from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
 from tests.mechanics.motions import force_at, order, reference, refinement, start
@@ -22,12 +17,11 @@ TIGHT = Newton(tolerance=1e-13, max_iterations=50)
 
 def roll(method, lagrangian, q, p, steps, h, forced=False):
     """Configurations and momenta of a rollout, from node 0."""
-    n = q.shape[1]
+    n, discrete = q.shape[1], DiscreteLagrangian(method, lagrangian, h)
     configurations, momenta = [q], [p]
     for k in range(steps):
-        f, f_next = (force_at(n, i * h, forced=forced) for i in (k, k + 1))
-        guess = q + h * lagrangian.velocity(q, p)
-        q, p, _ = variational_step(method, lagrangian, TIGHT, q, p, f, f_next, h, guess)
+        forces = Forces(*(force_at(n, i * h, forced=forced) for i in (k, k + 1)))
+        q, p, _ = discrete.step(TIGHT, q, p, forces, q + h * lagrangian.velocity(q, p))
         configurations.append(q)
         momenta.append(p)
     return torch.stack(configurations), torch.stack(momenta)
@@ -60,12 +54,11 @@ def test_steps_are_symplectic(name, n):
     method, chain, h = METHODS[name], ChainPendulum(n), 0.2
     q, v = start(n)
     x = torch.cat((q, chain.momentum(q, v)), dim=1)
-    zero = torch.zeros_like(q)
+    discrete, free = DiscreteLagrangian(method, chain, h), Forces(*torch.zeros(2, 1, n).to(q))
 
     def step(x):
         q, p = x[:, :n], x[:, n:]
-        guess = q + h * chain.velocity(q, p)
-        moved = variational_step(method, chain, TIGHT, q, p, zero, zero, h, guess)
+        moved = discrete.step(TIGHT, q, p, free, q + h * chain.velocity(q, p))
         return torch.cat((moved.q, moved.p), dim=1)
 
     jacobian = torch.autograd.functional.jacobian(step, x).reshape(2 * n, 2 * n)
@@ -148,14 +141,13 @@ def test_momentum_form_solves_the_discrete_euler_lagrange_equations(name):
     method, chain, h = METHODS[name], ChainPendulum(2), 0.1
     q, v = start(2)
     q, v = q.expand(3, 2) + torch.arange(3.0).unsqueeze(1), v.expand(3, 2)
-    forces = [force_at(2, k * h, forced=True).expand(3, 2) for k in range(3)]
-    q_mid, p, _ = variational_step(
-        method, chain, TIGHT, q, chain.momentum(q, v), forces[0], forces[1], h, q + h * v
-    )
-    before = momentum_before(method, chain, q, q_mid, forces[0], forces[1], h)
-    torch.testing.assert_close(before, p)
-    last = variational_step(method, chain, TIGHT, q_mid, p, forces[1], forces[2], h, 2 * q_mid - q)
-    residual = del_residual(method, chain, q, q_mid, last.q, *forces, h)
+    force = [force_at(2, k * h, forced=True).expand(3, 2) for k in range(3)]
+    before, after = Forces(*force[:2]), Forces(*force[1:])
+    discrete = DiscreteLagrangian(method, chain, h)
+    q_mid, p, _ = discrete.step(TIGHT, q, chain.momentum(q, v), before, q + h * v)
+    torch.testing.assert_close(discrete.momentum(q, q_mid, before), p)
+    last = discrete.step(TIGHT, q_mid, p, after, 2 * q_mid - q)
+    residual = discrete.residual(q, q_mid, last.q, before, after)
     assert last.root.converged.all()
     assert residual.abs().max() < 1e-12
 
@@ -189,8 +181,8 @@ def test_gradients_of_the_next_configuration(name, n):
     parameters = [q, impulse, *lagrangian.net.parameters()]
 
     def objective():
-        guess = q.detach() + h * v
-        configuration, root = next_configuration(method, lagrangian, TIGHT, q, impulse, h, guess)
+        discrete, guess = DiscreteLagrangian(method, lagrangian, h), q.detach() + h * v
+        configuration, root = discrete.next_configuration(TIGHT, q, impulse, guess)
         assert root.converged.all()
         return (weight * configuration).sum()
 

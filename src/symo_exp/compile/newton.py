@@ -1,23 +1,22 @@
-"""Newton's method in compiled pieces: an iteration of unknown length between fixed sequences."""
+"""Newton's method in compiled and exported code, which cannot branch on values.
+
+``iterate_branch_free`` is the counterpart of ``mechanics.roots.iterate``: one step as a fixed
+sequence of operations on all rows. Compiled callers look between steps at whether all rows have
+ended; an exported step takes a fixed number of them.
+"""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from symo_exp.compile.inductor import carry
 from symo_exp.compile.program import Program
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import (
-    Evaluation,
-    Newton,
-    RootFinder,
-    joint_norm,
-    rounding,
-    row_norm,
-)
+from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding, row_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, MidpointExpansion, MomentumMatching
 from symo_exp.models.flows import VariationalFlow
@@ -30,50 +29,76 @@ carry(MidpointExpansion, "_h")
 
 
 class Iterate(NamedTuple):
-    """The residual at one iterate ``x``, and the step of Newton's method from there."""
+    """The equations at one iterate ``x``, and the step of Newton's method from there.
 
-    x: Tensor
-    """``q_{k+1}``, and what the integrator solves for alongside."""
-    after: DiscreteExpansion
+    A compiler removes what its caller does not use: an ``Iterate`` of which only ``near`` and
+    ``expansion`` are read costs no Jacobian.
+    """
+
+    x: Float[Tensor, "batch k"]
+    """``q_{k+1}``, and the other unknowns of the integrator."""
+    expansion: DiscreteExpansion
     """``L_d`` around ``q_k`` and ``x``."""
-    jacobian: Tensor
-    next: Tensor
+    jacobian: Float[Tensor, "batch k k"]
+    next: Float[Tensor, "batch k"]
     """The next iterate."""
-    found: Tensor
-    """Rows that end here: roots, or as near as rounding lets them be; by the rule of the thesis,
-    all together or none."""
-    onward: Tensor
-    """Rows that the uncompiled iteration would look at again after the next iterate."""
-    iterations: Tensor
-    """How many steps it would have taken, row by row, the next one included."""
+    near: Bool[Tensor, " batch"]
+    """Rows with a small residual; by the rule of the thesis, all together or none."""
+    last: Bool[Tensor, " batch"]
+    """Rows whose next step is lost in rounding."""
+    onward: Bool[Tensor, " batch"]
+    """Rows that ``roots.iterate`` would evaluate again after the next iterate."""
+    iterations: Float[Tensor, " batch"]
+    """Steps that ``roots.iterate`` would have taken, the next one included."""
+
+    @property
+    def found(self) -> Bool[Tensor, " batch"]:
+        """Rows that end here: roots, or as near to one as rounding allows."""
+        return self.near | self.last
 
 
-def iterate(
-    problem: MomentumMatching, root: RootFinder, x: Tensor, last: Iterate | None = None
+def iterate_branch_free(
+    problem: MomentumMatching, root: RootFinder, x: Tensor, before: Iterate | None = None
 ) -> Iterate:
-    """The iterate at ``x``, after the ``last`` one."""
+    """Evaluate the equations at ``x`` and take a step of Newton's method from there.
+
+    Args:
+        problem: The equations.
+        root: ``Newton`` with its tolerance and stopping rule.
+        x: The iterate.
+        before: The previous one, if there is one.
+    """
     assert isinstance(root, Newton)
     at, together = problem.at(x), root.stopping == "batch"
     jacobian = at.jacobian()
     step = solve(jacobian, -at.residual)
-    near, ending = small(at.residual, root), settled(step, x, root)
-    if last is None:
+    norm = joint_norm(at.residual).expand(len(x)) if together else row_norm(at.residual)
+    near = norm <= root.tolerance
+    settled = (step.abs() <= rounding(x)).all(-1)
+    last = torch.zeros_like(settled) if together else settled
+    if before is None:
         wanting = torch.ones_like(near) if together else ~near
         iterations = wanting.to(x.dtype)
     else:
-        wanting = last.onward & ~near
-        iterations = last.iterations + wanting.to(x.dtype)
-    onward = wanting & ~ending
-    return Iterate(x, at.expansion, jacobian, x + step, near | ending, onward, iterations)
+        wanting = before.onward & ~near
+        iterations = before.iterations + wanting.to(x.dtype)
+    onward = wanting & ~last
+    return Iterate(x, at.expansion, jacobian, x + step, near, last, onward, iterations)
 
 
 class RootLoss:
-    """Loss of ``RootError`` and its statistics; ``gradients`` are left in the parameters.
+    """Compiled loss of ``RootError`` with its statistics.
 
     The first piece takes the one step of Newton's method that is always needed, others further
-    steps where a row needs them, the last differentiates. What a pass computed travels on, so that
-    nothing is evaluated twice. A batch with a row that a few steps do not bring home is left to
-    the uncompiled path with its safeguards.
+    steps while a row needs them, the last one differentiates. Results of a piece are passed on, so
+    that nothing is evaluated twice. A batch with a row that does not converge in a few steps is
+    left to the uncompiled path with its safeguards.
+
+    Args:
+        model: The learner.
+        flow: Its flow.
+        objective: Its objective.
+        gradients: Whether a call leaves gradients in the parameters.
     """
 
     most_iterations = 5
@@ -88,6 +113,7 @@ class RootLoss:
         self._finish = Program(model, self._loss_at, gradients=gradients)
 
     def __call__(self, windows: Windows) -> tuple[Tensor, Statistics]:
+        """Return the loss and the statistics of a batch."""
         before, impulse, at, over = self._start(windows)
         taken = 1
         while not over.item():
@@ -104,18 +130,19 @@ class RootLoss:
     def _first_step(self, windows: Windows) -> tuple[Any, ...]:
         before = self._flow.expand_before(windows)
         impulse = self._objective.impulse(self._flow, windows, before)
-        problem = self._problem(windows, impulse)
-        guess = iterate(problem, self._flow.root, self._objective.initial_guess(windows))
-        at = iterate(problem, self._flow.root, guess.next, guess)
+        problem, root = self._problem(windows, impulse), self._flow.root
+        guess = iterate_branch_free(problem, root, self._objective.initial_guess(windows))
+        at = iterate_branch_free(problem, root, guess.next, guess)
         return before, impulse, at, at.found.all()
 
     def _next_step(self, windows: Windows, impulse: Tensor, last: Iterate) -> tuple[Any, ...]:
-        at = iterate(self._problem(windows, impulse), self._flow.root, last.next, last)
+        problem = self._problem(windows, impulse)
+        at = iterate_branch_free(problem, self._flow.root, last.next, last)
         return at, at.found.all()
 
     def _loss_at(self, windows: Windows, before: DiscreteExpansion, at: Iterate) -> tuple[Any, ...]:
         impulse = self._objective.impulse(self._flow, windows, before)
-        error = self._objective.error(self._flow, windows, impulse, at.x, at.after, at.jacobian)
+        error = self._objective.error(self._flow, windows, impulse, at.x, at.expansion, at.jacobian)
         return error.square().mean(), at.iterations.mean()
 
     def _problem(self, windows: Windows, impulse: Tensor) -> MomentumMatching:
@@ -124,11 +151,15 @@ class RootLoss:
 
 
 class VariationalAdvance:
-    """``VariationalFlow.advance``: ``(q_k, p_k, u_k, u_{k+1}) → (q_{k+1}, p_{k+1}, converged)``.
+    """Compiled ``VariationalFlow.advance``.
 
-    The first piece takes the two steps of Newton's method that are nearly always needed, others
-    one more each; where a piece ends, the Jacobian is left out. A row that they do not bring home
-    leaves all of them to the uncompiled step with its safeguards.
+    Maps ``(q_k, p_k, u_k, u_{k+1})`` to ``(q_{k+1}, p_{k+1}, converged)``. The first piece takes
+    the two steps of Newton's method that are nearly always needed, others one more each. If a row
+    does not converge, the uncompiled step with its safeguards repeats all of them.
+
+    Args:
+        model: Owner of the parameters.
+        flow: Its flow.
     """
 
     first_iterations, most_iterations = 2, 10
@@ -139,6 +170,7 @@ class VariationalAdvance:
         self._start, self._iterate = Program(model, self._first), Program(model, self._next)
 
     def __call__(self, *given: Tensor) -> tuple[Tensor, ...]:
+        """Advance ``(q, p, u, u_next)``, each (batch, ·), by a time step."""
         most = min(self._root.max_iterations, self.most_iterations)
         *reached, x, over = self._start(*given)
         for _ in range(self.first_iterations, most):
@@ -151,46 +183,31 @@ class VariationalAdvance:
         problem, _ = self._problem(q, p, u, u_next)
         x = problem.start(q + self._flow.time_step * self._flow.decode(q, p))
         for _ in range(1, min(self._root.max_iterations, self.first_iterations)):
-            x = x + newton_step(problem.at(x))
+            x = iterate_branch_free(problem, self._root, x).next
         return self._next(q, p, u, u_next, x)
 
     def _next(
         self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, x: Tensor
     ) -> tuple[Tensor, ...]:
-        """One step from ``x``: ``q_{k+1}``, the momentum there, which rows are roots, the iterate,
-        and whether every row is a root or was lost before."""
+        """Take one step from ``x``.
+
+        Returns:
+            ``q_{k+1}``, the momentum there, the rows that are roots, the iterate, and whether every
+            row is a root or was not finite before.
+        """
         problem, f1 = self._problem(q, p, u, u_next)
-        step = newton_step(problem.at(x))
-        x = x + step
-        at = problem.at(x)
-        found = small(at.residual, self._root) | settled(step, x, self._root)
+        before = iterate_branch_free(problem, self._root, x)
+        at = iterate_branch_free(problem, self._root, before.next)
+        found = at.near | before.last
         lost = ~(q.isfinite() & p.isfinite()).all(-1)
-        q_next = x[:, : q.shape[1]].contiguous()
-        return q_next, at.expansion.values.d2 + f1, found, x.contiguous(), (found | lost).all()
+        q_next = at.x[:, : q.shape[1]].contiguous()
+        p_next = at.expansion.values.d2 + f1
+        return q_next, p_next, found, at.x.contiguous(), (found | lost).all()
 
     def _problem(
         self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor
     ) -> tuple[MomentumMatching, Tensor]:
-        """The equations of a step, and the impulse ``f⁺`` at its end."""
+        """Return the equations of a step, and the impulse ``f⁺`` at its end."""
         flow, forces = self._flow, self._flow.forces(u, u_next)
-        f0, f1 = flow.integrator.impulses(*forces, flow.time_step)
+        f0, f1 = flow.discrete.impulses(forces)
         return flow.matching(q, p + f0, forces), f1
-
-
-def newton_step(at: Evaluation) -> Tensor:
-    """``−J⁻¹ g``."""
-    return solve(at.jacobian(), -at.residual)
-
-
-def small(residual: Tensor, root: Newton) -> Tensor:
-    """Rows whose ``‖g‖`` is below the tolerance; by the rule of the thesis all together or none."""
-    together = root.stopping == "batch"
-    norm = joint_norm(residual).expand(len(residual)) if together else row_norm(residual)
-    return norm <= root.tolerance
-
-
-def settled(step: Tensor, x: Tensor, root: Newton) -> Tensor:
-    """Rows whose step is lost in rounding: they take it and end."""
-    if root.stopping == "batch":
-        return torch.zeros_like(step[:, 0], dtype=torch.bool)
-    return (step.abs() <= rounding(x)).all(-1)

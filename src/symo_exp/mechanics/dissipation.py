@@ -101,6 +101,7 @@ class DissipativeExpansion(Expansion):
     """A Lagrangian around ``(q, v)``, with the force there."""
 
     dissipates = True
+    parts = ("_at", "_dissipation", "_q", "_v")
 
     def __init__(self, at: Expansion, dissipation: Dissipation, q: Tensor, v: Tensor) -> None:
         self._at, self._dissipation, self._q, self._v = at, dissipation, q, v
@@ -122,16 +123,3 @@ class DissipativeExpansion(Expansion):
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         dq, p = self._at.gradients(q, v)
         return Gradients(dq + self._dissipation.force(q, v), p)
-
-    def rows(self, index: Tensor) -> DissipativeExpansion:
-        at = self._at.rows(index)
-        return DissipativeExpansion(at, self._dissipation, self._q[index], self._v[index])
-
-    def replace(self, index: Tensor, other: Expansion) -> DissipativeExpansion:
-        assert isinstance(other, DissipativeExpansion)
-        return DissipativeExpansion(
-            self._at.replace(index, other._at),
-            self._dissipation,
-            self._q.index_copy(0, index, other._q),
-            self._v.index_copy(0, index, other._v),
-        )

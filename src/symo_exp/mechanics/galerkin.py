@@ -22,11 +22,16 @@ In what follows ``z = (q₀, c₁, …, c_{s−1}, q₁)`` are the variables of 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec
+from symo_exp.mechanics.roots import Rule, iterate, newton_step
+from symo_exp.mechanics.rows import Rowwise, take_rows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
     Forces,
@@ -61,17 +66,18 @@ class Galerkin(VariationalIntegrator):
         self.iterates = stages > 1
         self._basis = Basis(stages)
 
+    @override
     def slots(
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> Slots:
-        """Intervals that occur twice, as those of consecutive windows do, are solved once."""
+        # Intervals that occur twice, as those of consecutive windows do, are solved once.
         if self.stages == 1:  # there is nothing to solve
             return self._each(lagrangian, q0, q1, h, forces)
         ends = (q0, q1) if forces is None else (q0, q1, *forces)
         chosen, place = distinct(torch.cat(ends, dim=1).detach())
         if 4 * len(chosen) > 3 * len(q0):
             return self._each(lagrangian, q0, q1, h, forces)
-        few = forces and forces.rows(chosen)
+        few = take_rows(forces, chosen)
         at = self.expand(lagrangian, q0[chosen], q1[chosen], h, few)
         if not torch.is_grad_enabled():
             return Slots(*(x[place] for x in at.values))
@@ -83,54 +89,17 @@ class Galerkin(VariationalIntegrator):
         at = self.expand(lagrangian, q0, q1, h, forces)
         return at.slots(q0, q1, forces) if torch.is_grad_enabled() else at.values
 
+    @override
     @torch.no_grad()
     def expand(
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> GalerkinExpansion:
-        c = q0.new_zeros(self.stages - 1, *q0.shape)
-        at = GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
+        problem = InnerEquations(self._basis, lagrangian, q0, q1, h, forces)
+        start = q0.new_zeros(len(q0), (self.stages - 1) * q0.shape[1])
         if self.stages == 1:
-            return at
-        share = torch.ones_like(q0[:, :1])
-        return self._settled(lagrangian, q0, q1, h, forces, at, share, self.max_iterations)
-
-    def _settled(
-        self,
-        lagrangian: Lagrangian,
-        q0: Tensor,
-        q1: Tensor,
-        h: float,
-        forces: Forces | None,
-        at: GalerkinExpansion,
-        share: Tensor,
-        rounds: int,
-    ) -> GalerkinExpansion:
-        """``at`` with stationary coefficients. Once a quarter of the rows rests, the others go on
-        alone. ``share`` is what a row takes of its update."""
-        tolerance = max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps)
-        for left in range(rounds, 0, -1):
-            update = at.update()
-            reach = (q1 - q0).abs().amax(-1) + at.inner.abs().amax((0, -1))
-            moves = (~(update.abs().amax((0, -1)) <= tolerance * reach)).nonzero().squeeze(-1)
-            if len(moves) == 0:
-                break
-            if 4 * len(moves) <= 3 * len(q0):
-                some = q0[moves], q1[moves], h, forces and forces.rows(moves)
-                rest = self._settled(lagrangian, *some, at.rows(moves), share[moves], left)
-                return at.replace(moves, rest)
-            c = at.inner - share * update
-            there = GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
-            better = there.imbalance() <= at.imbalance()
-            if bool(better.all()):
-                at = there
-            elif bool(better[moves].any()):
-                index = better.nonzero().squeeze(-1)
-                at = at.replace(index, there.rows(index))
-            elif not at.dissipates:
-                break
-            if at.dissipates:
-                share = torch.where(better.unsqueeze(-1), 1.0, 0.25 * share)
-        return at
+            return problem.at(start).expansion
+        rule = InnerSteps(max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps))
+        return iterate(problem, start, rule, self.max_iterations)[1].expansion
 
     def unknowns(self, q1: Tensor) -> Tensor:
         """``(q₁, c₁, …, c_{s−1})``, the coefficients zero."""
@@ -140,7 +109,7 @@ class Galerkin(VariationalIntegrator):
     def expand_at(
         self, lagrangian: Lagrangian, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
     ) -> GalerkinExpansion:
-        q1, c = x[:, : q0.shape[1]], _blocks(x[:, q0.shape[1] :], self.stages - 1)
+        q1, c = x[:, : q0.shape[1]], _blocks(x[:, q0.shape[1] :], *q0.shape)
         return GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
 
     def converged(self) -> Galerkin:
@@ -150,6 +119,116 @@ class Galerkin(VariationalIntegrator):
         """``h Σᵢ bᵢ (1 − τᵢ) F(τᵢ)`` and ``h Σᵢ bᵢ τᵢ F(τᵢ)``, exact for ``s ≥ 2``."""
         first, *_, last = self._basis.impulses(Forces(force0, force1), h).unbind(0)
         return first, last
+
+
+class InnerEquations(Rowwise):
+    """The equations ``∂L_d/∂cⱼ + h Σᵢ bᵢ φⱼ F = 0`` of the inner coefficients ``c``.
+
+    Args:
+        basis: The polynomials.
+        lagrangian: ``ℒ``.
+        q0: Configuration at the start of the interval.
+        q1: Configuration at its end.
+        h: Time step [s].
+        forces: The generalised force over the interval.
+    """
+
+    parts = ("_basis", "_lagrangian", "_q0", "_q1", "_h", "_forces")
+
+    def __init__(
+        self,
+        basis: Basis,
+        lagrangian: Lagrangian,
+        q0: Tensor,
+        q1: Tensor,
+        h: float,
+        forces: Forces | None,
+    ) -> None:
+        self._basis, self._lagrangian = basis, lagrangian
+        self._q0, self._q1, self._h, self._forces = q0, q1, h, forces
+
+    def at(self, x: Float[Tensor, "batch inner*n"]) -> InnerPoint:
+        """Evaluate the equations."""
+        c = _blocks(x, *self._q0.shape).contiguous()
+        expansion = GalerkinExpansion.of(
+            self._basis, self._lagrangian, self._q0, self._q1, c, self._h, self._forces
+        )
+        return InnerPoint(expansion, self._q1 - self._q0)
+
+
+class InnerPoint(Rowwise):
+    """The equations of the inner coefficients at one batch of them."""
+
+    parts = ("expansion", "_displacement")
+
+    def __init__(self, expansion: GalerkinExpansion, displacement: Tensor) -> None:
+        self.expansion, self._displacement = expansion, displacement
+
+    @property
+    def residual(self) -> Tensor:
+        """``∂L_d/∂cⱼ + h Σᵢ bᵢ φⱼ F``, (batch, inner · n)."""
+        return _row(self.expansion.stationarity)
+
+    def jacobian(self) -> Tensor:
+        """Return the part of the inertia in ``W_cc`` and that of friction."""
+        return self.expansion.inner_mass()
+
+    def reach(self) -> Float[Tensor, " batch"]:
+        """Return the size of the motion over the interval."""
+        inner = self.expansion.inner.abs().amax((0, -1))
+        return self._displacement.abs().amax(-1) + inner
+
+
+class Inner(NamedTuple):
+    """State of ``InnerSteps``."""
+
+    step: Float[Tensor, "batch inner*n"]
+    share: Float[Tensor, "batch 1"]
+    """Part of the step that is tried."""
+
+
+class InnerSteps(Rule[InnerPoint, Inner]):
+    """Newton steps of the inner coefficients; rows are done when their next step is small.
+
+    Args:
+        tolerance: Bound on a step, relative to the motion over the interval.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+
+    @override
+    def start(self, x: Tensor, at: InnerPoint) -> Inner:
+        return Inner(torch.zeros_like(x), torch.ones_like(x[:, :1]))
+
+    @override
+    def active(self, x: Tensor, at: InnerPoint, state: Inner) -> tuple[Tensor, Inner]:
+        step = newton_step(at)
+        active = ~(step.abs().amax(-1) <= self._tolerance * at.reach())
+        return active, state._replace(step=step)
+
+    @override
+    def drops(self, active: int, rows: int, batch: int) -> bool:
+        return 4 * active <= 3 * rows
+
+    @override
+    def trial(self, x: Tensor, at: InnerPoint, state: Inner) -> tuple[Tensor, Inner]:
+        return x + state.share * state.step, state
+
+    @override
+    def judge(
+        self, active: Tensor, at: InnerPoint, there: InnerPoint, state: Inner
+    ) -> tuple[Tensor, Inner]:
+        better = there.expansion.imbalance() <= at.expansion.imbalance()
+        accepted = better & (better & active).any()
+        if at.expansion.dissipates:
+            share = torch.where(better.unsqueeze(-1), 1.0, 0.25 * state.share)
+            state = state._replace(share=share)
+        return accepted, state
+
+    @override
+    def retries(self, at: InnerPoint) -> bool:
+        return at.expansion.dissipates
 
 
 class Basis:
@@ -265,15 +344,15 @@ class GalerkinExpansion(DiscreteExpansion):
         pull = torch.zeros_like(c) if forces is None else basis.impulses(forces, h)[1:-1]
         return GalerkinExpansion(basis, lagrangian.expand(*basis.path(q0, q1, c, h)), c, pull, h)
 
-    def update(self) -> Float[Tensor, "inner batch n"]:
-        """What Newton's method takes away from ``c``, with the part of the inertia in ``W_cc`` and
-        that of friction, which is the larger one where a motion comes to rest."""
+    def inner_mass(self) -> Float[Tensor, "batch inner*n inner*n"]:
+        """Return the part of the inertia in ``W_cc`` and that of friction.
+
+        Friction is the larger one where a motion comes to rest.
+        """
         w = self._basis.inertia(self._at.mass(), self._h)
         if self.dissipates:
             w = w + self._basis.damping(self._at.damping())
-        w = w[1:-1, 1:-1]
-        step = torch.linalg.solve_ex(_matrix(w), _column(self.stationarity))[0]
-        return _blocks(step.squeeze(-1), len(self.inner))
+        return _matrix(w[1:-1, 1:-1])
 
     @property
     def dissipates(self) -> bool:
@@ -306,6 +385,9 @@ class GalerkinExpansion(DiscreteExpansion):
         n = first.shape[-1]
         return Slots(first - moved[:, :n], last - moved[:, n:])
 
+    # Gauss points are rows of ``_at``, and blocks come before rows in the coefficients.
+
+    @override
     def rows(self, index: Tensor) -> GalerkinExpansion:
         at = self._at.rows(self._points(index))
         rows = GalerkinExpansion(
@@ -316,8 +398,8 @@ class GalerkinExpansion(DiscreteExpansion):
             rows._condensed = d2d1[index], transfer[index]
         return rows
 
-    def replace(self, index: Tensor, other: DiscreteExpansion) -> GalerkinExpansion:
-        assert isinstance(other, GalerkinExpansion)
+    @override
+    def replace(self, index: Tensor, other: GalerkinExpansion) -> GalerkinExpansion:
         return GalerkinExpansion(
             self._basis,
             self._at.replace(self._points(index), other._at),
@@ -360,12 +442,8 @@ def _row(blocks: Float[Tensor, "a batch n"]) -> Float[Tensor, "batch a*n"]:
     return blocks.transpose(0, 1).flatten(1)
 
 
-def _column(blocks: Tensor) -> Tensor:
-    return _row(blocks).unsqueeze(-1)
-
-
-def _blocks(row: Float[Tensor, "batch a*n"], count: int) -> Float[Tensor, "a batch n"]:
-    return row.unflatten(1, (count, -1)).transpose(0, 1)
+def _blocks(row: Float[Tensor, "batch a*n"], batch: int, n: int) -> Float[Tensor, "a batch n"]:
+    return row.reshape(batch, row.shape[1] // n, n).transpose(0, 1)
 
 
 def _gauss(stages: int) -> tuple[Tensor, Tensor]:

@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.rows import Rowwise
+
 
 class Gradients(NamedTuple):
     """First derivatives of ``ℒ``."""
@@ -44,7 +46,7 @@ class Rates(NamedTuple):
     """``∂ℒ/∂q``."""
 
 
-class Expansion(ABC):
+class Expansion(Rowwise, ABC):
     """``ℒ`` around one batch of points ``(q, v)``: numbers now, derivatives on demand.
 
     A root finder asks for the gradients, perhaps for the curvature, and at the root for gradients
@@ -76,14 +78,6 @@ class Expansion(ABC):
 
         ``q`` and ``v`` must hold the values of this point; they carry the graph.
         """
-
-    @abstractmethod
-    def rows(self, index: Tensor) -> Expansion:
-        """The same for some rows of the batch."""
-
-    @abstractmethod
-    def replace(self, index: Tensor, other: Expansion) -> Expansion:
-        """This expansion with the given rows taken from ``other``."""
 
 
 class Lagrangian(ABC):
@@ -155,6 +149,8 @@ class Lagrangian(ABC):
 class AutodiffExpansion(Expansion):
     """An expansion that differentiates automatically, for any Lagrangian."""
 
+    parts = ("_lagrangian", "_q", "_v", "values", "_mass")
+
     def __init__(
         self,
         lagrangian: Lagrangian,
@@ -183,24 +179,6 @@ class AutodiffExpansion(Expansion):
 
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         return self._lagrangian.gradients(q, v)
-
-    def rows(self, index: Tensor) -> AutodiffExpansion:
-        values = Gradients(*(x[index] for x in self.values))
-        mass = None if self._mass is None else self._mass[index]
-        q, v = self._q[index], self._v[index]
-        return AutodiffExpansion(self._lagrangian, q, v, values, mass)
-
-    def replace(self, index: Tensor, other: Expansion) -> AutodiffExpansion:
-        assert isinstance(other, AutodiffExpansion)
-
-        def put(x: Tensor, y: Tensor) -> Tensor:
-            return x.index_copy(0, index, y)
-
-        values = Gradients(*(put(x, y) for x, y in zip(self.values, other.values, strict=True)))
-        q, v = put(self._q, other._q), put(self._v, other._v)
-        known = self._mass is not None and other._mass is not None
-        mass = put(self.mass(), other.mass()) if known else None
-        return AutodiffExpansion(self._lagrangian, q, v, values, mass)
 
 
 def matvec(

@@ -1,58 +1,163 @@
-"""Root finding for a batch of small independent systems, each row with its own status.
+"""Masked iterations for a batch of small independent problems, and root finding with them.
 
-What is solved is a :class:`RootProblem`; how, a :class:`RootFinder`; how the root is
-differentiated is the business of ``implicit``. None knows the others.
+``iterate`` is the one loop: it evaluates a problem, lets a ``Rule`` propose and judge steps row by
+row, and drops rows that are done. Newton's method, Broyden's method, the inner equations of the
+Galerkin integrators and fitted initial states are rules. Compiled and exported code cannot branch
+on values; its counterpart is ``compile.newton.iterate_branch_free``.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from typing_extensions import Self, override
 
 from symo_exp.mechanics.lagrangian import matvec, solve
+from symo_exp.mechanics.rows import put_rows, take_rows
 
 
-class Evaluation(Protocol):
+class Point(Protocol):
     """A problem evaluated at one batch of points."""
 
-    residual: Tensor
+    def rows(self, index: Tensor) -> Self:
+        """Return the given rows."""
+        ...
 
-    def jacobian(self) -> Tensor: ...
-
-    def rows(self: E, index: Tensor) -> E: ...
-
-    def replace(self: E, index: Tensor, other: E) -> E: ...
-
-
-E = TypeVar("E", bound=Evaluation)
-E_co = TypeVar("E_co", bound=Evaluation, covariant=True)
-
-
-class RootProblem(Protocol[E_co]):
-    """``g(x) = 0`` row by row."""
-
-    def at(self, x: Tensor, index: Tensor | None = None) -> E_co:
-        """``g`` at ``x``; with ``index``, ``x`` holds only those rows of the batch."""
+    def replace(self, index: Tensor, other: Self) -> Self:
+        """Return this point with the given rows taken from ``other``."""
         ...
 
 
-class Root(NamedTuple, Generic[E]):
+class RootPoint(Point, Protocol):
+    """The equations ``g(x) = 0`` evaluated at one batch of points."""
+
+    @property
+    def residual(self) -> Tensor:
+        """``g``, (batch, n)."""
+        ...
+
+    def jacobian(self) -> Tensor:
+        """``∂g/∂x``, (batch, n, n), or an approximation of it."""
+        ...
+
+
+P = TypeVar("P", bound=Point)
+R = TypeVar("R", bound=RootPoint)
+S = TypeVar("S", bound=tuple[Any, ...])
+P_co = TypeVar("P_co", bound=Point, covariant=True)
+
+
+class RowProblem(Protocol[P_co]):
+    """A problem whose rows are independent of each other."""
+
+    def at(self, x: Tensor) -> P_co:
+        """Evaluate the problem at ``x``, (batch, n)."""
+        ...
+
+    def rows(self, index: Tensor) -> Self:
+        """Return the given rows of the problem."""
+        ...
+
+
+class Rule(ABC, Generic[P, S]):
+    """How ``iterate`` moves and when its rows are done.
+
+    The state ``S`` is a named tuple of tensors with one row for each sample.
+    """
+
+    @abstractmethod
+    def start(self, x: Tensor, at: P) -> S:
+        """Return the state at the initial guess."""
+
+    @abstractmethod
+    def active(self, x: Tensor, at: P, state: S) -> tuple[Bool[Tensor, " batch"], S]:
+        """Return the rows that are not done, and the state."""
+
+    @abstractmethod
+    def trial(self, x: Tensor, at: P, state: S) -> tuple[Tensor, S]:
+        """Return the next ``x`` to try, and the state."""
+
+    @abstractmethod
+    def judge(
+        self, active: Tensor, at: P, there: P, state: S
+    ) -> tuple[Bool[Tensor, " batch"] | None, S]:
+        """Return which rows accept the trial evaluated in ``there`` (``None``: all of them)."""
+
+    def drops(self, active: int, rows: int, batch: int) -> bool:
+        """Return whether to continue with the ``active`` of ``rows`` rows alone.
+
+        Selecting rows costs time. ``batch`` is the number of rows at the start.
+        """
+        return False
+
+    def retries(self, at: P) -> bool:
+        """Return whether rows that refused a trial propose another one."""
+        return True
+
+
+@torch.no_grad()
+def iterate(problem: RowProblem[P], x: Tensor, rule: Rule[P, S], most: int) -> tuple[Tensor, P, S]:
+    """Iterate from ``x`` until all rows are done, at most ``most`` times.
+
+    Returns:
+        The last accepted ``x``, the problem evaluated there, and the state of the rule.
+    """
+    at = problem.at(x)
+    return _iterate(problem, x, at, rule.start(x, at), rule, most, len(x))
+
+
+def _iterate(
+    problem: RowProblem[P], x: Tensor, at: P, state: S, rule: Rule[P, S], most: int, batch: int
+) -> tuple[Tensor, P, S]:
+    for left in range(most, 0, -1):
+        active, state = rule.active(x, at, state)
+        count = int(active.sum())
+        if count == 0:
+            break
+        if count < len(x) and rule.drops(count, len(x), batch):
+            index = active.nonzero().squeeze(-1)
+            here = problem.rows(index), x[index], at.rows(index), take_rows(state, index)
+            x_some, at_some, state_some = _iterate(*here, rule, left, batch)
+            x, state = (
+                put_rows(*pair) for pair in ((x, index, x_some), (state, index, state_some))
+            )
+            return x, at.replace(index, at_some), state
+        trial, state = rule.trial(x, at, state)
+        there = problem.at(trial)
+        accepted, state = rule.judge(active, at, there, state)
+        if accepted is None or bool(accepted.all()):
+            x, at = trial, there
+            continue
+        index = accepted.nonzero().squeeze(-1)
+        if len(index) > 0:
+            x, at = x.index_copy(0, index, trial[index]), at.replace(index, there.rows(index))
+        elif not rule.retries(at):
+            break
+    return x, at, state
+
+
+class Root(NamedTuple, Generic[R]):
     """The solution with its status; the caller decides what an unconverged row means."""
 
     x: Float[Tensor, "batch n"]
     converged: Bool[Tensor, " batch"]
     iterations: Int[Tensor, " batch"]
     """Evaluations of ``g`` after the one at the start."""
-    evaluation: E
+    evaluation: R
     """The problem at ``x``."""
 
 
 class RootFinder(ABC):
-    """``tolerance`` bounds ``‖g‖₂ / √n`` of a row."""
+    """Solves ``g(x) = 0`` for each row of a batch.
+
+    Args:
+        tolerance: Bound on ``‖g‖₂ / √n`` of a row.
+        max_iterations: Bound on the evaluations of ``g`` after the first.
+    """
 
     def __init__(self, *, tolerance: float, max_iterations: int) -> None:
         if not tolerance > 0.0:
@@ -62,22 +167,24 @@ class RootFinder(ABC):
         self.tolerance, self.max_iterations = tolerance, max_iterations
 
     @abstractmethod
-    def solve(self, problem: RootProblem[E], x: Float[Tensor, "batch n"]) -> Root[E]:
+    def solve(self, problem: RowProblem[R], x: Float[Tensor, "batch n"]) -> Root[R]:
         """Solve from the initial guess ``x``. Never raises on failure: see ``Root.converged``."""
 
 
 class Newton(RootFinder):
     """Newton's method ``x⁺ = x − α J⁻¹ g`` with a safeguard for each row (thesis algorithm 3).
 
-    ``stopping="row"``: once most rows have converged only the others go on, and the step of a row
-    is halved (``α``) until ``‖g‖`` decreases, so that one bad row costs one row. A row whose step
-    is lost in the rounding of ``x`` has converged, too: its ``‖g‖`` is as small as the precision
-    lets it be. ``stopping="batch"`` is the rule of the thesis: undamped steps of all rows until
-    ``‖g‖_F ≤ tolerance √(B n)``.
-    """
+    With ``stopping="row"`` every row has its own status. Once most rows have converged only the
+    others continue, and the step of a row is halved (``α``) until ``‖g‖`` decreases, so that one
+    bad row costs one row. A row whose step is lost in the rounding of ``x`` has converged, too: its
+    ``‖g‖`` is as small as the precision allows. ``stopping="batch"`` is the rule of the thesis:
+    undamped steps of all rows until ``‖g‖_F ≤ tolerance √(B n)``.
 
-    smallest_damping = 1 / 16
-    """A row that wants a smaller ``α`` is given up: near a singular Jacobian no root is at hand."""
+    Args:
+        tolerance: Bound on ``‖g‖₂ / √n`` of a row, or of the batch.
+        max_iterations: Bound on the evaluations of ``g`` after the first.
+        stopping: "row" or "batch".
+    """
 
     def __init__(
         self,
@@ -91,116 +198,199 @@ class Newton(RootFinder):
             raise ValueError(f"stopping must be row or batch, got {stopping}")
         self.stopping = stopping
 
-    @torch.no_grad()
-    def solve(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
-        return self._by_row(problem, x) if self.stopping == "row" else self._by_batch(problem, x)
+    @override
+    def solve(self, problem: RowProblem[R], x: Tensor) -> Root[R]:
+        if self.stopping == "batch":
+            joint: JointNewton[R] = JointNewton(self.tolerance)
+            x, at, common = iterate(problem, x, joint, self.max_iterations)
+            converged = (row_norm(at.residual) <= self.tolerance) | (common.norm <= self.tolerance)
+            return Root(x, converged, common.iterations, at)
+        damped: DampedNewton[R] = DampedNewton(self.tolerance)
+        x, at, state = iterate(problem, x, damped, self.max_iterations)
+        converged = (state.norm <= self.tolerance) | state.settled
+        return Root(x, converged, state.iterations, at)
 
-    def _by_row(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
-        at = problem.at(x)
-        norm = row_norm(at.residual)
-        iterations = torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        damping = torch.ones(len(x), dtype=x.dtype, device=x.device)
-        settled = torch.zeros(len(x), dtype=torch.bool, device=x.device)
-        for _ in range(self.max_iterations):
-            # The first condition is written so that NaN stays active, until it is given up.
-            active = ~(norm <= self.tolerance) & (damping >= self.smallest_damping)
-            active &= ~settled
-            count = int(active.sum())
-            if count == 0:
-                break
-            if 2 * count > len(x):  # picking rows would cost more than it saves
-                index, here, alpha = None, at, damping
-            else:
-                index = active.nonzero().squeeze(-1)
-                here, alpha = at.rows(index), damping[index]
-            before = x if index is None else x[index]
-            direction = solve(here.jacobian(), -here.residual)
-            still = direction.abs() <= rounding(before)
-            settled = _put(settled, index, still.all(-1))
-            trial = before + alpha.unsqueeze(-1) * direction
-            there = problem.at(trial, index)
-            there_norm = row_norm(there.residual)
-            old = norm if index is None else norm[index]
-            accepted = there_norm <= torch.clamp((1.0 - 1e-4 * alpha) * old, min=self.tolerance)
-            alpha = torch.where(accepted, (2.0 * alpha).clamp(max=1.0), 0.5 * alpha)
-            iterations += active
-            if index is None and bool(accepted.all()):
-                x, at, norm, damping = trial, there, there_norm, alpha
-                continue
-            if index is None:
-                index = torch.arange(len(x), device=x.device)
-            damping = damping.index_copy(0, index, alpha)
-            moved = accepted.nonzero().squeeze(-1)
-            to, there = index[moved], there.rows(moved)
-            x = x.index_copy(0, to, trial[moved])
-            norm = norm.index_copy(0, to, there_norm[moved])
-            at = at.replace(to, there)
-        return Root(x, (norm <= self.tolerance) | settled, iterations, at)
 
-    def _by_batch(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
-        at = problem.at(x)
-        iterations = 0
-        while iterations < self.max_iterations:
-            x = x + solve(at.jacobian(), -at.residual)
-            at = problem.at(x)
-            iterations += 1
-            if bool(joint_norm(at.residual) <= self.tolerance):
-                break
-        converged = row_norm(at.residual) <= self.tolerance
-        converged |= joint_norm(at.residual) <= self.tolerance
-        count = torch.full((len(x),), iterations, dtype=torch.int64, device=x.device)
-        return Root(x, converged, count, at)
+class Damped(NamedTuple):
+    """State of ``DampedNewton``."""
+
+    norm: Float[Tensor, " batch"]
+    damping: Float[Tensor, " batch"]
+    """``α``."""
+    settled: Bool[Tensor, " batch"]
+    """Rows whose step is lost in rounding."""
+    iterations: Int[Tensor, " batch"]
+
+
+class DampedNewton(Rule[R, Damped]):
+    """Newton's method with damping, convergence and failure of each row.
+
+    Args:
+        tolerance: Bound on ``‖g‖₂ / √n`` of a row.
+    """
+
+    smallest_damping = 1 / 16
+    """A row that asks for a smaller ``α`` is given up: it is near a singular Jacobian."""
+
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+
+    @override
+    def start(self, x: Tensor, at: R) -> Damped:
+        return Damped(
+            row_norm(at.residual),
+            torch.ones(len(x), dtype=x.dtype, device=x.device),
+            torch.zeros(len(x), dtype=torch.bool, device=x.device),
+            torch.zeros(len(x), dtype=torch.int64, device=x.device),
+        )
+
+    @override
+    def active(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
+        # The first condition is written so that NaN stays active until it is given up.
+        active = ~(state.norm <= self._tolerance) & (state.damping >= self.smallest_damping)
+        active &= ~state.settled
+        return active, state
+
+    @override
+    def drops(self, active: int, rows: int, batch: int) -> bool:
+        return 2 * active <= batch
+
+    @override
+    def trial(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
+        step = newton_step(at)
+        settled = (step.abs() <= rounding(x)).all(-1)
+        return x + state.damping.unsqueeze(-1) * step, state._replace(settled=settled)
+
+    @override
+    def judge(self, active: Tensor, at: R, there: R, state: Damped) -> tuple[Tensor | None, Damped]:
+        norm, alpha = row_norm(there.residual), state.damping
+        bound = torch.clamp((1.0 - 1e-4 * alpha) * state.norm, min=self._tolerance)
+        accepted = norm <= bound
+        alpha = torch.where(accepted, (2.0 * alpha).clamp(max=1.0), 0.5 * alpha)
+        norm = torch.where(accepted, norm, state.norm)
+        return accepted, Damped(norm, alpha, state.settled, state.iterations + active)
+
+
+class Joint(NamedTuple):
+    """State of ``JointNewton``."""
+
+    norm: Float[Tensor, " batch"]
+    """``‖g‖_F / √(B n)``, the same in every row."""
+    iterations: Int[Tensor, " batch"]
+
+
+class JointNewton(Rule[R, Joint]):
+    """Undamped Newton steps of all rows until all of them together have converged.
+
+    Args:
+        tolerance: Bound on ``‖g‖_F / √(B n)``.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+
+    @override
+    def start(self, x: Tensor, at: R) -> Joint:
+        """The first step is always taken, as in the thesis."""
+        counts = torch.zeros(len(x), dtype=torch.int64, device=x.device)
+        return Joint(x.new_full((len(x),), torch.inf), counts)
+
+    @override
+    def active(self, x: Tensor, at: R, state: Joint) -> tuple[Tensor, Joint]:
+        return ~(state.norm <= self._tolerance), state
+
+    @override
+    def trial(self, x: Tensor, at: R, state: Joint) -> tuple[Tensor, Joint]:
+        return x + newton_step(at), state
+
+    @override
+    def judge(self, active: Tensor, at: R, there: R, state: Joint) -> tuple[None, Joint]:
+        norm = joint_norm(there.residual).expand(len(active))
+        return None, Joint(norm, state.iterations + active)
 
 
 class Broyden(RootFinder):
     """Broyden's method: Newton's Jacobian at the start, then rank-one secant updates.
 
-    ``J⁺ = J + (Δg − J Δx) Δxᵀ / ‖Δx‖²`` (Broyden 1965). Superlinear; one Jacobian in all.
+    ``J⁺ = J + (Δg − J Δx) Δxᵀ / ‖Δx‖²`` (Broyden 1965). It converges superlinearly and evaluates
+    one Jacobian in all.
+
+    Args:
+        tolerance: Bound on ``‖g‖₂ / √n`` of a row.
+        max_iterations: Bound on the evaluations of ``g`` after the first.
     """
 
     def __init__(self, *, tolerance: float = 1e-5, max_iterations: int = 30) -> None:
         super().__init__(tolerance=tolerance, max_iterations=max_iterations)
 
-    @torch.no_grad()
-    def solve(self, problem: RootProblem[E], x: Tensor) -> Root[E]:
-        at = problem.at(x)
-        jacobian = at.jacobian()
-        norm = row_norm(at.residual)
-        iterations = torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        for _ in range(self.max_iterations):
-            index = (~(norm <= self.tolerance)).nonzero().squeeze(-1)
-            if len(index) == 0:
-                break
-            here, secant = at.residual[index], jacobian[index]
-            dx = solve(secant, -here)
-            trial = x[index] + dx
-            there = problem.at(trial, index)
-            mismatch = there.residual - here - matvec(secant, dx)
-            scale = dx.square().sum(-1, keepdim=True).clamp(min=torch.finfo(x.dtype).tiny)
-            update = mismatch.unsqueeze(-1) * (dx / scale).unsqueeze(-2)
-            jacobian = jacobian.index_copy(0, index, secant + update)
-            iterations[index] += 1
-            x = x.index_copy(0, index, trial)
-            norm = norm.index_copy(0, index, row_norm(there.residual))
-            at = at.replace(index, there)
-        return Root(x, norm <= self.tolerance, iterations, at)
+    @override
+    def solve(self, problem: RowProblem[R], x: Tensor) -> Root[R]:
+        rule: SecantSteps[R] = SecantSteps(self.tolerance)
+        x, at, state = iterate(problem, x, rule, self.max_iterations)
+        return Root(x, state.norm <= self.tolerance, state.iterations, at)
+
+
+class Secant(NamedTuple):
+    """State of ``SecantSteps``."""
+
+    norm: Float[Tensor, " batch"]
+    jacobian: Float[Tensor, "batch n n"]
+    step: Float[Tensor, "batch n"]
+    iterations: Int[Tensor, " batch"]
+
+
+class SecantSteps(Rule[R, Secant]):
+    """Broyden's steps; rows that have converged are dropped at once.
+
+    Args:
+        tolerance: Bound on ``‖g‖₂ / √n`` of a row.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+
+    @override
+    def start(self, x: Tensor, at: R) -> Secant:
+        counts = torch.zeros(len(x), dtype=torch.int64, device=x.device)
+        return Secant(row_norm(at.residual), at.jacobian(), torch.zeros_like(x), counts)
+
+    @override
+    def active(self, x: Tensor, at: R, state: Secant) -> tuple[Tensor, Secant]:
+        return ~(state.norm <= self._tolerance), state
+
+    @override
+    def drops(self, active: int, rows: int, batch: int) -> bool:
+        return True
+
+    @override
+    def trial(self, x: Tensor, at: R, state: Secant) -> tuple[Tensor, Secant]:
+        step = solve(state.jacobian, -at.residual)
+        return x + step, state._replace(step=step)
+
+    @override
+    def judge(self, active: Tensor, at: R, there: R, state: Secant) -> tuple[None, Secant]:
+        _, secant, step, iterations = state
+        mismatch = there.residual - at.residual - matvec(secant, step)
+        scale = step.square().sum(-1, keepdim=True).clamp(min=torch.finfo(step.dtype).tiny)
+        secant = secant + mismatch.unsqueeze(-1) * (step / scale).unsqueeze(-2)
+        return None, Secant(row_norm(there.residual), secant, step, iterations + active)
+
+
+def newton_step(at: RootPoint) -> Float[Tensor, "batch n"]:
+    """Return ``−J⁻¹ g``."""
+    return solve(at.jacobian(), -at.residual)
 
 
 def rounding(x: Tensor) -> Tensor:
-    """What a few roundings of ``x`` come to."""
+    """Return a bound on the effect of a few roundings of ``x``."""
     return 16.0 * torch.finfo(x.dtype).eps * x.abs().clamp(min=1.0)
 
 
-def _put(x: Tensor, index: Tensor | None, rows: Tensor) -> Tensor:
-    """``x`` with the given rows replaced, all of them without an index."""
-    return rows if index is None else x.index_copy(0, index, rows)
-
-
 def row_norm(residual: Tensor) -> Tensor:
-    """``‖g‖₂ / √n`` of each row."""
+    """Return ``‖g‖₂ / √n`` of each row."""
     return residual.square().mean(-1).sqrt()
 
 
 def joint_norm(residual: Tensor) -> Tensor:
-    """``‖g‖_F / √(B n)`` of all rows together."""
+    """Return ``‖g‖_F / √(B n)`` of all rows together."""
     return residual.square().mean().sqrt()

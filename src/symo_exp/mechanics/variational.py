@@ -1,7 +1,7 @@
 """Variational integrators: the discrete Euler-Lagrange equations (thesis sections 3.3 and 5.1).
 
-Everything is said in the two momenta of an interval ``[t_k, t_{k+1}]``, the forced discrete
-Legendre transforms (3.41), (3.42), here with their corrected indices:
+Everything is expressed by the two momenta of an interval ``[t_k, t_{k+1}]``, the forced discrete
+Legendre transforms (3.41), (3.42), here with their indices corrected:
 
     p⁻(q_k, q_{k+1}) = −D₁L_d(q_k, q_{k+1}) − f⁻        p⁺(q_k, q_{k+1}) = D₂L_d(q_k, q_{k+1}) + f⁺
 
@@ -13,15 +13,18 @@ The discrete Euler-Lagrange equations (3.43) match them at a node:
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.mechanics.implicit import attach_root
 from symo_exp.mechanics.lagrangian import Expansion, Lagrangian
 from symo_exp.mechanics.roots import Root, RootFinder
+from symo_exp.mechanics.rows import Rowwise
 
 
 class Forces(NamedTuple):
@@ -29,10 +32,6 @@ class Forces(NamedTuple):
 
     start: Float[Tensor, "batch n"]
     end: Float[Tensor, "batch n"]
-
-    def rows(self, index: Tensor) -> Forces:
-        """The same for some rows of the batch."""
-        return Forces(self.start[index], self.end[index])
 
 
 class Slots(NamedTuple):
@@ -44,42 +43,33 @@ class Slots(NamedTuple):
     """``D₂L_d = ∂L_d/∂q₁``."""
 
 
-class DiscreteExpansion(ABC):
+class DiscreteExpansion(Rowwise, ABC):
     """``L_d`` around a batch of pairs ``(q₀, q₁)``; see ``lagrangian.Expansion``."""
 
     values: Slots
 
     @abstractmethod
     def d2d1(self) -> Float[Tensor, "batch n n"]:
-        """``∂²L_d/∂q₀ᵢ∂q₁ⱼ``, the Jacobian of the discrete Euler-Lagrange equations."""
+        """Return ``∂²L_d/∂q₀ᵢ∂q₁ⱼ``, the Jacobian of the discrete Euler-Lagrange equations."""
 
     def mismatch(self, impulse: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
-        """What a step makes vanish, ``impulse + D₁L_d``, and what else it solves alongside."""
+        """Return the residual of a step: ``impulse + D₁L_d`` and the equations solved with it."""
         return impulse + self.values.d1
 
     def mismatch_jacobian(self) -> Float[Tensor, "batch k k"]:
-        """The derivative of ``mismatch`` in ``q₁`` and the other unknowns of a step."""
+        """Return the derivative of ``mismatch`` in ``q₁`` and the other unknowns of a step."""
         return self.d2d1()
 
     @abstractmethod
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
-        """The slot derivatives, differentiable; the arguments hold the values of the point."""
-
-    @abstractmethod
-    def rows(self, index: Tensor) -> DiscreteExpansion:
-        """The same for some rows of the batch."""
-
-    @abstractmethod
-    def replace(self, index: Tensor, other: DiscreteExpansion) -> DiscreteExpansion:
-        """This expansion with the given rows taken from ``other``."""
+        """Return the slot derivatives, differentiable; arguments hold the values of the point."""
 
 
 class VariationalIntegrator(ABC):
-    """A discrete Lagrangian made from a continuous one, with the forces that go with it.
+    """A rule that makes a discrete Lagrangian and discrete forces of continuous ones.
 
-    ``forces`` of ``slots`` and ``expand`` bend the motion between two configurations, which an
-    integrator that resolves it must know (left out, there are none); their impulses on the
-    configurations themselves come from ``impulses``.
+    Integrators that resolve the motion between two configurations need the ``forces`` there (none
+    if left out); impulses on the configurations themselves come from ``impulses``.
     """
 
     name: str
@@ -96,7 +86,7 @@ class VariationalIntegrator(ABC):
         h: float,
         forces: Forces | None = None,
     ) -> Slots:
-        """``D₁L_d``, ``D₂L_d``, differentiable in configurations, forces and parameters."""
+        """Return ``D₁L_d``, ``D₂L_d``, differentiable in configurations, forces and parameters."""
 
     @abstractmethod
     def expand(
@@ -107,10 +97,10 @@ class VariationalIntegrator(ABC):
         h: float,
         forces: Forces | None = None,
     ) -> DiscreteExpansion:
-        """``L_d`` around ``(q₀, q₁)``, as root finding needs it."""
+        """Return ``L_d`` around ``(q₀, q₁)``, as root finding needs it."""
 
     def unknowns(self, q1: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
-        """What a step solves for, ``q₁`` first, before anything but ``q₁`` is known."""
+        """Return the initial unknowns of a step, ``q₁`` first."""
         return q1
 
     def expand_at(
@@ -121,17 +111,23 @@ class VariationalIntegrator(ABC):
         h: float,
         forces: Forces | None = None,
     ) -> DiscreteExpansion:
-        """``L_d`` around ``q₀`` and the unknowns ``x`` of a step."""
+        """Return ``L_d`` around ``q₀`` and the unknowns ``x`` of a step."""
         return self.expand(lagrangian, q0, x, h, forces)
 
     @abstractmethod
     def impulses(
         self, force0: Float[Tensor, "batch n"], force1: Float[Tensor, "batch n"], h: float
     ) -> tuple[Float[Tensor, "batch n"], Float[Tensor, "batch n"]]:
-        """Discrete forces ``f⁻`` (on ``q₀``) and ``f⁺`` (on ``q₁``) of a linear force [N s]."""
+        """Return the discrete forces ``f⁻`` (on ``q₀``) and ``f⁺`` (on ``q₁``) [N s, N m s].
+
+        Args:
+            force0: Generalised force at the start of the interval.
+            force1: Generalised force at its end; linear in time between them.
+            h: Time step [s].
+        """
 
     def converged(self) -> VariationalIntegrator:
-        """The same integrator with whatever it iterates carried to convergence."""
+        """Return the same integrator with inner iterations carried to convergence."""
         return self
 
 
@@ -148,45 +144,50 @@ class VariationalMidpoint(VariationalIntegrator):
     name = "midpoint"
     order = 2
 
+    @override
     def slots(
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> Slots:
         gradients = lagrangian.gradients(0.5 * (q0 + q1), (q1 - q0) / h)
         return _midpoint_slots(gradients.q, gradients.v, h)
 
+    @override
     def expand(
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> MidpointExpansion:
         return MidpointExpansion(lagrangian.expand(0.5 * (q0 + q1), (q1 - q0) / h), h)
 
+    @override
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
         half = (h / 4) * (force0 + force1)
         return half, half
 
 
 class MidpointExpansion(DiscreteExpansion):
-    """The midpoint discrete Lagrangian around ``(q₀, q₁)``."""
+    """The midpoint discrete Lagrangian around ``(q₀, q₁)``.
+
+    Args:
+        at: ``ℒ`` around the midpoint.
+        h: Time step [s].
+    """
+
+    parts = ("_at", "_h")
 
     def __init__(self, at: Expansion, h: float) -> None:
         self._at, self._h = at, h
         self.values = _midpoint_slots(at.values.q, at.values.v, h)
 
+    @override
     def d2d1(self) -> Tensor:
-        """``h/4 ℒ_qq + ½ ℒ_qv − ½ ℒ_vq − H/h`` at the midpoint."""
+        # h/4 ℒ_qq + ½ ℒ_qv − ½ ℒ_vq − H/h at the midpoint
         curvature = self._at.curvature()
         skew = 0.5 * (curvature.qv - curvature.vq)
         return (self._h / 4) * curvature.qq + skew - self._at.mass() / self._h
 
+    @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         gradients = self._at.gradients(0.5 * (q0 + q1), (q1 - q0) / self._h)
         return _midpoint_slots(gradients.q, gradients.v, self._h)
-
-    def rows(self, index: Tensor) -> MidpointExpansion:
-        return MidpointExpansion(self._at.rows(index), self._h)
-
-    def replace(self, index: Tensor, other: DiscreteExpansion) -> MidpointExpansion:
-        assert isinstance(other, MidpointExpansion)
-        return MidpointExpansion(self._at.replace(index, other._at), self._h)
 
 
 def _midpoint_slots(dq: Tensor, p: Tensor, h: float) -> Slots:
@@ -194,54 +195,162 @@ def _midpoint_slots(dq: Tensor, p: Tensor, h: float) -> Slots:
     return Slots(impulse - p, impulse + p)
 
 
-class MomentumMatching:
-    """``g(q₁) = p + D₁L_d(q₀, q₁) + f⁻ = 0``: the ``q₁`` for a momentum ``p`` at ``q₀``.
+@dataclass(frozen=True)
+class DiscreteLagrangian:
+    """A Lagrangian in a variational integrator with its discrete equations of motion.
+
+    Everything is differentiable in configurations, forces and the parameters of the Lagrangian
+    where gradients are enabled; roots by the implicit function theorem.
+
+    Args:
+        integrator: Makes ``L_d`` of ``ℒ``.
+        lagrangian: ``ℒ``.
+        h: Time step [s].
+    """
+
+    integrator: VariationalIntegrator
+    lagrangian: Lagrangian
+    h: float
+
+    def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
+        """Return ``D₁L_d`` and ``D₂L_d`` at ``(q₀, q₁)``, (batch, n) each."""
+        return self.integrator.slots(self.lagrangian, q0, q1, self.h, forces)
+
+    def expand(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> DiscreteExpansion:
+        """Return ``L_d`` around ``(q₀, q₁)``."""
+        return self.integrator.expand(self.lagrangian, q0, q1, self.h, forces)
+
+    def expand_at(self, q0: Tensor, x: Tensor, forces: Forces | None = None) -> DiscreteExpansion:
+        """Return ``L_d`` around ``q₀`` and the unknowns ``x`` of a step."""
+        return self.integrator.expand_at(self.lagrangian, q0, x, self.h, forces)
+
+    def impulses(self, forces: Forces) -> tuple[Tensor, Tensor]:
+        """Return the discrete forces ``f⁻`` and ``f⁺`` of an interval."""
+        return self.integrator.impulses(forces.start, forces.end, self.h)
+
+    def momentum(
+        self, q_prev: Tensor, q: Tensor, forces: Forces, at: DiscreteExpansion | None = None
+    ) -> Float[Tensor, "batch n"]:
+        """Return ``p_k = p⁺(q_{k−1}, q_k)``, the discrete Legendre transform (3.41).
+
+        Args:
+            q_prev: ``q_{k−1}``.
+            q: ``q_k``.
+            forces: The generalised force between them.
+            at: ``L_d`` around them, if it is known already.
+        """
+        _, f1 = self.impulses(forces)
+        slots = self.slots(q_prev, q, forces) if at is None else at.slots(q_prev, q, forces)
+        return slots.d2 + f1
+
+    def residual(
+        self, q_prev: Tensor, q: Tensor, q_next: Tensor, before: Forces, after: Forces
+    ) -> Float[Tensor, "batch n"]:
+        """Return ``g = D₂L_d(q_{k−1}, q_k) + D₁L_d(q_k, q_{k+1}) + f⁺ + f⁻`` [N s] (thesis (5.1)).
+
+        Both intervals are evaluated as one batch.
+
+        Args:
+            q_prev: ``q_{k−1}``, (batch, n).
+            q: ``q_k``.
+            q_next: ``q_{k+1}``.
+            before: The generalised force between ``q_{k−1}`` and ``q_k``.
+            after: The generalised force between ``q_k`` and ``q_{k+1}``.
+        """
+        forces = Forces(*(torch.cat(pair) for pair in zip(before, after, strict=True)))
+        slots = self.slots(torch.cat((q_prev, q)), torch.cat((q, q_next)), forces)
+        f_minus, f_plus = self.impulses(after)[0], self.impulses(before)[1]
+        return slots.d2[: len(q)] + slots.d1[len(q) :] + f_plus + f_minus
+
+    def next_configuration(
+        self,
+        root_finder: RootFinder,
+        q: Tensor,
+        impulse: Tensor,
+        guess: Tensor,
+        forces: Forces | None = None,
+    ) -> tuple[Float[Tensor, "batch n"], Root[MomentumMismatch]]:
+        """Solve ``p⁻(q_k, q_{k+1}) = p_k`` for ``q_{k+1}``.
+
+        Rows without a root keep their last iterate: see ``Root.converged``.
+
+        Args:
+            root_finder: Solver of the equations.
+            q: ``q_k``, (batch, n).
+            impulse: ``p_k + f⁻``, (batch, n).
+            guess: Initial guess of ``q_{k+1}``, (batch, n).
+            forces: The generalised force over the step.
+        """
+        problem = MomentumMatching(self, q, impulse, forces)
+        root = root_finder.solve(problem, problem.start(guess))
+        x, at = root.x[:, : q.shape[1]], root.evaluation.expansion
+        if not torch.is_grad_enabled():
+            return x, root
+        return differentiable_root(x, at, at.d2d1(), q, impulse, forces), root
+
+    def step(
+        self, root_finder: RootFinder, q: Tensor, p: Tensor, forces: Forces, guess: Tensor
+    ) -> VariationalStep:
+        """Map ``(q_k, p_k)`` to ``(q_{k+1}, p_{k+1})``.
+
+        Solves ``p⁻(q_k, q_{k+1}) = p_k`` and evaluates ``p⁺``: the same map as
+        ``(q_{k−1}, q_k) → (q_k, q_{k+1})`` with the momentum carried along (Marsden and West 2001,
+        section 1.5). Arguments as in ``next_configuration``.
+        """
+        f0, f1 = self.impulses(forces)
+        q_next, root = self.next_configuration(root_finder, q, p + f0, guess, forces)
+        at = root.evaluation.expansion
+        d2 = (at.slots(q, q_next, forces) if torch.is_grad_enabled() else at.values).d2
+        return VariationalStep(q_next, d2 + f1, root)
+
+
+class MomentumMatching(Rowwise):
+    """The equations ``g(q₁) = p + D₁L_d(q₀, q₁) + f⁻ = 0`` of a step, as a root problem.
 
     An integrator that resolves the motion between them has its unknowns found alongside.
+
+    Args:
+        discrete: ``L_d``.
+        q0: The configuration at the start of the step.
+        impulse: ``p + f⁻``, which does not depend on ``q₁``: computed once a step.
+        forces: The generalised force over the step.
     """
+
+    parts = ("_discrete", "_q0", "_impulse", "_forces")
 
     def __init__(
         self,
-        integrator: VariationalIntegrator,
-        lagrangian: Lagrangian,
+        discrete: DiscreteLagrangian,
         q0: Float[Tensor, "batch n"],
         impulse: Float[Tensor, "batch n"],
-        h: float,
         forces: Forces | None = None,
     ) -> None:
-        """``impulse = p + f⁻`` is what does not depend on ``q₁``: computed once a step."""
-        self._integrator, self._lagrangian = integrator, lagrangian
-        self._q0, self._impulse, self._h = q0.detach(), impulse.detach(), h
+        self._discrete = discrete
+        self._q0, self._impulse = q0.detach(), impulse.detach()
         self._forces = forces and Forces(forces.start.detach(), forces.end.detach())
 
     def start(self, guess: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
-        """The unknowns with which the search for ``q₁`` starts."""
-        return self._integrator.unknowns(guess.detach())
+        """Return the unknowns at an initial guess of ``q₁``."""
+        return self._discrete.integrator.unknowns(guess.detach())
 
-    def at(self, x: Tensor, index: Tensor | None = None) -> MomentumMismatch:
-        q0, impulse, forces = self._q0, self._impulse, self._forces
-        if index is not None:
-            q0, impulse, forces = q0[index], impulse[index], forces and forces.rows(index)
-        expansion = self._integrator.expand_at(self._lagrangian, q0, x, self._h, forces)
-        return MomentumMismatch(expansion, impulse)
+    def at(self, x: Float[Tensor, "batch k"]) -> MomentumMismatch:
+        """Evaluate the equations."""
+        expansion = self._discrete.expand_at(self._q0, x, self._forces)
+        return MomentumMismatch(expansion, self._impulse)
 
 
-class MomentumMismatch:
-    """The discrete Euler-Lagrange residual at one candidate."""
+class MomentumMismatch(Rowwise):
+    """The discrete Euler-Lagrange residual at one batch of candidates."""
+
+    parts = ("expansion", "_impulse")
 
     def __init__(self, expansion: DiscreteExpansion, impulse: Tensor) -> None:
         self.expansion, self._impulse = expansion, impulse
         self.residual = expansion.mismatch(impulse)
 
     def jacobian(self) -> Tensor:
+        """Return the derivative of the residual in the unknowns."""
         return self.expansion.mismatch_jacobian()
-
-    def rows(self, index: Tensor) -> MomentumMismatch:
-        return MomentumMismatch(self.expansion.rows(index), self._impulse[index])
-
-    def replace(self, index: Tensor, other: MomentumMismatch) -> MomentumMismatch:
-        impulse = self._impulse.index_copy(0, index, other._impulse)
-        return MomentumMismatch(self.expansion.replace(index, other.expansion), impulse)
 
 
 class VariationalStep(NamedTuple):
@@ -252,31 +361,6 @@ class VariationalStep(NamedTuple):
     root: Root[MomentumMismatch]
 
 
-def next_configuration(
-    integrator: VariationalIntegrator,
-    lagrangian: Lagrangian,
-    root_finder: RootFinder,
-    q: Float[Tensor, "batch n"],
-    impulse: Float[Tensor, "batch n"],
-    h: float,
-    guess: Float[Tensor, "batch n"],
-    *,
-    forces: Forces | None = None,
-) -> tuple[Float[Tensor, "batch n"], Root[MomentumMismatch]]:
-    """``q_{k+1}`` with ``p⁻(q_k, q_{k+1}) = p_k``, given ``impulse = p_k + f⁻``.
-
-    Differentiable in ``q``, ``impulse``, ``forces`` and the parameters by the implicit function
-    theorem, where gradients are enabled. Rows without a root keep their last iterate: see
-    ``Root.converged``.
-    """
-    problem = MomentumMatching(integrator, lagrangian, q, impulse, h, forces)
-    root = root_finder.solve(problem, problem.start(guess))
-    x, at = root.x[:, : q.shape[1]], root.evaluation.expansion
-    if not torch.is_grad_enabled():
-        return x, root
-    return differentiable_root(x, at, at.d2d1(), q, impulse, forces), root
-
-
 def differentiable_root(
     x: Float[Tensor, "batch n"],
     at: DiscreteExpansion,
@@ -285,85 +369,15 @@ def differentiable_root(
     impulse: Float[Tensor, "batch n"],
     forces: Forces | None = None,
 ) -> Float[Tensor, "batch n"]:
-    """The root ``x``, around which ``L_d`` was expanded, with its implicit derivatives."""
+    """Return the root ``x``, around which ``L_d`` was expanded, with its implicit derivatives."""
     return attach_root(x, impulse + at.slots(q, x, forces).d1, jacobian)
 
 
-def variational_step(
-    integrator: VariationalIntegrator,
-    lagrangian: Lagrangian,
-    root_finder: RootFinder,
-    q: Float[Tensor, "batch n"],
-    p: Float[Tensor, "batch n"],
-    force: Float[Tensor, "batch n"],
-    force_next: Float[Tensor, "batch n"],
-    h: float,
-    guess: Float[Tensor, "batch n"],
-) -> VariationalStep:
-    """``(q_k, p_k) → (q_{k+1}, p_{k+1})``: solve ``p⁻(q_k, q_{k+1}) = p_k``, then ``p⁺``.
-
-    The same map as ``(q_{k−1}, q_k) → (q_k, q_{k+1})`` with the momentum carried along (Marsden
-    and West 2001, section 1.5). Differentiable like ``next_configuration``.
-    """
-    f0, f1 = integrator.impulses(force, force_next, h)
-    forces = Forces(force, force_next)
-    q_next, root = next_configuration(
-        integrator, lagrangian, root_finder, q, p + f0, h, guess, forces=forces
-    )
-    at = root.evaluation.expansion
-    d2 = (at.slots(q, q_next, forces) if torch.is_grad_enabled() else at.values).d2
-    return VariationalStep(q_next, d2 + f1, root)
-
-
-def momentum_before(
-    integrator: VariationalIntegrator,
-    lagrangian: Lagrangian,
-    q_prev: Float[Tensor, "batch n"],
-    q: Float[Tensor, "batch n"],
-    force_prev: Float[Tensor, "batch n"],
-    force: Float[Tensor, "batch n"],
-    h: float,
-    at: DiscreteExpansion | None = None,
-) -> Float[Tensor, "batch n"]:
-    """``p_k = p⁺(q_{k−1}, q_k)``, the discrete Legendre transform of two configurations (3.41).
-
-    ``at``: ``L_d`` around them, where it is known already.
-    """
-    _, f1 = integrator.impulses(force_prev, force, h)
-    forces = Forces(force_prev, force)
-    if at is not None:
-        return at.slots(q_prev, q, forces).d2 + f1
-    return integrator.slots(lagrangian, q_prev, q, h, forces).d2 + f1
-
-
-def del_residual(
-    integrator: VariationalIntegrator,
-    lagrangian: Lagrangian,
-    q_prev: Float[Tensor, "batch n"],
-    q: Float[Tensor, "batch n"],
-    q_next: Float[Tensor, "batch n"],
-    force_prev: Float[Tensor, "batch n"],
-    force: Float[Tensor, "batch n"],
-    force_next: Float[Tensor, "batch n"],
-    h: float,
-) -> Float[Tensor, "batch n"]:
-    """``g = D₂L_d(q_{k−1}, q_k) + D₁L_d(q_k, q_{k+1}) + f⁺ + f⁻`` [N s] (thesis (5.1)).
-
-    Both intervals are evaluated as one batch. Differentiable in the configurations, the forces and
-    the parameters of the Lagrangian.
-    """
-    forces = Forces(torch.cat((force_prev, force)), torch.cat((force, force_next)))
-    slots = integrator.slots(lagrangian, torch.cat((q_prev, q)), torch.cat((q, q_next)), h, forces)
-    f_minus = integrator.impulses(force, force_next, h)[0]
-    f_plus = integrator.impulses(force_prev, force, h)[1]
-    return slots.d2[: len(q)] + slots.d1[len(q) :] + f_plus + f_minus
-
-
 def distinct(rows: Float[Tensor, "batch k"]) -> tuple[Tensor, Tensor]:
-    """``chosen`` and ``place`` with ``rows[chosen]`` all different and ``rows[chosen][place]`` the
-    given ones.
+    """Return ``chosen`` and ``place`` such that ``rows[chosen]`` are all different and
+    ``rows[chosen][place]`` are the given rows.
 
-    By sorting column after column: ``torch.unique`` compares whole rows, three times as slowly.
+    Sorts column after column: ``torch.unique`` compares whole rows and takes three times as long.
     """
     order = torch.arange(len(rows), device=rows.device)
     for column in rows.T.flip(0):

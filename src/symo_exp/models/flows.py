@@ -23,12 +23,11 @@ from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
+    DiscreteLagrangian,
     Forces,
     MomentumMatching,
     VariationalIntegrator,
     VariationalStep,
-    momentum_before,
-    variational_step,
 )
 from symo_exp.models.adjoint import adjoint_step
 from symo_exp.models.fields import Field
@@ -210,8 +209,7 @@ class VariationalFlow(Flow):
     def _move(
         self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, guess: Tensor, root: RootFinder
     ) -> VariationalStep:
-        forces, h = self.forces(u, u_next), self.time_step
-        return variational_step(self.integrator, self.lagrangian, root, q, p, *forces, h, guess)
+        return self.discrete.step(root, q, p, self.forces(u, u_next), guess)
 
     def _state(self, at: VariationalStep) -> Step:
         return Step(at.q, self.decode(at.q, at.p), at.root.converged, at.root.iterations)
@@ -223,6 +221,11 @@ class VariationalFlow(Flow):
         twin = copy.deepcopy(self)
         twin.root, twin.integrator = self.evaluation_root, self.integrator.converged()
         return twin
+
+    @property
+    def discrete(self) -> DiscreteLagrangian:
+        """The discrete Lagrangian ``L_d`` of a time step."""
+        return DiscreteLagrangian(self.integrator, self.lagrangian, self.time_step)
 
     def encode(self, q: Tensor, v: Tensor) -> Tensor:
         return self.lagrangian.momentum(q, v)
@@ -236,15 +239,14 @@ class VariationalFlow(Flow):
 
     def matching(self, q: Tensor, impulse: Tensor, forces: Forces) -> MomentumMatching:
         """``g(q_{k+1}) = impulse + D₁L_d(q_k, q_{k+1}) = 0`` with ``impulse = p_k + f⁻``."""
-        h, integrator = self.time_step, self.integrator
-        return MomentumMatching(integrator, self.lagrangian, q, impulse, h, forces)
+        return MomentumMatching(self.discrete, q, impulse, forces)
 
     def expand_before(self, windows: Windows) -> DiscreteExpansion:
         """``L_d`` around ``(q_{k−1}, q_k)``."""
-        h, forces = self.time_step, self.forces(windows.u_prev, windows.u)
-        return self.integrator.expand(self.lagrangian, windows.q_prev, windows.q, h, forces)
+        forces = self.forces(windows.u_prev, windows.u)
+        return self.discrete.expand(windows.q_prev, windows.q, forces)
 
     def momentum_before(self, windows: Windows, at: DiscreteExpansion | None = None) -> Tensor:
         """``p_k = p⁺(q_{k−1}, q_k)``; ``at`` is ``L_d`` around them, where it is known."""
-        h, forces, (q_prev, q) = self.time_step, self.forces(windows.u_prev, windows.u), windows[:2]
-        return momentum_before(self.integrator, self.lagrangian, q_prev, q, *forces, h, at)
+        forces = self.forces(windows.u_prev, windows.u)
+        return self.discrete.momentum(windows.q_prev, windows.q, forces, at)

@@ -26,7 +26,7 @@ from torch import Tensor
 from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.types import Windows
-from symo_exp.mechanics.variational import DiscreteExpansion, del_residual, differentiable_root
+from symo_exp.mechanics.variational import DiscreteExpansion, Forces, differentiable_root
 from symo_exp.models.flows import Flow, VariationalFlow
 
 Statistics = Mapping[str, Tensor]
@@ -80,10 +80,8 @@ class Residual(Objective):
     def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:
         q_prev, q, q_next, _, _, *controls = windows
         f_prev, f, f_next = (generalised_force(flow.input_matrix, u) for u in controls)
-        h, lagrangian = flow.time_step, flow.lagrangian
-        return Residuals(
-            del_residual(flow.integrator, lagrangian, q_prev, q, q_next, f_prev, f, f_next, h)
-        )
+        before, after = Forces(f_prev, f), Forces(f, f_next)
+        return Residuals(flow.discrete.residual(q_prev, q, q_next, before, after))
 
     def branch_free(self, flow: VariationalFlow) -> bool:
         return not flow.integrator.iterates
@@ -149,7 +147,7 @@ class RootError(Objective):
     def impulse(self, flow: VariationalFlow, windows: Windows, at: DiscreteExpansion) -> Tensor:
         """``p_k + f⁻``, which does not depend on ``q_{k+1}``; ``at`` expands ``L_d`` before it."""
         forces = flow.forces(windows.u, windows.u_next)
-        f_minus, _ = flow.integrator.impulses(*forces, flow.time_step)
+        f_minus, _ = flow.discrete.impulses(forces)
         return flow.momentum_before(windows, at) + f_minus
 
     def error(

@@ -209,6 +209,8 @@ class _Passes(NamedTuple):
 class StructuredExpansion(Expansion):
     """``ℒ`` around ``(q, v)``: the passes are kept and serve every further derivative."""
 
+    parts = ("_lagrangian", "_passes")
+
     def __init__(self, lagrangian: StructuredLagrangian, passes: _Passes) -> None:
         self._lagrangian, self._passes = lagrangian, passes
         self._rates: tuple[Tensor, ...] = ()
@@ -250,14 +252,6 @@ class StructuredExpansion(Expansion):
         weights, biases = zip(*self._lagrangian.net.layers(), strict=True)
         skip = self._lagrangian.skip
         return Gradients(*_DifferentiableGradients.apply(self, q, v, skip, *weights, *biases))
-
-    def rows(self, index: Tensor) -> StructuredExpansion:
-        return StructuredExpansion(self._lagrangian, _map(lambda x: x[index], self._passes))
-
-    def replace(self, index: Tensor, other: Expansion) -> StructuredExpansion:
-        assert isinstance(other, StructuredExpansion)
-        passes = _map(lambda x, y: x.index_copy(0, index, y), self._passes, other._passes)
-        return StructuredExpansion(self._lagrangian, passes)
 
     def pullback(self, a: Tensor, b: Tensor, *, to_point: bool) -> tuple[Tensor | None, ...]:
         """Gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩`` in ``q``, ``v``, ``S``, weights and biases.
@@ -323,12 +317,3 @@ class _DifferentiableGradients(torch.autograd.Function):
     def backward(ctx: Any, a: Tensor, b: Tensor) -> Any:
         to_point = ctx.needs_input_grad[1] or ctx.needs_input_grad[2]
         return None, *ctx.at.pullback(a, b, to_point=to_point)
-
-
-def _map(function: Any, *trees: Any) -> Any:
-    """Apply a function to the tensors of equal nested tuples."""
-    first = trees[0]
-    if isinstance(first, Tensor):
-        return function(*trees)
-    mapped = (_map(function, *branches) for branches in zip(*trees, strict=True))
-    return type(first)(*mapped) if hasattr(first, "_fields") else tuple(mapped)

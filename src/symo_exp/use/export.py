@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from symo_exp.compile.newton import iterate
+from symo_exp.compile.newton import iterate_branch_free
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.base import DynamicsModel
@@ -40,14 +40,14 @@ class FixedStep(nn.Module):
         if not isinstance(flow, VariationalFlow):
             return flow.step(q, v, u, u_next)[:3]
         forces, h = flow.forces(u, u_next), flow.time_step
-        before, after = flow.integrator.impulses(*forces, h)
+        before, after = flow.discrete.impulses(forces)
         problem = flow.matching(q, flow.encode(q, v) + before, forces)
         root = Newton(tolerance=flow.rollout_root.tolerance)  # row by row, whatever the rollout's
-        at = iterate(problem, root, problem.start(q + h * v))
+        at = iterate_branch_free(problem, root, problem.start(q + h * v))
         for _ in range(self.iterations):
-            at = iterate(problem, root, at.next)
+            at = iterate_branch_free(problem, root, at.next)
         q_next = at.x[:, : q.shape[1]]
-        return q_next, flow.decode(q_next, at.after.values.d2 + after), at.found
+        return q_next, flow.decode(q_next, at.expansion.values.d2 + after), at.found
 
 
 def export(
