@@ -17,7 +17,10 @@ from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.drag import LearnedDrag
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
+POINTS, MOST_LINKS = 5, 6
+"""Grid of directions, of which inertias of links in a plane have harmonics up to 2."""
 ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
@@ -71,6 +74,49 @@ def _(module: RigidChain, coordinates: Coordinates) -> list[Reading]:
 
 
 @readings.register
+def _(module: StructuredLagrangian, coordinates: Coordinates) -> list[Reading]:
+    """Coefficients of links in a plane, in the directions ``φ`` of the links; none of a network.
+
+    ``H_ij = c_ij cos(φ_i − φ_j)`` and ``V = −Σ g_i cos(φ_i − φ_i⁰)`` for rigid links, and
+    ``H_xi = c cos(φ_i − φ_xi)`` for slides ``x``, which are at zero.
+    """
+    if module.head.soft or coordinates.n > MOST_LINKS:
+        return []
+    angular = torch.tensor(coordinates.angular)
+    count, names = int(angular.sum()), coordinates.names
+    grid = torch.linspace(0.0, 2.0 * torch.pi, POINTS + 1, dtype=torch.float64)[:-1]
+    phi = (
+        torch.cartesian_prod(*[grid] * count).reshape(-1, count) if count else grid[:1, None][:, :0]
+    )
+    directions = torch.zeros(len(phi), coordinates.n, dtype=torch.float64)
+    directions[:, angular] = phi
+    turn = module.embedding.turn
+    place = module.net.biases[-1]
+    inverse = torch.linalg.inv((torch.eye(coordinates.n) if turn is None else turn).double())
+    q = (directions @ inverse.T).to(place)
+    inverse = inverse.to(place)
+    mass = inverse.T @ module.mass_matrix(q) @ inverse
+    potential, directions = module.potential(q), directions.to(place)
+    found = []
+    for i, name in enumerate(names):
+        found.append(
+            Reading(f"{name}.inertia", _inertia(angular[i], angular[i]), mass[:, i, i].mean())
+        )
+        for j in range(i):
+            unit = _inertia(angular[i], angular[j])
+            apart = directions[:, i] * angular[i] - directions[:, j] * angular[j]
+            both = bool(angular[i] or angular[j])
+            wave = 2.0 * apart.cos() if both else torch.ones_like(apart)
+            value = (mass[:, i, j] * wave).mean()
+            found.append(Reading(f"{name}.inertia.{names[j]}", unit, value))
+        if angular[i]:
+            parts = [2.0 * (potential * f(directions[:, i])).mean() for f in (torch.cos, torch.sin)]
+            size = torch.stack(parts).square().sum().clamp_min(1e-300).sqrt()
+            found.append(Reading(f"{name}.gravity_moment", "N m", size))
+    return found
+
+
+@readings.register
 def _(module: KnownFriction, coordinates: Coordinates) -> list[Reading]:
     viscous, coulomb = (x[0] for x in module.coefficients())
     n, found = coordinates.n, []
@@ -121,6 +167,10 @@ def _body(name: str, body: Tensor, origin: Tensor | None = None) -> list[Reading
 
 def _vector(name: str, unit: str, values: Sequence[Tensor] | Tensor) -> list[Reading]:
     return [Reading(f"{name}_{axis}", unit, x) for axis, x in zip("xyz", values, strict=True)]
+
+
+def _inertia(a: Any, b: Any) -> str:
+    return ("kg", "kg m", "kg m^2")[int(a) + int(b)]
 
 
 def _units(angular: bool) -> tuple[str, str]:

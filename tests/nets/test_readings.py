@@ -1,0 +1,84 @@
+"""Physical numbers are those of the machine that a learned Lagrangian stands for."""
+
+import pytest
+import torch
+
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.known import KnownLagrangian
+from symo_exp.nets.readings import readings
+from symo_exp.nets.structured_lagrangian import StructuredLagrangian
+from tests.nets.test_rigid_chain import TRUTHS, of_truth
+from tests.systems.every import SYSTEMS
+
+
+def values(module, coordinates):
+    return {r.name: (float(r.value.detach()), r.unit) for r in readings(module, coordinates)}
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_bodies_of_a_chain_are_those_of_the_machine(name):
+    system = TRUTHS[name]()
+    for found in (
+        values(of_truth(system), system.coordinates),
+        values(KnownLagrangian(system=system).double(), system.coordinates),
+    ):
+        for joint in system.joints:
+            assert found[f"{joint.name}.mass"] == (pytest.approx(joint.mass), "kg")
+            centre = [found[f"{joint.name}.centre_{axis}"][0] for axis in "xyz"]
+            expected = torch.tensor(joint.centre) - torch.tensor(joint.anchor)
+            torch.testing.assert_close(torch.tensor(centre), expected, rtol=1e-5, atol=1e-6)
+            inertia = torch.tensor(joint.inertia)
+            for entry, (i, j) in {"xx": (0, 0), "zz": (2, 2), "xy": (0, 1)}.items():
+                value, unit = found[f"{joint.name}.inertia_{entry}"]
+                assert value == pytest.approx(float(inertia[i, j]), rel=1e-4, abs=1e-5)
+                assert unit == "kg m^2"
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_coefficients_of_links_are_those_of_the_lagrangian(relative):
+    """An inertia and a potential made of the coefficients are the learned ones, were they rigid."""
+    torch.manual_seed(1)
+    coordinates = Coordinates(("x", "a", "b"), (False, True, True))
+    module = StructuredLagrangian(
+        angular=coordinates.angular, width=1, depth=1, squares=True, relative=relative
+    ).double()
+    last = module.net.weights[-1]
+    with torch.no_grad():
+        last.copy_(0.1 * torch.randn_like(last))
+    found = values(module, coordinates)
+    assert found["x.inertia"][1] == "kg"
+    assert found["a.inertia.x"][1] == "kg m"
+    assert found["b.inertia.a"][1] == "kg m^2"
+    turn = torch.eye(3).double()
+    turn[2, 1] = 1.0 if relative else 0.0
+    phi = (
+        2.0 * torch.pi * torch.rand(20_000, 3, generator=torch.Generator().manual_seed(2)).double()
+    )
+    phi[:, 0] = 0.0
+    back = torch.linalg.inv(turn)
+    with torch.no_grad():
+        mass = back.T @ module.mass_matrix(phi @ back.T) @ back
+        potential = module.potential(phi @ back.T)
+    close = {"rel": 0.05, "abs": 0.02}
+    assert found["b.inertia"][0] == pytest.approx(float(mass[:, 2, 2].mean()), **close)
+    wave = 2.0 * (phi[:, 2] - phi[:, 1]).cos()
+    assert found["b.inertia.a"][0] == pytest.approx(float((mass[:, 2, 1] * wave).mean()), **close)
+    moment = [2.0 * (potential * f(phi[:, 1])).mean() for f in (torch.cos, torch.sin)]
+    assert found["a.gravity_moment"][0] == pytest.approx(float(torch.stack(moment).norm()), **close)
+
+
+def test_a_network_has_no_such_numbers():
+    system = SYSTEMS["acrobot"]
+    module = StructuredLagrangian(angular=system.coordinates.angular, width=4)
+    assert readings(module, system.coordinates) == []
+
+
+def test_friction_has_units_of_its_coordinate():
+    coordinates = Coordinates(("x", "a"), (False, True))
+    found = values(
+        LearnedDissipation(coordinates=coordinates, coulomb=True, start=0.3), coordinates
+    )
+    assert found["x.viscous_friction"] == (pytest.approx(0.3), "N s/m")
+    assert found["a.dry_friction"] == (pytest.approx(0.3), "N m")
+    assert found["a.rest_velocity"] == (pytest.approx(0.1), "rad/s")
