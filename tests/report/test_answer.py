@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from symo_exp.report.answer import ROOTS, answers
-from symo_exp.report.tables import latex, markdown
+from symo_exp.report.tables import latex, markdown_table
 
 PAIRS = [("node", "rk4"), ("l_node", "rk4"), ("symo", "midpoint"), ("e2e_symo", "midpoint")]
 SYMO = PAIRS[2]
@@ -121,7 +121,7 @@ def test_the_heat_map_ranks_and_the_best_are_bold():
     (table,) = answers(made(lambda pair, *_: order[pair]), "")[1]
     assert [cell.text for cell in next(iter(table.lines()))] == ["NODE", *["1"] * 4]
     assert list(table.shades["energy MSE [J²], n=32"]) == pytest.approx([1, 2 / 3, 1 / 3, 0])
-    assert "| NODE | **1** | **1** | **1** | **1** |" in markdown(table)
+    assert "| NODE | **1** | **1** | **1** | **1** |" in markdown_table(table)
     assert r"NODE & \textbf{1} & \textbf{1} & \textbf{1} & \textbf{1} \\" in latex(table)
 
 

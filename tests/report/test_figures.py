@@ -1,24 +1,29 @@
 """Figures: what a specification says is drawn, the same on paper and on the page."""
 
+import base64
+import gzip
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+import vl_convert
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from symo_exp.report import curves, paper
+from symo_exp.report import curves
 from symo_exp.report.cells import cells
-from symo_exp.report.figures import Panel
-from symo_exp.report.looks import MARKERS, METHODS, TRUE, axis_label, in_order, look, short
-from symo_exp.report.motions import Studied, drift, first, learned, motion, phase_space
+from symo_exp.report.charts import MARKERS, declare, draw_charts
+from symo_exp.report.document import Report
+from symo_exp.report.figures import Figure, Panel
+from symo_exp.report.looks import METHODS, TRUE, axis_label, in_order, look, short
+from symo_exp.report.motions import LONG, Studied, drift, first, learned, motion, phase_space
 from symo_exp.report.overview import sections
-from symo_exp.report.page import drawn, page, toggles
+from symo_exp.report.page import html, toggles
 from symo_exp.report.runs import COLUMNS
-from symo_exp.report.tables import Table, latex
-from symo_exp.report.write import Report
+from symo_exp.report.tables import ResultTable, latex
 from symo_exp.shipped import CONF
 from tests.models.methods import learned as methods
 from tests.tables import choices
@@ -72,30 +77,56 @@ FIGURES = [
 
 
 @pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.key)
-def test_every_series_is_drawn_by_both_and_has_a_legend(figure):
-    on_paper = paper.draw(figure)
-    legend = {text.get_text() for text in on_paper.legends[0].get_texts()}
-    for axes, panel in zip(on_paper.axes, figure.panels, strict=True):
-        series, on_page = list(panel.series()), drawn(panel)
-        assert len(axes.get_lines()) == len(on_page["series"]) == len(series) > 0
-        assert axes.get_xlabel()
-        assert axes.get_ylabel() or axes.get_title()
-        assert [axis["label"] for axis in on_page["axes"]] == [panel.x_label, panel.y_label]
-        for one, line, held in zip(series, axes.get_lines(), on_page["series"], strict=True):
-            kept = [np.nan if y is None else y for y in held["y"]]
-            np.testing.assert_allclose(line.get_ydata(), kept, rtol=1e-4)
-            assert line.get_color() == one.look.colour
-            assert one.look.colour in held["colour"]
-            assert (held["name"], held["dash"]) == (one.name, one.stroke.web)
-            assert one.name in legend
+def test_a_chart_has_every_trace_with_its_look_and_a_legend(figure):
+    spec = declare(figure, interactive=True)
+    assert len(spec["concat"]) == len(figure.panels)
+    for panel, drawn in zip(figure.panels, spec["concat"], strict=True):
+        data = pd.DataFrame(spec["datasets"][drawn["data"]["name"]])
+        encoding = {name: x for layer in drawn["layer"] for name, x in layer["encoding"].items()}
+        assert [encoding[axis]["axis"].get("title") or "" for axis in "xy"] == [
+            panel.x_label, panel.y_label,
+        ]  # fmt: skip
+        colours = encoding["fill"]["scale"]
+        for trace in panel.traces():
+            rows = data[data.name == trace.name]
+            y = trace.rows.y.where(np.isfinite(trace.rows.y) & (~panel.y_log | (trace.rows.y > 0)))
+            np.testing.assert_allclose(rows.y.astype(float), y, rtol=1e-4)
+            assert set(rows.method) == {trace.label}
+            colour = colours["range"][colours["domain"].index(trace.label)]
+            assert colour in (trace.look.colour, {"expr": "ink"})
+        if not panel.title:
+            assert panel.y_label
+
+
+@pytest.mark.parametrize("form", ["png", "svg", "pdf"])
+def test_a_chart_becomes_a_file_that_is_the_same_again(form, tmp_path):
+    begins = {"png": b"\x89PNG", "svg": b"<svg", "pdf": b"%PDF"}
+    figure = FIGURES[0]
+    (first,) = draw_charts(figure, tmp_path / "a", [form])
+    (again,) = draw_charts(figure, tmp_path / "b", [form])
+    assert first.name == f"{figure.key}.{form}"
+    assert first.read_bytes().startswith(begins[form])
+    if form == "png":  # the others number their elements throughout a process
+        assert first.read_bytes() == again.read_bytes()
+
+
+def test_published_values_and_several_integrators_have_legends():
+    spec = vl_convert.vegalite_to_vega(declare(FIGURES[0], interactive=False))
+    shown = {key for legend in spec["legends"] for key in legend if key in ("fill", "strokeDash")}
+    assert shown == {"fill", "strokeDash"}
+    panel = FIGURES[0].panels[0]
+    both = panel.rows.assign(source="published")
+    figure = Figure("k", "", "", [replace(panel, rows=pd.concat([panel.rows, both]))])
+    legends = vl_convert.vegalite_to_vega(declare(figure, interactive=False))["legends"]
+    assert ["ours", "published"] in [legend.get("values") for legend in legends]
 
 
 def test_what_can_be_switched_off_is_what_there_are_several_of():
     boxes = toggles(FIGURES)
-    assert set(boxes["method"]) == {*METHODS, *TRUE, "mine"}
+    assert set(boxes["method"]) >= {look(name).label for name in (*METHODS, *TRUE, "mine")}
     assert set(boxes["source"]) == {"ours", "floor", "truth"}
     few = [figure for figure in FIGURES if figure.key == "motion"]
-    assert set(toggles(few)["method"]) == {method for method, _ in PAIRS}
+    assert set(toggles(few)["method"]) == {look(method).label for method, _ in PAIRS}
 
 
 def report() -> Report:
@@ -103,17 +134,19 @@ def report() -> Report:
 
 
 def test_the_page_holds_the_figures_and_needs_nothing_else():
-    text = page(report())
+    text = html(report())
     assert "a &lt;title&gt; &amp; more" in text
-    assert re.findall(r"<(?:script|link|img|iframe)\b[^>]*(?:src|href)\s*=", text) == []
-    found = re.search(r'<script type="application/json" id="panels">(.*?)</script>', text, re.S)
-    held = json.loads(found.group(1))
+    tags = re.sub(r"(<script[^>]*>).*?</script>", r"\1", text, flags=re.S)
+    assert re.findall(r"<(?:script|link|img|iframe)\b[^>]*(?:src|href)\s*=", tags) == []
+    assert len(text) < 2_000_000
+    held = json.loads(re.search(r'id="held">(.*?)</script>', text, re.S).group(1))
+    specs = json.loads(gzip.decompress(base64.b64decode(held["specs"])))
     there = {f.key: len(f.panels) for section in report().sections for f in section.figures}
-    assert {key: len(panels) for key, panels in held.items()} == there
+    assert {key: len(spec["concat"]) for key, spec in specs.items()} == there
 
 
 def test_the_page_begins_with_the_answer_and_ends_with_what_it_rests_on():
-    text = page(report())
+    text = html(report())
     order = [text.index(f'id="{key}"') for key in ("answer", "best_chain", "sizes", "tables")]
     assert order == sorted(order)
     assert '<details class="folded" id="state">' in text
@@ -124,7 +157,7 @@ def test_the_figures_numbers_are_those_of_the_cells():
     found = cells(runs())
     (figure,) = [f for f in FIGURES if f.key == "data_size_chain_errors"]
     for panel, metric in zip(figure.panels, curves.ERRORS, strict=True):
-        for one in panel.series():
+        for one in panel.traces():
             cell = found[
                 (found.metric == metric) & (found.method == one.method)
                 & (found.integrator == one.integrator) & (found.noise_std == 0)
@@ -169,10 +202,10 @@ def test_what_diverges_leaves_the_picture_and_not_its_scale():
     panel = Panel("", "t", "q", pd.concat([truth, lost]), y_log=False)
     low, high = panel.limits()
     assert -3 < low < -1 < 1 < high < 3
-    lost = drawn(motion("forced", "", {PAIRS[0]: swing(lost=True)}).panels[0])
-    values = lost["series"][-1]["y"]
-    assert all(y is None or np.isfinite(y) for y in values)
-    assert motion("forced", "", TABLES).panels[0].rows.x.max() <= 50
+    lost = motion("forced", "", {PAIRS[0]: swing(lost=True)})
+    (data, *_) = declare(lost, interactive=True)["datasets"].values()
+    assert all(row["y"] is None or np.isfinite(row["y"]) for row in data)
+    assert motion("forced", "", TABLES).panels[0].rows.x.max() <= LONG
 
 
 def test_a_constant_truth_leaves_room_to_see_the_others():
@@ -186,7 +219,7 @@ def test_a_symplectic_integrator_keeps_the_volume_small_steps_first():
     tables = {("true_ode", "rk4"): swing(0.1), ("true_variational", "midpoint"): swing()}
     (figure,) = drift([Studied("drift", "chain", h, tables) for h in (0.2, 0.05)])
     assert [panel.title for panel in figure.panels] == ["step 0.05 s", "step 0.2 s"] * 2
-    explicit, variational = figure.panels[-1].series()
+    explicit, variational = figure.panels[-1].traces()
     assert explicit.rows.y.iloc[-1] < 1e-4
     assert set(variational.rows.y) == {1.0}
 
@@ -202,7 +235,7 @@ def test_names_become_symbols():
 
 def test_latex_escapes_what_it_must():
     text = latex(
-        Table("k", "50 % of a_b & c", pd.DataFrame({"x²": ["{1}"], "σ": ["÷2 ± 3"]}), ["#1"])
+        ResultTable("k", "50 % of a_b & c", pd.DataFrame({"x²": ["{1}"], "σ": ["÷2 ± 3"]}), ["#1"])
     )
     assert r"50 \% of a\_b \& c" in text
     assert r"x$^2$ & $\sigma$ \\" in text

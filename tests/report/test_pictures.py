@@ -58,7 +58,7 @@ def test_every_system_has_its_figures(name):
         wanted = {panel.only or "truth", panel.only or "ours"}
         if panel.y_label.startswith("squared error"):
             wanted = {"ours"}
-        assert {one.source for one in panel.series()} == wanted
+        assert {one.source for one in panel.traces()} == wanted
 
 
 def test_a_prediction_that_is_lost_is_drawn_as_far_as_it_goes(tmp_path):
@@ -77,7 +77,7 @@ def test_a_prediction_that_is_lost_is_drawn_as_far_as_it_goes(tmp_path):
 
 
 def series(panel):
-    return {one.source: one.rows for one in panel.series()}
+    return {one.source: one.rows for one in panel.traces()}
 
 
 def test_what_a_system_or_a_run_does_not_have_is_not_drawn(tmp_path):

@@ -56,7 +56,7 @@ def test_windows_show_prediction_measurement_and_reference(n):
     (figure,) = recordings.figures(model, found, "symo", "run")
     assert len(figure.panels) == 3 * (n + 1)
     for panel in figure.panels[: 3 * n]:
-        assert {one.source for one in panel.series()} == {"truth", "ours", "floor"}
+        assert {one.source for one in panel.traces()} == {"truth", "ours", "floor"}
     errors = found.model.rmse(2.0)
     chosen = ranking(errors)
     assert errors[chosen["best"]] == errors.min()

@@ -6,8 +6,8 @@ from PIL import Image
 
 from symo_exp.report.__main__ import main, report
 from symo_exp.report.motions import studied
-from symo_exp.report.runs import read, save, tidy
-from symo_exp.report.tables import markdown
+from symo_exp.report.runs import read_runs, save_runs, tidy
+from symo_exp.report.tables import markdown_table
 from symo_exp.tracking.store import connect
 from tests.report.stores import MEASURES, add_folder, add_run, row
 from tests.report.test_figures import PAIRS, swing
@@ -15,7 +15,7 @@ from tests.report.test_figures import PAIRS, swing
 
 def made(tmp_path, rows, *words):
     """A report without figures and page of the runs, in the folder that is returned."""
-    saved = save(tidy(rows), tmp_path / "made.parquet")
+    saved = save_runs(tidy(rows), tmp_path / "made.parquet")
     bare = ["--runs", str(saved), "--out", str(tmp_path / "out"), "--formats", "--no-page"]
     assert main([*bare, *words]) == 0
     return tmp_path / "out"
@@ -107,7 +107,7 @@ def test_tables_have_the_numbers_of_the_runs():
     rows = [row(MEASURES | {"test_mse": value}, seed=seed) for seed, value in values]
     tables = {t.key: t for s in report(tidy(rows), "it").sections for t in s.tables}
     wanted = "| pendulum | 32 | defaults | SyMo, midpoint | 3 | 2.00e-6 | 0.5 |"
-    assert wanted in markdown(tables["accuracy"])
+    assert wanted in markdown_table(tables["accuracy"])
 
 
 def test_each_method_s_study_of_the_lowest_seed_is_drawn(store, tmp_path):
@@ -122,7 +122,7 @@ def test_each_method_s_study_of_the_lowest_seed_is_drawn(store, tmp_path):
             add(swing(seed, nodes=5), method=method, integrator=integrator, seed=seed)
     add_run(store, method="l_node", integrator="rk4")  # it did no study
     add(None, method="e2e_symo", seed=1)  # its file is gone
-    runs = read(store)
+    runs = read_runs(store)
     (found,) = studied(runs, ["long_term", "forced"], store)
     assert (found.study, found.system, set(found.tables)) == ("long_term", "pendulum", set(PAIRS))
     assert found.tables["symo", "midpoint"].energy.iloc[0] == 2.0

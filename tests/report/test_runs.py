@@ -18,7 +18,7 @@ def test_a_row_for_each_measure_of_each_run(store, monkeypatch):
         add_run(store, seed=seed, system="cartpole", n_traj=8, noise_std=1e-4)
     connect(store).create_run(experiment_id(store, "thesis"), run_name="a sweep")
     monkeypatch.setattr(runs, "PAGE", 1)  # as a large store, which is read in pages
-    found = runs.read(store)
+    found = runs.read_runs(store)
     assert list(found) == runs.COLUMNS
     assert len(found) == 2 * len(MEASURES)
     one = found[(found.seed == 1) & (found.metric == "test_mse")].iloc[0]
@@ -34,8 +34,8 @@ def test_run_folders_are_read_as_the_store_that_they_are_published_to(store, tmp
         folder = add_folder(place, status, values, n_traj=8, seed=seed, noise_std=None)
         MlflowView(experiment="mine", directory=store.database.parent).publish(folder)
     dead = add_folder(tmp_path / "outputs" / "more" / "dead", "running", seed=4)
-    there = runs.read(store)
-    found = runs.load([tmp_path / "outputs"])
+    there = runs.read_runs(store)
+    found = runs.load_runs([tmp_path / "outputs"])
     lost = found[found.seed == 4].iloc[0]
     assert (lost.status, "killed" in lost.reason) == ("FAILED", True)
     by = ["seed", "metric"]
@@ -43,10 +43,10 @@ def test_run_folders_are_read_as_the_store_that_they_are_published_to(store, tmp
         *(table[table.seed != 4].drop(columns=["files", "run_id", "started"]).sort_values(
             by, ignore_index=True) for table in (found, there)), check_exact=True,
     )  # fmt: skip
-    assert runs.load([dead.path], ["mine"]).files.tolist() == [str(dead.path)]
+    assert runs.load_runs([dead.path], ["mine"]).files.tolist() == [str(dead.path)]
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match="empty has no run in it"):
-        runs.load([tmp_path / "empty"])
+        runs.load_runs([tmp_path / "empty"])
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_run_folders_are_read_as_the_store_that_they_are_published_to(store, tmp
 )  # fmt: skip
 def test_the_variant_is_the_recorded_one_or_else_the_preset(store, told, variant):
     add_run(store, told=told)
-    assert set(runs.read(store).variant) == {variant}
+    assert set(runs.read_runs(store).variant) == {variant}
 
 
 @pytest.mark.parametrize("absent", [{"n_traj": None}, {"n_traj": "8.0"}, {"noise_std": "null"}])
@@ -83,17 +83,17 @@ def test_only_what_is_asked_for(store):
     for system, seed in (("pendulum", 0), ("acrobot", 0), ("acrobot", 1)):
         add_run(store, system=system, seed=seed)
     add_run(store, experiment="other", seed=7)
-    narrowed = runs.read(store, ["thesis"], systems=["acrobot"], seeds=[0, 2])
+    narrowed = runs.read_runs(store, ["thesis"], systems=["acrobot"], seeds=[0, 2])
     assert set(zip(narrowed.system, narrowed.seed, strict=True)) == {("acrobot", 0)}
-    assert runs.read(store).run_id.nunique() == 4
+    assert runs.read_runs(store).run_id.nunique() == 4
 
 
 def test_what_is_not_there_is_said_in_a_line(store, tmp_path):
     add_run(store, experiment="other")
     with pytest.raises(ConfigError, match=r"no experiment 'thesis' in .*; there are: other"):
-        runs.read(store, ["thesis"])
+        runs.read_runs(store, ["thesis"])
     with pytest.raises(ConfigError, match="no tracking store at"):
-        runs.read(find(None, tmp_path / "nowhere"))
+        runs.read_runs(find(None, tmp_path / "nowhere"))
     assert not (tmp_path / "nowhere").exists()
 
 
@@ -111,14 +111,14 @@ def test_saved_runs_are_the_same_again(tmp_path, name):
            row(experiment="other", method="true_ode", integrator="rk4"),
            row(seed=9, status="FAILED", reason="out of memory")]
     )  # fmt: skip
-    kept = runs.load([runs.save(there, tmp_path / name)])
+    kept = runs.load_runs([runs.save_runs(there, tmp_path / name)])
     pd.testing.assert_frame_equal(kept, there, check_dtype=False, check_exact=True)
     again = runs.tidy([row({"test_mse": 3.0}, started="2027-01-01")])  # as another of them, later
-    later = runs.save(again, tmp_path / "later.csv")
-    joined = runs.load([later, tmp_path / name], ["thesis"], systems=["pendulum"], seeds=[0])
+    later = runs.save_runs(again, tmp_path / "later.csv")
+    joined = runs.load_runs([later, tmp_path / name], ["thesis"], systems=["pendulum"], seeds=[0])
     assert list(joined.value) == [3.0]
     with pytest.raises(ConfigError, match=r"no experiment 'nothing'.*there are: thesis"):
-        runs.load([later], ["nothing"])
+        runs.load_runs([later], ["nothing"])
 
 
 @pytest.mark.parametrize(("column", "written"), [("value", "much"), ("started", "once")])
@@ -127,4 +127,4 @@ def test_what_is_no_number_or_no_time_is_said_in_a_line(tmp_path, column, writte
     table.loc[0, column] = written
     table.to_csv(tmp_path / "edited.csv", index=False)
     with pytest.raises(ConfigError, match=rf"edited.csv cannot be read \(.*{written}"):
-        runs.load([tmp_path / "edited.csv"])
+        runs.load_runs([tmp_path / "edited.csv"])

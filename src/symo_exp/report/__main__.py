@@ -20,7 +20,7 @@ from symo_exp.shell import python_command
 if TYPE_CHECKING:
     import pandas as pd
 
-    from symo_exp.report.write import Report
+    from symo_exp.report.document import Report
     from symo_exp.tracking.store import Store
 
 VIEW = "symo_exp.report.__main__:report"
@@ -58,8 +58,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 def report(runs: pd.DataFrame, source: str, store: Store | None = None) -> Report:
     """Everything that can be said of the runs; ``source`` says where they are from."""
+    from symo_exp.report.document import Report
     from symo_exp.report.overview import sections, title
-    from symo_exp.report.write import Report
 
     return Report(title(runs), source, sections(runs, store), runs)
 
@@ -88,8 +88,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _made(options: argparse.Namespace) -> list[Path]:
-    from symo_exp.report.runs import load, read
-    from symo_exp.report.write import write
+    from symo_exp.report.files import write_report
+    from symo_exp.report.runs import load_runs, read_runs
     from symo_exp.tracking.store import find
 
     asked = {"systems": options.system, "seeds": options.seed}
@@ -98,16 +98,16 @@ def _made(options: argparse.Namespace) -> list[Path]:
     if not (paths or told or Path(STORE, "mlflow.db").exists()) and OUTPUTS.is_dir():
         paths = [OUTPUTS]
     if paths:
-        runs = load(paths, named, **asked)
+        runs = load_runs(paths, named, **asked)
     else:
         store = find(options.tracking_uri, options.directory or STORE)
-        runs = read(store, named, **asked)
+        runs = read_runs(store, named, **asked)
     of = {"experiment": named, "saved runs": paths, **asked}
     source = "; ".join(f"{k} {', '.join(map(str, words))}" for k, words in of.items() if words)
     view: Callable[..., Report] = pkgutil.resolve_name(options.view)
     made = view(runs, f"From {source or 'all experiments'}.", store)
     try:
-        return write(made, options.out, formats=options.formats, web=not options.no_page)
+        return write_report(made, options.out, formats=options.formats, page=not options.no_page)
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(f"--out {options.out} cannot be written ({reason})") from error

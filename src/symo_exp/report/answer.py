@@ -10,7 +10,7 @@ import pandas as pd
 
 from symo_exp.report.looks import in_order, letters, look, measure_name, number, pair_name, short
 from symo_exp.report.ranking import Interval, between, drawn, logarithms
-from symo_exp.report.tables import Table
+from symo_exp.report.tables import ResultTable
 
 ROOTS = "test_newton_failed"
 """A measure of methods that find the next configuration from configurations; the others start from
@@ -59,7 +59,7 @@ class Found(NamedTuple):
         return self.values.groupby("system").median()
 
 
-def answers(runs: pd.DataFrame, variant: str) -> tuple[list[str], list[Table]]:
+def answers(runs: pd.DataFrame, variant: str) -> tuple[list[str], list[ResultTable]]:
     """A sentence for each question that the runs can answer and one of what the methods are given,
     and a heat map for each system."""
     rows = contestants(runs[runs.source == "ours"], variant)
@@ -169,7 +169,7 @@ def _interval(found: Found, best: str, second: str) -> Interval:
     return between(np.mean(apart, axis=0))
 
 
-def heat_map(system: str, found: Iterable[Found]) -> Table:
+def heat_map(system: str, found: Iterable[Found]) -> ResultTable:
     """A row for each contestant, a column for each measure, shaded by rank."""
     texts, shades = {}, {}
     for one in found:
@@ -188,7 +188,7 @@ def heat_map(system: str, found: Iterable[Found]) -> Table:
     rows.insert(0, "", names)
     marks.insert(0, "", np.nan)
     notes = [AGAINST] if marks.notna().any(axis=None) else []
-    return Table(f"best_{letters(system)}", system, rows, notes, system=system, shades=marks)
+    return ResultTable(f"best_{letters(system)}", system, rows, notes, system=system, shades=marks)
 
 
 def _beside(power: float, least: float) -> str:

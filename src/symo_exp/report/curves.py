@@ -38,7 +38,7 @@ class Axis(NamedTuple):
 
 SIZE = Axis("n_traj", "training trajectories", ticks=True)
 NOISE = Axis("noise_std", "noise σ [m, rad; m/s, rad/s]")
-SECONDS = Axis("seconds", measure_name("training_seconds", axis=True), mark="points")
+SECONDS = Axis("seconds", "training time [s]", mark="points")
 STEP = Axis("time_step", "time step [s]")
 ORDER = Axis("order", "order of the integrator", log=False, ticks=True)
 
@@ -101,12 +101,10 @@ def speed(runs: pd.DataFrame) -> list[Figure]:
     words = zip(learned.variant, learned.n_traj, learned.seed, strict=True)
     said = [f"{v or 'defaults'}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]
     learned = learned.assign(median=learned.value, text=said)
-    caption = "Every run; hover says which. Processor time of all optimiser steps."
-    return [
-        Figure(f"speed_{metric}", f"{measure_name(metric)} against the time of training", caption,
-               panels(learned, SECONDS, [metric]))
-        for metric in ("test_mse", "integration_mse")
-    ]  # fmt: skip
+    caption = "Every run; point at it for its settings. Processor time of all optimiser steps."
+    title = "Accuracy against the time of training"
+    drawn = panels(learned, SECONDS, ("test_mse", "integration_mse"))
+    return [Figure("speed", title, caption, drawn, columns=2)]
 
 
 def steps(found: pd.DataFrame) -> list[Figure]:

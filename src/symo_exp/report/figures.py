@@ -24,7 +24,7 @@ SMALLEST, LARGEST = 1e-33, 1e12
 Range = tuple[float, float]
 
 
-class Series(NamedTuple):
+class Trace(NamedTuple):
     """One line or cloud of points."""
 
     source: str
@@ -41,10 +41,17 @@ class Series(NamedTuple):
         return stroke(self.integrator)
 
     @property
+    def label(self) -> str:
+        """The name of the method."""
+        return self.look.label
+
+    @property
     def name(self) -> str:
-        """What the legend says."""
+        """The name with the integrator and the source."""
+        if self.source == "truth":
+            return self.label
         name = pair_name(self.method, self.integrator)
-        return {"truth": TRUTH.label, "published": f"{name}, published"}.get(self.source, name)
+        return f"{name}, published" if self.source == "published" else name
 
     @property
     def band(self) -> bool:
@@ -69,11 +76,11 @@ class Panel:
     system: str = ""
     """For the page, which shows one system or all."""
 
-    def series(self) -> Iterator[Series]:
+    def traces(self) -> Iterator[Trace]:
         """The truth first, so that a prediction lies on it; then in the order of methods."""
         rows = self.rows[self.rows.source == self.only] if self.only else self.rows
         groups = rows.groupby(["source", "method", "integrator"], sort=False)
-        found = [Series(*map(str, key), rows) for key, rows in groups]  # type: ignore
+        found = [Trace(*map(str, key), rows) for key, rows in groups]  # type: ignore
         places = {"truth": 0, "published": 2}
         yield from sorted(
             found, key=lambda s: (places.get(s.source, 1), in_order((s.method, s.integrator)))
@@ -120,6 +127,11 @@ class Figure:
         shown = [panel for panel in self.panels if panel.rows.y.notna().any()]
         object.__setattr__(self, "panels", shown)
 
+    @property
+    def systems(self) -> list[str]:
+        """The systems of its panels, each once."""
+        return list(dict.fromkeys(panel.system or self.system for panel in self.panels))
+
 
 def _near(truth: np.ndarray, values: np.ndarray) -> Range | None:
     """A range that has all of the truth, and of ``values`` what is not far from it."""
@@ -127,8 +139,8 @@ def _near(truth: np.ndarray, values: np.ndarray) -> Range | None:
     if not len(inside):
         return None
     low, high = inside.min(), inside.max()
-    # A truth that is constant, an energy, has a spread of rounding errors only.
-    room = max(0.5 * (high - low), 0.1 * max(abs(low), abs(high))) or 1.0
+    # A constant truth, such as an energy, varies by rounding errors only.
+    room = max(0.5 * (high - low), abs(low), abs(high)) or 1.0
     bottom, top = max(low - room, everything.min()), min(high + room, everything.max())
     edge = 0.04 * (top - bottom) or 1.0
     return float(bottom - edge), float(top + edge)

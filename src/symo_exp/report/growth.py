@@ -12,7 +12,7 @@ from symo_exp.report.cells import cells
 from symo_exp.report.curves import SPREAD, Axis, panels
 from symo_exp.report.figures import Figure
 from symo_exp.report.looks import letters, measure_name, number, pair_names, short
-from symo_exp.report.tables import Table
+from symo_exp.report.tables import ResultTable
 
 COORDINATES = Axis("coordinates", "coordinates", log=False, ticks=True)
 OVER_N = (
@@ -22,7 +22,7 @@ OVER_N = (
 KEYS = ["system", "settings", "n_traj", "method", "integrator", "coordinates"]
 
 
-def growth(runs: pd.DataFrame) -> tuple[list[Table], list[Figure]]:
+def growth(runs: pd.DataFrame) -> tuple[list[ResultTable], list[Figure]]:
     """A table and a figure of each system that has been run with several numbers of coordinates.
 
     What a run was told of its system is no setting here.
@@ -56,7 +56,7 @@ def _without_system(variant: str) -> str:
     return ", ".join(word for word in words if not word.startswith("system."))
 
 
-def _table(key: str, title: str, rows: pd.DataFrame) -> Table:
+def _table(key: str, title: str, rows: pd.DataFrame) -> ResultTable:
     wide = rows.pivot_table("median", KEYS, "metric", dropna=False)
     wide = wide.reindex(columns=list(OVER_N)).dropna(how="all").reset_index()
     seeds = rows.groupby(KEYS).seeds.max()
@@ -72,4 +72,4 @@ def _table(key: str, title: str, rows: pd.DataFrame) -> Table:
             power = np.polyfit(np.log(steps.coordinates), np.log(steps.step_ms), 1)[0]
             name = pair_names(one.head(1))[0]
             notes.append(f"{name}: a step costs as n to the power {power:.2f}.")
-    return Table(key, title, shown, notes)
+    return ResultTable(key, title, shown, notes)

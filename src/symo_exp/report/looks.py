@@ -18,7 +18,7 @@ Pair = tuple[str, str]
 
 
 class Look(NamedTuple):
-    """A method: ``marker`` is Matplotlib's, a key of ``MARKERS``."""
+    """A method: ``marker`` is Matplotlib's."""
 
     label: str
     colour: str
@@ -26,11 +26,10 @@ class Look(NamedTuple):
 
 
 class Stroke(NamedTuple):
-    """An integrator: ``dash`` is Matplotlib's, ``web`` that of a browser."""
+    """An integrator: ``dash`` is Matplotlib's."""
 
     label: str
     dash: str
-    web: str
 
 
 METHODS = {
@@ -47,20 +46,15 @@ TRUE = {
 """The models that are not learned: drawn as floors under the others."""
 TRUTH = Look("truth", "#3b3b3b", ".")
 SPARE = (("#CC79A7", "v"), ("#56B4E9", "P"), ("#F0E442", "X"))
-MARKERS = {
-    "o": "circle", "s": "square", "^": "up", "D": "diamond", "v": "down", "P": "plus", "X": "cross",
-    ".": "dot",
-}  # fmt: skip
-"""The page's name for each marker of Matplotlib."""
 INTEGRATORS = {
-    "": Stroke("", "-", ""),  # a line through several integrators
-    "midpoint": Stroke("midpoint", "-", ""),
-    "rk4": Stroke("RK4", "--", "6px,3px"),
-    "dopri5": Stroke("Dormand-Prince 5", "-.", "6px,2px,1px,2px"),
-    "galerkin4": Stroke("Galerkin 4", "--", "6px,3px"),
-    "galerkin6": Stroke("Galerkin 6", "-.", "6px,2px,1px,2px"),
-    "galerkin10": Stroke("Galerkin 10", ":", "1px,2px"),
-    "none": Stroke("", "-", ""),
+    "": Stroke("", "-"),  # a line through several integrators
+    "midpoint": Stroke("midpoint", "-"),
+    "rk4": Stroke("RK4", "--"),
+    "dopri5": Stroke("Dormand-Prince 5", "-."),
+    "galerkin4": Stroke("Galerkin 4", "--"),
+    "galerkin6": Stroke("Galerkin 6", "-."),
+    "galerkin10": Stroke("Galerkin 10", ":"),
+    "none": Stroke("", "-"),
 }
 MEASURES = {
     "train_mse": ("train MSE", "m², rad²"),
@@ -105,7 +99,7 @@ def look(method: str) -> Look:
 
 def stroke(integrator: str) -> Stroke:
     """The stroke of an integrator; one that has no entry is dotted."""
-    return INTEGRATORS.get(integrator, Stroke(integrator, ":", "1px,2px"))
+    return INTEGRATORS.get(integrator, Stroke(integrator, ":"))
 
 
 def pair_name(method: str, integrator: str) -> str:

@@ -33,7 +33,7 @@ TITLES = {
 }
 LEARNED = "learned_quantities"
 FIRST = "Each method's run of the lowest seed, from the same start; the first of its motions."
-LONG = 50.0
+LONG = 10.0
 """Seconds that are shown of a motion."""
 LOST = 1.5
 """A prediction that is so many times faster than the truth ever is has nothing more to show."""
@@ -107,7 +107,7 @@ def phase_space(key: str, title: str, tables: Tables) -> Figure:
     name = coordinates(tables)[0]
     labels = axis_label(name), axis_label(name, velocity=True)
     panels = [
-        Panel(pair_name(*pair), *labels, phase_rows(pair, table, name, wrap=True, count=4 * POINTS),
+        Panel(pair_name(*pair), *labels, phase_rows(pair, table, name, wrap=True, count=POINTS),
               y_log=False, mark="points")
         for pair, table in ((pair, kept(table)) for pair, table in tables.items())
     ]  # fmt: skip

@@ -9,6 +9,7 @@ import pandas as pd
 from symo_exp.report import curves, motions
 from symo_exp.report.answer import answers
 from symo_exp.report.cells import at_step, cells, main_variant, usual_steps
+from symo_exp.report.document import Section
 from symo_exp.report.growth import growth
 from symo_exp.report.looks import (
     look,
@@ -19,8 +20,7 @@ from symo_exp.report.looks import (
     stroke,
 )
 from symo_exp.report.runs import without_result
-from symo_exp.report.tables import Table
-from symo_exp.report.write import Section
+from symo_exp.report.tables import ResultTable
 from symo_exp.tracking.store import Store
 
 TABLE = ("train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse")
@@ -102,17 +102,17 @@ def state(runs: pd.DataFrame) -> list[str]:
     return lines
 
 
-def unfinished(runs: pd.DataFrame) -> Table:
+def unfinished(runs: pd.DataFrame) -> ResultTable:
     """Runs that are not finished, nor were by another."""
     left = without_result(runs)
     left = left.assign(method=pair_names(left), status=left.status.str.lower())
     left = left.rename(columns={"n_traj": "n", "noise_std": "noise"})
     left[["n", "noise", "seed"]] = left[["n", "noise", "seed"]].map(number)
     rows = left[["system", "method", "n", "noise", "seed", "status", "reason"]]
-    return Table("unfinished", "Runs without a result", rows, words=2)
+    return ResultTable("unfinished", "Runs without a result", rows, words=2)
 
 
-def accuracy(found: pd.DataFrame) -> Table:
+def accuracy(found: pd.DataFrame) -> ResultTable:
     """Every variant, integrator and size that has been run without noise, system by system."""
     learned = found[(found.source == "ours") & ~(found.noise_std > 0)]
     keys = ["system", "n_traj", "variant", "method", "integrator", "time_step"]
@@ -129,10 +129,10 @@ def accuracy(found: pd.DataFrame) -> Table:
     ).join(wide.drop(columns=keys))
     notes = ["Medians over the seeds. Training: processor time of all optimiser steps."]
     title = "Accuracy by settings, method and integrator"
-    return Table("accuracy", title, rows, notes, words=4)
+    return ResultTable("accuracy", title, rows, notes, words=4)
 
 
-def floor_table(found: pd.DataFrame) -> Table:
+def floor_table(found: pd.DataFrame) -> ResultTable:
     """What the true systems miss in each integrator."""
     keys = ["system", "method", "integrator"]
     wide = medians(found[found.source == "floor"], keys, FLOORS).reset_index()
@@ -144,7 +144,7 @@ def floor_table(found: pd.DataFrame) -> Table:
         "price of a biased inertia."
     )
     title = "Floors: the true systems in the integrators, nothing learned"
-    return Table("floors", title, rows, [note], words=3)
+    return ResultTable("floors", title, rows, [note], words=3)
 
 
 def medians(found: pd.DataFrame, keys: Sequence[str], metrics: Iterable[str]) -> pd.DataFrame:

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from symo_exp.report.figures import Figure, Panel, Range, Series
+from symo_exp.report.figures import Figure, Panel, Range, Trace
 from symo_exp.report.looks import RC, short
 
 WIDTH, HEIGHT = 3.7, 2.7
@@ -68,7 +68,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
     axes.set(xscale="log" if panel.x_log else "linear", yscale="log" if panel.y_log else "linear")
     axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     limits = panel.limits()
-    gone = [said for series in panel.series() if (said := _draw(axes, panel, series, limits))]
+    gone = [said for series in panel.traces() if (said := _draw(axes, panel, series, limits))]
     shown = {"ylim": limits, "xlim": panel.x_limits()}
     axes.set(**{name: bounds for name, bounds in shown.items() if bounds})
     if panel.ticks:
@@ -81,7 +81,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
     )  # fmt: skip
 
 
-def _draw(axes: Axes, panel: Panel, series: Series, limits: Range | None) -> str | None:
+def _draw(axes: Axes, panel: Panel, series: Trace, limits: Range | None) -> str | None:
     """One series; what is to be said of it where nothing of it is within the limits."""
     rows = series.rows
     x, y = _finite(rows.x), _finite(rows.y)
@@ -95,7 +95,7 @@ def _draw(axes: Axes, panel: Panel, series: Series, limits: Range | None) -> str
     return f"{series.name}: off the scale ({where})"
 
 
-def _style(panel: Panel, series: Series) -> dict[str, Any]:
+def _style(panel: Panel, series: Trace) -> dict[str, Any]:
     look, dash, count = series.look, series.stroke.dash, len(series.rows)
     style = {"color": look.colour, "ls": dash, "marker": look.marker, **STYLES[series.source]}
     if panel.mark == "line":
@@ -120,7 +120,7 @@ def _finite(values: Any) -> np.ndarray:
 def _legend(panels: Iterable[Panel]) -> dict[str, Line2D]:
     """A mark for everything that is drawn; of what is published one, for it has the others'."""
     entries: dict[str, Line2D] = {}
-    for panel, series in ((one, series) for one in panels for series in one.series()):
+    for panel, series in ((one, series) for one in panels for series in one.traces()):
         style = _style(panel, series)
         if series.source == "published":
             ring = {**style, "color": "#777777", "ls": "-", "marker": "o"}

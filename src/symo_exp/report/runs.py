@@ -62,7 +62,7 @@ Row = tuple[Mapping[str, Any], Mapping[str, float]]
 """A run: what is known of it, by column, and its measures."""
 
 
-def read(
+def read_runs(
     store: Store,
     experiments: Sequence[str] = (),
     *,
@@ -76,7 +76,7 @@ def read(
     return _asked(tidy(_in_store(store, experiments)), (), systems, seeds)
 
 
-def load(
+def load_runs(
     paths: Sequence[Path],
     experiments: Sequence[str] = (),
     *,
@@ -100,7 +100,7 @@ def tidy(runs: Iterable[Row]) -> pd.DataFrame:
     return _last_of_each(_typed(pd.DataFrame(rows, columns=COLUMNS[:-1])))
 
 
-def save(runs: pd.DataFrame, path: Path) -> Path:
+def save_runs(runs: pd.DataFrame, path: Path) -> Path:
     """Write a table for ``load``: CSV or Parquet by the name of the file."""
     kept = runs[SAVED].astype(dict.fromkeys(WHOLE, "Int64"))
     if path.suffix == ".parquet":

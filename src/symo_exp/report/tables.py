@@ -28,7 +28,7 @@ class Cell(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """``key`` names its files; ``rows`` are text, the first ``words`` columns set flush left;
     ``notes`` stand below it. A heat map has ``shades``, one for each cell."""
 
@@ -51,7 +51,7 @@ class Table:
             yield [Cell(text, mark) for text, mark in zip(texts, marks, strict=True)]
 
 
-def markdown(table: Table) -> str:
+def markdown_table(table: ResultTable) -> str:
     """The best are bold."""
     rule = [":--" if i < table.words else "--:" for i in range(table.rows.shape[1])]
     rows = [[f"**{x.text}**" if x.best else x.text for x in line] for line in table.lines()]
@@ -60,7 +60,7 @@ def markdown(table: Table) -> str:
     return "\n".join([f"**{table.title}**\n", *lines, *(f"\n{n}" for n in table.notes)]) + "\n"
 
 
-def latex(table: Table) -> str:
+def latex(table: ResultTable) -> str:
     """A ``table`` environment of the package booktabs."""
     columns = "l" * table.words + "r" * (table.rows.shape[1] - table.words)
     rows = [

@@ -22,7 +22,7 @@ from symo_exp.report.looks import (
     stroke,
 )
 from symo_exp.report.overview import TABLE
-from symo_exp.report.tables import Table
+from symo_exp.report.tables import ResultTable
 from symo_exp.thesis.claims import PAIRS, judge
 from symo_exp.thesis.published import TIME_STEPS
 
@@ -32,7 +32,7 @@ TOLERATED = 3.0
 SIZES, NOISES = (8, 16, 32, 64, 128), (0.0, 1e-4, 5e-4, 1e-3, 5e-3, 1e-2)
 
 
-def beside(found: pd.DataFrame, compared: pd.DataFrame) -> Iterable[Table]:
+def beside(found: pd.DataFrame, compared: pd.DataFrame) -> Iterable[ResultTable]:
     """Tables 6.2 to 6.4 of each variant, from cells at the chapter's time steps."""
     learned = _at_32(found[found.source == "ours"])
     theirs = _at_32(compared[compared.time_step == compared.system.map(TIME_STEPS)])
@@ -43,7 +43,7 @@ def beside(found: pd.DataFrame, compared: pd.DataFrame) -> Iterable[Table]:
             yield _table(mine[mine.system == system], of[of.system == system], system, variant)
 
 
-def _table(mine: pd.DataFrame, theirs: pd.DataFrame, system: str, variant: str) -> Table:
+def _table(mine: pd.DataFrame, theirs: pd.DataFrame, system: str, variant: str) -> ResultTable:
     """Three lines for each method: ours, the published, and the factor."""
     rows = []
     for pair in _pairs(mine):
@@ -66,10 +66,10 @@ def _table(mine: pd.DataFrame, theirs: pd.DataFrame, system: str, variant: str) 
     header = ["model", "integrator", "", *map(measure_name, TABLE)]
     title += f", {variant}" if variant else ""
     table = pd.DataFrame(rows, columns=header)
-    return Table(f"table_{system}{_suffix(variant)}", title, table, notes, words=3)
+    return ResultTable(f"table_{system}{_suffix(variant)}", title, table, notes, words=3)
 
 
-def agreement(compared: pd.DataFrame) -> Table:
+def agreement(compared: pd.DataFrame) -> ResultTable:
     """In how many cells ours are within a factor of three of the published."""
     metrics = {"test_mse": "test", "integration_mse": "integration"}
     done = compared[(compared.seeds > 0) & compared.metric.isin(metrics)].dropna(subset="factor")
@@ -94,10 +94,10 @@ def agreement(compared: pd.DataFrame) -> Table:
         "same where there is a measure for it."
     )
     title = "Cells within a factor of three of the published, better by more, worse by more"
-    return Table("agreement", title, pd.DataFrame(rows, columns=header), [note], words=3)
+    return ResultTable("agreement", title, pd.DataFrame(rows, columns=header), [note], words=3)
 
 
-def claims(measures: pd.DataFrame) -> Table:
+def claims(measures: pd.DataFrame) -> ResultTable:
     """Which statements of the thesis hold."""
     rows = []
     for claim, published, ours in judge(measures):
@@ -116,10 +116,10 @@ def claims(measures: pd.DataFrame) -> Table:
         "By its own numbers: the published ones, which are not all averaged over the same.",
     ]
     title = "What the thesis says, and whether it holds"
-    return Table("claims", title, pd.DataFrame(rows), notes, words=6)
+    return ResultTable("claims", title, pd.DataFrame(rows), notes, words=6)
 
 
-def progress(runs: pd.DataFrame) -> Iterable[Table]:
+def progress(runs: pd.DataFrame) -> Iterable[ResultTable]:
     """Which cells of the chapter have been run, with how many seeds.
 
     What has not been run is told of the main variant alone: others were tried here and there.
@@ -146,7 +146,7 @@ def progress(runs: pd.DataFrame) -> Iterable[Table]:
             rows = counts.map(number).rename(columns="{:g}".format).reset_index()
             rows = rows.assign(method=pair_names(rows)).drop(columns="integrator")
             title = f"Seeds that have been run, by {over}" + (f" ({variant})" if variant else "")
-            yield Table(f"progress_{key}{_suffix(variant)}", title, rows, words=2)
+            yield ResultTable(f"progress_{key}{_suffix(variant)}", title, rows, words=2)
 
 
 def in_thesis_order(systems: Iterable[str]) -> list[str]:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pandas as pd
 
 from symo_exp.report.cells import at_step, cells, main_variant
+from symo_exp.report.document import Report, Section
 from symo_exp.report.overview import sections
-from symo_exp.report.write import Report, Section
 from symo_exp.thesis import chapter, published
 from symo_exp.tracking.store import Store
 

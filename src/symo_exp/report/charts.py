@@ -1,0 +1,293 @@
+"""Charts of the report, declared once in Vega-Lite for the page and for files.
+
+Colour and marker show the method, the dash of a line the integrator; in a cloud of points the
+integrator is shown by how they are filled. Published values are faint, with hollow markers.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import altair as alt
+import numpy as np
+import pandas as pd
+import vl_convert
+
+from symo_exp.report.figures import Figure, Panel, Range, Trace
+
+WIDTH, HEIGHT = 300, 220
+"""Size of the plot of a panel in a file [px]; the page fits the width to the window."""
+SCALE = 1.5
+"""Pixels of a PNG for each of these."""
+MANY, MARKED = 200, 6
+"""Points of a panel from which they are drawn small; markers along a line over time."""
+MARKERS = {
+    "o": "circle", "s": "square", "^": "triangle-up", "D": "diamond", "v": "triangle-down",
+    "P": "cross", "X": "M-.7,-1L0,-.3L.7,-1L1,-.7L.3,0L1,.7L.7,1L0,.3L-.7,1L-1,.7L-.3,0L-1,-.7Z",
+    ".": "circle",
+}  # fmt: skip
+"""Vega's name or path for each marker of Matplotlib."""
+DASHES = {"-": [1, 0], "--": [6, 3], "-.": [6, 2, 1, 2], ":": [1, 2]}
+FILLS = {"-": 1.0, "--": 0.0, "-.": 0.4, ":": 0.0}
+"""Filling of points by the dash of their integrator."""
+OPACITY = {"ours": 1.0, "published": 0.5, "floor": 0.7, "truth": 0.4}
+LINES = {"ours": 1.8, "published": 1.0, "floor": 1.3, "truth": 3.5}
+INK = {"light": "#333333", "dark": "#dddddd"}
+SOFT = {"light": "#666666", "dark": "#a0a0a0"}
+GRID = {"light": "#e6e6e6", "dark": "#33363b"}
+OFF = " && ".join(f"indexof(off, datum.{name}) < 0" for name in ("method", "integrator", "kind"))
+"""Keeps the rows that have no name in ``off``, the list of what a reader has switched off."""
+SHORT = (
+    "abs({0}) >= 1e4 || ({0} != 0 && abs({0}) < 1e-3) "
+    "? replace(format({0}, '.2~e'), 'e+', 'e') : format({0}, '.4~g')"
+)
+"""A number as the tables print it: ``1.66e-6`` or ``0.02``."""
+LABEL = SHORT.format("datum.value")
+DIGIT = "round(datum.value / pow(10, floor(log(datum.value) / LN10 + 1e-6)))"
+ROUND = f"indexof([1, 2, 5], {DIGIT}) >= 0"
+"""Which ticks of a logarithmic axis have labels."""
+FAINT: Any = {"condition": {"test": f"{DIGIT} == 1", "value": 1}, "value": 0.45}
+"""Opacity of grid lines, less between the powers of ten."""
+TICKED = "(indexof(off, datum.label) < 0 ? '☑ ' : '☐ ') + datum.label"
+
+
+def declare(figure: Figure, *, interactive: bool) -> dict[str, Any]:
+    """Return the Vega-Lite specification of a figure.
+
+    Args:
+        figure: The panels and their data.
+        interactive: Whether a reader can zoom, point at values and switch series off. The
+            specification then has the parameters ``off``, a list of names that are not drawn, and
+            ``ink``, the colour of true systems; it leaves the title to the page.
+    """
+    traces = [trace for panel in figure.panels for trace in panel.traces()]
+    channels = _Channels(traces, interactive=interactive)
+    charts = [
+        _panel(panel, channels, f"zoom_{i}" if interactive else "")
+        for i, panel in enumerate(figure.panels)
+    ]
+    columns = min(figure.columns, len(charts))
+    chart = alt.concat(*charts, columns=columns, spacing={"row": 25, "column": 30})
+    chart = chart.resolve_scale(x="independent", y="independent").add_params(
+        alt.param(name="off", value=[]), alt.param(name="ink", value=INK["light"])
+    )
+    if not interactive:
+        chart = chart.properties(title=figure.title)
+    with alt.data_transformers.disable_max_rows():
+        made = chart.to_dict()
+    made["config"] = config("light")
+    return made
+
+
+def config(theme: str) -> dict[str, Any]:
+    """Return the Vega-Lite configuration of the ``light`` or the ``dark`` theme."""
+    ink, soft, grid = INK[theme], SOFT[theme], GRID[theme]
+    return {
+        "background": "white" if theme == "light" else "transparent",
+        "view": {"stroke": None},
+        "title": {"anchor": "start", "color": ink, "subtitleColor": soft, "fontSize": 12,
+                  "fontWeight": "normal", "subtitleFontSize": 10.5},
+        "axis": {"labelColor": soft, "titleColor": ink, "gridColor": grid, "domainColor": soft,
+                 "tickColor": soft, "titleFontWeight": "normal", "labelFontSize": 10.5,
+                 "titleFontSize": 11.5, "labelOverlap": "greedy"},
+        "axisY": {"minExtent": 44},
+        "legend": {"orient": "top", "direction": "horizontal", "title": None, "labelColor": ink,
+                   "labelFontSize": 11.5, "labelLimit": 260, "columns": 6, "symbolOpacity": 1,
+                   "columnPadding": 14,
+                   "layout": {"top": {"direction": "vertical", "anchor": "start", "margin": 4}}},
+        "concat": {"spacing": 25},
+    }  # fmt: skip
+
+
+def draw_charts(figure: Figure, folder: Path, formats: Iterable[str]) -> list[Path]:
+    """Write ``<key>.<format>`` for each of ``png``, ``pdf`` and ``svg`` asked for."""
+    folder.mkdir(parents=True, exist_ok=True)
+    spec = json.dumps(declare(figure, interactive=False))
+    paths = []
+    for form in formats:
+        path = folder / f"{figure.key}.{form}"
+        if form == "png":
+            path.write_bytes(vl_convert.vegalite_to_png(spec, scale=SCALE))
+        elif form == "pdf":
+            path.write_bytes(vl_convert.vegalite_to_pdf(spec))
+        else:
+            path.write_text(vl_convert.vegalite_to_svg(spec), encoding="utf-8")
+        paths.append(path)
+    return paths
+
+
+class _Channels:
+    """Encodings that the panels of a figure share, and with them its legends."""
+
+    def __init__(self, traces: Sequence[Trace], *, interactive: bool) -> None:
+        looks = {trace.label: trace.look for trace in traces}
+        strokes = {trace.stroke.label: trace.stroke.dash for trace in traces}
+        integrators = [name for name in strokes if name]
+        sources = [name for name in ("ours", "published") if name in {t.source for t in traces}]
+        words: dict[str, Any] = {"labelExpr": TICKED} if interactive else {}
+        grey: dict[str, Any] = {
+            "symbolStrokeColor": SOFT["light"],
+            "symbolFillColor": SOFT["light"],
+        }
+
+        def scale(values: Mapping[str, Any]) -> alt.Scale:
+            return alt.Scale(type="ordinal", domain=list(values), range=list(values.values()))
+
+        def legend(shown: Sequence[str]) -> alt.Legend | None:
+            if len(shown) < 2:
+                return None
+            return alt.Legend(
+                values=list(shown), symbolType="stroke", symbolSize=400, **grey, **words
+            )
+
+        colours = scale({name: _colour(look.colour) for name, look in looks.items()})
+        methods = alt.Legend(**words)
+        self.colour = alt.Color("method:N", scale=colours, legend=methods)
+        self.fill = alt.Fill("method:N", scale=colours, legend=methods)
+        shapes = scale({name: MARKERS[look.marker] for name, look in looks.items()})
+        self.shape = alt.Shape("method:N", scale=shapes, legend=methods)
+        dashes = scale({name: DASHES[dash] for name, dash in strokes.items()})
+        self.dash = alt.StrokeDash("integrator:N", scale=dashes, legend=legend(integrators))
+        told = legend(sources)
+        self.opacity = alt.Opacity("kind:O", scale=scale(OPACITY), legend=told)
+        self.width = alt.StrokeWidth("kind:O", scale=scale(LINES), legend=told)
+        fills = {name: FILLS[dash] for name, dash in strokes.items()}
+        self.by_integrator = alt.FillOpacity("integrator:O", scale=scale(fills), legend=None)
+        hollow = {kind: float(kind != "published") for kind in OPACITY}
+        self.by_source = alt.FillOpacity("kind:O", scale=scale(hollow), legend=None)
+
+
+def _panel(panel: Panel, channels: _Channels, zoom: str) -> alt.LayerChart:
+    """Bands, lines and points of a panel; ``zoom`` names the selection of a page's reader."""
+    x, up = _axes(panel)
+    base = alt.Chart(_rows(panel)).encode(
+        x=x, y=alt.Y("y:Q", **up), detail=["integrator:N", "kind:N"]
+    )
+    base = base.transform_filter(OFF)
+    said = base.transform_calculate(value=SHORT.format("datum.y"), at=SHORT.format("datum.x"))
+    layers = []
+    if any(trace.band for trace in panel.traces()):
+        band = base.mark_area(opacity=0.15, clip=True, tooltip=None)
+        low = alt.Y("low:Q", **up)
+        layers.append(band.encode(y=low, y2="high:Q", fill=channels.fill))
+    if panel.mark != "points":
+        line = base.mark_line(clip=True, tooltip=None)
+        layers.append(
+            line.encode(
+                color=channels.colour,
+                strokeDash=channels.dash,
+                strokeWidth=channels.width,
+                opacity=channels.opacity,
+            )
+        )
+    cloud = panel.mark == "points"
+    if cloud and len(panel.rows) > MANY:
+        points = said.mark_square(clip=True, size=4)
+    else:
+        points = said.mark_point(clip=True, size=36, strokeWidth=1.2)
+        points = points.encode(color=channels.colour, shape=channels.shape)
+    points = points.encode(
+        fill=channels.fill,
+        opacity=channels.opacity,
+        fillOpacity=channels.by_integrator if cloud else channels.by_source,
+        tooltip=_tooltip(panel),
+    )
+    shown = points.transform_filter("datum.marked") if panel.mark == "line" else points
+    layers.append(shown)
+    if zoom:
+        if panel.mark == "line":  # a value to point at where there is no marker
+            at = said.mark_point(clip=True, size=50, opacity=0, filled=True)
+            layers.append(at.encode(color=channels.colour, tooltip=_tooltip(panel)))
+        layers[-1] = layers[-1].add_params(
+            alt.selection_interval(name=zoom, bind="scales", zoom="wheel![event.ctrlKey]")
+        )
+    notes = _notes(panel)
+    title = alt.TitleParams(panel.title, subtitle=notes or alt.Undefined)
+    return alt.layer(*layers).properties(title=title, width=WIDTH, height=HEIGHT)
+
+
+def _axes(panel: Panel) -> tuple[alt.X, dict[str, Any]]:
+    """Return the x channel, and scale and axis of the y channel."""
+    x_limits = panel.x_limits()
+    if x_limits is None and panel.x_log:
+        there = panel.rows.x[panel.rows.x > 0]
+        x_limits = (there.min() / 1.15, there.max() * 1.15) if len(there) else None
+    across = _axis(panel.x_label, panel.x_log, x_limits, panel.ticks)
+    return alt.X("x:Q", **across), _axis(panel.y_label, panel.y_log, panel.limits())
+
+
+def _axis(
+    label: str, log: bool, limits: Range | None, ticks: Sequence[float] = ()
+) -> dict[str, Any]:
+    """Return scale and axis of a channel."""
+    given = {"domain": list(limits), "nice": False} if limits else {"padding": 8}
+    scale = alt.Scale(type="log", **given) if log else alt.Scale(zero=False, **given)
+    decades = math.log10(limits[1] / limits[0]) if log and limits else 0
+    words: dict[str, Any] = {"title": label or None, "labelExpr": LABEL}
+    if ticks:
+        words["values"] = list(ticks)
+    else:  # Vega draws the ticks between powers of ten where there are fewer powers than this
+        words["tickCount"] = min(int(decades), 6) if decades >= 2 else 10 if log else 5
+    if log and not ticks:
+        words |= {"gridOpacity": FAINT, "labelExpr": f"{ROUND} ? ({LABEL}) : ''"}
+    return {"scale": scale, "axis": alt.Axis(**words)}
+
+
+def _rows(panel: Panel) -> pd.DataFrame:
+    """The data of a panel as they are drawn, five digits of each number."""
+    numbers = [name for name in ("x", "y", "low", "high") if name in panel.rows]
+    parts = []
+    for order, trace in enumerate(panel.traces()):
+        rows = trace.rows[numbers].astype(float).replace([np.inf, -np.inf], np.nan)
+        if panel.y_log:
+            rows = rows.where((rows > 0) | (rows.columns == "x"))
+        rows = rows.map(lambda x: float(f"{x:.5g}"))
+        if "text" in trace.rows:
+            rows["text"] = trace.rows.text.fillna("")
+        if panel.mark == "line":
+            step = max(1, len(rows) // MARKED)
+            first = int(step * (0.3 + 0.17 * order)) % step
+            rows["marked"] = (np.arange(len(rows)) % step == first) & (trace.source != "truth")
+        parts.append(
+            rows.assign(
+                name=trace.name,
+                method=trace.label,
+                kind=trace.source,
+                integrator=trace.stroke.label,
+            )
+        )
+    return pd.concat(parts)
+
+
+def _tooltip(panel: Panel) -> list[alt.Tooltip]:
+    label = panel.y_label if panel.y_label[:1] != "[" else f"{panel.title} {panel.y_label}"
+    shown = [
+        alt.Tooltip("name:N", title="title"),  # set in bold as the heading
+        alt.Tooltip("value:N", title=label or panel.title),
+        alt.Tooltip("at:N", title=panel.x_label),
+    ]
+    return [*shown, alt.Tooltip("text:N", title="note")] if "text" in panel.rows else shown
+
+
+def _notes(panel: Panel) -> list[str]:
+    """Which traces are not seen, and the meaning of fillings."""
+    limits, notes = panel.limits(), []
+    for trace in panel.traces():
+        y = trace.rows.y.astype(float)
+        if limits is not None and not y.between(*limits).any():
+            notes.append(f"{trace.name}: off the scale")
+    strokes = {t.stroke.label: t.stroke.dash for t in panel.traces() if t.stroke.label}
+    if panel.mark == "points" and len(strokes) > 1:
+        words = {1.0: "filled", 0.0: "hollow", 0.4: "half filled"}
+        notes.append(", ".join(f"{words[FILLS[dash]]}: {name}" for name, dash in strokes.items()))
+    return notes
+
+
+def _colour(colour: str) -> Any:
+    """Dark greys, of true systems, follow the theme."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return alt.expr("ink") if red == green == blue < 0x60 else colour

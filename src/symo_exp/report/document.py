@@ -1,0 +1,58 @@
+"""A report apart from who writes it: sections with text, tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import pandas as pd
+
+from symo_exp.report.figures import Figure
+from symo_exp.report.tables import ResultTable
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with its text, tables and figures; empty tables and figures are left out.
+
+    Args:
+        key: The anchor of the section in the page.
+        title: The heading.
+        text: Paragraphs; words between ``**`` are bold.
+        tables: Tables below the text.
+        figures: Figures below the tables.
+        folded: Whether the page shows the section only when it is opened.
+    """
+
+    key: str
+    title: str
+    text: Sequence[str] = ()
+    tables: Sequence[ResultTable] = ()
+    figures: Sequence[Figure] = ()
+    folded: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tables", [one for one in self.tables if len(one.rows)])
+        object.__setattr__(self, "figures", [one for one in self.figures if one.panels])
+
+    def __bool__(self) -> bool:
+        return any((self.text, self.tables, self.figures))
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything that is said of some runs.
+
+    Args:
+        title: The heading of the report.
+        summary: Where the runs are from.
+        sections: The parts, in reading order.
+        runs: The tidy table of the runs (``report.runs``).
+        extra: Further tables of numbers by the name of their file.
+    """
+
+    title: str
+    summary: str
+    sections: Sequence[Section]
+    runs: pd.DataFrame
+    extra: dict[str, pd.DataFrame] = field(default_factory=dict)

@@ -1,0 +1,64 @@
+"""Writing a report: the tidy table, tables, figures, one Markdown file and one page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from symo_exp.report.document import Report
+from symo_exp.report.runs import save_runs
+from symo_exp.report.tables import latex, markdown_table
+
+
+def write_report(
+    report: Report, out: Path, *, formats: Sequence[str], page: bool = True
+) -> list[Path]:
+    """Write the files of a report below ``out``, replacing those of an earlier one.
+
+    Args:
+        report: What to write.
+        out: The folder, made if need be.
+        formats: Of the figures: any of ``png``, ``pdf``, ``svg``.
+        page: Whether ``index.html`` is written.
+
+    Returns:
+        The files written.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    files = [save_runs(report.runs, out / f"runs.{suffix}") for suffix in ("csv", "parquet")]
+    for name, table in report.extra.items():
+        table.to_csv(out / name, index=False)
+        files.append(out / name)
+    for name, text in _texts(report, pictures="png" in formats, page=page):
+        (out / name).parent.mkdir(exist_ok=True)
+        (out / name).write_text(text, encoding="utf-8")
+        files.append(out / name)
+    if formats:
+        from symo_exp.report.charts import draw_charts
+
+        for figure in (figure for section in report.sections for figure in section.figures):
+            files += draw_charts(figure, out / "figures", formats)
+    return files
+
+
+def markdown_report(report: Report, *, pictures: bool) -> str:
+    """Return the report as Markdown, with links to the PNG files if ``pictures``."""
+    lines = [f"# {report.title}"]
+    for section in report.sections:
+        body = [*section.text, *map(markdown_table, section.tables)]
+        for figure in section.figures if pictures else ():
+            body += [f"![{figure.title}](figures/{figure.key}.png)", figure.caption]
+        lines += [f"## {section.title}"] * bool(body and section.key != "answer") + body
+    lines.append(report.summary)
+    return "\n\n".join(lines) + "\n"
+
+
+def _texts(report: Report, *, pictures: bool, page: bool) -> Iterator[tuple[str, str]]:
+    for table in (table for section in report.sections for table in section.tables):
+        yield f"tables/{table.key}.md", markdown_table(table)
+        yield f"tables/{table.key}.tex", latex(table)
+    yield "report.md", markdown_report(report, pictures=pictures)
+    if page:
+        from symo_exp.report.page import html
+
+        yield "index.html", html(report)
