@@ -37,7 +37,7 @@ RULES = {
     "tracking": ({"runs", "models"}, {"torch", "mlflow", "filelock"}),
     "report": (
         {"runs", "tracking", "systems", "models", "evaluation", "mechanics"},
-        {"torch", "numpy", "pandas", "matplotlib", "jinja2", "PIL", "yaml",
+        {"torch", "numpy", "pandas", "matplotlib", "altair", "vl_convert", "jinja2", "PIL", "yaml",
          "mlflow", "pyarrow"},
     ),
     "thesis": (
