@@ -54,6 +54,10 @@ RULES = {
         {"process", "job", "cli", "runs", "tracking", "evaluation", "report"},
         {"hydra", "omegaconf", "yaml"},
     ),
+    "identify": (
+        {"mechanics", "systems", "data", "runs", "sweep", "training"},
+        {"hydra", "omegaconf", "numpy", "torch"},
+    ),
     "use": (
         {"mechanics", "systems", "nets", "models", "compile", "runs", "tracking", "cli", "sweep"},
         {"torch", "pandas", "PIL"},

@@ -13,6 +13,7 @@ import torch
 
 from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
+from symo_exp.data.folds import folded, thinned
 from symo_exp.data.formats import Location, few, shown
 from symo_exp.data.header import UNITS
 from symo_exp.data.parts import divided, split_in_time
@@ -21,7 +22,7 @@ from symo_exp.data.table import Recording, RecordingTable, read_recordings, writ
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.systems.base import System
-from symo_exp.systems.checks import one_of, whole
+from symo_exp.systems.checks import one_of, real, whole
 
 __all__ = ["RecordedData", "central_differences", "write_recordings"]
 
@@ -77,6 +78,10 @@ class RecordedData(DataModule):
         n_test: Likewise for testing, the last ones.
         n_integration: Rollouts are compared with the first so many test trajectories, up to the
             end of the shortest.
+        fold: Division of the training and validation parts for a cross-validation
+            (``data.folds.folded``); ``None``: none.
+        seconds: Length of the training part at most; ``None``: all of it.
+        input_delay: From the record of an input to its force [s].
         batch_size: ``None``: an eighth of the samples.
         base: The other arguments of ``DataModule``.
 
@@ -102,6 +107,9 @@ class RecordedData(DataModule):
         n_val: int | None = None,
         n_test: int | None = None,
         n_integration: int = 16,
+        fold: Sequence[int] | str | None = None,
+        seconds: float | None = None,
+        input_delay: float = 0.0,
         batch_size: int | None = None,
         **base: Any,
     ) -> None:
@@ -116,10 +124,16 @@ class RecordedData(DataModule):
             notes = (*table.notes, note) if note else table.notes
             table = table._replace(recordings=tuple(blocks), notes=notes)
         parts = divided(where, table.recordings, named, n_val, n_test)
+        if fold is not None:
+            parts = folded(parts, fold)
+        if seconds is not None:
+            parts["train"] = thinned(
+                parts["train"], real("data.seconds", seconds, low=system.time_step)
+            )
         available = len(parts["train"])
         n_traj = whole("data.n_traj", available if n_traj is None else n_traj, high=available)
         parts["train"] = parts["train"][:n_traj]
-        nodes = Nodes(where, system.coordinates, system.time_step, wrapped, degrees)
+        nodes = Nodes(where, system.coordinates, system.time_step, wrapped, degrees, input_delay)
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
         self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
         self._sampled = [nodes.in_radians(recording.samples) for recording in parts["train"]]
@@ -162,10 +176,17 @@ class Nodes:
     """Recordings as trajectories with nodes a time step ``h`` apart."""
 
     def __init__(
-        self, where: str, coordinates: Coordinates, h: float, wrapped: bool, degrees: bool
+        self,
+        where: str,
+        coordinates: Coordinates,
+        h: float,
+        wrapped: bool,
+        degrees: bool,
+        input_delay: float = 0.0,
     ) -> None:
         self._where, self._coordinates, self._h = where, coordinates, h
         self._wrapped, self._degrees = wrapped, degrees
+        self._input_delay = input_delay
 
     def of(self, recording: Recording) -> Trajectory:
         """Return one as a trajectory.
@@ -175,7 +196,9 @@ class Nodes:
         """
         where, h = f"{self._where}: trajectory {recording.label}", self._h
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._of(where, self.in_radians(recording.samples), h)
+            return self._of(
+                where, delayed(self.in_radians(recording.samples), self._input_delay), h
+            )
 
     def in_radians(self, samples: Samples) -> Samples:
         """Return samples whose angles are in radians."""
@@ -218,6 +241,18 @@ class Nodes:
                 f"wrapped ({mend})"
             )
         return samples
+
+
+def delayed(samples: Samples, seconds: float) -> Samples:
+    """Return the samples with inputs that act ``seconds`` after they are recorded.
+
+    A negative delay is that of inputs recorded later than they act. Inputs are linear between
+    samples and constant beyond the first and the last one.
+    """
+    if seconds == 0.0 or not samples.u.shape[1]:
+        return samples
+    t = samples.t
+    return samples._replace(u=np.stack([np.interp(t - seconds, t, u) for u in samples.u.T], axis=1))
 
 
 def _equal(t: np.ndarray, h: float) -> bool:

@@ -33,7 +33,7 @@ SWEEP, VARIED = "SYMO_EXP_SWEEP", "SYMO_EXP_VARIED"
 """Environment variables: the identity of the sweep that a job belongs to, and what it varies."""
 NAMED = "model=", "system=", "pair=", "data.n_traj="
 """What the name of a run has anyway."""
-OURS = "hydra_plugins.symo_exp_sweeper.SymoExpSweeper"
+OURS = "hydra_plugins.symo_exp_"
 
 
 def job(config: DictConfig) -> float | None:
@@ -60,7 +60,11 @@ def job(config: DictConfig) -> float | None:
     phases.clear()
     if failure is not None and debugging():
         raise failure
+<<<<<<< HEAD
     if not searches:
+=======
+    if settings.sweeper._target_.startswith(OURS):
+>>>>>>> d7d004a (A search for the model of a recorded machine: candidates, cross-validation, a verdict)
         return None
     if isinstance(failure, ConfigError | stopping.Interrupted):
         raise failure

@@ -10,7 +10,7 @@ from typing import Any
 INCIDENTAL = {
     "hydra", "experiment", "output_dir", "logger", "resume", "study", "pictures", "code",
     "optimized_metric", "reference", "data.cache_dir", "trainer.progress",
-    "trainer.checkpoint_every",
+    "trainer.checkpoint_every", "trainer.time_limit", "budget",
 }  # fmt: skip
 """Settings, and groups of them, that change no number of a run."""
 

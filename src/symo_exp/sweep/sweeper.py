@@ -87,6 +87,41 @@ class Sweep:
                 return self._sum_up(jobs, finished)
         return self._sum_up(jobs, finished)
 
+    def perform(
+        self, combinations: Sequence[list[str]], labels: Sequence[str]
+    ) -> list[RunFolder | ConfigError]:
+        """Do the jobs of a search and return their folders; how each ended stands in its own.
+
+        Jobs that cannot be composed are returned as their error. Nothing is printed.
+
+        Raises:
+            Interrupted: If the command was asked to stop.
+        """
+        found: list[RunFolder | ConfigError] = []
+        todo: dict[Path, Job] = {}
+        for overrides, label in zip(combinations, labels, strict=True):
+            try:
+                job = self._composer.job(overrides, label)
+                check_places(job.config, self._master.hydra.sweep)
+                if not (job.config.resume and is_done(job.config, job.folder)):
+                    check_job(job, self._composer)
+                    todo[job.folder.path] = job
+                found.append(job.folder)
+            except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
+                found.append(blamed(error, overrides, self._context.config_loader))
+        for folders in _watching:
+            folders += [folder for folder in found if isinstance(folder, RunFolder)]
+        for job in todo.values():
+            _clear(job)
+        if todo:
+            with stopping.command():
+                self._launch_all(list(todo.values()))
+                for job in todo.values():
+                    if job.folder.died():
+                        job.folder.record("failed", DIED)
+                stopping.raise_if_requested()
+        return found
+
     # -- before anything starts ------------------------------------------------------------------
 
     def _plan(self, arguments: Sequence[str], params: Mapping[str, Any]) -> list[Job]:

@@ -17,6 +17,7 @@ from symo_exp.training.allocator import keep_freed_memory
 from symo_exp.training.checkpoint import Checkpoint, WholeFiles
 from symo_exp.training.compiling import CompileTraining
 from symo_exp.training.divergence import StopOnDivergence
+from symo_exp.training.overrun import StopOverrun
 from symo_exp.training.patience import FinishEpochs
 from symo_exp.training.progress import ProgressBar
 
@@ -33,6 +34,7 @@ def make_trainer(
     folder: Path,
     run: str = "",
     kernels: str = "",
+    time_limit: float | None = None,
     callbacks: Sequence[lightning.Callback] = (),
 ) -> lightning.Trainer:
     """A trainer whose Lightning batch is a whole epoch (see ``TrajectoryData``).
@@ -40,7 +42,8 @@ def make_trainer(
     ``validate_every`` counts epochs, ``checkpoint_every`` seconds. ``threads`` holds for the
     whole process: two jobs of a sweep on two cores get in each other's way with more than one.
     ``compile`` and ``kernels``: see ``CompileTraining``. Checkpoints go to ``folder`` and say that
-    they belong to ``run``. The ``callbacks`` of the caller come first.
+    they belong to ``run``. The ``callbacks`` of the caller come first. A training that takes more
+    than ``time_limit`` [s] is ended.
     """
     counts = {"max_epochs": max_epochs, "validate_every": validate_every, "threads": threads}
     for name, value in counts.items():
@@ -52,7 +55,9 @@ def make_trainer(
         raise ConfigError(f"trainer.compile={compile} must be true, false or auto")
     _settle(accelerator, threads)
     checkpoint = Checkpoint(folder, checkpoint_every, run)
-    bar = [ProgressBar()] if progress else []
+    bar: list[lightning.Callback] = [ProgressBar()] if progress else []
+    if time_limit is not None:
+        bar.append(StopOverrun(time_limit))
     ours = [StopOnDivergence(checkpoint), checkpoint, FinishEpochs()]
     return lightning.Trainer(
         accelerator=accelerator,

@@ -1,0 +1,101 @@
+"""Cross-validation over recordings: folds of the training and validation parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from symo_exp.data.resample import Samples
+from symo_exp.data.table import Recording
+from symo_exp.errors import ConfigError
+
+POOLED = "pooled"
+"""Name of the division that trains on the training and the validation part."""
+GAP = 0.5
+"""Left out between neighbouring blocks of one recording [s], at most a tenth of a block."""
+Parts = dict[str, list[Recording]]
+
+
+def folded(parts: Parts, fold: Sequence[int] | str) -> Parts:
+    """Return the parts of one fold, or of the last training.
+
+    Args:
+        parts: The recordings of the parts ``train``, ``val`` and ``test``.
+        fold: ``[k, K]``: training and validation recordings are dealt to ``K`` folds, and the
+            ``k``-th, the first being 0, is both the validation and the test part; the others are
+            for training. ``"pooled"``: all of them are for training, the test part stays.
+
+    Raises:
+        ConfigError: If there is no such fold.
+    """
+    pool = [*parts["train"], *parts["val"]]
+    if fold == POOLED:
+        return {"train": pool, "val": list(parts["val"]), "test": list(parts["test"])}
+    index, count = _checked(fold)
+    pieces = pool if len(pool) >= count else _blocks(pool, count)
+    dealt = deal([_duration(piece) for piece in pieces], count)
+    held_out = [pieces[i] for i in dealt[index]]
+    train = [pieces[i] for k, group in enumerate(dealt) if k != index for i in group]
+    return {"train": train, "val": held_out, "test": held_out}
+
+
+def deal(durations: Sequence[float], count: int) -> list[list[int]]:
+    """Return the indices of each of ``count`` folds of nearly equal durations.
+
+    The longest goes first, always to the fold that is shortest so far.
+    """
+    folds: list[list[int]] = [[] for _ in range(count)]
+    total = [0.0] * count
+    for i in sorted(range(len(durations)), key=lambda i: -durations[i]):
+        k = total.index(min(total))
+        folds[k].append(i)
+        total[k] += durations[i]
+    return [sorted(fold) for fold in folds]
+
+
+def thinned(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
+    """Return the beginnings of all recordings, as long as together they last ``seconds``."""
+    share = seconds / sum(_duration(one) for one in recordings)
+    if share >= 1.0:
+        return list(recordings)
+    return [
+        one._replace(samples=_between(one.samples, 0.0, share * _duration(one)))
+        for one in recordings
+    ]
+
+
+def _checked(fold: object) -> tuple[int, int]:
+    if not isinstance(fold, str) and isinstance(fold, Sequence) and len(fold) == 2:
+        index, count = fold
+        if isinstance(index, int) and isinstance(count, int) and 0 <= index < count > 1:
+            return index, count
+    raise ConfigError(f"data.fold={fold}: expected [k,K] with 0 <= k < K, at least 2, or {POOLED}")
+
+
+def _blocks(recordings: Sequence[Recording], count: int) -> list[Recording]:
+    """Return at least ``count`` pieces of the recordings, all of them about equally long."""
+    size = sum(map(_duration, recordings)) / count
+    cuts = [max(1, round(_duration(one) / size)) for one in recordings]
+    while sum(cuts) < count:
+        longest = max(range(len(cuts)), key=lambda i: _duration(recordings[i]) / cuts[i])
+        cuts[longest] += 1
+    pieces = []
+    for one, blocks in zip(recordings, cuts, strict=True):
+        edges = np.linspace(0.0, _duration(one), blocks + 1)
+        gap = min(GAP, 0.1 * edges[1])
+        for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+            samples = _between(one.samples, low + gap * (k > 0), high)
+            pieces.append(one._replace(label=f"{one.label}/{k}", samples=samples))
+    return pieces
+
+
+def _duration(recording: Recording) -> float:
+    return float(recording.samples.t[-1] - recording.samples.t[0])
+
+
+def _between(samples: Samples, low: float, high: float) -> Samples:
+    """Return the samples from ``low`` to ``high`` [s] after the first."""
+    t = samples.t - samples.t[0]
+    inside = (t >= low) & (t <= high)
+    return Samples(*(None if x is None else x[inside] for x in samples))  # type: ignore[arg-type]

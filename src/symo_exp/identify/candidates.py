@@ -1,0 +1,125 @@
+"""Candidate models of a machine, in order of simplicity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from symo_exp.identify.recordings import Machine
+
+PLANE = "links in a plane"
+FRICTION = {"dissipation": "friction"}
+NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
+LEARNED = {"dissipation": "learned"}
+STRUCTURES: Mapping[str, Mapping[str, str]] = {
+    "relative": {"structure": "relative", "harmonics": "0"},
+    "absolute": {"structure": "absolute", "harmonics": "0"},
+    "small network": {
+        "structure": "network", "model.width": "2", "model.depth": "1", "harmonics": "1",
+    },
+    "network": {"structure": "network", "model.width": "8", "harmonics": "2"},
+    "rigid": {"structure": "rigid", "harmonics": "0"},
+}  # fmt: skip
+"""Settings of the Lagrangians, the only place that names them."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model to try.
+
+    Args:
+        name: In words.
+        rank: Place in the order of simplicity; smaller is simpler.
+        settings: Overrides by key.
+        cost: Of an epoch, relative to links in a plane in the midpoint rule.
+        starts: How many starts the optimiser has.
+    """
+
+    name: str
+    rank: float
+    settings: Mapping[str, str]
+    cost: float = 1.0
+    starts: int = 1
+
+    def overrides(self) -> list[str]:
+        """Return the settings as Hydra's overrides, choices of files first."""
+        ordered = sorted(self.settings.items(), key=lambda item: "." in item[0])
+        return [f"{key}={value}" for key, value in ordered]
+
+    def changed(self, name: str, more: float, cost: float = 1.0, **settings: str) -> Candidate:
+        """Return a variation; ``more`` is what it adds to the rank."""
+        given = {key.replace("__", "."): value for key, value in settings.items()}
+        return replace(
+            self,
+            name=f"{self.name}, {name}",
+            rank=self.rank + more,
+            settings={**self.settings, **given},
+            cost=self.cost * cost,
+        )
+
+
+def ladder(machine: Machine) -> list[Candidate]:
+    """Return the candidates that every search begins with, the simplest first."""
+    chain = machine.n > 1 and all(machine.angular)
+    found = [
+        _candidate("relative angles" if chain else PLANE, 1.0, "relative", FRICTION),
+    ]
+    if chain:
+        found.append(_candidate("absolute angles", 1.1, "absolute", NEIGHBOURS))
+    elif machine.n > 1 and sum(machine.angular) > 1:
+        found.append(_candidate("absolute angles", 1.1, "absolute", FRICTION))
+    if chain and machine.n > 2:
+        found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=3.0))
+    found += [
+        _candidate("small network", 3.0, "small network", FRICTION, cost=1.5, starts=2),
+        _candidate("network", 4.0, "network", FRICTION, cost=3.0, starts=2),
+        _candidate("network, learned friction", 5.0, "network", LEARNED, cost=4.5, starts=2),
+    ]
+    if chain:
+        found.append(
+            _candidate(
+                "network, friction between neighbours", 4.1, "network", NEIGHBOURS, cost=3.0,
+                starts=2,
+            )
+        )  # fmt: skip
+    return sorted(found, key=lambda candidate: candidate.rank)
+
+
+def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
+    """Yield candidates that differ from one in a single respect, the most promising first."""
+    settings = candidate.settings
+    if settings["integrator"] == "midpoint":
+        yield candidate.changed("Galerkin order 4", 0.3, 2.5, integrator="galerkin4")
+    if machine.delay:
+        yield candidate.changed(
+            f"delay {1e3 * machine.delay:g} ms", 0.2, data__input_delay=f"{machine.delay:g}"
+        )
+    friction = settings["dissipation"]
+    if friction == "friction":
+        yield candidate.changed("learned friction", 0.6, 1.5, dissipation="learned")
+        yield candidate.changed("viscous friction only", -0.3, dissipation="viscous")
+        yield candidate.changed(
+            "sharp dry friction", 0.1, dissipation__rest_velocity=_sharp(machine)
+        )
+    if machine.driven:
+        yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight="100")
+    if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
+        yield candidate.changed(
+            "half the time step", 0.2, 2.0, system__time_step=f"{machine.time_step / 2:g}"
+        )
+
+
+def _sharp(machine: Machine) -> str:
+    return "0.02" if any(machine.angular) else "0.005"
+
+
+def _candidate(
+    name: str,
+    rank: float,
+    structure: str,
+    friction: Mapping[str, str],
+    cost: float = 1.0,
+    starts: int = 1,
+) -> Candidate:
+    settings = {"integrator": "midpoint", **STRUCTURES[structure], **friction}
+    return Candidate(name, rank, settings, cost, starts)

@@ -1,0 +1,236 @@
+"""What the recordings of a machine say before anything is trained."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from symo_exp.data.diagnose import explained
+from symo_exp.data.header import header, names
+from symo_exp.data.recorded import delayed
+from symo_exp.data.resample import Samples, averaged, fitted
+from symo_exp.data.table import Recording, read
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.systems.recorded import Recorded
+
+STEPS = (0.02, 0.01, 0.005)
+"""Time steps to choose from [s], the usual one first."""
+COARSE = 0.7
+"""Change of an angle in a time step above which a smaller one is taken [rad]."""
+SPAN = 2 * np.pi
+"""Range of a coordinate beyond which it is an angle."""
+ANGLE = r"theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link|pendulum|upper|lower|roll|pitch|yaw|motor|wheel"
+SLIDE = r"x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
+DELAYS = np.arange(-0.04, 0.0601, 0.01)
+"""Delays of inputs that are tried [s]."""
+GAIN = 0.05
+"""Share of the unexplained power that a delay explains at least to be a candidate."""
+EXAMINED = 60.0
+"""Length of the training part that the delay is estimated from [s]."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A recorded machine: the settings of its system, and what its candidates depend on.
+
+    Args:
+        settings: Overrides that every candidate has.
+        angular: Which coordinates are angles.
+        driven: Whether any input is not zero.
+        time_step: That of the candidates [s].
+        seconds: Length of the training and validation part [s].
+        recordings: How many there are in these parts.
+        delay: Of the inputs [s], if one explains the motion better than none; else 0.
+        explained: Share of the accelerations' power that is explained; ``None``: unknown.
+        notes: What was inferred, a line each.
+    """
+
+    settings: tuple[str, ...]
+    angular: tuple[bool, ...]
+    driven: bool
+    time_step: float
+    finest_step: float
+    seconds: float
+    recordings: int
+    delay: float
+    explained: float | None
+    notes: tuple[str, ...]
+
+    @property
+    def nodes(self) -> int:
+        """Nodes of the training and validation parts."""
+        return max(1, round(self.seconds / self.time_step))
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.angular)
+
+
+def examine(
+    path: str,
+    columns: Any = None,
+    *,
+    angular: Any = None,
+    input_matrix: Any = None,
+    time_step: float | None = None,
+) -> Machine:
+    """Read recordings and infer what is not given.
+
+    Args:
+        path: The recordings (``data.path``).
+        columns: As ``data.columns``.
+        angular: As ``system.angular``; ``None``: by names and ranges.
+        input_matrix: As ``system.input_matrix``; ``None``: by names.
+        time_step: As ``system.time_step``; ``None``: by the fastest motion.
+
+    Raises:
+        ConfigError: If something can neither be read nor inferred.
+    """
+    found = header(path, columns)
+    coordinates, inputs = names("q", found), names("u", found)
+    settings, notes = [], []
+    if input_matrix is None:
+        input_matrix = _input_matrix(coordinates, inputs)
+        if input_matrix is not None:
+            settings.append(f"system.input_matrix={str(input_matrix).replace(' ', '')}")
+            driven = ", ".join(f"u_{name} drives q_{name}" for name in inputs)
+            notes.append(f"inputs: {driven}, by their names")
+    plain = Recorded(
+        names=coordinates, angular="none", inputs=inputs, input_matrix=input_matrix, time_step=1.0
+    )
+    table = read(path, plain, columns)
+    used = [r for r in table.recordings if r.part in ("", "train", "val")]
+    if not used:
+        raise ConfigError(f"data.path={path}: no trajectory for train or val in its column split")
+    if angular is None:
+        which = [
+            _is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(coordinates)
+        ]
+        chosen = [name for name, angle in zip(coordinates, which, strict=True) if angle]
+        settings.append(f"system.angular=[{','.join(chosen)}]" if chosen else "system.angular=none")
+        notes.append(_told("angles", chosen, coordinates))
+    else:
+        full = Recorded(
+            names=coordinates, angular=angular, inputs=inputs, input_matrix=input_matrix,
+            time_step=1.0,
+        )  # fmt: skip
+        which = list(full.coordinates.angular)
+    finest = max(float(np.median(np.diff(r.samples.t))) for r in table.recordings)
+    if time_step is None:
+        time_step = _time_step(used, np.array(which), finest)
+        settings.append(f"system.time_step={time_step:g}")
+        notes.append(f"time step: {time_step:g} s, samples every {finest:.3g} s")
+    driven_any = any(bool(r.samples.u.any()) for r in used)
+    delays = DELAYS if driven_any else np.zeros(1)
+    left = _unexplained(_beginning(used, EXAMINED), np.array(which), time_step, delays)
+    delay, line = _delay(left)
+    notes += [line] if driven_any else []
+    return Machine(
+        settings=tuple(settings),
+        angular=tuple(which),
+        driven=driven_any,
+        time_step=time_step,
+        finest_step=finest,
+        seconds=sum(float(np.ptp(r.samples.t)) for r in used),
+        recordings=len(used),
+        delay=delay,
+        explained=1.0 - left[delay] if left else None,
+        notes=tuple(notes),
+    )
+
+
+def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
+    """Return the matrix of inputs that have the names of coordinates, else ``None``."""
+    if not inputs or not set(inputs) <= set(coordinates) or tuple(inputs) == tuple(coordinates):
+        return None
+    return [[int(name == other) for other in inputs] for name in coordinates]
+
+
+def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
+    """Raises ``ConfigError`` where neither name nor range tells."""
+    words = re.split(r"[^a-z]+", name.lower())
+    if any(re.fullmatch(ANGLE, word) for word in words):
+        return True
+    if any(re.fullmatch(SLIDE, word) for word in words):
+        return False
+    low, high = min(x.min() for x in columns), max(x.max() for x in columns)
+    if high - low > SPAN:
+        return True
+    raise ConfigError(
+        f"system.angular has no value yet: is q_{name}, which goes from {low:.3g} to {high:.3g}, "
+        "an angle [rad] or a position [m]? Give all, none or a list of names"
+    )
+
+
+def _told(what: str, chosen: Sequence[str], all_names: Sequence[str]) -> str:
+    positions = [name for name in all_names if name not in chosen]
+    parts = [f"{what} [rad]: {', '.join(chosen)}" * bool(chosen)]
+    parts += [f"positions [m]: {', '.join(positions)}" * bool(positions)]
+    return "; ".join(filter(None, parts)) + " (by names and ranges; system.angular says otherwise)"
+
+
+def _time_step(recordings: Sequence[Recording], angular: np.ndarray, finest: float) -> float:
+    usable = [h for h in STEPS if h >= finest * (1 - 1e-3)]
+    if not usable:
+        return float(f"{finest:.4g}")
+    speeds = [
+        np.abs(np.diff(r.samples.q, axis=0)) / np.diff(r.samples.t)[:, None] for r in recordings
+    ]
+    fast = np.quantile(np.concatenate(speeds)[:, angular], 0.999) if angular.any() else 0.0
+    return next((h for h in usable if fast * h <= COARSE), usable[-1])
+
+
+def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
+    found, total = [], 0.0
+    for one in recordings:
+        if total >= seconds:
+            break
+        t = one.samples.t
+        inside = t - t[0] <= seconds - total
+        total += float(np.ptp(t))
+        samples = Samples(*(None if x is None else x[inside] for x in one.samples))  # type: ignore[arg-type]
+        found.append(one._replace(samples=samples))
+    return [one for one in found if len(one.samples.t) > 20]
+
+
+def _unexplained(
+    recordings: Sequence[Recording], angular: np.ndarray, h: float, delays: np.ndarray
+) -> dict[float, float]:
+    """Return the share of the accelerations' power that inputs with each delay do not explain."""
+    n = len(angular)
+    coordinates = Coordinates(tuple(map(str, range(n))), tuple(map(bool, angular)))
+    motions = []
+    for one in recordings:
+        t = one.samples.t
+        nodes = np.arange(t[0] + h, t[-1] - h, h)
+        if len(nodes) > 13:
+            motions.append((one.samples, nodes, fitted(t, one.samples.q, nodes, h)[0]))
+    left = {}
+    for delay in map(float, delays):
+        pairs = [
+            (q, averaged(samples.t, delayed(samples, delay).u, nodes, h))
+            for samples, nodes, q in motions
+        ]
+        share = explained(pairs, coordinates, h, driven=True) if pairs else None
+        if share is not None:
+            left[round(delay, 4)] = 1.0 - share
+    return left
+
+
+def _delay(left: Mapping[float, float]) -> tuple[float, str]:
+    """Return the delay with which inputs explain most, if it is much, and a line about it."""
+    if 0.0 not in left:
+        return 0.0, "inputs: too few nodes to tell their delay"
+    best = min(left, key=lambda delay: left[delay])
+    if best != 0.0 and left[best] <= (1.0 - GAIN) * left[0.0]:
+        return best, (
+            f"inputs: {100 * (1 - left[best]):.3g} % of the accelerations' power is explained with "
+            f"a delay of {1e3 * best:g} ms, {100 * (1 - left[0.0]):.3g} % without"
+        )
+    return 0.0, f"inputs: no delay; {100 * (1 - left[0.0]):.3g} % of the power is explained"

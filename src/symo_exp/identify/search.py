@@ -1,0 +1,422 @@
+"""The search for the model of a machine: rounds of candidates over folds, a choice, a last fit.
+
+Every fold of every candidate is a run folder, so that an interrupted search resumes and a finished
+one is repeated from what is there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import configure_log
+from omegaconf import DictConfig, OmegaConf
+
+from symo_exp.data.folds import POOLED
+from symo_exp.errors import ConfigError
+from symo_exp.identify import plan as plans
+from symo_exp.identify.candidates import Candidate, ladder, variations
+from symo_exp.identify.plan import Plan
+from symo_exp.identify.recordings import Machine, examine
+from symo_exp.identify.table import candidates_table, write_candidates
+from symo_exp.identify.validation import Trial, beats, choose, error
+from symo_exp.identify.verdict import EXPLAINED, verdict
+from symo_exp.runs.folder import SERIES, RunFolder
+from symo_exp.runs.series import read
+from symo_exp.sweep.sweeper import Sweep
+from symo_exp.training import phases
+
+BEST, PLAN, TABLE = "best", "plan.json", "candidates.csv"
+EPSILONS = 4
+"""Stages of the optimiser after its starts, without late parameters."""
+
+
+class Search:
+    """The search of one command.
+
+    Args:
+        sweep: Performs the runs.
+        master: The composed configuration.
+        arguments: The overrides of the command line; they go before those of candidates.
+        budget: Wall time, such as ``10min``.
+    """
+
+    def __init__(
+        self, sweep: Sweep, master: DictConfig, arguments: Sequence[str], budget: str | float
+    ) -> None:
+        self._sweep, self._master = sweep, master
+        self._given = _by_key(arguments)
+        self._given.pop("budget", None)
+        self._budget = plans.seconds_of(budget)
+        self._trials: dict[str, Trial] = {}
+        self._folders: dict[tuple[str, int], RunFolder] = {}
+
+    def run(self, *, check_only: bool = False) -> int:
+        """Search, print and keep what was found; return the exit code.
+
+        Raises:
+            ConfigError: Before anything starts, if the recordings or settings do not allow it.
+        """
+        start = time.monotonic()
+        self._machine = machine = self._examine()
+        candidates = ladder(machine)
+        self._plan = plan = self._planned(candidates)
+        if check_only:
+            return 0
+        configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
+        for note in machine.notes:
+            print(note)
+        print(self._told_plan(), flush=True)
+        chosen = [c for c in candidates if c.name in plan.names]
+        self._screen(chosen)
+        base = self._choice()
+        if base is not None and plan.variations and not self._late(start, 0.7):
+            self._vary(base)
+        best = self._choice()
+        if best is None:
+            return self._no_model()
+        return self._finish(best)
+
+    # -- before anything starts --------------------------------------------------------------------
+
+    def _examine(self) -> Machine:
+        phases.say("reading the recordings")
+        data = self._master.data
+        if OmegaConf.is_missing(data, "path"):
+            raise ConfigError("data.path has no value yet; give it one: data.path=FILE")
+        system = self._master.system
+        return examine(
+            data.path,
+            OmegaConf.to_container(data.columns) if data.columns is not None else None,
+            angular=_plain(system.angular),
+            input_matrix=_plain(system.input_matrix),
+            time_step=None if OmegaConf.is_missing(system, "time_step") else system.time_step,
+        )
+
+    def _planned(self, candidates: Sequence[Candidate]) -> Plan:
+        """Return the plan that this search began with, or a new one."""
+        file = self._folder / PLAN
+        key = self._key()
+        found = plans.kept_plan(file, key) if self._master.resume else None
+        if found is None:
+            phases.say("measuring the speed of this machine")
+            cores = _cores(self._master)
+            speed = plans.machine_speed()
+            found = plans.make_plan(self._machine, candidates, self._budget, cores, speed, key)
+            plans.keep_plan(file, found)
+        return found
+
+    def _key(self) -> str:
+        """Return a digest of what the plan depends on."""
+        path = Path(str(self._master.data.path)).expanduser()
+        size = path.stat().st_size if path.is_file() else 0
+        what = [sorted(self._given.items()), self._budget, size, _cores(self._master)]
+        return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:10]
+
+    def _told_plan(self) -> str:
+        plan = self._plan
+        share = plan.seconds / self._machine.seconds
+        return (
+            f"plan: {len(plan.names)} candidates and up to {plan.variations} variations over "
+            f"{plan.folds} folds, {plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
+            f"{plan.epochs} epochs a stage, {plan.cores} runs at a time, about "
+            f"{plan.budget / 60:.3g} min"
+        )
+
+    # -- rounds ------------------------------------------------------------------------------------
+
+    def _screen(self, candidates: Sequence[Candidate]) -> None:
+        """Successive halving: every round has fewer candidates on more folds."""
+        plan = self._plan
+        first = range(plan.first)
+        self._try(candidates, first)
+        alive = self._ranked(candidates, first)[: max(2, math.ceil(len(candidates) / 2))]
+        middle = range(plan.first, min(plan.folds, plan.first + 2))
+        self._try(alive, middle)
+        alive = self._ranked(alive, range(min(plan.folds, plan.first + 2)))
+        alive = alive[: max(2, math.ceil(len(alive) / 2))]
+        simplest = [c for c in candidates if c.rank == min(c.rank for c in candidates)]
+        self._try(list({c.name: c for c in [*alive, *simplest]}.values()), range(plan.folds))
+
+    def _vary(self, base: Trial) -> None:
+        """Try variations of the best candidate, and what is better together."""
+        plan = self._plan
+        tried = list(variations(base.candidate, self._machine))[: plan.variations]
+        first = range(plan.first)
+        self._try(tried, first)
+        better = [
+            c
+            for c in self._ranked(tried, first)
+            if self._trials[c.name].mean(first) < base.mean(first)
+        ]
+        self._try(better[:3], range(plan.folds))
+        gains = [
+            c for c in better[:3]
+            if beats(self._trials[c.name].errors, base.errors, range(plan.folds))
+        ] if not any(self._trials[c.name].failed for c in better[:3]) else []  # fmt: skip
+        if len(gains) > 1:
+            both = _joined(base.candidate, gains[0], gains[1])
+            self._try([both], range(plan.folds))
+
+    def _try(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> None:
+        """Do the folds that are not done yet, side by side."""
+        todo = [
+            (candidate, k)
+            for candidate in candidates
+            for k in folds
+            if k not in self._trial(candidate).errors and k not in self._trial(candidate).reasons
+        ]
+        if not todo:
+            return
+        names = ", ".join(dict.fromkeys(c.name for c, _ in todo))
+        phases.say(f"{len(todo)} runs: {names}")
+        count = self._plan.folds
+        found = self._sweep.perform(
+            [self._overrides(c, f"data.fold=[{k},{count}]") for c, k in todo],
+            [f"{c.name}, fold {k + 1} of {count}" for c, k in todo],
+        )
+        phases.clear()
+        for (candidate, k), folder in zip(todo, found, strict=True):
+            self._note(self._trial(candidate), k, folder)
+        self._link_best()
+        for name in dict.fromkeys(c.name for c, _ in todo):
+            trial = self._trials[name]
+            print(f"{name}: {_told(trial)}", flush=True)
+
+    def _note(self, trial: Trial, k: int, folder: RunFolder | ConfigError) -> None:
+        """Keep how a fold ended."""
+        if isinstance(folder, ConfigError):
+            trial.reasons[k] = str(folder)
+            return
+        outcome = folder.outcome()
+        trial.seconds += outcome.seconds
+        if outcome.status != "finished":
+            trial.reasons[k] = outcome.reason
+            return
+        mine, _ = error(folder)
+        if math.isnan(mine):
+            trial.reasons[k] = "no window of the held-out part moves"
+            return
+        trial.errors[k] = mine
+        self._folders[trial.candidate.name, k] = folder
+        trial.overran += len(read(folder / SERIES)) < self._epochs(trial.candidate)
+
+    def _ranked(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> list[Candidate]:
+        """Return the candidates without failures, the best first."""
+        sound = [c for c in candidates if not self._trials[c.name].failed]
+        return sorted(sound, key=lambda c: self._trials[c.name].mean(folds))
+
+    def _choice(self) -> Trial | None:
+        return choose(list(self._trials.values()), range(self._plan.folds))
+
+    def _trial(self, candidate: Candidate) -> Trial:
+        return self._trials.setdefault(candidate.name, Trial(candidate))
+
+    def _late(self, start: float, share: float) -> bool:
+        """Whether the clock says that nothing more can be tried."""
+        elapsed = time.monotonic() - start
+        late = elapsed > share * self._plan.budget
+        if late:
+            print(f"{elapsed / 60:.3g} min are over: no variation is tried (budget=...)")
+        return late
+
+    # -- the chosen one ----------------------------------------------------------------------------
+
+    def _finish(self, best: Trial) -> int:
+        """Fit the chosen candidate to the training and the validation part, and test it."""
+        print(f"chosen: {best.candidate.name}; fitted to all of train and val", flush=True)
+        epochs = self._last_epoch(best)
+        overrides = self._overrides(
+            best.candidate,
+            f"data.fold={POOLED}",
+            f"trainer.max_epochs={epochs}",
+            "optimizer.tolerance=1e9",  # the last parameters: nothing is held out
+            data__seconds=None,
+            logger=None,
+            pictures="pictures=true",
+        )
+        (folder,) = self._sweep.perform([overrides], [best.candidate.name])
+        if isinstance(folder, ConfigError):
+            raise folder
+        self._summary(best)
+        if folder.outcome().status != "finished":
+            print(f"the last fit {folder.outcome().status}: {folder.outcome().reason}")
+            return 1
+        self._link(folder)
+        found = verdict(folder.measures(), self._doubts())
+        print(f"verdict on the test part: {found.label}")
+        for line in found.lines:
+            print(f"  {line}")
+        print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
+        return 0
+
+    def _no_model(self) -> int:
+        self._summary(None)
+        print("verdict: no model; every candidate failed (reasons above)")
+        for doubt in self._doubts():
+            print(f"  why: {doubt}")
+        return 1
+
+    def _doubts(self) -> list[str]:
+        """Return causes of a failure that the recordings show."""
+        explained = self._machine.explained
+        found = []
+        if explained is not None and explained < EXPLAINED:
+            found.append(
+                f"configurations, friction and inputs explain {100 * explained:.2g} % of the "
+                "accelerations' power: something else moves the machine, a sensor fails, or clocks "
+                "or units differ"
+            )
+        if explained is None:
+            found.append("too few samples, or nothing moves")
+        if self._machine.nodes < plans.FEWEST_NODES:
+            found.append(f"{self._machine.seconds:.2g} s of training data are little")
+        return found
+
+    def _last_epoch(self, best: Trial) -> int:
+        """Return the epochs after which the folds were best, their median over whole stages."""
+        begun = best.candidate.starts * self._plan.start
+        stages = []
+        for k in range(self._plan.folds):
+            rows = read(self._folders[best.candidate.name, k] / SERIES)
+            losses = [(row["val_loss"], row["epoch"]) for row in rows if "val_loss" in row]
+            last = min(losses)[1] + 1 if losses else begun + self._plan.epochs
+            stages.append(max(1, math.ceil((last - begun) / self._plan.epochs)))
+        return int(begun + self._plan.epochs * round(median(stages)))
+
+    def _epochs(self, candidate: Candidate) -> int:
+        """Return how many epochs a run has at least that was not ended."""
+        return candidate.starts * self._plan.start + EPSILONS * self._plan.epochs
+
+    # -- folders -----------------------------------------------------------------------------------
+
+    @property
+    def _experiment(self) -> str:
+        given = self._given.get("experiment", "").partition("=")[2]
+        stem = Path(str(self._master.data.path)).stem
+        return given or f"{self._master.experiment}_{stem}"
+
+    @property
+    def _folder(self) -> Path:
+        return Path(str(self._master.output_dir)).absolute() / self._experiment
+
+    def _overrides(self, candidate: Candidate, *more: str, **changed: str | None) -> list[str]:
+        """Return the overrides of a run, those of the command line last."""
+        plan, machine = self._plan, self._machine
+        nodes = round(plan.seconds / machine.time_step)
+        settings = _by_key(
+            [
+                *machine.settings,
+                f"experiment={self._experiment}",
+                "logger=none",
+                "pictures=false",
+                f"data.seconds={plan.seconds:g}",
+                f"trainer.time_limit={plan.limit(candidate, nodes, machine.n):.0f}",
+                *plan.overrides(candidate),
+                *candidate.overrides(),
+                *more,
+            ]
+        )
+        for key, value in changed.items():
+            name = key.replace("__", ".")
+            settings.pop(name, None)
+            if value is not None:
+                settings[name] = value
+        found = {**settings, **self._given}
+        return sorted(found.values(), key=lambda word: "." in word.partition("=")[0])
+
+    def _link_best(self) -> None:
+        """Let the link point to the best run so far, until a fit to all data takes its place."""
+        done = [t for t in self._trials.values() if t.errors]
+        if not done:
+            return
+        trial = min(done, key=lambda t: t.mean())
+        fold = min(trial.errors, key=lambda k: trial.errors[k])
+        self._link(self._folders[trial.candidate.name, fold])
+
+    def _link(self, folder: RunFolder) -> None:
+        link, new = self._folder / BEST, self._folder / f".{BEST}.{os.getpid()}"
+        new.unlink(missing_ok=True)
+        new.symlink_to(os.path.relpath(folder.path, self._folder), target_is_directory=True)
+        os.replace(new, link)
+
+    def _summary(self, best: Trial | None) -> None:
+        """Print and keep the table of candidates."""
+        trials = sorted(self._trials.values(), key=lambda t: t.candidate.rank)
+        for trial in trials:
+            trial.parameters = self._parameters(trial)
+        print(candidates_table(trials, best, self._plan.folds))
+        write_candidates(self._folder / TABLE, trials, best)
+
+    def _parameters(self, trial: Trial) -> int | None:
+        from symo_exp.runs.load import from_folder
+
+        for k in trial.errors:
+            model = from_folder(self._folders[trial.candidate.name, k].path)
+            return sum(p.numel() for p in model.parameters())
+        return None
+
+
+def _by_key(overrides: Sequence[str]) -> dict[str, str]:
+    """Return the overrides by what they set.
+
+    Raises:
+        ConfigError: If one is a sweep.
+    """
+    found = {}
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        if override.is_sweep_override():
+            raise ConfigError(
+                f"{override.input_line}: a search has one value for each setting; its candidates "
+                "are its own"
+            )
+        line = override.input_line
+        assert line is not None
+        found[override.get_key_element().lstrip("+~")] = line
+    return found
+
+
+def _joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
+    """Return the candidate that has both variations."""
+    added = other.name.removeprefix(f"{base.name}, ")
+    return Candidate(
+        name=f"{one.name}, {added}",
+        rank=one.rank + other.rank - base.rank,
+        settings={**one.settings, **_differing(base.settings, other.settings)},
+        cost=one.cost * other.cost / base.cost,
+        starts=base.starts,
+    )
+
+
+def _differing(base: Mapping[str, str], other: Mapping[str, str]) -> dict[str, str]:
+    return {key: value for key, value in other.items() if base.get(key) != value}
+
+
+def _told(trial: Trial) -> str:
+    if trial.reasons:
+        return f"failed: {next(iter(trial.reasons.values()))}"
+    ended = f", {trial.overran} ended by the clock" if trial.overran else ""
+    return (
+        f"error {trial.mean():.3g} over {len(trial.errors)} fold(s), {trial.seconds:.0f} s{ended}"
+    )
+
+
+def _cores(master: DictConfig) -> int:
+    """Return how many runs the launcher does at a time."""
+    jobs = int(master.hydra.launcher.get("n_jobs") or 1)
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    if "basic_launcher" in str(master.hydra.launcher._target_):
+        return 1
+    return jobs if jobs > 0 else there or 1
+
+
+def _plain(value: Any) -> Any:
+    return OmegaConf.to_container(value) if OmegaConf.is_config(value) else value

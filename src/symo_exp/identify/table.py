@@ -1,0 +1,72 @@
+"""The table of candidates, as it is printed and kept."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from symo_exp.files import write_whole
+from symo_exp.identify.validation import Trial, compared
+
+WIDTH = 80
+
+
+def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int) -> str:
+    """Return a row for each candidate, the chosen one marked; failures with their reasons."""
+    head = ("", "error", "folds", "parameters", "time")
+    rows = [
+        (
+            f"{trial.candidate.name}{' *' if trial is best else ''}",
+            "-" if trial.failed or not trial.errors else f"{trial.mean():.3g}",
+            f"{len(trial.errors)}/{folds}",
+            "-" if trial.parameters is None else str(trial.parameters),
+            f"{trial.seconds:.0f} s",
+        )
+        for trial in trials
+    ]
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    lines = []
+    for name, *cells in (head, *rows):
+        numbers = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
+        lines.append("  ".join([name.ljust(widths[0]), *numbers]))
+    if best is not None:
+        lines.append("* chosen; error: of rollouts to 0.5, 1 and 2 s, geometric mean [m, rad]")
+    lines += [
+        f"failed: {trial.candidate.name}: {reason}"
+        for trial in trials
+        for reason in list(trial.reasons.values())[:1]
+    ]
+    return "\n".join(lines)
+
+
+def write_candidates(file: Path, trials: Sequence[Trial], best: Trial | None) -> None:
+    """Write the table with the errors of each fold and the settings of each candidate."""
+
+    def write(path: Path) -> None:
+        with path.open("w", encoding="utf-8", newline="") as text:
+            table = csv.writer(text)
+            table.writerow(
+                ["candidate", "rank", "chosen", "error", "over_chosen", "standard_error",
+                 "parameters", "seconds", "ended_by_the_clock", "folds", "failed", "settings"]
+            )  # fmt: skip
+            for trial in trials:
+                table.writerow(_cells(trial, best))
+
+    write_whole(file, write)
+
+
+def _cells(trial: Trial, best: Trial | None) -> list[object]:
+    mean, spread = math.nan, math.nan
+    if best is not None and trial.errors:
+        common = sorted(set(trial.errors) & set(best.errors))
+        if common:
+            mean, spread = compared(trial.errors, best.errors, common)
+    errors = " ".join(f"{k}:{x:.4g}" for k, x in sorted(trial.errors.items()))
+    return [
+        trial.candidate.name, trial.candidate.rank, int(trial is best), f"{trial.mean():.5g}",
+        f"{math.exp(mean):.4g}", f"{spread:.3g}", trial.parameters, f"{trial.seconds:.1f}",
+        trial.overran, errors, "; ".join(dict.fromkeys(trial.reasons.values())),
+        " ".join(trial.candidate.overrides()),
+    ]  # fmt: skip

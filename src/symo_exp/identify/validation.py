@@ -1,0 +1,91 @@
+"""Errors of candidates over folds, and the choice among them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from symo_exp.identify.candidates import Candidate
+from symo_exp.runs.folder import RunFolder
+
+HORIZONS = ("0.5s", "1s", "2s")
+WORST = 10.0
+"""An error counts as at most so many times that of constant velocity."""
+
+
+@dataclass
+class Trial:
+    """A candidate and what its folds gave.
+
+    ``errors`` are those of the folds that ended well, ``reasons`` say why the others did not;
+    ``overran`` is how many were ended by the clock.
+    """
+
+    candidate: Candidate
+    errors: dict[int, float] = field(default_factory=dict)
+    reasons: dict[int, str] = field(default_factory=dict)
+    seconds: float = 0.0
+    overran: int = 0
+    parameters: int | None = None
+
+    @property
+    def failed(self) -> bool:
+        """Whether a fold ended badly."""
+        return bool(self.reasons)
+
+    def mean(self, folds: Iterable[int] | None = None) -> float:
+        """Return the geometric mean of the errors; infinite where a fold has none."""
+        chosen = list(self.errors) if folds is None else list(folds)
+        if not chosen or any(k not in self.errors for k in chosen):
+            return math.inf
+        return math.exp(float(np.mean([math.log(self.errors[k]) for k in chosen])))
+
+
+def error(folder: RunFolder) -> tuple[float, float]:
+    """Return the error of a fold and that of constant velocity.
+
+    It is the geometric mean of the medians over windows of the errors to 0.5, 1 and 2 s.
+    """
+    measures = folder.measures()
+    found = []
+    for prefix in ("", "constant_velocity_"):
+        values = [measures.get(f"{prefix}rmse_{horizon}", math.nan) for horizon in HORIZONS]
+        found.append(math.prod(values) ** (1 / len(values)))
+    mine, baseline = found
+    if math.isnan(mine) and not math.isnan(baseline):
+        mine = math.inf
+    return max(min(mine, WORST * baseline), 1e-12), baseline
+
+
+def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
+    """Return the simplest of the trials that the best one does not beat for certain.
+
+    One beats another if the mean over the folds of the difference of the logarithms of their
+    errors exceeds one standard error of this mean.
+    """
+    complete = [t for t in trials if not t.failed and all(k in t.errors for k in folds)]
+    if not complete:
+        return None
+    best = min(complete, key=lambda t: t.mean(folds))
+    tied = [t for t in complete if not beats(best.errors, t.errors, folds)]
+    return min(tied, key=lambda t: (t.candidate.rank, t.mean(folds)))
+
+
+def beats(one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]) -> bool:
+    """Whether the errors ``one`` are smaller by more than one standard error."""
+    mean, spread = compared(one, other, folds)
+    return mean < -spread
+
+
+def compared(
+    one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]
+) -> tuple[float, float]:
+    """Return the mean over folds of ``log(one / other)`` and its standard error."""
+    differences = [math.log(one[k] / other[k]) for k in folds]
+    if len(differences) < 2:
+        return float(np.mean(differences)), 0.0
+    deviation = float(np.std(differences, ddof=1))
+    return float(np.mean(differences)), deviation / math.sqrt(len(differences))
