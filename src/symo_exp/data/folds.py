@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -84,7 +85,7 @@ def _blocks(recordings: Sequence[Recording], count: int) -> list[Recording]:
     for one, blocks in zip(recordings, cuts, strict=True):
         edges = np.linspace(0.0, _duration(one), blocks + 1)
         gap = min(GAP, 0.1 * edges[1])
-        for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for k, (low, high) in enumerate(itertools.pairwise(edges)):
             samples = _between(one.samples, low + gap * (k > 0), high)
             pieces.append(one._replace(label=f"{one.label}/{k}", samples=samples))
     return pieces

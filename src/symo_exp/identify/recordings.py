@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from symo_exp.data.diagnose import explained
+from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
+from symo_exp.data.parts import divided, split_in_time
 from symo_exp.data.recorded import delayed
 from symo_exp.data.resample import Samples, averaged, fitted
-from symo_exp.data.table import Recording, read
+from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.recorded import Recorded
@@ -24,8 +26,12 @@ COARSE = 0.7
 """Change of an angle in a time step above which a smaller one is taken [rad]."""
 SPAN = 2 * np.pi
 """Range of a coordinate beyond which it is an angle."""
-ANGLE = r"theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link|pendulum|upper|lower|roll|pitch|yaw|motor|wheel"
-SLIDE = r"x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
+ANGLE = (
+    "theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link"
+    "|pendulum|upper|lower|roll|pitch|yaw|motor|wheel"
+)
+SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
+"""Words in the names of angles and of positions."""
 DELAYS = np.arange(-0.04, 0.0601, 0.01)
 """Delays of inputs that are tried [s]."""
 GAIN = 0.05
@@ -73,8 +79,7 @@ class Machine:
 
 
 def examine(
-    path: str,
-    columns: Any = None,
+    data: Mapping[str, Any],
     *,
     angular: Any = None,
     input_matrix: Any = None,
@@ -83,8 +88,7 @@ def examine(
     """Read recordings and infer what is not given.
 
     Args:
-        path: The recordings (``data.path``).
-        columns: As ``data.columns``.
+        data: Settings of ``RecordedData``, those of files, columns, units and parts.
         angular: As ``system.angular``; ``None``: by names and ranges.
         input_matrix: As ``system.input_matrix``; ``None``: by names.
         time_step: As ``system.time_step``; ``None``: by the fastest motion.
@@ -92,6 +96,7 @@ def examine(
     Raises:
         ConfigError: If something can neither be read nor inferred.
     """
+    path, columns = data["path"], data.get("columns")
     found = header(path, columns)
     coordinates, inputs = names("q", found), names("u", found)
     settings, notes = [], []
@@ -99,50 +104,74 @@ def examine(
         input_matrix = _input_matrix(coordinates, inputs)
         if input_matrix is not None:
             settings.append(f"system.input_matrix={str(input_matrix).replace(' ', '')}")
-            driven = ", ".join(f"u_{name} drives q_{name}" for name in inputs)
-            notes.append(f"inputs: {driven}, by their names")
-    plain = Recorded(
-        names=coordinates, angular="none", inputs=inputs, input_matrix=input_matrix, time_step=1.0
-    )
-    table = read(path, plain, columns)
-    used = [r for r in table.recordings if r.part in ("", "train", "val")]
-    if not used:
-        raise ConfigError(f"data.path={path}: no trajectory for train or val in its column split")
+            pairs = ", ".join(f"u_{name} drives q_{name}" for name in inputs)
+            notes.append(f"inputs: {pairs}, by their names")
+
+    def system(which: Any) -> Recorded:
+        return Recorded(
+            names=coordinates, angular=which, inputs=inputs, input_matrix=input_matrix,
+            time_step=1.0,
+        )  # fmt: skip
+
+    everything, used = _parts(data, system("none"), time_step)
     if angular is None:
         which = [
             _is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(coordinates)
         ]
         chosen = [name for name, angle in zip(coordinates, which, strict=True) if angle]
         settings.append(f"system.angular=[{','.join(chosen)}]" if chosen else "system.angular=none")
-        notes.append(_told("angles", chosen, coordinates))
+        notes.append(_told(chosen, coordinates))
     else:
-        full = Recorded(
-            names=coordinates, angular=angular, inputs=inputs, input_matrix=input_matrix,
-            time_step=1.0,
-        )  # fmt: skip
-        which = list(full.coordinates.angular)
-    finest = max(float(np.median(np.diff(r.samples.t))) for r in table.recordings)
+        which = list(system(angular).coordinates.angular)
+    angles = np.array(which)
+    used = [_in_radians(one, angles, data) for one in used]
+    finest = max(float(np.median(np.diff(one.samples.t))) for one in everything)
     if time_step is None:
-        time_step = _time_step(used, np.array(which), finest)
+        time_step = _time_step(used, angles, finest)
         settings.append(f"system.time_step={time_step:g}")
         notes.append(f"time step: {time_step:g} s, samples every {finest:.3g} s")
-    driven_any = any(bool(r.samples.u.any()) for r in used)
-    delays = DELAYS if driven_any else np.zeros(1)
-    left = _unexplained(_beginning(used, EXAMINED), np.array(which), time_step, delays)
+    driven = any(bool(one.samples.u.any()) for one in used)
+    examined = _beginning(used, EXAMINED)
+    left = _unexplained(examined, angles, time_step, DELAYS if driven else np.zeros(1))
     delay, line = _delay(left)
-    notes += [line] if driven_any else []
     return Machine(
         settings=tuple(settings),
         angular=tuple(which),
-        driven=driven_any,
+        driven=driven,
         time_step=time_step,
         finest_step=finest,
-        seconds=sum(float(np.ptp(r.samples.t)) for r in used),
+        seconds=sum(float(np.ptp(one.samples.t)) for one in used),
         recordings=len(used),
         delay=delay,
         explained=1.0 - left[delay] if left else None,
-        notes=tuple(notes),
+        notes=(*notes, line) if driven else tuple(notes),
     )
+
+
+def _parts(
+    data: Mapping[str, Any], system: Recorded, time_step: float | None
+) -> tuple[list[Recording], list[Recording]]:
+    """Return all recordings that are used, and those of the training and validation parts."""
+    path = data["path"]
+    table = read_recordings(path, system, data.get("columns"), data.get("time_unit"))
+    named = {part: data.get(part) for part in ("train", "val", "test")}
+    counts = data.get("n_val"), data.get("n_test")
+    recordings: Sequence[Recording] = table.recordings
+    if all(given is None for given in (*named.values(), *counts)):
+        recordings, _ = split_in_time(recordings, time_step or STEPS[0])
+    parts = divided(shown(path), recordings, named, *counts)
+    pool = [*parts["train"], *parts["val"]]
+    return [*pool, *parts["test"]], pool
+
+
+def _in_radians(recording: Recording, angular: np.ndarray, data: Mapping[str, Any]) -> Recording:
+    """Return a recording whose angles are in radians and go on beyond a turn."""
+    q = recording.samples.q
+    if data.get("degrees"):
+        q = q * np.where(angular, np.pi / 180, 1.0)
+    if data.get("wrapped"):
+        q = np.where(angular, np.unwrap(q, axis=0), q)
+    return recording._replace(samples=recording.samples._replace(q=q))
 
 
 def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
@@ -168,9 +197,9 @@ def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
     )
 
 
-def _told(what: str, chosen: Sequence[str], all_names: Sequence[str]) -> str:
+def _told(chosen: Sequence[str], all_names: Sequence[str]) -> str:
     positions = [name for name in all_names if name not in chosen]
-    parts = [f"{what} [rad]: {', '.join(chosen)}" * bool(chosen)]
+    parts = [f"angles [rad]: {', '.join(chosen)}" * bool(chosen)]
     parts += [f"positions [m]: {', '.join(positions)}" * bool(positions)]
     return "; ".join(filter(None, parts)) + " (by names and ranges; system.angular says otherwise)"
 

@@ -35,6 +35,10 @@ from symo_exp.sweep.sweeper import Sweep
 from symo_exp.training import phases
 
 BEST, PLAN, TABLE = "best", "plan.json", "candidates.csv"
+FILES = [
+    "path", "columns", "wrapped", "degrees", "time_unit", "train", "val", "test", "n_val", "n_test",
+]  # fmt: skip
+"""Settings of data that say where recordings are and how they are read."""
 EPSILONS = 4
 """Stages of the optimiser after its starts, without late parameters."""
 
@@ -94,8 +98,7 @@ class Search:
             raise ConfigError("data.path has no value yet; give it one: data.path=FILE")
         system = self._master.system
         return examine(
-            data.path,
-            OmegaConf.to_container(data.columns) if data.columns is not None else None,
+            {name: _plain(data.get(name)) for name in FILES},
             angular=_plain(system.angular),
             input_matrix=_plain(system.input_matrix),
             time_step=None if OmegaConf.is_missing(system, "time_step") else system.time_step,

@@ -33,7 +33,9 @@ SWEEP, VARIED = "SYMO_EXP_SWEEP", "SYMO_EXP_VARIED"
 """Environment variables: the identity of the sweep that a job belongs to, and what it varies."""
 NAMED = "model=", "system=", "pair=", "data.n_traj="
 """What the name of a run has anyway."""
-OURS = "hydra_plugins.symo_exp_"
+OURS = "hydra_plugins.symo_exp_sweeper.SymoExpSweeper"
+READS_FOLDERS = "hydra_plugins.symo_exp_"
+"""How the sweepers begin that read a run's folder, not the number that it returns."""
 
 
 def job(config: DictConfig) -> float | None:
@@ -50,21 +52,17 @@ def job(config: DictConfig) -> float | None:
     if stopping.requested():
         return None
     choices, asked = dict(settings.runtime.choices), list(settings.overrides.task)
-    searches = settings.sweeper._target_ != OURS
+    sweeper = settings.sweeper._target_
 
     def about() -> About:
-        words = alone(config, choices, _compose) if searches else typed(settings)
+        words = alone(config, choices, _compose) if sweeper != OURS else typed(settings)
         return _about(config, choices, asked, shlex.join(["python", "-m", "symo_exp", *words]))
 
     failure = _do(config, folder, about)
     phases.clear()
     if failure is not None and debugging():
         raise failure
-<<<<<<< HEAD
-    if not searches:
-=======
-    if settings.sweeper._target_.startswith(OURS):
->>>>>>> d7d004a (A search for the model of a recorded machine: candidates, cross-validation, a verdict)
+    if sweeper.startswith(READS_FOLDERS):
         return None
     if isinstance(failure, ConfigError | stopping.Interrupted):
         raise failure
