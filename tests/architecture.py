@@ -55,7 +55,7 @@ RULES = {
         {"hydra", "omegaconf", "yaml"},
     ),
     "identify": (
-        {"mechanics", "systems", "data", "runs", "sweep", "training"},
+        {"process", "mechanics", "systems", "data", "evaluation", "runs", "sweep"},
         {"hydra", "omegaconf", "numpy", "torch"},
     ),
     "use": (

@@ -8,7 +8,7 @@ import pytest
 from tests.architecture import ROOT, RULES, files, graph, imports
 
 EVERYBODYS = {"errors", "files", "imports", "shell", "shipped", "code"}
-CONFIG_HOMES = {"cli", "job", "sweep", "runs"}
+CONFIG_HOMES = {"cli", "job", "sweep", "identify", "runs"}
 """Where objects of Hydra and OmegaConf may be seen; `runs` builds a model from its file."""
 
 

@@ -10,7 +10,6 @@ from symo_exp.identify.recordings import Machine
 PLANE = "links in a plane"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
-LEARNED = {"dissipation": "learned"}
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "relative": {"structure": "relative", "harmonics": "0"},
     "absolute": {"structure": "absolute", "harmonics": "0"},
@@ -70,10 +69,11 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_candidate("absolute angles", 1.1, "absolute", FRICTION))
     if chain and machine.n > 2:
         found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=3.0))
+    network = _candidate("network", 4.0, "network", FRICTION, cost=3.0, starts=2)
     found += [
         _candidate("small network", 3.0, "small network", FRICTION, cost=1.5, starts=2),
-        _candidate("network", 4.0, "network", FRICTION, cost=3.0, starts=2),
-        _candidate("network, learned friction", 5.0, "network", LEARNED, cost=4.5, starts=2),
+        network,
+        _with_learned_friction(network),
     ]
     if chain:
         found.append(
@@ -96,7 +96,7 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         )
     friction = settings["dissipation"]
     if friction == "friction":
-        yield candidate.changed("learned friction", 0.6, 1.5, dissipation="learned")
+        yield _with_learned_friction(candidate)
         yield candidate.changed("viscous friction only", -0.3, dissipation="viscous")
         yield candidate.changed(
             "sharp dry friction", 0.1, dissipation__rest_velocity=_sharp(machine)
@@ -107,6 +107,10 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed(
             "half the time step", 0.2, 2.0, system__time_step=f"{machine.time_step / 2:g}"
         )
+
+
+def _with_learned_friction(candidate: Candidate) -> Candidate:
+    return candidate.changed("learned friction", 0.6, 1.5, dissipation="learned")
 
 
 def _sharp(machine: Machine) -> str:

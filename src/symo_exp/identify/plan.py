@@ -147,8 +147,9 @@ def make_plan(
 def kept_plan(file: Path, key: str) -> Plan | None:
     """Return the plan of an earlier start of the same search."""
     try:
-        found = Plan(**json.loads(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        found = Plan(**{**kept, "names": tuple(kept["names"])})
+    except (OSError, ValueError, TypeError, KeyError):
         return None
     return found if found.key == key else None
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import explained
+from symo_exp.data.diagnose import explained_power
 from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
 from symo_exp.data.parts import divided, split_in_time
@@ -246,7 +246,7 @@ def _unexplained(
             (q, averaged(samples.t, delayed(samples, delay).u, nodes, h))
             for samples, nodes, q in motions
         ]
-        share = explained(pairs, coordinates, h, driven=True) if pairs else None
+        share = explained_power(pairs, coordinates, h, driven=True) if pairs else None
         if share is not None:
             left[round(delay, 4)] = 1.0 - share
     return left

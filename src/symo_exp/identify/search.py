@@ -22,17 +22,18 @@ from omegaconf import DictConfig, OmegaConf
 
 from symo_exp.data.folds import POOLED
 from symo_exp.errors import ConfigError
+from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
 from symo_exp.identify.candidates import Candidate, ladder, variations
+from symo_exp.identify.doubts import doubts
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.table import candidates_table, write_candidates
 from symo_exp.identify.validation import Trial, beats, choose, error
-from symo_exp.identify.verdict import EXPLAINED, verdict
+from symo_exp.process import phases
 from symo_exp.runs.folder import SERIES, RunFolder
 from symo_exp.runs.series import read
 from symo_exp.sweep.sweeper import Sweep
-from symo_exp.training import phases
 
 BEST, PLAN, TABLE = "best", "plan.json", "candidates.csv"
 FILES = [
@@ -60,6 +61,8 @@ class Search:
         self._given = _by_key(arguments)
         self._given.pop("budget", None)
         self._budget = plans.seconds_of(budget)
+        if not OmegaConf.is_missing(master.data, "path"):
+            OmegaConf.update(master, "experiment", self._experiment)
         self._trials: dict[str, Trial] = {}
         self._folders: dict[tuple[str, int], RunFolder] = {}
 
@@ -254,35 +257,20 @@ class Search:
             print(f"the last fit {folder.outcome().status}: {folder.outcome().reason}")
             return 1
         self._link(folder)
-        found = verdict(folder.measures(), self._doubts())
-        print(f"verdict on the test part: {found.label}")
-        for line in found.lines:
-            print(f"  {line}")
+        measures = folder.measures()
+        print(f"verdict on the test part: {verdict(measures) or 'not judged'}")
+        for line in (comparison(measures), *doubts(measures, self._machine)):
+            if line is not None:
+                print(f"  {line}")
         print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
         return 0
 
     def _no_model(self) -> int:
         self._summary(None)
-        print("verdict: no model; every candidate failed (reasons above)")
-        for doubt in self._doubts():
-            print(f"  why: {doubt}")
+        print("verdict: no model; every candidate failed, for the reasons above")
+        for line in doubts({}, self._machine):
+            print(f"  {line}")
         return 1
-
-    def _doubts(self) -> list[str]:
-        """Return causes of a failure that the recordings show."""
-        explained = self._machine.explained
-        found = []
-        if explained is not None and explained < EXPLAINED:
-            found.append(
-                f"configurations, friction and inputs explain {100 * explained:.2g} % of the "
-                "accelerations' power: something else moves the machine, a sensor fails, or clocks "
-                "or units differ"
-            )
-        if explained is None:
-            found.append("too few samples, or nothing moves")
-        if self._machine.nodes < plans.FEWEST_NODES:
-            found.append(f"{self._machine.seconds:.2g} s of training data are little")
-        return found
 
     def _last_epoch(self, best: Trial) -> int:
         """Return the epochs after which the folds were best, their median over whole stages."""
@@ -303,9 +291,9 @@ class Search:
 
     @property
     def _experiment(self) -> str:
-        given = self._given.get("experiment", "").partition("=")[2]
-        stem = Path(str(self._master.data.path)).stem
-        return given or f"{self._master.experiment}_{stem}"
+        if "experiment" in self._given:
+            return str(self._master.experiment)
+        return f"machine_{Path(str(self._master.data.path)).stem}"
 
     @property
     def _folder(self) -> Path:
@@ -320,6 +308,7 @@ class Search:
                 *machine.settings,
                 f"experiment={self._experiment}",
                 "logger=none",
+                "trainer.compile=false",  # it takes longer than most of these trainings
                 "pictures=false",
                 f"data.seconds={plan.seconds:g}",
                 f"trainer.time_limit={plan.limit(candidate, nodes, machine.n):.0f}",

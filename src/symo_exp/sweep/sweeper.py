@@ -101,10 +101,8 @@ class Sweep:
         todo: dict[Path, Job] = {}
         for overrides, label in zip(combinations, labels, strict=True):
             try:
-                job = self._composer.job(overrides, label)
-                check_places(job.config, self._master.hydra.sweep)
+                job = self._composed(overrides, label)
                 if not (job.config.resume and is_done(job.config, job.folder)):
-                    check_job(job, self._composer)
                     todo[job.folder.path] = job
                 found.append(job.folder)
             except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
@@ -131,12 +129,7 @@ class Sweep:
         for overrides, label in zip(combinations, labels(combinations), strict=True):
             label = label if len(combinations) > 1 else ""
             try:
-                job = self._composer.job(overrides, label)
-                check_places(job.config, self._master.hydra.sweep)
-                if not is_done(job.config, job.folder):
-                    check_parts(job.config)
-                    self._composer.check_choices(job)
-                    check(job.config, job.files)
+                job = self._composed(overrides, label)
             except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
                 blame = blamed(error, overrides, self._context.config_loader)
                 raise _labelled(blame, label) from error
@@ -145,6 +138,16 @@ class Sweep:
             folders[job.folder.path] = label
             jobs.append(job)
         return jobs
+
+    def _composed(self, overrides: list[str], label: str) -> Job:
+        """Return a job whose places and, unless it is done, settings are checked."""
+        job = self._composer.job(overrides, label)
+        check_places(job.config, self._master.hydra.sweep)
+        if not is_done(job.config, job.folder):
+            check_parts(job.config)
+            self._composer.check_choices(job)
+            check(job.config, job.files)
+        return job
 
     def _check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
         """Build all that every job names, so that nothing is found wrong when others have run."""

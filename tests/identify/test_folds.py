@@ -1,0 +1,80 @@
+"""Folds of a cross-validation over recordings."""
+
+import numpy as np
+import pytest
+
+from symo_exp.data.folds import deal, folded, thinned
+from symo_exp.data.resample import Samples
+from symo_exp.data.table import Recording
+from symo_exp.errors import ConfigError
+
+
+def recording(label, seconds, part=""):
+    t = np.arange(0.0, seconds, 0.01)
+    return Recording(label, part, Samples(t, t[:, None], None, np.zeros((len(t), 0))))
+
+
+def parts(train, val, test=(1.0,)):
+    durations = {"train": train, "val": val, "test": test}
+    return {
+        part: [recording(f"{part}{i}", s, part) for i, s in enumerate(each)]
+        for part, each in durations.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("train", "val"), [((5, 6, 7, 5), (4, 9)), ((20,), (10,)), ((3,) * 20, (3,)), ((40, 2), (2,))]
+)
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_folds_are_a_partition_that_leaves_the_test_part_out(train, val, count):
+    everything = parts(train, val)
+    held_out, tested = [], {r.label for r in everything["test"]}
+    for k in range(count):
+        one = folded(everything, [k, count])
+        assert one["val"] == one["test"] != []
+        assert not {r.label for r in one["train"]} & {r.label for r in one["val"]}
+        assert not {r.label for r in one["train"] + one["val"]} & tested
+        held_out += [(r.label, r.samples.t[0]) for r in one["val"]]
+    assert len(held_out) == len(set(held_out))
+    total = sum(train) + sum(val)
+    kept = sum(
+        np.ptp(r.samples.t) for k in range(count) for r in folded(everything, [k, count])["val"]
+    )
+    assert kept == pytest.approx(total, rel=0.15)
+
+
+def test_recordings_stay_whole_where_there_are_enough():
+    everything = parts((5, 6, 7), (4,))
+    labels = {r.label for k in range(4) for r in folded(everything, [k, 4])["val"]}
+    assert labels == {"train0", "train1", "train2", "val0"}
+
+
+def test_pooled_trains_on_both_parts_and_keeps_the_test_part():
+    everything = parts((5, 6), (4,))
+    pooled = folded(everything, "pooled")
+    assert pooled["train"] == everything["train"] + everything["val"]
+    assert pooled["test"] == everything["test"]
+
+
+@pytest.mark.parametrize("fold", [[2, 2], [0, 1], [-1, 3], "all", [1], [0.5, 2], 3])
+def test_a_fold_that_does_not_exist_is_refused(fold):
+    with pytest.raises(ConfigError, match=r"data\.fold="):
+        folded(parts((5, 6), (4,)), fold)
+
+
+def test_dealt_folds_are_about_equally_long():
+    durations = [9.0, 1.0, 1.0, 1.0, 4.0, 4.0, 2.0, 2.0]
+    dealt = deal(durations, 3)
+    assert sorted(i for fold in dealt for i in fold) == list(range(8))
+    lengths = [sum(durations[i] for i in fold) for fold in dealt]
+    assert max(lengths) - min(lengths) <= 2.0
+
+
+@pytest.mark.parametrize("seconds", [1.0, 5.0, 100.0])
+def test_thinned_recordings_last_as_long_as_asked_and_begin_where_they_did(seconds):
+    recordings = [recording("a", 8.0), recording("b", 4.0)]
+    found = thinned(recordings, seconds)
+    lengths = [np.ptp(r.samples.t) for r in found]
+    assert sum(lengths) == pytest.approx(min(seconds, 12.0), abs=0.05)
+    assert lengths[0] == pytest.approx(2 * lengths[1], abs=0.05)
+    assert all(r.samples.t[0] == 0.0 for r in found)

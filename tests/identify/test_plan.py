@@ -1,0 +1,85 @@
+"""Plans of a budget."""
+
+import pytest
+
+from symo_exp.errors import ConfigError
+from symo_exp.identify import plan as plans
+from symo_exp.identify.candidates import ladder, variations
+from symo_exp.identify.recordings import Machine
+
+
+def machine(n=2, seconds=60.0, recordings=7, driven=True, angular=True):
+    return Machine(
+        settings=(), angular=(angular,) * n, driven=driven, time_step=0.02, finest_step=0.002,
+        seconds=seconds, recordings=recordings, delay=-0.01 * driven, explained=0.97, notes=(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 6])
+@pytest.mark.parametrize("seconds", [3.0, 60.0, 3000.0])
+@pytest.mark.parametrize("budget", [30.0, 600.0, 7200.0])
+def test_a_plan_uses_more_of_a_larger_budget_and_never_more_than_there_is(n, seconds, budget):
+    one = machine(n, seconds)
+    candidates = ladder(one)
+    small, large = (
+        plans.make_plan(one, candidates, b, 2, 1.0, "key") for b in (budget, 10 * budget)
+    )
+    assert small.seconds <= large.seconds <= seconds
+    assert small.epochs <= large.epochs
+    assert set(small.names) <= set(large.names)
+    assert small.variations <= large.variations
+    assert 2 <= small.folds <= 6
+    assert small.names
+
+
+def test_the_planned_time_does_not_grow_with_data_beyond_the_budget():
+    for seconds in (1e3, 1e4, 1e6):
+        one = machine(2, seconds, 100)
+        plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
+        chosen = [c for c in ladder(one) if c.name in plan.names]
+        nodes = round(plan.seconds / one.time_step)
+        assert plan.first * sum(plan.expected(c, nodes, 2) for c in chosen) < 1200.0
+
+
+def test_a_plan_is_kept_with_the_search_and_forgotten_for_another(tmp_path):
+    one = machine()
+    plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
+    file = tmp_path / "search" / "plan.json"
+    plans.keep_plan(file, plan)
+    found = plans.kept_plan(file, "key")
+    assert found is not None
+    assert found.names == tuple(found.names) == plan.names
+    assert found == plan
+    assert plans.kept_plan(file, "other") is None
+    file.write_text("{")
+    assert plans.kept_plan(file, "key") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("90s", 90.0), ("10min", 600.0), ("1.5h", 5400.0), (30, 30.0)]
+)
+def test_durations(text, seconds):
+    assert plans.seconds_of(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "soon", "-1s", "0", "5 days", "1.2.3s", "nan"])
+def test_what_is_no_duration_is_refused(text):
+    with pytest.raises(ConfigError, match="budget="):
+        plans.seconds_of(text)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("angular", [True, False])
+def test_candidates_differ_and_variations_change_one_respect(n, angular):
+    one = machine(n, angular=angular)
+    candidates = ladder(one)
+    assert [c.rank for c in candidates] == sorted(c.rank for c in candidates)
+    every = [*candidates, *(v for c in candidates for v in variations(c, one))]
+    by_name = {c.name: c for c in every}
+    assert all(by_name[c.name] == c for c in every)
+    assert len({tuple(sorted(c.settings.items())) for c in every}) == len(by_name)
+    for candidate in candidates:
+        for other in variations(candidate, one):
+            keys = {*candidate.settings, *other.settings}
+            differ = [k for k in keys if candidate.settings.get(k) != other.settings.get(k)]
+            assert len(differ) == 1

@@ -1,0 +1,108 @@
+"""The search as a command: an answer, a link to the model, and nothing done twice."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+import symo_exp
+from symo_exp.__main__ import main
+from symo_exp.data.diagnose import noise_of
+from symo_exp.errors import ConfigError
+from symo_exp.identify.recordings import examine
+from symo_exp.runs.folder import RunFolder
+
+
+def table(count=5, seconds=2.0, h=0.02, name="theta"):
+    """Free swings of an oscillator that is linear, with friction."""
+    t = np.arange(0.0, seconds, h)
+    swings = [(0.4 + 0.1 * i) * np.exp(-0.2 * t) * np.cos(6.0 * t + i) for i in range(count)]
+    return pd.concat(
+        [pd.DataFrame({"trajectory": i, "t": t, f"q_{name}": q}) for i, q in enumerate(swings)]
+    )
+
+
+@pytest.mark.slow
+def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(workplace / "cache"))
+    table().to_csv("mine.csv", index=False)
+    words = ["-cn", "machine", "data.path=mine.csv", "budget=10s", "hydra/launcher=basic",
+             "logger=none"]  # fmt: skip
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "verdict on the test part: " in said
+    folder = workplace / "outputs" / "machine_mine"
+    model = symo_exp.load(folder / "best")
+    path = model.rollout(torch.tensor([[0.3]]), torch.tensor([[0.0]]), steps=10)
+    assert bool(path.q.isfinite().all())
+    measures = RunFolder(folder / "best").measures()
+    assert measures["rmse_1s"] < 0.01 * measures["constant_velocity_rmse_1s"]
+    candidates = pd.read_csv(folder / "candidates.csv")
+    assert candidates.chosen.sum() == 1
+    assert (candidates.error > 0).all()
+    written = {f: f.stat().st_mtime_ns for f in folder.glob("*/metrics.json")}
+    assert main(words) == 0
+    again = capsys.readouterr().out
+    assert again.splitlines()[-3:] == said.splitlines()[-3:]
+    assert {f: f.stat().st_mtime_ns for f in folder.glob("*/metrics.json")} == written
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        ([], "data.path"),
+        (["data.path=none.csv"], "none.csv"),
+        (["data.path=mine.csv", "budget=soon"], "budget=soon"),
+        (["data.path=mine.csv", "seed=0,1"], "one value for each setting"),
+        (["data.path=unclear.csv"], "system.angular"),
+    ],
+)
+def test_what_cannot_be_searched_is_refused_in_a_line(words, wanted, workplace, capsys):
+    table().to_csv("mine.csv", index=False)
+    table(name="a").to_csv("unclear.csv", index=False)
+    assert main(["-cn", "machine", *words]) == 2
+    said = capsys.readouterr().err
+    assert wanted in said
+    assert len(said.strip().splitlines()) == 1
+    assert not (workplace / "outputs").exists()
+
+
+@pytest.mark.parametrize("delay", [-0.02, 0.0, 0.03])
+def test_the_delay_of_an_input_is_found(delay, workplace):
+    rng = np.random.default_rng(0)
+    h = 0.005
+    t = np.arange(0.0, 20.0, h)
+
+    def force(at):
+        return sum(np.sin(w * at + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
+
+    q, v, motion = 0.0, 0.0, []
+    for now in t:
+        motion.append(q)
+        v += h * (force(now) - 4.0 * np.sin(q) - 0.3 * v)
+        q += h * v
+    q = np.array(motion) + 1e-4 * rng.normal(size=len(t))
+    frame = pd.DataFrame({"t": t, "q_theta": q, "u_theta": force(t + delay)})
+    frame.to_csv("driven.csv", index=False)
+    assert noise_of([q]) < 1e-3
+    found = examine({"path": "driven.csv"})
+    assert found.delay == pytest.approx(delay, abs=0.005)
+    assert found.driven
+
+
+@pytest.mark.parametrize(
+    ("name", "angle"), [("theta", True), ("shoulder", True), ("x", False), ("cart_position", False)]
+)
+def test_angles_are_told_by_name(name, angle, workplace):
+    table(name=name).to_csv("mine.csv", index=False)
+    assert examine({"path": "mine.csv"}).angular == (angle,)
+
+
+def test_inputs_with_the_names_of_coordinates_drive_these(workplace):
+    frame = table(name="shoulder")
+    frame["q_elbow"], frame["u_elbow"] = frame.q_shoulder * 0.5, 0.1
+    frame.to_csv("mine.csv", index=False)
+    assert "system.input_matrix=[[0],[1]]" in examine({"path": "mine.csv"}).settings
+    frame.rename(columns={"u_elbow": "u_motor"}).to_csv("other.csv", index=False)
+    with pytest.raises(ConfigError, match="input_matrix"):
+        examine({"path": "other.csv"})

@@ -1,0 +1,61 @@
+"""Scores of candidates and the choice among them."""
+
+import math
+
+import pytest
+
+from symo_exp.identify.candidates import Candidate
+from symo_exp.identify.validation import Trial, beats, choose, compared, error
+from symo_exp.runs.folder import RunFolder
+
+
+def trial(rank, errors, reasons=None):
+    return Trial(Candidate(f"rank {rank}", rank, {}), dict(enumerate(errors)), reasons or {})
+
+
+@pytest.mark.parametrize(
+    ("simple", "complicated", "chosen"),
+    [
+        # held-out errors of six folds: they tie, though one fold alone prefers the second
+        (
+            [0.051, 0.032, 0.141, 0.084, 0.133, 0.039],
+            [0.024, 0.025, 0.122, 0.091, 0.311, 0.063],
+            1,
+        ),
+        ([0.02, 0.03, 0.04], [0.01, 0.015, 0.02], 2),  # twice as good in each
+        ([0.01, 0.01, 0.01], [0.01, 0.01, 0.01], 1),
+        ([0.01, 0.01, 0.01], [0.02, 0.03, 0.04], 1),
+    ],
+)
+def test_ties_go_to_the_simpler(simple, complicated, chosen):
+    trials = [trial(2, complicated), trial(1, simple)]
+    best = choose(trials, range(len(simple)))
+    assert best is not None
+    assert best.candidate.rank == chosen
+
+
+def test_a_candidate_that_failed_or_has_not_all_folds_is_not_chosen():
+    whole = trial(3, [1.0, 1.0])
+    assert choose([trial(1, [0.1]), trial(2, [0.1, 0.1], {2: "boom"}), whole], range(2)) is whole
+    assert choose([trial(1, [0.1])], range(2)) is None
+
+
+def test_the_comparison_is_of_logarithms():
+    one, other = {0: 1.0, 1: 4.0}, {0: 2.0, 1: 2.0}
+    mean, spread = compared(one, other, [0, 1])
+    assert mean == pytest.approx(0.0)
+    assert spread == pytest.approx(math.log(2.0))
+    assert not beats(one, other, [0, 1])
+    assert beats({0: 1.0, 1: 1.1}, other, [0, 1])
+
+
+@pytest.mark.parametrize(("rmse", "wanted"), [(0.1, 0.1), (math.inf, 10.0), (1e6, 10.0)])
+def test_an_error_is_finite_and_at_most_ten_times_the_baselines(rmse, wanted, tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.path.mkdir()
+    horizons = ("0.5s", "1s", "2s")
+    folder.write_measures(
+        {f"rmse_{h}": rmse for h in horizons}
+        | {f"constant_velocity_rmse_{h}": 1.0 for h in horizons}
+    )
+    assert error(folder) == (pytest.approx(wanted), pytest.approx(1.0))
