@@ -9,12 +9,13 @@ from symo_exp.errors import ConfigError
 from symo_exp.job.recipe import build
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
+from symo_exp.sweep.compose import expand
 from symo_exp.thesis.published import published
 from tests.jobs import job_of, jobs_of
 from tests.systems.models import PENDULUMS
 from tests.tables import choices, known_systems, variational_integrators
 
-GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")} - {"pair", "reference", "model"})
+GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")} - {"reference", "model"})
 CHOICES = [
     (group, choice)
     for group in GROUPS
@@ -77,48 +78,47 @@ ONE_SWEEP = sorted({f.stem for f in SWEEPS.glob("*.yaml")} - {"thesis", "search"
 def test_every_sweep_has_jobs_that_pass(sweep, workplace):
     """That of the last values of all that it varies."""
     params = yaml.safe_load((SWEEPS / f"{sweep}.yaml").read_text())["hydra"]["sweeper"]["params"]
+    rows = params.pop("model,integrator", [])
     last = [f"{key}={str(values).rpartition(',')[2]}" for key, values in params.items()]
+    last += [f"model={model}" for model, _ in rows[-1:]]
+    last += [f"integrator={integrator}" for _, integrator in rows[-1:]]
     job = job_of("-cn", sweep, *last)
     assert set(last) <= set(job.overrides)
 
 
-PAIRS = sorted({*choices("pair")} - {"none"})
+PAIRS = {"model,integrator": [["node", "rk4"], ["node", "midpoint"], ["symo", "midpoint"]]}
 
 
-@pytest.mark.parametrize("pair", PAIRS)
-def test_a_pair_is_a_model_and_an_integrator_by_one_name(pair):
-    model, integrator = halves(pair)
-    assert f"{model}_{integrator}" == pair
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ([], ["node rk4", "node midpoint", "symo midpoint"]),
+        (["model=node"], ["node rk4", "node midpoint"]),
+        (["integrator=midpoint"], ["node midpoint", "symo midpoint"]),
+        (["model=symo,node", "integrator=midpoint"], ["symo midpoint", "node midpoint"]),
+        (["model=node,l_node", "integrator=rk4"], ["node rk4", "l_node rk4"]),
+        (["model=residual"], ["residual"]),
+    ],
+)
+def test_pairs_of_a_sweep_agree_with_the_command_line(typed, expected):
+    found = expand(["seed=1", *typed], {"data.n_traj": "8", **PAIRS})
+    assert {" ".join(one[:1] + one[-1:]) for one in found} == {"data.n_traj=8 seed=1"}
+    middle = [" ".join(word.partition("=")[2] for word in one[1:-1]) for one in found]
+    assert middle == expected
 
 
-def halves(pair):
-    content = yaml.safe_load((CONF / "pair" / f"{pair}.yaml").read_text())
-    model, integrator = content.pop("defaults")
-    assert not content
-    return model.pop("override /model"), integrator.pop("override /integrator")
-
-
-@pytest.mark.parametrize("pair", ["l_node_rk4", "symo_galerkin4"])
-def test_a_run_is_the_same_by_its_pair_and_by_its_halves(pair, workplace):
-    model, integrator = halves(pair)
-    rest = ["system=acrobot", "seed=1"]
-    by_pair = job_of(f"pair={pair}", *rest)
-    by_groups = job_of(f"model={model}", f"integrator={integrator}", *rest)
-    assert by_pair.folder.path == by_groups.folder.path
+@pytest.mark.parametrize("rows", ["node,rk4", [["node"]], ["ab"]])
+def test_pairs_that_are_none_are_refused(rows):
+    with pytest.raises(ConfigError, match="rows, each of 2 values"):
+        expand([], {"model,integrator": rows})
 
 
 @pytest.mark.parametrize("sweep", ["data_size", "tables", "noise"])
 def test_sweeps_share_their_runs(sweep, workplace):
     """A run at 32 trajectories without noise is one run, in every sweep and typed by hand."""
-    jobs = jobs_of("-cn", sweep, "system=pendulum", "pair=node_rk4", "seed=1")
+    jobs = jobs_of("-cn", sweep, "system=pendulum", "model=node", "integrator=rk4", "seed=1")
     typed = "experiment=thesis model=node integrator=rk4 system=pendulum data.n_traj=32 seed=1"
     assert job_of(*typed.split()).folder.path in [job.folder.path for job in jobs]
-
-
-def test_a_pair_goes_with_a_preset(workplace):
-    job = job_of("preset=fast", "pair=symo_midpoint")
-    assert job.config.integrator.variational._target_.endswith("VariationalMidpoint")
-    assert job.config.optimizer._target_.endswith("Chained")
 
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda f: f"{f.parent.name}/{f.stem}")

@@ -56,6 +56,7 @@ BAD = [
     ("trainer.accelerator=tpu", "tpu", "cpu or gpu"),
     # values
     ("data.n_traj=0", "0", "1 to 128"),
+    ("pair=l_node_rk4", "pair=l_node_rk4", "model=l_node integrator=rk4"),
     ("data.n_traj=129", "129", "data.n_train_max=129"),
     ("data.n_traj=8.5", "8.5", "whole number"),
     ("data.n_traj=null", "null", "whole number"),
@@ -223,7 +224,7 @@ def test_a_folder_belongs_to_what_is_computed(workplace):
     [
         ([], ""),
         (["seed=1", "data.n_traj=8", "data.noise_std=1e-3", "model=node", "pictures=false"], ""),
-        (["pair=l_node_rk4", "system=acrobot"], ""),
+        (["model=l_node", "integrator=rk4", "system=acrobot"], ""),
         (["preset=fast"], "fast"),
         (["preset=thesis", "trainer.max_epochs=3"], "thesis, trainer.max_epochs=3"),
         (["scheduler=cosine"], "scheduler=cosine"),
@@ -257,7 +258,7 @@ def test_a_run_is_named_by_what_its_sweep_varies(varied, name, workplace, monkey
 
 
 def test_a_model_that_is_not_learned_is_measured_without_training(workplace):
-    assert main(["pair=true_variational_midpoint", *QUIET]) == 0
+    assert main(["model=true_variational", *QUIET]) == 0
     (folder,) = map(RunFolder, (workplace / "outputs" / "default").glob("*"))
     assert folder.measures()["inertia_mse"] == 0.0
     assert folder.measures()["test_mse"] > 0.0

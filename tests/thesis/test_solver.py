@@ -58,7 +58,7 @@ def test_rest_stays_at_rest() -> None:
     "words", ["draws=published system=pendulum", "preset=thesis system=cartpole"]
 )
 def test_published_trajectories_are_those_of_the_experiments(words, workplace):
-    pairs = ["-m", "pair=l_node_rk4,l_node_midpoint"]
+    pairs = ["-m", "model=l_node", "integrator=rk4,midpoint"]
     rk4, midpoint = (job.config for job in jobs_of(*words.split(), *pairs))
     assert rk4.system.gravity == midpoint.system.gravity == 9.81
     assert rk4.data.solver._target_.endswith("SolveIvp")
@@ -73,7 +73,7 @@ def test_published_trajectories_are_those_of_the_experiments(words, workplace):
 def test_the_true_pendulum_along_the_published_rollouts(rollouts, error, workplace):
     """What L-NODE in RK4 could best have: the rule of its rollouts decides it."""
     job = job_of(
-        "draws=published", "system=pendulum", "pair=true_ode_rk4",
+        "draws=published", "system=pendulum", "model=true_ode", "integrator=rk4",
         f"integrator.rollout._target_=symo_exp.mechanics.explicit.{rollouts}",
         "data.n_traj=1", "data.n_train_max=1", "data.n_val=1", "data.n_test=1",
         "data.monitor_trajectories=null",

@@ -62,6 +62,11 @@ def _check(overrides: Sequence[Override], loader: ConfigLoader) -> None:
     groups = {name: [] if "." in name else loader.get_group_options(name) for name in names}
     choices = [o for o in overrides if groups[o.key_or_group] and not o.is_sweep_override()]
     for override in overrides:
+        if override.key_or_group == "pair":
+            value = str(next(iter(_values(override))))
+            model, _, integrator = value.rpartition("_")
+            meant = f"model={model or 'NAME'} integrator={integrator or 'NAME'}"
+            raise ConfigError(f"pair={value} is not a setting; write {meant}")
         if options := groups[override.key_or_group]:
             for value in _values(override):
                 _check_choice(override.key_or_group, value, options)

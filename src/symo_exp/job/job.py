@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 SWEEP, VARIED = "SYMO_EXP_SWEEP", "SYMO_EXP_VARIED"
 """Environment variables: the identity of the sweep that a job belongs to, and what it varies."""
-NAMED = "model=", "system=", "pair=", "data.n_traj="
+NAMED = "model=", "system=", "data.n_traj="
 """What the name of a run has anyway."""
 OURS = "hydra_plugins.symo_exp_sweeper.SymoExpSweeper"
 READS_FOLDERS = "hydra_plugins.symo_exp_"

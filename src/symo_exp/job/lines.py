@@ -34,7 +34,7 @@ def brief(label: str) -> str:
     words = []
     for word in label.split():
         key, equals, value = word.partition("=")
-        named = {"model": "", "system": "", "pair": "", "data.n_traj": "n="} if equals else {}
+        named = {"model": "", "system": "", "integrator": "", "data.n_traj": "n="} if equals else {}
         words.append(named.get(key, key.rpartition(".")[2] + equals) + value)
     return " ".join(words)
 

@@ -58,7 +58,7 @@ def _differences(config: DictConfig, choices: Mapping[str, Any], compose: Compos
     groups = {
         group: choice
         for group, choice in choices.items()
-        if isinstance(choice, str) and "/" not in group and group not in {*INCIDENTAL, "pair"}
+        if isinstance(choice, str) and "/" not in group and group not in INCIDENTAL
     }
     usual = compose(told)
     usual_choices = usual.hydra.runtime.choices

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 
 import symo_exp.job.config  # noqa: F401 (its resolvers)
 from symo_exp.errors import ConfigError
@@ -30,17 +30,49 @@ class Job(NamedTuple):
 
 
 def expand(arguments: Sequence[str], params: Mapping[str, Any] | None = None) -> list[list[str]]:
-    """Every combination of the values that are swept; ``params`` are those of a sweep's file, over
-    which the command line has the last word."""
-    given = [f"{key}={value}" for key, value in (params or {}).items()]
-    choices: dict[str, list[str]] = {}
+    """Return the overrides of every combination of the values that are swept.
+
+    Args:
+        arguments: Overrides of the command line, which have the last word.
+        params: What the file of a sweep varies. A key such as ``model,integrator`` has a list of
+            pairs; of these the ones are taken that agree with the command line, and where none
+            agrees, the values of the command line alone.
+    """
+    params = params or {}
+    single = {key: value for key, value in params.items() if "," not in key}
+    axes: dict[tuple[str, ...], list[list[str]]] = {tuple(key.split(",")): [] for key in params}
+    given = [f"{key}={value}" for key, value in single.items()]
     for override in OverridesParser.create().parse_overrides([*given, *arguments]):
         key = override.get_key_element()
         if override.is_sweep_override():
-            choices[key] = [f"{key}={value}" for value in override.sweep_string_iterator()]
+            axes[key,] = [[f"{key}={value}"] for value in override.sweep_string_iterator()]
         else:
-            choices[key] = [override.input_line or f"{key}={override.get_value_element_as_str()}"]
-    return [list(combination) for combination in itertools.product(*choices.values())]
+            axes[key,] = [[override.input_line or f"{key}={override.get_value_element_as_str()}"]]
+    for key in params.keys() - single:
+        names = tuple(key.split(","))
+        typed = [axes.pop((name,)) for name in names if (name,) in axes]
+        axes[names] = _agreeing(_rows(names, params[key]), typed)
+    return [[word for words in one for word in words] for one in itertools.product(*axes.values())]
+
+
+def _rows(names: Sequence[str], values: Any) -> list[list[str]]:
+    """Return the overrides that each row of values stands for."""
+    for row in values if isinstance(values, list | ListConfig) else [values]:
+        if not isinstance(row, list | ListConfig) or len(row) != len(names):
+            raise ConfigError(
+                f"hydra.sweeper.params.{','.join(names)} has {row}: expected a list of rows, each "
+                f"of {len(names)} values"
+            )
+    return [[f"{n}={v}" for n, v in zip(names, row, strict=True)] for row in values]
+
+
+def _agreeing(rows: list[list[str]], typed: list[list[list[str]]]) -> list[list[str]]:
+    """Return the rows that have one of each ``typed`` values, or those values where no row has."""
+    found = []
+    for one in itertools.product(*typed):
+        words = [word for part in one for word in part]
+        found += [row for row in rows if set(words) <= set(row)] or [words]
+    return found
 
 
 def labels(combinations: Sequence[Sequence[str]]) -> list[str]:
