@@ -11,7 +11,7 @@ from torch import nn
 
 from symo_exp.errors import ConfigError
 from symo_exp.nets.affine import linear
-from symo_exp.optim import levenberg_marquardt
+from symo_exp.optim import descent, levenberg_marquardt
 from symo_exp.optim.chained import Chained
 from symo_exp.optim.lbfgs import LBFGS
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
@@ -78,7 +78,7 @@ def test_bent_valleys_take_fewer_steps(monkeypatch):
         return sum(loss > losses[-1] * (1 + 1e-9) for loss in losses), losses[-1]
 
     bent, reached = epochs()
-    monkeypatch.setattr(levenberg_marquardt, "BEND", -1.0)
+    monkeypatch.setattr(descent, "LONGEST", -1.0)
     straight, same = epochs()
     assert reached <= same * (1 + 1e-9)
     assert bent < straight

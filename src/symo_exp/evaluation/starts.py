@@ -1,4 +1,4 @@
-"""The start that makes a model's own motion fit measured configurations."""
+"""The initial state from which a model's own motion fits measured configurations best."""
 
 from __future__ import annotations
 
@@ -7,18 +7,22 @@ from typing import NamedTuple, Protocol
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
+
+from symo_exp.mechanics.roots import Rule, iterate
+from symo_exp.mechanics.rows import Rowwise
 
 ITERATIONS = 12
 DIFFERENCE = 1e-5
-"""Of a start, in the differences of rollouts [rad, rad/s; m, m/s]."""
+"""Distance of initial states for differences of rollouts [rad, rad/s; m, m/s]."""
 GAIN, TINY = 1e-6, 1e-24
-"""A row is done when a step promises to lessen its cost by no more than this share, or number."""
+"""A row is done if a step is predicted to lower its cost by at most this share, or this number."""
 SMALLEST = 1e-12
-"""Of a diagonal that damping scales with."""
+"""Lower bound on the diagonal that damping scales with."""
 
 
-class Path(Protocol):
-    """A rollout, start included."""
+class StateSequence(Protocol):
+    """A rollout, initial state included."""
 
     @property
     def q(self) -> Float[Tensor, "batch nodes n"]: ...
@@ -27,12 +31,14 @@ class Path(Protocol):
 
 
 class RollsOut(Protocol):
-    """Whatever moves from a state under the controls at the nodes."""
+    """A model that moves from a state under the controls at the nodes."""
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Path: ...
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> StateSequence: ...
 
 
 class State(NamedTuple):
+    """Configuration and velocity."""
+
     q: Float[Tensor, "batch n"]
     v: Float[Tensor, "batch n"]
 
@@ -43,70 +49,112 @@ def fitted_start(
     u: Float[Tensor, "batch nodes m"],
     time_step: float,
 ) -> State:
-    """The states at node 0 of ``min_{q₀, v₀} Σ_k |q̂_k(q₀, v₀) − q_k|²``, for a batch of motions.
+    """Return the states at node 0 that minimise ``Σ_k |q̂_k(q₀, v₀) − q_k|²`` for each motion.
 
-    Levenberg-Marquardt from a parabola through the configurations, all rows at once and each with
-    a damping of its own; derivatives are central differences of rollouts, so that any model will
-    do. A trial that diverges is refused like one that is worse: the start stays where it was.
+    Levenberg-Marquardt from a parabola through the configurations, for all rows at once, each with
+    its own damping. Derivatives are central differences of rollouts, so that any model will do. A
+    trial that diverges is refused like one that is worse.
+
+    Args:
+        model: The model.
+        q: Measured configurations [rad, m].
+        u: Controls.
+        time_step: Time between nodes [s].
     """
-    n, x = q.shape[2], _parabola(q, time_step)
-    damping = x.new_full((len(x),), 1e-3)
-    residual, slopes = _expand(model, x, q, u)
-    rows = torch.arange(len(x), device=x.device)  # those that still move
-    for _ in range(ITERATIONS):
-        step, gain = _step(residual[rows], slopes[rows], damping[rows])
-        rows, step = (part[gain > GAIN * _cost(residual[rows]) + TINY] for part in (rows, step))
-        if not len(rows):
-            break
-        trial = x[rows] + step
-        moved, moved_slopes = _expand(model, trial, q[rows], u[rows])
-        better = _cost(moved) < _cost(residual[rows])
-        taken = rows[better]
-        x[taken], residual[taken] = trial[better], moved[better]
-        slopes[taken] = moved_slopes[better]
-        damping[rows] *= torch.where(better, 0.1, 10.0)
+    n = q.shape[2]
+    x, _, _ = iterate(Fit(model, q, u), _parabola(q, time_step), FitSteps(), ITERATIONS)
     return State(x[:, :n], x[:, n:])
 
 
-def _step(residual: Tensor, slopes: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """The damped Gauss-Newton step, and by how much it lessens the cost of the linear model.
+class Fit(Rowwise):
+    """Least squares of rollouts over their initial states."""
 
-    No step where the residuals or the equations are not finite.
+    parts = ("_model", "_q", "_u")
+
+    def __init__(self, model: RollsOut, q: Tensor, u: Tensor) -> None:
+        self._model, self._q, self._u = model, q, u
+
+    def at(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
+        """Evaluate residuals and derivatives by one rollout of all starts and their neighbours."""
+        batch, unknowns = x.shape
+        beside = DIFFERENCE * torch.eye(unknowns).to(x)
+        shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
+        starts = (x + shifts[:, None]).flatten(0, 1)
+        q0, v0 = starts.chunk(2, dim=1)
+        path = self._model.rollout(q0, v0, self._u.repeat(len(shifts), 1, 1)).q
+        moved = path.to(self._q).unflatten(0, (len(shifts), batch)).flatten(2)
+        at, plus, minus = moved.split((1, unknowns, unknowns))
+        slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
+        return FitPoint(at[0] - self._q.flatten(1), slopes.nan_to_num(0.0, 0.0, 0.0))
+
+
+class FitPoint(Rowwise):
+    """Residuals ``q̂ − q`` (batch, r) and their derivatives (batch, r, 2n).
+
+    Residuals of rollouts that diverge are not finite; their derivatives are zero.
     """
-    gradient = (slopes.mT @ residual.unsqueeze(-1)).nan_to_num(0.0, 0.0, 0.0)
-    normal = slopes.mT @ slopes
-    scale = normal.diagonal(dim1=1, dim2=2).clamp_min(SMALLEST)
-    matrix = normal + torch.diag_embed(damping[:, None] * scale)
-    step = -torch.linalg.solve_ex(matrix, gradient)[0].nan_to_num(0.0, 0.0, 0.0)
-    gain = -(step.mT @ (2.0 * gradient + normal @ step)).flatten()
-    return step.squeeze(-1), gain
+
+    parts = ("residual", "slopes")
+
+    def __init__(self, residual: Tensor, slopes: Tensor) -> None:
+        self.residual, self.slopes = residual, slopes
+
+    def cost(self) -> Float[Tensor, " batch"]:
+        """Return the sum of squares, infinite if it is not a number."""
+        return self.residual.square().sum(1).nan_to_num(nan=torch.inf)
+
+    def step(self, damping: Float[Tensor, " batch"]) -> tuple[Tensor, Tensor]:
+        """Return the damped Gauss-Newton step and the predicted decrease of the cost.
+
+        The step is zero if the residuals or the equations are not finite.
+        """
+        gradient = (self.slopes.mT @ self.residual.unsqueeze(-1)).nan_to_num(0.0, 0.0, 0.0)
+        normal = self.slopes.mT @ self.slopes
+        scale = normal.diagonal(dim1=1, dim2=2).clamp_min(SMALLEST)
+        matrix = normal + torch.diag_embed(damping[:, None] * scale)
+        step = -torch.linalg.solve_ex(matrix, gradient)[0].nan_to_num(0.0, 0.0, 0.0)
+        gain = -(step.mT @ (2.0 * gradient + normal @ step)).flatten()
+        return step.squeeze(-1), gain
+
+
+class FitState(NamedTuple):
+    """State of ``FitSteps``."""
+
+    damping: Float[Tensor, " batch"]
+    step: Float[Tensor, "batch unknowns"]
+
+
+class FitSteps(Rule[FitPoint, FitState]):
+    """Damped Gauss-Newton steps; rows that gain nothing more are dropped."""
+
+    @override
+    def start(self, x: Tensor, at: FitPoint) -> FitState:
+        return FitState(x.new_full((len(x),), 1e-3), torch.zeros_like(x))
+
+    @override
+    def active(self, x: Tensor, at: FitPoint, state: FitState) -> tuple[Tensor, FitState]:
+        step, gain = at.step(state.damping)
+        return gain > GAIN * at.cost() + TINY, state._replace(step=step)
+
+    @override
+    def drops(self, active: int, rows: int, batch: int) -> bool:
+        return True
+
+    @override
+    def trial(self, x: Tensor, at: FitPoint, state: FitState) -> tuple[Tensor, FitState]:
+        return x + state.step, state
+
+    @override
+    def judge(
+        self, active: Tensor, at: FitPoint, there: FitPoint, state: FitState
+    ) -> tuple[Tensor, FitState]:
+        better = there.cost() < at.cost()
+        return better, state._replace(damping=state.damping * torch.where(better, 0.1, 10.0))
 
 
 def _parabola(q: Tensor, h: float) -> Tensor:
-    """Configuration and velocity at node 0 of the least-squares parabola through the nodes."""
+    """Return state at node 0 of the least-squares parabola through the nodes."""
     t = h * torch.arange(q.shape[1]).to(q)
     powers = t[:, None] ** torch.arange(min(3, len(t))).to(q)
     fit = torch.linalg.pinv(powers) @ q
     return torch.cat((fit[:, 0], fit[:, 1]), dim=1)
-
-
-def _expand(model: RollsOut, x: Tensor, q: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Residuals ``q̂ − q`` (batch, r) of the starts ``x`` and their derivatives (batch, r, 2n).
-
-    One rollout of all starts and of those beside them. Where a start diverges the residuals are
-    not finite; derivatives that are not are zero.
-    """
-    batch, unknowns = x.shape
-    beside = DIFFERENCE * torch.eye(unknowns).to(x)
-    shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
-    starts = (x + shifts[:, None]).flatten(0, 1)
-    q0, v0 = starts.chunk(2, dim=1)
-    path = model.rollout(q0, v0, u.repeat(len(shifts), 1, 1)).q
-    moved = path.to(q).unflatten(0, (len(shifts), batch)).flatten(2)
-    at, plus, minus = moved.split((1, unknowns, unknowns))
-    slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
-    return at[0] - q.flatten(1), slopes.nan_to_num(0.0, 0.0, 0.0)
-
-
-def _cost(residual: Tensor) -> Tensor:
-    return residual.square().sum(1).nan_to_num(nan=torch.inf)

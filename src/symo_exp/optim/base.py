@@ -164,6 +164,6 @@ def step_bounded(
         step()
 
 
-def whole(batches: Sequence[Windows]) -> Windows:
+def concatenated(batches: Sequence[Windows]) -> Windows:
     """The mini batches of an epoch as one."""
     return Windows(*(torch.cat(fields) for fields in zip(*batches, strict=True)))

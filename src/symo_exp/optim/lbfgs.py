@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.mechanics.types import Windows
-from symo_exp.optim.base import EpochOptimizer, Problem, whole
+from symo_exp.optim.base import EpochOptimizer, Problem, concatenated
 
 
 class LBFGS(EpochOptimizer):
@@ -30,7 +30,7 @@ class LBFGS(EpochOptimizer):
         )  # fmt: skip
 
     def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
-        samples = whole(batches)
+        samples = concatenated(batches)
 
         def closure() -> Tensor:
             self._inner.zero_grad()

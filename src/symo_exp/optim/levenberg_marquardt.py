@@ -9,18 +9,19 @@ from collections.abc import Iterable, Iterator, Sequence
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
 from symo_exp.nets.affine import parameter_jacobian
-from symo_exp.optim.base import EpochOptimizer, Problem, whole
+from symo_exp.optim.base import EpochOptimizer, Problem, concatenated
 from symo_exp.optim.damped import DampedSystem
+from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
 
 FALLS = 0.9
 """What is left of the training loss, from one held-out loss to the next, of one that falls."""
-
-TENTH, BEND = 0.1, 0.75
-"""Where on the way its bend is measured; the longest correction for it, twice, over the step."""
+LIMIT = 1e12
+"""The damping at which a refused step ends the training."""
 
 
 class LevenbergMarquardt(EpochOptimizer):
@@ -69,44 +70,28 @@ class LevenbergMarquardt(EpochOptimizer):
         """``λ``."""
         return float(self.memory["damping"])
 
+    @override
     def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
-        samples = whole(batches)
-        at, start = self._linearised(model, samples), self.flat()
-        before, accepted, growth = float(at.r @ at.r), False, 2.0
-        for _ in range(self.trials):
-            factor = at.factor(self.damping)
-            if factor is not None:
-                straight = at.towards_zero(factor, at.r)
-                linear = at.change(straight)
-                self.place(start + TENTH * straight)
-                there = at.scale * self._residuals(model, samples)
-                bend = (there - at.r - TENTH * linear) / TENTH**2
-                aside = at.towards_zero(factor, bend)
-                bent = bool(2.0 * aside.norm() <= BEND * straight.norm())
-                self.place(start + (straight + aside if bent else straight))
-                fall = before - float(self._residuals(model, samples).square().mean())
-                foreseen = -float(linear @ (2.0 * at.r + linear))
-                accepted = fall > 0.0
-            if accepted:
-                gain = fall / max(foreseen, 1e-300)
-                self._damp(max(1.0 / 3.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3))
-                break
-            self._damp(growth)
-            growth *= 2.0
-        if not accepted:
-            self.place(start)
-            self.finished = self.damping >= 1e12
-        self.memory["loss"] = before
-        return {"train_loss": at.r @ at.r, "damping": torch.tensor(self.damping)}
+        samples = concatenated(batches)
+        descent = _Trials(self, model, samples)
+        if not descent.run(self.trials):
+            self.place(descent.start)
+            self.finished = self.damping >= LIMIT
+        self.memory["loss"] = descent.objective
+        squares = descent.system.r @ descent.system.r
+        return {"train_loss": squares, "damping": torch.tensor(self.damping)}
 
+    @override
     def falls(self) -> bool:
         before, self.memory["asked"] = self.memory["asked"], self.memory["loss"]
         return bool(self.memory["loss"] < FALLS * before)
 
-    def _damp(self, factor: float) -> None:
+    def damp(self, factor: float) -> None:
+        """Multiply the damping."""
         self.memory["damping"] = min(max(self.damping * factor, 1e-16), 1e16)
 
-    def _linearised(self, model: Problem, samples: Windows) -> DampedSystem:
+    def linearised(self, model: Problem, samples: Windows) -> DampedSystem:
+        """Return the residuals and their derivatives at the parameters in place."""
         size = len(self.flat())
         with torch.no_grad():
             per_sample = model.residuals(samples.rows(slice(1))).shape[1]
@@ -119,10 +104,6 @@ class LevenbergMarquardt(EpochOptimizer):
         """``r`` and ``J``, a row each residual."""
         r, jacobian, _ = parameter_jacobian(lambda: model.residuals(samples), self.parameters)
         return r.flatten(), jacobian.flatten(0, 1)
-
-    @torch.no_grad()
-    def _residuals(self, model: Problem, samples: Windows) -> Float[Tensor, " equations"]:
-        return torch.cat([model.residuals(w).flatten() for w in _chunks(samples, 1024)])
 
     def _require(self, size: int, equations: int) -> None:
         """Refuse at once what would not fit into memory."""
@@ -137,6 +118,71 @@ class LevenbergMarquardt(EpochOptimizer):
                 f"{equations} residuals, and {free / 1e9:.1f} GB are free; use a smaller "
                 "model.width, fewer trajectories (data.n_traj), or optimizer=adam or lbfgs"
             )
+
+
+class _Trials(Descent):
+    """Trials of one step."""
+
+    def __init__(self, owner: LevenbergMarquardt, model: Problem, samples: Windows) -> None:
+        self.system, self.start = owner.linearised(model, samples), owner.flat()
+        self._owner, self._model, self._samples = owner, model, samples
+        self._growth = 2.0
+        super().__init__(float(self.system.r @ self.system.r))
+
+    @override
+    def equations(self) -> _Equations | None:
+        factor = self.system.factor(self._owner.damping)
+        return None if factor is None else _Equations(self, factor)
+
+    @override
+    def take(self, move: Move) -> float:
+        return float(self.residuals(move.step).square().mean())
+
+    @override
+    def accepted(self, gain: float, *, first: bool) -> None:
+        self._owner.damp(max(1.0 / 3.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3))
+
+    @override
+    def refused(self) -> None:
+        self._owner.damp(self._growth)
+        self._growth *= 2.0
+
+    @torch.no_grad()
+    def residuals(self, step: Tensor) -> Float[Tensor, " equations"]:
+        """Return the residuals after a step, which is left in place."""
+        self._owner.place(self.start + step)
+        pieces = [self._model.residuals(w).flatten() for w in _chunks(self._samples, 1024)]
+        return torch.cat(pieces)
+
+
+class _Equations(DampedEquations):
+    """``(JᵀJ + λ s I) δ = −Jᵀ r``."""
+
+    def __init__(self, trials: _Trials, factor: Tensor) -> None:
+        self._trials, self._system, self._factor = trials, trials.system, factor
+        self._straight = self._system.towards_zero(factor, self._system.r)
+        self._linear = self._system.change(self._straight)
+
+    @override
+    def straight(self) -> Tensor:
+        return self._straight
+
+    @override
+    def bend(self, step: Tensor) -> Tensor:
+        there = self._system.scale * self._trials.residuals(PROBE * step)
+        return (there - self._system.r - PROBE * self._linear) / PROBE**2
+
+    @override
+    def correction(self, bend: Tensor) -> Tensor:
+        return self._system.towards_zero(self._factor, bend)
+
+    @override
+    def length(self, step: Tensor) -> Tensor:
+        return step.norm()
+
+    @override
+    def predicted(self, step: Tensor) -> float:
+        return -float(self._linear @ (2.0 * self._system.r + self._linear))
 
 
 def _chunks(samples: Windows, size: int) -> Iterator[Windows]:

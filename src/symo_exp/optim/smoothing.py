@@ -1,4 +1,17 @@
-"""A step of total least squares: Gauss-Newton over nodes and parameters, and the evidence."""
+"""A step of total least squares: Gauss-Newton over nodes and parameters, and the evidence.
+
+With ``J_x``, ``J_θ`` the derivatives of the residuals ``r`` and ``y`` the measured nodes
+
+    e = r + J_x (y − x)        S = J_x J_xᵀ + ε² I
+
+eliminate the nodes ``x``, ``(J_θᵀ S⁻¹ J_θ + σ² α + λ diag) δ = −J_θᵀ S⁻¹ e − σ² α θ`` moves the
+parameters, and ``x = y − J_xᵀ S⁻¹ (e + J_θ δ)`` puts the nodes back. The step is accelerated (see
+``descent``): ``½ r''`` along it joins ``e``. The nodes are then put back once more with the
+residuals there. ``S`` is banded: everything takes time linear in the nodes.
+
+A refused step is tried again with more damping: ``λ`` of the parameters or, if the nodes alone do
+not find their way, ``μ |x − x_before|²``, since dry friction bends the residuals within a step.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +22,17 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.roles import is_coefficient, is_late
 from symo_exp.optim.banded import BandFactor, Chain
 from symo_exp.optim.base import Problem
+from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
 from symo_exp.optim.evidence import evidence
 
 SUCCESS, FAILURE, SURPRISE = 1 / 3, 8.0, 2.5
-"""What damping is multiplied by: after a step as foreseen, one refused, one that gains little."""
-
-TENTH, BEND = 0.1, 0.75
-"""Where on the way its bend is measured; the longest correction for it, twice, over the step."""
+"""Factors of the damping after a step as predicted, a refused one, and one that gains little."""
 TRIALS = 14
 """Trials of a step; the damping grows by twelve powers of ten in them."""
 LIMIT, SETTLED = 1e12, 1e-6
@@ -28,7 +40,7 @@ LIMIT, SETTLED = 1e12, 1e-6
 
 
 class Owner(Protocol):
-    """Whose step it is."""
+    """The optimiser that takes a step."""
 
     parameters: list[Tensor]
     memory: dict[str, Any]
@@ -36,35 +48,6 @@ class Owner(Protocol):
     def weight(self, chain: Chain) -> Float[Tensor, " d"]: ...
     def flat(self) -> Tensor: ...
     def place(self, flat: Tensor) -> None: ...
-
-
-class Reduced(NamedTuple):
-    """The problem around the present nodes and parameters, in units of the noise of ``q``."""
-
-    e: Float[Tensor, "windows k"]
-    """``r + J_x (y − x)``."""
-    by_theta: Float[Tensor, "windows k parameters"]
-    by_x: tuple[Float[Tensor, "windows k d"], ...]
-    factor: BandFactor | None
-    """Of ``S``; ``None`` where the nodes are held."""
-    target: Float[Tensor, "nodes d"]
-    """``y``, or with damped nodes a point between ``y`` and ``x``."""
-    weight: float
-    """``1 + μ`` of the nodes' distance from there."""
-    gram: Float[Tensor, "parameters parameters"]
-    """``J_θᵀ S⁻¹ J_θ``."""
-    gradient: Float[Tensor, " parameters"]
-    """``J_θᵀ S⁻¹ e``."""
-
-
-class Move(NamedTuple):
-    """A trial."""
-
-    delta: Float[Tensor, " parameters"]
-    bend: Float[Tensor, "windows k"]
-    """``½ r''`` along it."""
-    foreseen: float
-    """By how much the objective should fall."""
 
 
 class Found(NamedTuple):
@@ -76,198 +59,275 @@ class Found(NamedTuple):
     and priors no longer change."""
 
 
-class Smoothing:
-    """One step. With ``J_x``, ``J_θ`` the derivatives of the residuals ``r``
+class SmoothingObjective:
+    """``Σ|x − y|² + Σ|r|²/ε² + σ² Σ_g α_g |θ_g|²``, in units of the noise of ``q``.
 
-        e = r + J_x (y − x)        S = J_x J_xᵀ + ε² I
-
-    eliminate the nodes, ``(J_θᵀ S⁻¹ J_θ + σ² α + λ diag) δ = −J_θᵀ S⁻¹ e − σ² α θ`` moves the
-    parameters, and ``x = y − J_xᵀ S⁻¹ (e + J_θ δ)`` puts the nodes back. To second order, by
-    geodesic acceleration (Transtrum and Sethna 2012), ``½ r''`` along the step joins ``e``: valleys
-    are bent. The nodes are then put back once more with the residuals there. A step that lowers the
-    objective is taken, another tried again with more damping: ``λ``, or where the nodes alone would
-    go astray ``μ |x − x_before|²``, for dry friction bends the residuals within a step. ``S`` is
-    banded: all takes time linear in the nodes.
-
-    Noise, ``σ² = χ²/(M − γ)``, and priors of every tensor come from the ``evidence``.
+    Args:
+        owner: The optimiser.
+        model: Its problem.
+        chain: The measured nodes.
+        epsilon: ``ε``; ``None`` holds the nodes.
+        late: Whether late parameters move.
     """
 
     def __init__(
         self, owner: Owner, model: Problem, chain: Chain, epsilon: float | None, *, late: bool
     ) -> None:
-        """``epsilon=None`` holds the nodes; ``late`` lets the late parameters move."""
-        self._owner, self._memory, self._model = owner, owner.memory, model
-        self._chain, self._epsilon = chain, epsilon
-        self._weight = owner.weight(chain)
+        self.owner, self.memory, self.chain, self.epsilon = owner, owner.memory, chain, epsilon
+        self._model, self.weight = model, owner.weight(chain)
         sizes = torch.tensor([p.numel() for p in owner.parameters])
         self._group = torch.repeat_interleave(torch.arange(len(sizes)), sizes)
         self._flat = torch.tensor([is_coefficient(p) for p in owner.parameters])
         moves = [late or not is_late(p) for p in owner.parameters]
-        self._moves = torch.tensor(moves)[self._group]
+        self.moves = torch.tensor(moves)[self._group]
+        """Parameters that move."""
 
-    def step(self) -> Found:
-        """Try steps with growing damping until one lowers the objective."""
-        owner, memory = self._owner, self._memory
-        x, theta = memory["nodes"], owner.flat()
-        r, by_theta, by_x = self._differentiated(x, owner.parameters)
-        by_theta = by_theta * self._moves
-        free = self._eliminated(x, r, by_theta, by_x, 0.0)
-        before, accepted = self._objective(x, r, theta), False
-        for trial in range(TRIALS):
-            held = memory["held"] if self._epsilon else 0.0
-            at = self._eliminated(x, r, by_theta, by_x, held) if held else free
-            move = None if at is None else self._move(at, x, r, theta)
-            if at is not None and move is not None:
-                moved = theta + move.delta
-                owner.place(moved)
-                there, r_there = self._arrived(at, move)
-                fall = before - self._objective(there, r_there, moved)
-                accepted = fall > 0.0
-                if accepted:
-                    gain = fall / max(move.foreseen, 1e-300)
-                    memory["nodes"], x, r, theta = there, there, r_there, moved
-                    if gain < 0.2:
-                        memory["damping"] *= SURPRISE
-                    elif gain > 0.6 and trial == 0:
-                        memory["damping"] *= SUCCESS
-                        memory["held"] = held * SUCCESS if held > 1.0 else 0.0
-                    break
-            owner.place(theta)
-            if self._epsilon is None or (at is not None and self._nodes_settle(at, before, theta)):
-                memory["damping"] = min(memory["damping"] * FAILURE, LIMIT)
-            else:
-                memory["held"] = min(max(held * FAILURE, 1.0), LIMIT)
-        settled = free is None or self._weigh(free.gram, x, r, theta)
-        stuck = max(memory["damping"], memory["held"]) >= LIMIT
-        metrics = {
-            "train_loss": float(r.square().mean()),
-            "noise_estimate": memory["noise"] ** 0.5,
-            "damping": memory["damping"],
-        }
-        return Found(metrics, ended=not accepted and stuck and settled)
-
-    def _residuals(self, stencil: Sequence[Tensor]) -> Tensor:
-        """``r``, those of velocities over their weight."""
-        found = self._model.residuals(self._chain.windows(*stencil))
-        return found / self._weight[: found.shape[1]]
+    @property
+    def precision(self) -> Float[Tensor, " parameters"]:
+        """``α`` of each parameter."""
+        precision: Tensor = self.memory["precision"][self._group]
+        return precision
 
     @torch.no_grad()
-    def _residuals_at(self, x: Tensor) -> Tensor:
-        return self._residuals(self._chain.stencil(x))
+    def residuals(self, x: Float[Tensor, "nodes d"]) -> Float[Tensor, "windows k"]:
+        """Return ``r``; residuals of velocities are divided by their weight."""
+        return self._residuals(self.chain.stencil(x))
 
-    def _differentiated(self, x: Tensor, parameters: Sequence[Tensor]) -> tuple[Any, ...]:
-        """``r``, ``J_θ`` and ``J_x``."""
-        stencil = [y.clone().requires_grad_() for y in self._chain.stencil(x)]
+    def differentiated(self, x: Tensor, parameters: Sequence[Tensor]) -> tuple[Any, ...]:
+        """Return ``r``, ``J_θ`` and ``J_x``."""
+        stencil = [y.clone().requires_grad_() for y in self.chain.stencil(x)]
         r, by_theta, by_x = parameter_jacobian(
             lambda: self._residuals(stencil), parameters, stencil
         )
-        return r, by_theta, tuple(j * self._weight for j in by_x)
+        return r, by_theta, tuple(j * self.weight for j in by_x)
 
-    def _eliminated(
-        self, x: Tensor, r: Tensor, by_theta: Tensor, by_x: tuple[Tensor, ...], held: float
-    ) -> Reduced | None:
-        """Eliminate the nodes, damped by ``μ = held``; ``None`` if ``S`` has no factor."""
-        weight = 1.0 + held
-        target = x + (self._chain.x - x) / weight
-        if self._epsilon is None:
-            e, factor, white, white_e = r, None, by_theta.flatten(0, 1), r.flatten()
+    def value(self, x: Tensor, r: Tensor, theta: Tensor) -> float:
+        """Return the objective at nodes ``x`` and parameters ``θ`` with residuals ``r``."""
+        return self.misfit(x, r) + self.memory["noise"] * float(self.precision @ theta.square())
+
+    def misfit(self, x: Tensor, r: Tensor) -> float:
+        """Return ``χ²`` in units of ``σ²``, infinite if it is not a number."""
+        if self.epsilon is None:
+            misfit = r.square().sum()
         else:
-            e, factor = self._factored(x, r, by_x, target, weight)
+            moved = ((x - self.chain.x) / self.weight).square().sum()
+            misfit = moved + r.square().sum() / self.epsilon**2
+        return float(misfit.nan_to_num(nan=math.inf, posinf=math.inf))
+
+    def update_priors(self, gram: Tensor, x: Tensor, r: Tensor, theta: Tensor) -> bool:
+        """Update noise ``σ² = χ²/(M − γ)`` and priors from the evidence.
+
+        Returns:
+            Whether they have settled. They stay as they are if the posterior has no factor.
+        """
+        noise, precision = self.memory["noise"], self.memory["precision"]
+        found = evidence(gram, noise, precision, theta, self._group, self.moves, self._flat)
+        misfit = self.misfit(x, r)
+        if found is None or not math.isfinite(misfit):
+            return True
+        self.memory["precision"], determined = found
+        freedom = max(r.numel() - determined, 0.1 * r.numel())
+        self.memory["noise"] = max(misfit / freedom, 1e-24)
+        return math.isclose(noise, self.memory["noise"], rel_tol=SETTLED) and torch.allclose(
+            precision, self.memory["precision"], rtol=SETTLED, atol=0.0
+        )
+
+    def _residuals(self, stencil: Sequence[Tensor]) -> Tensor:
+        found = self._model.residuals(self.chain.windows(*stencil))
+        return found / self.weight[: found.shape[1]]
+
+
+def smoothing_step(objective: SmoothingObjective) -> Found:
+    """Move nodes and parameters by one accepted step, then update noise and priors."""
+    memory = objective.memory
+    descent = NodesAndParameters(objective)
+    accepted = descent.run(TRIALS)
+    free, x, r, theta = descent.free, descent.x, descent.r, descent.theta
+    settled = free is None or objective.update_priors(free.gram, x, r, theta)
+    stuck = max(memory["damping"], memory["held"]) >= LIMIT
+    metrics = {
+        "train_loss": float(r.square().mean()),
+        "noise_estimate": memory["noise"] ** 0.5,
+        "damping": memory["damping"],
+    }
+    return Found(metrics, ended=not accepted and stuck and settled)
+
+
+class Reduced(NamedTuple):
+    """The linear problem without its nodes."""
+
+    e: Float[Tensor, "windows k"]
+    """``r + J_x (y − x)``."""
+    by_theta: Float[Tensor, "windows k parameters"]
+    by_x: tuple[Float[Tensor, "windows k d"], ...]
+    factor: BandFactor | None
+    """Of ``S``; ``None`` if the nodes are held."""
+    target: Float[Tensor, "nodes d"]
+    """``y``, or with damped nodes a point between ``y`` and ``x``."""
+    weight: float
+    """``1 + μ``, of the nodes' distance from there."""
+    gram: Float[Tensor, "parameters parameters"]
+    """``J_θᵀ S⁻¹ J_θ``."""
+    gradient: Float[Tensor, " parameters"]
+    """``J_θᵀ S⁻¹ e``."""
+
+
+class NodesAndParameters(Descent):
+    """Trials of one step of nodes and parameters."""
+
+    def __init__(self, objective: SmoothingObjective) -> None:
+        self._objective, self._memory = objective, objective.memory
+        self._owner, self._chain = objective.owner, objective.chain
+        self.x, self.theta = self._memory["nodes"], self._owner.flat()
+        self.r, by_theta, self._by_x = objective.differentiated(self.x, self._owner.parameters)
+        self._by_theta = by_theta * objective.moves
+        self.free = self._eliminated(0.0)
+        """The problem without damped nodes."""
+        self._at: Reduced | None = None
+        self._held = 0.0
+        super().__init__(objective.value(self.x, self.r, self.theta))
+
+    @override
+    def equations(self) -> ReducedEquations | None:
+        self._held = self._memory["held"] if self._objective.epsilon else 0.0
+        self._at = self._eliminated(self._held) if self._held else self.free
+        if self._at is None:
+            return None
+        prior = self._memory["noise"] * self._objective.precision
+        diagonal = self._at.gram.diagonal()
+        damping = self._memory["damping"] * (diagonal + 1e-6 * diagonal.amax())
+        factor, info = torch.linalg.cholesky_ex(self._at.gram + torch.diag(prior + damping))
+        if int(info) != 0:
+            return None
+        slope = (self._at.gradient + prior * self.theta) * self._objective.moves
+        return ReducedEquations(self, self._at, factor, damping, slope)
+
+    @override
+    def take(self, move: Move) -> float:
+        assert self._at is not None
+        moved = self.theta + move.step
+        self._owner.place(moved)
+        x, r = self._arrived(self._at, move)
+        self._trial = x, r, moved
+        return self._objective.value(x, r, moved)
+
+    @override
+    def accepted(self, gain: float, *, first: bool) -> None:
+        self.x, self.r, self.theta = self._trial
+        self._memory["nodes"] = self.x
+        if gain < 0.2:
+            self._memory["damping"] *= SURPRISE
+        elif gain > 0.6 and first:
+            self._memory["damping"] *= SUCCESS
+            self._memory["held"] = self._held * SUCCESS if self._held > 1.0 else 0.0
+
+    @override
+    def refused(self) -> None:
+        self._owner.place(self.theta)
+        held_nodes = self._objective.epsilon is None
+        if held_nodes or (self._at is not None and self._nodes_settle(self._at)):
+            self._memory["damping"] = min(self._memory["damping"] * FAILURE, LIMIT)
+        else:
+            self._memory["held"] = min(max(self._held * FAILURE, 1.0), LIMIT)
+
+    def nodes(self, at: Reduced, e: Tensor) -> Float[Tensor, "nodes d"]:
+        """Return ``y − J_xᵀ S⁻¹ e``."""
+        if at.factor is None:
+            held: Tensor = self._memory["nodes"]
+            return held
+        moved = self._chain.spread(at.by_x, at.factor.solve(e)) / at.weight
+        return at.target - self._objective.weight * moved
+
+    def bend(self, at: Reduced, delta: Tensor) -> Float[Tensor, "windows k"]:
+        """Return ``½ r''`` along a step of the parameters and the nodes that follow it."""
+        linear = at.by_theta @ delta
+        way = self.nodes(at, at.e + linear) - self.x
+        linear = linear + self._chain.apply(at.by_x, way / self._objective.weight)
+        self._owner.place(self.theta + PROBE * delta)
+        there = self._objective.residuals(self.x + PROBE * way)
+        return (there - self.r - PROBE * linear) / PROBE**2
+
+    def _eliminated(self, held: float) -> Reduced | None:
+        """Eliminate the nodes, damped by ``μ = held``; ``None`` if ``S`` has no factor."""
+        weight, by_theta = 1.0 + held, self._by_theta
+        target = self.x + (self._chain.x - self.x) / weight
+        if self._objective.epsilon is None:
+            e, factor, white, white_e = self.r, None, by_theta.flatten(0, 1), self.r.flatten()
+        else:
+            e, factor = self._factored(self.x, self.r, self._by_x, target, weight)
             if factor is None:
                 return None
             white, white_e = factor.whiten(by_theta), factor.whiten(e).flatten()
         gram, gradient = white.T @ white, white.T @ white_e
-        return Reduced(e, by_theta, by_x, factor, target, weight, gram, gradient)
+        return Reduced(e, by_theta, self._by_x, factor, target, weight, gram, gradient)
 
     def _factored(
         self, x: Tensor, r: Tensor, by_x: tuple[Tensor, ...], target: Tensor, weight: float
     ) -> tuple[Tensor, BandFactor | None]:
         """Return ``e`` and the factor of ``S``, if there is one."""
-        assert self._epsilon is not None
-        e = r + self._chain.apply(by_x, (target - x) / self._weight)
+        assert self._objective.epsilon is not None
+        e = r + self._chain.apply(by_x, (target - x) / self._objective.weight)
         scaled = tuple(j / weight**0.5 for j in by_x)
-        return e, self._chain.factor(scaled, self._epsilon**2)
-
-    def _move(self, at: Reduced, x: Tensor, r: Tensor, theta: Tensor) -> Move | None:
-        """The next trial, straight where the way bends too much; ``None`` without a factor."""
-        prior = self._memory["noise"] * self._memory["precision"][self._group]
-        slope = (at.gradient + prior * theta) * self._moves
-        diagonal = at.gram.diagonal()
-        damping = self._memory["damping"] * (diagonal + 1e-6 * diagonal.amax())
-        factor, info = torch.linalg.cholesky_ex(at.gram + torch.diag(prior + damping))
-        if int(info) != 0:
-            return None
-        delta = -torch.cholesky_solve(slope.unsqueeze(-1), factor).squeeze(-1)
-        foreseen = float(-(slope @ delta) + damping @ delta.square())
-        bend = self._bend(at, x, r, theta, delta)
-        pull = bend if at.factor is None else at.factor.solve(bend)
-        pulled = (at.by_theta.flatten(0, 1).T @ pull.flatten()).unsqueeze(-1)
-        turn = -torch.cholesky_solve(pulled, factor).squeeze(-1)
-        if not 4.0 * damping @ turn.square() <= BEND**2 * (damping @ delta.square()):
-            return Move(delta, torch.zeros_like(bend), foreseen)
-        return Move(delta + turn, bend, foreseen)
-
-    def _bend(
-        self, at: Reduced, x: Tensor, r: Tensor, theta: Tensor, delta: Tensor
-    ) -> Float[Tensor, "windows k"]:
-        """``½ r''`` along the step, by residuals a tenth of the way."""
-        way = self._nodes(at, at.e + at.by_theta @ delta) - x
-        linear = at.by_theta @ delta + self._chain.apply(at.by_x, way / self._weight)
-        self._owner.place(theta + TENTH * delta)
-        there = self._residuals_at(x + TENTH * way)
-        return (there - r - TENTH * linear) / TENTH**2
-
-    def _nodes(self, at: Reduced, e: Tensor) -> Float[Tensor, "nodes d"]:
-        """``y − J_xᵀ S⁻¹ e``."""
-        if at.factor is None:
-            held: Tensor = self._memory["nodes"]
-            return held
-        moved = self._chain.spread(at.by_x, at.factor.solve(e)) / at.weight
-        return at.target - self._weight * moved
+        return e, self._chain.factor(scaled, self._objective.epsilon**2)
 
     def _arrived(self, at: Reduced, move: Move) -> tuple[Tensor, Tensor]:
-        """The nodes that go with the parameters in place, and the residuals there: after two steps
-        or after the first, which alone is surely downhill."""
-        x = self._nodes(at, at.e + at.by_theta @ move.delta + move.bend)
+        """Return the nodes that belong to the parameters in place, and the residuals there.
+
+        The better of two steps of the nodes and of the first one alone, which is surely downhill.
+        """
+        e = at.e + at.by_theta @ move.step
+        x = self.nodes(at, e if move.bend is None else e + move.bend)
         if at.factor is None:
-            return x, self._residuals_at(x)
-        r, _, by_x = self._differentiated(x, ())
+            return x, self._objective.residuals(x)
+        r, _, by_x = self._objective.differentiated(x, ())
         e, factor = self._factored(x, r, by_x, at.target, at.weight)
         if factor is None:
             return x, r
-        further = self._nodes(at._replace(by_x=by_x, factor=factor), e)
-        steps = (x, r), (further, self._residuals_at(further))
-        return min(steps, key=lambda step: self._misfit(*step))
+        further = self.nodes(at._replace(by_x=by_x, factor=factor), e)
+        steps = (x, r), (further, self._objective.residuals(further))
+        return min(steps, key=lambda step: self._objective.misfit(*step))
 
-    def _nodes_settle(self, at: Reduced, before: float, theta: Tensor) -> bool:
-        """Whether the nodes alone find their way."""
-        x = self._nodes(at, at.e)
-        return self._objective(x, self._residuals_at(x), theta) <= before * (1.0 + 1e-13)
+    def _nodes_settle(self, at: Reduced) -> bool:
+        """Return whether a step of the nodes alone does not raise the objective."""
+        x = self.nodes(at, at.e)
+        value = self._objective.value(x, self._objective.residuals(x), self.theta)
+        return value <= self.objective * (1.0 + 1e-13)
 
-    def _objective(self, x: Tensor, r: Tensor, theta: Tensor) -> float:
-        """``σ²`` times what is minimised."""
-        precision = self._memory["precision"][self._group]
-        return self._misfit(x, r) + self._memory["noise"] * float(precision @ theta.square())
 
-    def _misfit(self, x: Tensor, r: Tensor) -> float:
-        """Return ``χ²`` in units of ``σ²``, infinite if it is not a number."""
-        if self._epsilon is None:
-            misfit = r.square().sum()
-        else:
-            moved = ((x - self._chain.x) / self._weight).square().sum()
-            misfit = moved + r.square().sum() / self._epsilon**2
-        return float(misfit.nan_to_num(nan=math.inf, posinf=math.inf))
+class ReducedEquations(DampedEquations):
+    """The damped normal equations of the parameters."""
 
-    def _weigh(self, gram: Tensor, x: Tensor, r: Tensor, theta: Tensor) -> bool:
-        """Update noise and priors if the posterior has a factor; return whether they settled."""
-        noise, precision = self._memory["noise"], self._memory["precision"]
-        found = evidence(gram, noise, precision, theta, self._group, self._moves, self._flat)
-        misfit = self._misfit(x, r)
-        if found is None or not math.isfinite(misfit):
-            return True
-        self._memory["precision"], determined = found
-        freedom = max(r.numel() - determined, 0.1 * r.numel())
-        self._memory["noise"] = max(misfit / freedom, 1e-24)
-        return math.isclose(noise, self._memory["noise"], rel_tol=SETTLED) and torch.allclose(
-            precision, self._memory["precision"], rtol=SETTLED, atol=0.0
-        )
+    def __init__(
+        self,
+        descent: NodesAndParameters,
+        at: Reduced,
+        factor: Float[Tensor, "parameters parameters"],
+        damping: Float[Tensor, " parameters"],
+        slope: Float[Tensor, " parameters"],
+    ) -> None:
+        self._descent, self._at = descent, at
+        self._factor, self._damping, self._slope = factor, damping, slope
+
+    @override
+    def straight(self) -> Tensor:
+        return self._solved(self._slope)
+
+    @override
+    def bend(self, step: Tensor) -> Tensor:
+        return self._descent.bend(self._at, step)
+
+    @override
+    def correction(self, bend: Tensor) -> Tensor:
+        pull = bend if self._at.factor is None else self._at.factor.solve(bend)
+        return self._solved(self._at.by_theta.flatten(0, 1).T @ pull.flatten())
+
+    @override
+    def length(self, step: Tensor) -> Tensor:
+        return (self._damping @ step.square()).sqrt()
+
+    @override
+    def predicted(self, step: Tensor) -> float:
+        return float(-(self._slope @ step) + self._damping @ step.square())
+
+    def _solved(self, slope: Tensor) -> Tensor:
+        return -torch.cholesky_solve(slope.unsqueeze(-1), self._factor).squeeze(-1)

@@ -15,7 +15,7 @@ from symo_exp.nets.roles import is_coefficient, is_late, start
 from symo_exp.optim.banded import Chain
 from symo_exp.optim.base import EpochOptimizer, Problem
 from symo_exp.optim.evidence import FLAT
-from symo_exp.optim.smoothing import Smoothing
+from symo_exp.optim.smoothing import SmoothingObjective, smoothing_step
 from symo_exp.optim.splines import smoothed
 
 log = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ class TotalLeastSquares(EpochOptimizer):
     ``y`` are the measured nodes of all trajectories, ``r(x; θ)`` the residuals of the model on
     three consecutive ones: the noise in the data is estimated with the model instead of being
     learned (errors in variables, a weak constraint). With an ``input_weight`` the inputs are nodes,
-    too: ``Σ|u − u_measured|²/σ_u²`` joins. See ``smoothing.Smoothing`` for a step.
+    too: ``Σ|u − u_measured|²/σ_u²`` joins. See ``smoothing`` for a step.
 
     The nodes are smoothed first, and held for ``start`` epochs from each of ``starts``: the initial
     parameters, where ``warm_up`` steps of Adam take these, the rate along a half cosine, and
@@ -156,7 +156,8 @@ class TotalLeastSquares(EpochOptimizer):
             memory["ended"] = None
         memory["epoch"] = epoch + 1
         if memory["ended"] is None:
-            found = Smoothing(self, model, chain, stage.epsilon, late=stage.late).step()
+            objective = SmoothingObjective(self, model, chain, stage.epsilon, late=stage.late)
+            found = smoothing_step(objective)
             memory["loss"], metrics = found.metrics["train_loss"], found.metrics
             if found.ended:
                 memory["ended"] = metrics
