@@ -72,5 +72,7 @@ if __name__ == "__main__":
     kept = HERE / "runs.csv"
     if sys.argv[1:]:
         found = pd.concat([runs(Path(folder)) for folder in sys.argv[1:]])
+        if found.empty:
+            sys.exit(f"no finished runs in {' '.join(sys.argv[1:])}; {kept} stays as it is")
         found.to_csv(kept, index=False, float_format="%.4g")
     print(table(pd.read_csv(kept)))
