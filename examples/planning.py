@@ -1,7 +1,7 @@
-"""Planning and following on a model: iterative LQR with clamped inputs, time-varying LQR, LQR.
+"""Plan and follow motions of a model: iterative LQR with bounded inputs, time-varying LQR, LQR.
 
-States are ``x = (q, v)``, costs ``Σ h (δxᵀ Q δx + uᵀ R u) + δx_Tᵀ F δx_T`` with ``δx`` the distance
-from the goal. Every derivative is ``model.linearize``.
+States are ``x = (q, v)`` and costs ``Σ h (δxᵀ Q δx + uᵀ R u) + δx_Tᵀ F δx_T``, with ``δx`` the
+distance from the goal. All derivatives come from ``model.linearize``.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from scipy.linalg import solve_discrete_are
 from torch import Tensor
 
 HOLD = 2
-"""Time steps that a plan holds an input."""
+"""Number of time steps for which a plan holds an input."""
 ALPHAS = 0.5 ** torch.arange(10, dtype=torch.float64)
-"""Parts of a step that the line search tries, all in one batch."""
+"""Step lengths that the line search tries, in one batch."""
 
 
 class Plan(NamedTuple):
-    """States (steps + 1, 2n), inputs (steps, m) and what it costs."""
+    """States (steps + 1, 2n), inputs (steps, m) and cost."""
 
     x: Tensor
     u: Tensor
@@ -27,13 +27,22 @@ class Plan(NamedTuple):
 
 
 class Planner:
-    """From ``start`` to ``goal`` in so many ``steps``, with inputs in ``±limit``."""
+    """Planner from ``start`` to ``goal`` in ``steps`` time steps, with inputs within ``±limit``.
+
+    Args:
+        model: A model with ``rollout`` and ``linearize``.
+        start: Initial state (2n,).
+        goal: Final state (2n,), an equilibrium.
+        steps: Time steps of the plan.
+        limit: Bound of the inputs.
+        running: Diagonal of ``Q`` (2n,), per second.
+        effort: Diagonal of ``R``, per second.
+    """
 
     def __init__(
         self, model: Any, start: Tensor, goal: Tensor, *, steps: int, limit: float,
         running: Tensor, effort: float,
     ) -> None:  # fmt: skip
-        """``running`` is the diagonal of ``Q`` (2n,), ``effort`` that of ``R``."""
         self.model, self.start, self.goal, self.limit = model, start, goal, limit
         self.n, self.m = model.input_matrix.shape
         self.holds = steps // HOLD
@@ -41,7 +50,7 @@ class Planner:
         self.effort = model.time_step * effort * torch.eye(self.m, dtype=torch.float64)
 
     def improve(self, plan: Plan | None, final: Tensor, most: int) -> Plan:
-        """At most so many iterations for the final cost ``F``, until nothing is gained."""
+        """Improve a plan for the final cost ``F``, by at most ``most`` iterations."""
         if plan is None:
             x = self.start.expand(self.holds * HOLD + 1, -1)
             plan = Plan(x, torch.zeros(len(x) - 1, self.m, dtype=torch.float64), 0.0)
@@ -59,7 +68,7 @@ class Planner:
         return plan
 
     def _forward(self, plan: Plan, final: Tensor, k: Tensor, feedback: Tensor) -> Plan:
-        """The best plan that a line search along the gains finds on the model."""
+        """Return the best plan of a line search along the gains."""
         x = self.start.expand(len(ALPHAS), -1)
         xs, us, lost = [x[:, None]], [], torch.zeros(len(ALPHAS), dtype=torch.bool)
         for t in range(self.holds):
@@ -78,8 +87,11 @@ class Planner:
         return Plan(x[best], u[best], float(cost[best]))
 
     def _backward(self, plan: Plan, final: Tensor, damping: float) -> tuple[Tensor, Tensor]:
-        """The steps ``k`` and the feedback ``K`` of all holds: Riccati's recursion, with the
-        derivatives ``a``, ``b`` of a state within a hold in state and input at its start."""
+        """Return the steps ``k`` and feedback gains ``K`` of all holds, by Riccati's recursion.
+
+        ``a`` and ``b`` are the derivatives of a state within a hold with respect to the state and
+        the input at its start.
+        """
         derivatives, off = self.derivatives(plan), plan.x - self.goal
         value, slope = final, final @ off[-1]
         identity = torch.eye(2 * self.n, dtype=torch.float64)
@@ -111,19 +123,19 @@ class Planner:
         return torch.stack(ks), torch.stack(feedbacks)
 
     def derivatives(self, plan: Plan) -> tuple[Tensor, Tensor]:
-        """``A`` and ``B`` of every time step of a plan."""
+        """Return ``A`` and ``B`` for every time step of a plan."""
         a, b = self.model.linearize(*plan.x[:-1].split(self.n, dim=1), plan.u)
         return a, b
 
     def hold(self) -> tuple[Tensor, Tensor]:
-        """The gain of LQR at the goal, and ``F``: what a distance from there costs in all."""
+        """Return the LQR gain at the goal, and ``F``, the total cost of a distance from it."""
         a, b = self.model.linearize(*self.goal.split(self.n))
         weights = (x.numpy() for x in (a, b, self.running, self.effort))
         value = torch.from_numpy(solve_discrete_are(*weights))
         return self._gain(a, b, value), value
 
     def follow(self, plan: Plan, value: Tensor) -> list[Tensor]:
-        """The gains of time-varying LQR along a plan, one for each time step."""
+        """Return the gains of time-varying LQR along a plan, one per time step."""
         gains: list[Tensor] = []
         for a, b in zip(*(x.flip(0) for x in self.derivatives(plan)), strict=True):
             k = self._gain(a, b, value)
@@ -132,7 +144,7 @@ class Planner:
         return gains
 
     def _gain(self, a: Tensor, b: Tensor, value: Tensor) -> Tensor:
-        """``K`` of ``u = −K δx``."""
+        """Return ``K`` of ``u = −K δx``."""
         return torch.linalg.solve(self.effort + b.T @ value @ b, b.T @ value @ a)
 
 

@@ -1,8 +1,8 @@
-"""Swing a pole up with a model that was learned from a few trajectories.
+"""Swing a pole up with a model learned from a few trajectories.
 
-Record short motions of the true system under constant inputs, learn, plan on the learned model,
-follow the plan and hold the top; all gains come from ``model.linearize``. The loop is closed in the
-true environment, of which the controller has seen nothing else::
+Record short motions of the true system under constant inputs, learn a model, plan on the model,
+follow the plan and hold the upright position. All gains come from ``model.linearize``. The
+controller is tested in the true environment, of which it has seen only the recorded motions::
 
     python examples/swing_up.py --system cartpole --seed 0 --model symo --animation cartpole.webp
     python examples/swing_up.py --table results/control  # both systems, three methods, ten seeds
@@ -25,9 +25,9 @@ from planning import Plan, Planner
 import symo_exp
 
 HORIZON, DURATION = 8.0, 25.0
-"""Seconds of the plan and of the trial."""
+"""Duration of the plan and of the trial [s]."""
 BY, NEAR = 10.0, 0.1
-"""Upright: from this time [s] on all angles are so near [rad]."""
+"""Upright means: all angles are within ``NEAR`` [rad] of the goal from the time ``BY`` [s] on."""
 LEARN = {
     "symo": ["model=symo"],
     "node": ["model=node", "integrator=dopri5", "objective=plain"],
@@ -37,17 +37,17 @@ SEEDS = range(10)
 
 
 class Task(NamedTuple):
-    """What is to be done; states are ``(q, v)`` and costs per second, all in SI units."""
+    """A swing-up: states ``(q, v)`` and costs per second, in SI units."""
 
     start: tuple[float, ...]
     goal: tuple[float, ...]
     trajectories: int
     limit: float
-    """Of the input, in the recorded motions as in the trial [N or N m]."""
+    """Bound of the input, in the recorded motions and in the trial [N or N m]."""
     running: tuple[float, ...]
     effort: float
     final: tuple[float, ...]
-    """Of the first plan; the second has what LQR says."""
+    """Final cost of the first plan; that of the second comes from LQR."""
     iterations: tuple[int, int]
 
 
@@ -64,21 +64,21 @@ TASKS = {
 
 
 class Trial(NamedTuple):
-    """One line of the table."""
+    """A row of the table."""
 
     system: str
     model: str
     seed: int
     success: bool
     upright: float
-    """From this time on [s]; infinite if not at the end."""
+    """Time from which the system was upright [s]; infinite if it was not upright at the end."""
     deviation: float
-    """Largest distance of a coordinate from the plan [rad or m]."""
+    """Largest deviation of a coordinate from the plan [rad or m]."""
     reach: float
-    """Farthest that a coordinate that is no angle was [m]; 0 without one."""
+    """Largest displacement of a coordinate that is not an angle [m]; 0 without one."""
     learned: float
     planned: float
-    """Seconds of learning and planning; learning is 0 where the run was there."""
+    """Time of learning and planning [s]; learning is 0 if the run existed."""
 
     def line(self) -> str:
         ends = f"upright from {self.upright:.1f} s" if self.success else "not upright"
@@ -90,7 +90,7 @@ class Trial(NamedTuple):
 
 
 def learn(system: str, method: str, seed: int) -> symo_exp.Run:
-    """A model from short motions of the true system."""
+    """Learn a model from short motions of the true system."""
     task = TASKS[system]
     run = symo_exp.run(
         *LEARN[method], f"system={system}", f"seed={seed}", "preset=fast", "experiment=swing_up",
@@ -102,7 +102,7 @@ def learn(system: str, method: str, seed: int) -> symo_exp.Run:
 
 
 def plan(model: Any, task: Task) -> tuple[Planner, Plan]:
-    """In two stages: to the goal, then so that LQR can hold it there."""
+    """Plan in two stages: first to the goal, then so that LQR can hold it there."""
     start, goal, running, final = (
         torch.tensor(x, dtype=torch.float64)
         for x in (task.start, task.goal, task.running, task.final)
@@ -117,7 +117,7 @@ def plan(model: Any, task: Task) -> tuple[Planner, Plan]:
 
 
 def drive(env: Any, planner: Planner, planned: Plan) -> tuple[np.ndarray, list[Any]]:
-    """The states (nodes, 2n) of a trial in the true environment, and its pictures."""
+    """Return the states (nodes, 2n) of a trial in the true environment, and its pictures."""
     hold, value = planner.hold()
     gains = planner.follow(planned, value)
     start = planner.start.split(planner.n)
@@ -136,7 +136,7 @@ def drive(env: Any, planner: Planner, planned: Plan) -> tuple[np.ndarray, list[A
 
 
 def trial(system: str, method: str, seed: int, animation: Path | None = None) -> Trial:
-    """Learn, plan and try."""
+    """Learn, plan and test."""
     begun = time.perf_counter()
     run = learn(system, method, seed)
     learned = time.perf_counter()
@@ -144,7 +144,7 @@ def trial(system: str, method: str, seed: int, animation: Path | None = None) ->
     symo_exp.compile_rollout(model)
     try:
         planner, planned = plan(model, TASKS[system])
-    except np.linalg.LinAlgError:  # of this model the goal cannot be held
+    except np.linalg.LinAlgError:  # LQR cannot hold the goal of this model
         took = time.perf_counter() - learned
         return Trial(system, method, seed, False, np.inf, np.inf, 0.0, learned - begun, took)
     took = time.perf_counter() - learned
@@ -157,7 +157,7 @@ def trial(system: str, method: str, seed: int, animation: Path | None = None) ->
     angular = np.array(model.coordinates.angular)
     q = states[:, : planner.n]
     off = np.abs(q - planner.goal[: planner.n].numpy())[:, angular].max(1)
-    late = np.flatnonzero(off > NEAR)[-1:] + 1  # the node after the last one that is not near
+    late = np.flatnonzero(off > NEAR)[-1:] + 1  # first node after the last deviation
     upright = float(late[0] * model.time_step) if late[0] < len(off) else np.inf
     deviation = np.abs(q[: len(planned.x)] - planned.x[:, : planner.n].numpy()).max()
     reach = np.abs(q[:, ~angular]).max(initial=0.0)
@@ -168,7 +168,7 @@ def trial(system: str, method: str, seed: int, animation: Path | None = None) ->
 
 
 def table(folder: Path) -> str:
-    """All trials that are not in ``runs.csv`` yet, then a table of all that are."""
+    """Run the trials that are missing in ``runs.csv``, and return a table of all trials."""
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "runs.csv"
     done = pd.read_csv(file) if file.exists() else pd.DataFrame(columns=list(Trial._fields))
@@ -200,7 +200,7 @@ def main() -> None:
     parser.add_argument("--model", choices=LEARN, default="symo")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--animation", type=Path, help="file to write, .webp or .gif")
-    parser.add_argument("--table", type=Path, help="folder of the table of all")
+    parser.add_argument("--table", type=Path, help="folder for the table of all trials")
     given = parser.parse_args()
     if given.table is not None:
         print(table(given.table))
