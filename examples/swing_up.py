@@ -148,7 +148,7 @@ def trial(system: str, method: str, seed: int, animation: Path | None = None) ->
         took = time.perf_counter() - learned
         return Trial(system, method, seed, False, np.inf, np.inf, 0.0, learned - begun, took)
     took = time.perf_counter() - learned
-    env = run.model.system.environment(render_mode="rgb_array" if animation else None)
+    env = symo_exp.environment(run.model.system, render_mode="rgb_array" if animation else None)
     states, frames = drive(env, planner, planned)
     if animation is not None:
         pictures = [Image.fromarray(frame).resize((240, 240)) for frame in frames[::2]]

@@ -60,7 +60,7 @@ RULES = {
     ),
     "use": (
         {"mechanics", "systems", "nets", "models", "compile", "runs", "tracking", "cli", "sweep"},
-        {"torch", "pandas", "PIL"},
+        {"torch", "numpy", "gymnasium", "pandas", "PIL"},
     ),
 }  # fmt: skip
 

@@ -37,7 +37,8 @@ def test_a_recording_of_ours_is_the_simulated_motion(workplace, capsys):
         torch.testing.assert_close(path.q, q, rtol=1e-6, atol=1e-6)
         torch.testing.assert_close(path.v, v, rtol=1e-6, atol=1e-6)
     assert table.trajectory.nunique() == 3
-    _, command = capsys.readouterr().out.strip().splitlines()
+    _, warning, command = capsys.readouterr().out.strip().splitlines()
+    assert warning.startswith("warning: the median episode has 7 nodes (0.3 s)")
     (job,) = jobs_of(*shlex.split(command)[3:])
     assert job.config.system.angular == ["theta"]
 
@@ -67,7 +68,7 @@ def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
     ("words", "reason"),
     [
         (["Nothing-v0"], "cannot make it"),
-        (["CartPole-v1"], "tells no coordinates"),
+        (["CartPole-v1"], "its coordinates are unknown"),
         (["symo_exp/Pendulum-v0", "--policy", "none.py"], "expected random or a .py file"),
         (["symo_exp/Pendulum-v0", "--policy", "empty.py"], "has no function policy"),
         (["symo_exp/Pendulum-v0", "--policy", "broken.py"], "fails: division"),

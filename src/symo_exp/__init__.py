@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from symo_exp.compile import compile_rollout
     from symo_exp.tracking.load import load
+    from symo_exp.use.environments import environment
     from symo_exp.use.export import export
     from symo_exp.use.run import Run, run
 
 _HOMES = {
     "compile_rollout": "symo_exp.compile",
     "Run": "symo_exp.use.run",
+    "environment": "symo_exp.use.environments",
     "export": "symo_exp.use.export",
     "run": "symo_exp.use.run",
     "load": "symo_exp.tracking.load",
 }
-__all__ = ["Run", "__version__", "compile_rollout", "export", "load", "run"]
+__all__ = ["Run", "__version__", "compile_rollout", "environment", "export", "load", "run"]
 
 
 def __getattr__(name: str) -> Any:

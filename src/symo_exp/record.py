@@ -1,4 +1,4 @@
-"""``python -m symo_exp record ENV``: a Gymnasium environment's motions as a table of recordings."""
+"""Recordings of a Gymnasium environment: ``python -m symo_exp record ENV``."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ from symo_exp.errors import ConfigError
 from symo_exp.shell import python_command
 
 Policy = Callable[[np.ndarray], np.ndarray]
-"""An action for an observation."""
+"""Maps an observation to an action."""
 
 
-class Motion(NamedTuple):
+SHORT, FEW = 1.0, 20
+"""Length [s] and number of nodes that the median episode needs at least to be learned from."""
+
+
+class Episode(NamedTuple):
     """Nodes of one episode; an input is held from its node to the next, the last is repeated."""
 
     t: np.ndarray
@@ -27,8 +31,16 @@ class Motion(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """What of an environment is recorded; ``now`` gives ``(t, q, v)``, ``applied`` the input that
-    acted in the last step."""
+    """The part of an environment that is recorded.
+
+    Attributes:
+        coordinates: Names of the coordinates.
+        angular: Whether each is an angle.
+        inputs: Names of the inputs.
+        matrix: ``B`` (n, m) of the generalised force ``B u``.
+        now: Returns the current ``(t, q, v)``.
+        applied: Returns the input of the last step for its action.
+    """
 
     coordinates: tuple[str, ...]
     angular: tuple[bool, ...]
@@ -39,8 +51,11 @@ class Plant(NamedTuple):
 
 
 def main(argv: Sequence[str]) -> int:
-    """The command line; 0 when the table is written."""
-    parser = argparse.ArgumentParser(prog=python_command("symo_exp", "record"), description=__doc__)
+    """Run the command line and return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog=python_command("symo_exp", "record"),
+        description="Record the motions of a Gymnasium environment as a table to learn from.",
+    )
     parser.add_argument("env", metavar="ENV", help="its name: Swimmer-v5, symo_exp/Acrobot-v0")
     parser.add_argument(
         "--policy",
@@ -54,26 +69,26 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--seed", type=int, default=0, metavar="N")  # fmt: skip
     options = parser.parse_args(argv)
     if min(options.episodes, options.steps - 1) < 1:
-        raise ConfigError("record: --episodes of at least 1 and --steps of at least 2 are wanted")
+        raise ConfigError("record: --episodes of at least 1 and --steps of at least 2 are needed")
     if options.out.suffix not in (".parquet", ".csv"):
         raise ConfigError(f"--out {options.out}: expected a file that ends in .parquet or .csv")
     env = _made(options.env)
     try:
         plant = _plant(env, options.env)
         policy = _policy(options.policy, env, options.seed)
-        motions = [
-            episode(env, plant, policy, options.steps, options.seed + k)
+        episodes = [
+            record_episode(env, plant, policy, options.steps, options.seed + k)
             for k in range(options.episodes)
         ]
     finally:
         env.close()
-    write(options.out, plant, motions)
-    print(_told(options.out, plant, motions))
+    write_episodes(options.out, plant, episodes)
+    print(_told(options.out, plant, episodes))
     return 0
 
 
-def episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int) -> Motion:
-    """One episode, until it ends by itself or after so many steps."""
+def record_episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int) -> Episode:
+    """Return one episode, until it ends by itself or after ``steps`` steps."""
     observation, _ = env.reset(seed=seed)
     nodes, inputs = [plant.now()], []
     for _ in range(steps):
@@ -90,22 +105,22 @@ def episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int) -> Mo
         if terminated or truncated:
             break
     t, q, v = (np.array(field) for field in zip(*nodes, strict=True))
-    return Motion(t - t[0], q, v, np.array([*inputs, inputs[-1]]))
+    return Episode(t - t[0], q, v, np.array([*inputs, inputs[-1]]))
 
 
-def write(path: Path, plant: Plant, motions: Sequence[Motion]) -> None:
-    """The table of ``docs/recordings.md``."""
+def write_episodes(path: Path, plant: Plant, episodes: Sequence[Episode]) -> None:
+    """Write episodes as a table of recordings (docs/recordings.md)."""
     import pandas as pd
 
     parts = []
-    for k, motion in enumerate(motions):
-        columns: dict[str, Any] = {"trajectory": k, "t": motion.t}
+    for k, episode in enumerate(episodes):
+        columns: dict[str, Any] = {"trajectory": k, "t": episode.t}
         for kind, names in (
             ("q", plant.coordinates),
             ("v", plant.coordinates),
             ("u", plant.inputs),
         ):
-            values = getattr(motion, kind)
+            values = getattr(episode, kind)
             columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
         parts.append(pd.DataFrame(columns))
     table = pd.concat(parts)
@@ -121,7 +136,7 @@ def write(path: Path, plant: Plant, motions: Sequence[Motion]) -> None:
 def _made(name: str) -> Any:
     import gymnasium
 
-    import symo_exp.systems.environment  # noqa: F401 (it registers ours)
+    import symo_exp.use.environments  # noqa: F401 (registers the environments of this package)
 
     try:
         return gymnasium.make(name)
@@ -131,7 +146,7 @@ def _made(name: str) -> Any:
 
 
 def _plant(env: Any, name: str) -> Plant:
-    from symo_exp.systems.environment import Environment
+    from symo_exp.use.environments import Environment
 
     base = env.unwrapped
     if isinstance(base, Environment):
@@ -150,11 +165,12 @@ def _plant(env: Any, name: str) -> Plant:
     data: Any = getattr(base, "data", None)
     if not hasattr(base, "model") or not hasattr(data, "qpos"):
         raise ConfigError(
-            f"record {name}: it tells no coordinates; environments over MuJoCo models and ours do"
+            f"record {name}: its coordinates are unknown; environments with a MuJoCo model "
+            "and those of this package have them"
         )
-    from symo_exp.systems.mujoco import environment
+    from symo_exp.systems.mujoco import environment_mechanism
 
-    found = environment(name)
+    found = environment_mechanism(name)
     names = tuple(joint["name"] for joint in found["joints"])
     return Plant(
         names, tuple(not joint["slides"] for joint in found["joints"]),
@@ -182,17 +198,25 @@ def _policy(given: str, env: Any, seed: int) -> Policy:
     return made
 
 
-def _told(path: Path, plant: Plant, motions: Sequence[Motion]) -> str:
-    """What was recorded, and how to learn from it."""
-    h = float(np.median(np.concatenate([np.diff(motion.t) for motion in motions])))
+def _told(path: Path, plant: Plant, episodes: Sequence[Episode]) -> str:
+    """What was recorded, and the command that learns from it."""
+    h = float(np.median(np.concatenate([np.diff(episode.t) for episode in episodes])))
     angles = [n for n, turns in zip(plant.coordinates, plant.angular, strict=True) if turns]
     angular = {0: "none", len(plant.coordinates): "all"}.get(
         len(angles), f"[{','.join(angles)}]"
     )  # fmt: skip
     matrix = str(plant.matrix.tolist()).replace(" ", "")
-    rows = sum(len(motion.t) for motion in motions)
+    rows = sum(len(episode.t) for episode in episodes)
+    nodes = int(np.median([len(episode.t) for episode in episodes]))
+    short = nodes < FEW or (nodes - 1) * h < SHORT
+    warning = (
+        f"warning: the median episode has {nodes} nodes ({(nodes - 1) * h:.2g} s), too short to "
+        f"learn from: {FEW} nodes and {SHORT:g} s are the least; take more --steps, or a --policy "
+        "that keeps the environment from ending the episode\n"
+    )
     return (
-        f"{path}: {len(motions)} trajectories, {rows} rows, a node every {h:g} s\n"
+        f"{path}: {len(episodes)} trajectories, {rows} rows, a node every {h:g} s\n"
+        + warning * short
         + python_command(
             "symo_exp", "data=recorded", f"data.path={path}", "system=recorded",
             f"system.angular={angular}", f"system.time_step={h:g}",

@@ -6,7 +6,7 @@ import torch
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.nets.rigid_chain import RigidChain
-from symo_exp.systems.mujoco import mechanism
+from symo_exp.systems.mujoco import read_mechanism
 from symo_exp.systems.multibody import Multibody
 from tests.learned import assert_each_sample_alone, assert_same
 from tests.models.methods import make
@@ -47,7 +47,7 @@ def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(chain):
 
 TRUTHS = {
     "arm": lambda: Multibody(
-        mechanism=mechanism(CONF / "system" / "arm_of_seven.xml"), time_step=0.05
+        mechanism=read_mechanism(CONF / "system" / "arm_of_seven.xml"), time_step=0.05
     ),
     "cart and two links": lambda: read(models.PENDULUMS),
 }

@@ -16,6 +16,7 @@ from symo_exp.mechanics.types import Windows
 from symo_exp.runs.folder import CHECKPOINT, About, RunFolder
 from symo_exp.tracking.load import load
 from symo_exp.tracking.publish import MlflowView
+from symo_exp.use.environments import environment
 from tests.tables import stated
 from tests.tiny import copy_store
 
@@ -113,7 +114,7 @@ def test_the_same_model_comes_back(folder, model, system):
     n, m = trained.input_matrix.shape
     back = load(folder)
     assert not back.training
-    assert back.environment(2).reset(seed=0)[0].shape == (2, 2 * n)
+    assert environment(back, 2).reset(seed=0)[0].shape == (2, 2 * n)
     assert torch.equal(motion(trained, n, m).q, motion(back, n, m).q)
     assert torch.equal(motion(trained, n, m).v, motion(back, n, m).v)
 

@@ -8,8 +8,8 @@ from symo_exp.systems.acrobot import Acrobot
 from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.mujoco import of_model
+from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
-from symo_exp.systems.refusals import library
 
 POINT = 'diaginertia="1e-13 1e-13 1e-13"'
 

@@ -8,9 +8,9 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.systems.mjcf import mjcf, urdf
-from symo_exp.systems.mujoco import mechanism, of_model, theirs
+from symo_exp.systems.mujoco import mujoco_dynamics, of_model, read_mechanism
+from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
-from symo_exp.systems.refusals import library
 from tests.systems import models
 from tests.systems.every import SYSTEMS, points
 from tests.systems.models import compiled
@@ -19,7 +19,7 @@ mujoco = library()
 MECHANISMS = {
     "crane": of_model(compiled(models.CRANE), "crane"),
     "pendulums": of_model(compiled(models.PENDULUMS), "pendulums"),
-    "arm": mechanism("arm_of_seven.xml"),
+    "arm": read_mechanism("arm_of_seven.xml"),
 }
 
 
@@ -29,7 +29,7 @@ def test_a_mechanism_comes_back_from_its_file(name):
     system = Multibody(mechanism=given, time_step=0.05)
     model = compiled(mjcf(given))
     q, v, u = points(system, 16)
-    mass, rate = theirs(model, q, 3 * v, u)
+    mass, rate = mujoco_dynamics(model, q, 3 * v, u)
     assert (system.mass_matrix(q) - mass).abs().max() < 1e-9 * mass.abs().max()
     assert (system.acceleration(q, 3 * v, u) - rate).abs().max() < 1e-9 * rate.abs().max()
     again = Multibody(mechanism=of_model(model, "again"), time_step=0.05)
@@ -70,7 +70,7 @@ def test_a_urdf_has_the_same_bodies(name):
     model = compiled(urdf(given))
     q, v, _ = points(system, 16)
     none = torch.zeros(len(q), 0, dtype=torch.float64)
-    mass, rate = theirs(model, q, v, none)
+    mass, rate = mujoco_dynamics(model, q, v, none)
     assert (system.mass_matrix(q) - mass).abs().max() < 1e-9 * mass.abs().max()
     still = torch.zeros(len(q), system.input_matrix.shape[1], dtype=torch.float64)
     ours = system.acceleration(q, v, still)

@@ -16,11 +16,12 @@ from symo_exp.mechanics.lagrangian import matvec
 from symo_exp.runs.load import from_folder
 from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.chain import ChainPendulum
-from symo_exp.systems.mujoco import environment, mechanism, theirs
+from symo_exp.systems.mujoco import environment_mechanism, mujoco_dynamics, read_mechanism
+from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
-from symo_exp.systems.refusals import library
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
+from symo_exp.use.environments import environment
 from tests.systems import models
 from tests.systems.every import points
 from tests.systems.models import compiled, mjcf, read
@@ -67,7 +68,7 @@ def test_our_systems_written_as_mjcf_are_the_same(name: str) -> None:
     system, text = OURS[name]
     q, v, u = points(system, 32)
     a = joints_of(system)
-    mass, _ = theirs(compiled(text), q @ a.T, v @ a.T, torch.zeros(32, compiled(text).nu))
+    mass, _ = mujoco_dynamics(compiled(text), q @ a.T, v @ a.T, torch.zeros(32, compiled(text).nu))
     bias, energy = numbers(text, q @ a.T, v @ a.T)
     exact = {"rtol": 1e-10, "atol": 1e-10}
     torch.testing.assert_close(system.mass_matrix(q), a.T @ mass @ a, **exact)
@@ -88,11 +89,11 @@ def test_what_is_read_is_what_mujoco_has(name: str) -> None:
         model = mujoco.MjModel.from_xml_path(
             str(Path(models.__file__).parents[2] / "conf/system/arm_of_seven.xml")
         )
-        system = Multibody(mechanism=mechanism("arm_of_seven.xml"), time_step=0.05)
+        system = Multibody(mechanism=read_mechanism("arm_of_seven.xml"), time_step=0.05)
     else:
         model, system = compiled(MODELS[name]), read(MODELS[name])
     q, v, u = points(system, 16)
-    mass, rate = theirs(model, q, 3 * v, u)
+    mass, rate = mujoco_dynamics(model, q, 3 * v, u)
     size = rate.abs().max()
     assert (system.mass_matrix(q) - mass).abs().max() < 1e-11 * mass.abs().max()
     assert (system.acceleration(q, 3 * v, u) - rate).abs().max() < 1e-10 * size
@@ -204,15 +205,15 @@ MALFORMED = {
     "a tendon": (
         mjcf(TWO, '<tendon><fixed><joint joint="arm" coef="1"/></fixed></tendon>'), "tendon"
     ),
-    "a servo": (mjcf(HINGE, MOTOR.format('<position name="s" joint="arm"/>')), "s is no motor"),
+    "a servo": (mjcf(HINGE, MOTOR.format('<position name="s" joint="arm"/>')), "s is not a motor"),
     "a damper": (mjcf(HINGE, MOTOR.format(
-        '<damper joint="arm" kv="1" ctrlrange="0 1"/>')), "is no motor"),
+        '<damper joint="arm" kv="1" ctrlrange="0 1"/>')), "is not a motor"),
     "an activation": (mjcf(HINGE, MOTOR.format(
         '<general joint="arm" dyntype="integrator"/>')), "state of its own"),
     "a site's motor": (
         mjcf(HINGE.replace("</body>", '<site name="p"/></body>'),
              MOTOR.format('<motor site="p"/>')),
-        "pulls at no joint",
+        "acts on no joint",
     ),
     "a weak motor": (mjcf(HINGE, MOTOR.format(
         '<motor name="w" joint="arm" ctrlrange="-9 9" forcerange="-1 1"/>')), "w has a forcerange"),
@@ -228,7 +229,7 @@ MALFORMED = {
     ),
     "no actuation": (
         mjcf(HINGE, MOTOR.format('<motor joint="arm"/>'),
-             option='<option><flag actuation="disable"/></option>'), "not known here",
+             option='<option><flag actuation="disable"/></option>'), "is not supported",
     ),
     "a stiff spring": (
         mjcf(HINGE.replace('"arm"', '"arm" stiffness="1 2 3"')),
@@ -243,18 +244,18 @@ def test_malformed_models_end_in_a_line(case: str, tmp_path: Path) -> None:
     file = tmp_path / "robot.xml"
     file.write_text(text)
     with pytest.raises(ConfigError, match=expected) as error:
-        mechanism(file)
+        read_mechanism(file)
     assert str(error.value).startswith(f"system.model={file}")
     assert "\n" not in str(error.value)
 
 
 def test_what_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
-        mechanism(tmp_path / "nothing.xml")
+        read_mechanism(tmp_path / "nothing.xml")
     monkeypatch.setitem(sys.modules, "mujoco", None)
     (tmp_path / "robot.xml").write_text(mjcf(HINGE))
     with pytest.raises(ConfigError, match=r"pip install 'symo_exp\[mujoco\]'"):
-        mechanism(tmp_path / "robot.xml")
+        read_mechanism(tmp_path / "robot.xml")
 
 
 def test_contacts_are_switched_off_with_a_line() -> None:
@@ -269,29 +270,29 @@ def test_what_mujoco_warns_of_is_a_line_and_no_file(workplace: Path) -> None:
     (workplace / "robot.xml").write_text(mjcf(HINGE).replace(
         'angle="radian"', 'settotalmass="2"'
     ))  # fmt: skip
-    assert any("settotalmass" in note for note in mechanism("robot.xml")["notes"])
+    assert any("settotalmass" in note for note in read_mechanism("robot.xml")["notes"])
     assert [file.name for file in workplace.iterdir()] == ["robot.xml"]
 
 
 def test_a_gymnasium_environment_is_a_system() -> None:
     pytest.importorskip("imageio")  # Gymnasium's own need
-    swimmer = Multibody(mechanism=environment("Swimmer-v5"), time_step=0.05)
+    swimmer = Multibody(mechanism=environment_mechanism("Swimmer-v5"), time_step=0.05)
     assert swimmer.input_matrix.shape == (5, 2)
     assert swimmer.dissipation is not None
     for name, reason in {
-        "CartPole-v1": "no environment over a MuJoCo model",
+        "CartPole-v1": "not an environment with a MuJoCo model",
         "Ant-v5": "joint root is free",
         "Nothing-v0": "cannot make it",
     }.items():
         with pytest.raises(ConfigError, match=reason) as error:
-            environment(name)
+            environment_mechanism(name)
         assert "\n" not in str(error.value)
 
 
 def test_a_urdf_file_is_a_system(tmp_path: Path) -> None:
     file = tmp_path / "acrobot.urdf"
     file.write_text(models.urdf(ACROBOT))
-    found = Multibody(mechanism=mechanism(file), time_step=0.05)
+    found = Multibody(mechanism=read_mechanism(file), time_step=0.05)
     assert found.coordinates == ACROBOT.coordinates
     assert found.viscous == (0.1, 0.1)
     assert found.input_matrix.shape == (2, 0)
@@ -308,11 +309,11 @@ def test_a_urdf_file_is_a_system(tmp_path: Path) -> None:
 def test_mujoco_draws_where_it_can_and_a_stick_figure_where_not(tmp_path):
     file = tmp_path / "arm.xml"
     file.write_text((CONF / "system" / "arm_of_seven.xml").read_text())
-    parts = {"mechanism": mechanism(file), "time_step": 0.05, "viscous": None, "coulomb": None}
+    parts = {"mechanism": read_mechanism(file), "time_step": 0.05, "viscous": None, "coulomb": None}
     arm, lost = (Multibody(model=str(x), **parts) for x in (file, tmp_path / "lost.xml"))
     q = torch.zeros(7, dtype=torch.float64)
     assert lost.picture(q, 96) is None
-    env = lost.environment(render_mode="rgb_array")
+    env = environment(lost, render_mode="rgb_array")
     env.reset(seed=0)
     stick = env.render()
     assert stick.std() > 1
@@ -321,7 +322,7 @@ def test_mujoco_draws_where_it_can_and_a_stick_figure_where_not(tmp_path):
     assert arm.picture(q, 96).shape == (96, 96, 3)
     assert np.array_equal(arm.picture(q, 96), arm.picture(q, 96))
     assert not np.array_equal(arm.picture(q, 96), arm.picture(q + 0.5, 96))
-    env = arm.environment(render_mode="rgb_array")
+    env = environment(arm, render_mode="rgb_array")
     env.reset(seed=0)
     assert env.render().shape == stick.shape
     assert not np.array_equal(env.render(), stick)

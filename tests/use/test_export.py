@@ -82,7 +82,7 @@ def test_a_variational_step_is_that_of_the_model_and_tells_a_root_that_was_not_f
 def test_what_cannot_be_written_is_said_in_a_line(tmp_path, monkeypatch):
     model = make("node", "rk4", 1)
     wrong = [
-        ({"path": "model.zip"}, r"ends in .pt2 or .onnx"),
+        ({"path": "model.zip"}, r"ends in .pt2, .onnx"),
         ({"path": "model.pt2", "iterations": 0}, "at least 1"),
         ({"path": str(tmp_path / "no" / "model.pt2")}, "cannot be written"),
     ]

@@ -18,7 +18,7 @@ from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.rigid_chain import RigidChain
-from symo_exp.systems.refusals import library
+from symo_exp.systems.mujoco_library import library
 from tests.systems import models
 from tests.systems.every import SYSTEMS, points
 

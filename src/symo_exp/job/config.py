@@ -48,7 +48,7 @@ def mechanism(kind: str, name: str | None) -> dict[str, Any]:
 
     if name is None:
         raise ConfigError("system.model has no value yet; give it one: system.model=robot.xml")
-    return mujoco.mechanism(name) if kind == "model" else mujoco.environment(name)
+    return mujoco.read_mechanism(name) if kind == "model" else mujoco.environment_mechanism(name)
 
 
 OmegaConf.register_new_resolver("mechanism", mechanism, replace=True)

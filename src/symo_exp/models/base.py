@@ -10,7 +10,6 @@ import lightning
 import torch
 from torch import Tensor
 
-from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.lagrangian import Lagrangian
@@ -123,24 +122,6 @@ class DynamicsModel(lightning.LightningModule):
         q, q_next = given.state("q", q), given.state("q_next", q_next)
         u = inverse_dynamics(self.flow, given.q, q, q_next)
         return u[0] if given.single else u
-
-    def environment(self, copies: int | None = None, *, system: Any = None, **options: Any) -> Any:
-        """A Gymnasium environment that the model moves, or so many ``copies`` of it as a
-        ``gymnasium.vector.VectorEnv``, all in one batch.
-
-        Spaces, start, reward and picture are those of the ``system``, that of the run unless given.
-        Options are ``box`` of starts and inputs, ``reward``, ``render_mode`` of a single one and
-        ``max_episode_steps``: see ``symo_exp.systems.environment``.
-        """
-        known = system or self.system
-        if known is None:
-            raise ConfigError("the system of this model is not known: environment(system=...)")
-
-        def move(q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-            path = self.rollout(q, v, torch.stack((u, u), dim=1))
-            return path.q[:, 1], path.v[:, 1], path.converged[:, 0]
-
-        return known.environment(copies, motion=move, **options)
 
     def initial_velocity(self, windows: Windows) -> Tensor:
         """The velocity at node ``k`` with which a prediction starts."""

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
+from typing import Annotated, NamedTuple, get_origin, get_type_hints
 
 import numpy as np
 import torch
@@ -115,12 +115,6 @@ class System(ABC):
     def notes(self) -> Sequence[str]:
         """What to say of it before a training, a line each."""
         return ()
-
-    def environment(self, copies: int | None = None, **options: Any) -> Any:
-        """A Gymnasium environment: ``symo_exp.systems.environment.environment``."""
-        from symo_exp.systems.environment import environment
-
-        return environment(self, copies, **options)
 
     def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton | None:
         """Forward kinematics of one configuration, as a figure to draw."""

@@ -1,94 +1,83 @@
-"""What a MuJoCo model, an MJCF or URDF file or a Gymnasium environment's, says of a mechanism.
+"""Mechanisms read from MuJoCo models: MJCF and URDF files and Gymnasium environments.
 
-``mechanism(path)`` and ``environment(id)`` give what ``Multibody`` takes. Whatever of a model is
-not part of it is refused in a line, or switched off with one; what is read is then held against
-MuJoCo's own accelerations and mass matrix.
+A mechanism is what ``Multibody`` takes. Features of a model that it does not have are refused, or
+switched off with a note; the result is checked against MuJoCo's own accelerations and mass matrix.
 """
 
 from __future__ import annotations
 
 import os
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
 from symo_exp.errors import ConfigError
-from symo_exp.shipped import CONF
+from symo_exp.systems.mujoco_library import (
+    environment_model,
+    library,
+    load_model,
+    model_file,
+    single_line,
+    warnings_heard,
+)
+from symo_exp.systems.multibody import Multibody
 from symo_exp.systems.refusals import (
     actuator_name,
     controls,
     disabled,
-    heard,
     joint_name,
-    library,
     notes,
-    one_line,
     refusals,
 )  # fmt: skip
 
 AGREEMENT = 1e-8
-"""How closely MuJoCo's accelerations and inertia are met, relative to their size."""
+"""Largest difference from MuJoCo's accelerations and mass matrix, relative to their size."""
 SMALL = 1e-3
-"""The size [SI] that they have at least."""
+"""Least size that differences are related to [SI]."""
 TINY = 1e-15
-"""What MuJoCo takes for no mass."""
+"""Mass up to which MuJoCo ignores a body [kg]."""
 
 
-def mechanism(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """That of an MJCF or URDF file; one that is not found is looked for among ours."""
-    file = _file(path)
+def read_mechanism(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the mechanism of an MJCF or URDF file.
+
+    Raises:
+        ConfigError: If there is no such file or it has features that are not supported.
+    """
+    file = model_file(path)
     if not file.is_file():
         raise ConfigError(f"system.model={path}: there is no such file; give an MJCF or URDF file")
     return _read(str(path), str(file.resolve()), file.stat().st_mtime_ns)
 
 
-def _file(path: str | os.PathLike[str]) -> Path:
-    file = Path(str(path)).expanduser()
-    ours = CONF / "system" / file
-    return ours if not file.is_file() and ours.is_file() else file
-
-
-def model_of(path: str | None, environment: str | None) -> Any:
-    """MuJoCo's own model of a file or of an environment; ``None`` where there is none."""
-    if path is not None:
-        return library().MjModel.from_xml_path(str(_file(path)))
-    return None if environment is None else _model_in(environment)
-
-
-def _model_in(name: str) -> Any:
-    library()  # before Gymnasium imports it
-    import gymnasium
-
-    made = gymnasium.make(name)
-    made.close()
-    return getattr(made.unwrapped, "model", None)
-
-
 @lru_cache(maxsize=4)  # the jobs of a sweep share it
 def _read(path: str, file: str, version: int) -> dict[str, Any]:
     where = f"system.model={path}"
-    with heard() as warnings:
+    with warnings_heard() as warnings:
         try:
-            model = library().MjModel.from_xml_path(file)
+            model = load_model(file)
         except Exception as error:  # whatever a parser says
-            raise ConfigError(f"{where}: MuJoCo cannot read it: {one_line(error)}") from None
+            raise ConfigError(f"{where}: MuJoCo cannot read it: {single_line(error)}") from None
         return _with(of_model(model, where), warnings)
 
 
 @lru_cache(maxsize=4)
-def environment(name: str) -> dict[str, Any]:
-    """That of a Gymnasium environment over a MuJoCo model."""
+def environment_mechanism(name: str) -> dict[str, Any]:
+    """Return the mechanism of a Gymnasium environment with a MuJoCo model.
+
+    Raises:
+        ConfigError: If there is no such environment or it has features that are not supported.
+    """
     where = f"system.id={name}"
-    with heard() as warnings:
+    with warnings_heard() as warnings:
         try:
-            model = _model_in(name)
+            model = environment_model(name)
         except Exception as error:  # an environment is anybody's code
-            raise ConfigError(f"{where}: Gymnasium cannot make it: {one_line(error)}") from None
+            raise ConfigError(f"{where}: Gymnasium cannot make it: {single_line(error)}") from None
         if not isinstance(model, library().MjModel):
-            raise ConfigError(f"{where} is no environment over a MuJoCo model")
+            raise ConfigError(f"{where} is not an environment with a MuJoCo model")
         return _with(of_model(model, where), warnings)
 
 
@@ -97,7 +86,7 @@ def _with(found: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
 
 
 def of_model(model: Any, where: str) -> dict[str, Any]:
-    """That of a compiled model; ``where`` begins the lines about it."""
+    """Return the mechanism of a compiled model; ``where`` begins error messages about it."""
     for reason in refusals(model):
         raise ConfigError(f"{where}: {reason}")
     found = _taken_apart(model) | {"notes": list(notes(model))}
@@ -106,7 +95,7 @@ def of_model(model: Any, where: str) -> dict[str, Any]:
 
 
 def _taken_apart(model: Any) -> dict[str, Any]:
-    """The joints and what they carry, where every coordinate has its reference value."""
+    """Joints and what they carry, where every coordinate has its reference value."""
     mj = library()
     data = mj.MjData(model)
     data.qpos[:] = model.qpos0
@@ -150,7 +139,7 @@ def _taken_apart(model: Any) -> dict[str, Any]:
 
 
 def _fluid(model: Any, data: Any, last: list[int]) -> dict[str, Any] | None:
-    """The boxes that have the bodies' masses and inertias, as MuJoCo has them."""
+    """Boxes with the bodies' masses and inertias, as in MuJoCo's fluid model."""
     if not (model.opt.density or model.opt.viscosity):
         return None
     hulls = []
@@ -183,7 +172,7 @@ def _carried(model: Any, data: Any, bodies: list[int]) -> dict[str, Any]:
 
 
 def _last_joints(model: Any) -> list[int]:
-    """The last joint that moves each body, −1 for none."""
+    """Last joint that moves each body, −1 for none."""
     last = [-1] * model.nbody
     for body in range(1, model.nbody):
         first, count = model.body_jntadr[body], model.body_jntnum[body]
@@ -198,12 +187,10 @@ def _parent(model: Any, joint: int, last: list[int]) -> int:
 
 
 def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
-    """Refuse a model that does what has not been read."""
-    from symo_exp.systems.multibody import Multibody
-
+    """Refuse a model that moves differently from what was read."""
     smooth = Multibody(mechanism=found, time_step=1.0, coulomb=(0.0,) * model.nv)
     q, v, u = smooth.box.points(8, seed=0)
-    mass, rate = theirs(model, q, v, u)
+    mass, rate = mujoco_dynamics(model, q, v, u)
     for name, ours, expected in (
         ("mass matrix", smooth.mass_matrix(q), mass),
         ("accelerations", smooth.acceleration(q, v, u), rate),
@@ -213,14 +200,14 @@ def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
         if not error < AGREEMENT:
             raise ConfigError(
                 f"{where}: MuJoCo's {name} differ by {error:.1g} of their size from those of "
-                "bodies on hinges and slides; something in the model is not known here"
+                "bodies on hinges and slides; the model has a feature that is not supported"
             )
 
 
-def theirs(
+def mujoco_dynamics(
     model: Any, q: torch.Tensor, v: torch.Tensor, u: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """MuJoCo's own mass matrices (batch, n, n) and smooth accelerations (batch, n)."""
+    """Return MuJoCo's own mass matrices (batch, n, n) and smooth accelerations (batch, n)."""
     mj = library()
     data, n = mj.MjData(model), model.nv
     masses, rates = np.zeros((len(q), n, n)), np.zeros((len(q), n))

@@ -1,25 +1,22 @@
-"""What of a MuJoCo model this project cannot do, and what it does otherwise; a line each."""
+"""Features of MuJoCo models that are not supported, or handled differently; a line each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from symo_exp.errors import ConfigError
-from symo_exp.shell import install_command
-from symo_exp.systems import scene
+from symo_exp.systems.mujoco_library import library
 
 
 def refusals(model: Any) -> Iterator[str]:
-    """What this project cannot do, a line each."""
+    """Yield a line for each feature of a model that is not supported."""
     mj = library()
     for i, kind in enumerate(map(mj.mjtJoint, model.jnt_type.tolist())):
         if kind not in (mj.mjtJoint.mjJNT_HINGE, mj.mjtJoint.mjJNT_SLIDE):
             word = kind.name.removeprefix("mjJNT_").lower()
-            yield f"joint {joint_name(model, i)} is {word}; hinges and slides are what can be"
+            yield f"joint {joint_name(model, i)} is {word}; only hinges and slides are supported"
     if model.njnt == 0:
         yield "it has no joints, and nothing moves"
     if model.neq and model.eq_active0.any():
@@ -30,29 +27,29 @@ def refusals(model: Any) -> Iterator[str]:
         ("nhistory", "delay"), ("na", "actuator with a state of its own"),
     ):  # fmt: skip
         if getattr(model, count, 0):
-            yield f"{getattr(model, count)} {what}(s), which are not among what can be"
+            yield f"{getattr(model, count)} {what}(s), which are not supported"
     for name in ("jnt_stiffnesspoly", "dof_dampingpoly"):
         if np.any(getattr(model, name, 0)):
-            yield f"{name} is not zero: springs and dampers are to be linear"
+            yield f"{name} is not zero: only linear springs and dampers are supported"
     if model.opt.wind.any():
-        yield "there is wind; the fluid is to be still"
+        yield "wind is not supported; the fluid has to be still"
     if model.geom_fluid[:, 0].any() and (model.opt.density or model.opt.viscosity):
-        yield "fluidshape=ellipsoid; a fluid drags at boxes (fluidshape=none)"
+        yield "fluidshape=ellipsoid is not supported; use fluidshape=none"
     yield from _actuators(model, mj)
 
 
 def _actuators(model: Any, mj: Any) -> Iterator[str]:
     if getattr(model, "nactuator", model.nu) != model.nu:
-        yield "an actuator has several controls; one each is what can be"
+        yield "an actuator has several controls; only one each is supported"
     if model.nu and model.opt.disableactuator:
         yield "actuators are disabled by their group; take them out of the model"
     joint = (int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT))
     for i in range(model.nu):
         name = f"actuator {actuator_name(model, i)}"
         if model.actuator_trntype[i] not in joint:
-            yield f"{name} pulls at no joint; motors at joints are what can be"
+            yield f"{name} acts on no joint; only motors at joints are supported"
         elif (model.actuator_gaintype[i], model.actuator_biastype[i]) != (0, 0):
-            yield f"{name} is no motor, whose force is proportional to its control"
+            yield f"{name} is not a motor (force proportional to its control)"
         strongest = abs(model.actuator_gainprm[i, 0]) * controls(model, i)
         if model.actuator_forcelimited[i] and not _within(strongest, model.actuator_forcerange[i]):
             yield f"{name} has a forcerange that its ctrlrange exceeds; narrow the ctrlrange"
@@ -63,7 +60,7 @@ def _actuators(model: Any, mj: Any) -> Iterator[str]:
 
 
 def notes(model: Any) -> Iterator[str]:
-    """What is switched off or done otherwise, a line each."""
+    """Yield a line for each feature of a model that is switched off or handled differently."""
     pairs = _touching(model)
     if pairs:
         yield f"contacts are switched off ({pairs} pair(s) of geoms could touch)"
@@ -76,7 +73,7 @@ def notes(model: Any) -> Iterator[str]:
 
 
 def _touching(model: Any) -> int:
-    """Pairs of geoms that could touch: of bodies that move against each other."""
+    """Number of pairs of geoms that could touch, of bodies that move relative to each other."""
     if disabled(model, "CONTACT") or disabled(model, "CONSTRAINT"):
         return 0
     body = model.body_weldid[model.geom_bodyid]
@@ -89,12 +86,12 @@ def _touching(model: Any) -> int:
 
 
 def controls(model: Any, i: int) -> np.ndarray:
-    """The controls that an actuator takes."""
+    """Return the lowest and highest control of an actuator."""
     return np.array(model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-1.0, 1.0))
 
 
 def _range_of_force(model: Any, dof: int) -> np.ndarray:
-    """The most that the actuators of a coordinate give together."""
+    """Largest force of all actuators of a coordinate together."""
     gear = model.actuator_gear[:, 0] * model.actuator_gainprm[:, 0]
     of = model.jnt_dofadr[model.actuator_trnid[:, 0]] == dof
     each = [abs(gear[k]) * np.abs(controls(model, k)).max() for k in np.flatnonzero(of).tolist()]
@@ -106,44 +103,16 @@ def _within(inner: np.ndarray, outer: np.ndarray) -> bool:
 
 
 def joint_name(model: Any, i: int) -> str:
-    """Its own, or one by its number."""
+    """Return the name of a joint, by its number where it has none."""
     return str(model.joint(int(i)).name) or f"joint_{i}"
 
 
 def actuator_name(model: Any, i: int) -> str:
-    """Its own, or one by its number."""
+    """Return the name of an actuator, by its number where it has none."""
     return str(model.actuator(int(i)).name) or f"motor_{i}"
 
 
 def disabled(model: Any, name: str) -> bool:
-    """Whether a flag of the model switches this part of the physics off."""
+    """Return whether a flag of the model switches a part of the physics off."""
     flag = getattr(library().mjtDisableBit, f"mjDSBL_{name}", 0)  # not every version has each
     return bool(int(model.opt.disableflags) & int(flag))
-
-
-def library() -> Any:
-    """MuJoCo, if it is installed."""
-    scene.prepare()
-    try:
-        import mujoco
-    except ImportError as error:
-        raise ConfigError(
-            f"MuJoCo models need mujoco, which is not installed: {install_command('mujoco')}"
-        ) from error
-    return mujoco
-
-
-@contextmanager
-def heard() -> Iterator[list[str]]:
-    """MuJoCo's warnings, a line each, which it would write to a file in the working folder."""
-    lines: list[str] = []
-    library().set_mju_user_warning(lambda text: lines.append(one_line(text)))
-    try:
-        yield lines
-    finally:
-        library().set_mju_user_warning(None)
-
-
-def one_line(text: object) -> str:
-    """What was said, without its line ends."""
-    return " ".join(str(text).split())[:300]

@@ -62,7 +62,7 @@ def points_of(skeleton: Skeleton) -> np.ndarray:
     return np.asarray(skeleton.points.detach().cpu().double().numpy())
 
 
-def drawn(skeleton: Skeleton) -> np.ndarray:
+def draw_skeleton(skeleton: Skeleton) -> np.ndarray:
     """A skeleton, its first point in the middle, as a picture (SIZE, SIZE, 3), uint8."""
     image = Image.new("RGB", (SIZE * FINE, SIZE * FINE), PAPER)
     box = (0.0, 0.0, float(SIZE * FINE))

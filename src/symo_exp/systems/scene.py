@@ -1,36 +1,32 @@
-"""Pictures of a MuJoCo model by MuJoCo's own renderer, off the screen."""
+"""Pictures of a MuJoCo model by its own renderer, off the screen."""
 
 from __future__ import annotations
 
 import logging
-import os
-import sys
-from ctypes.util import find_library
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from symo_exp.systems.mujoco_library import environment_model, library, load_model
+
 log = logging.getLogger(__name__)
 
 ELEVATION, DISTANCE = -30.0, 2.6
-"""Of the camera: in degrees, and in radii of what there is to see; it has 45 degrees of view."""
-
-
-def prepare() -> None:
-    """Before MuJoCo is imported: without a display it draws by EGL, if that is there."""
-    no_display = sys.platform == "linux" and not os.environ.get("DISPLAY")
-    if no_display and "mujoco" not in sys.modules and find_library("EGL"):
-        os.environ.setdefault("MUJOCO_GL", "egl")
+"""Elevation of the camera [degrees], and its distance in radii of the model."""
+AMBIENT, DIFFUSE = 0.5, 0.7
+"""Headlight of a model that has no other light."""
 
 
 class Scene:
-    """A model, with a camera that stands where all of it but the floor is in view at first."""
+    """A model, its light and a camera that sees all of it but the floor at first."""
 
     def __init__(self, model: Any, size: int) -> None:
-        import mujoco
-
+        mujoco = library()
         self._mujoco, self._model, self._data = mujoco, model, mujoco.MjData(model)
+        if model.nlight == 0:  # only the headlight shines, which is weak
+            model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = AMBIENT, DIFFUSE
+        self._sky = bool((model.tex_type == int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)).any())
         self._renderer = mujoco.Renderer(model, size, size)
         self._camera = mujoco.MjvCamera()
         mujoco.mjv_defaultFreeCamera(model, self._camera)
@@ -44,21 +40,33 @@ class Scene:
         self._camera.elevation = ELEVATION
 
     def draw(self, q: np.ndarray) -> np.ndarray:
-        """The picture (size, size, 3), uint8, of a configuration."""
+        """Return the picture (size, size, 3), uint8, of a configuration."""
         self._data.qpos[:] = q
         self._mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
-        return np.array(self._renderer.render())
+        picture = np.array(self._renderer.render())
+        return picture if self._sky else self._on_paper(picture)
+
+    def _on_paper(self, picture: np.ndarray) -> np.ndarray:
+        """A picture whose background, black without a sky, is white."""
+        self._renderer.enable_segmentation_rendering()
+        empty = self._renderer.render()[..., 0] < 0
+        self._renderer.disable_segmentation_rendering()
+        picture[empty] = 255
+        return picture
 
 
 @lru_cache(maxsize=4)
 def scene(model: str | None, environment: str | None, size: int) -> Scene | None:
-    """That of a file or of an environment's model; ``None`` where it, MuJoCo or a way to draw is
-    not there: whoever asks draws a stick figure instead."""
-    from symo_exp.systems import mujoco
+    """Return the scene of a model file or of a Gymnasium environment.
 
+    ``None`` where neither is given, the model is not found, or nothing can be drawn off screen;
+    callers draw a stick figure instead.
+    """
     try:
-        found = mujoco.model_of(model, environment)
+        if model is not None:
+            return Scene(load_model(model), size)
+        found = None if environment is None else environment_model(environment)
         return None if found is None else Scene(found, size)
     except Exception as error:  # drivers of graphics fail in many ways
         log.debug("MuJoCo draws nothing here: %s", error)

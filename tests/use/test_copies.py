@@ -10,9 +10,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from symo_exp.errors import ConfigError
-from symo_exp.systems.environment import VectorEnvironment
 from symo_exp.systems.recorded import Recorded
 from symo_exp.systems.simulation import Solver
+from symo_exp.use.environments import VectorEnvironment, environment
 from tests.models.methods import flows, make
 from tests.systems.every import SYSTEMS
 
@@ -40,8 +40,8 @@ def test_copies_move_as_one_does_alone(name):
     system = SYSTEMS[name]
     model = model_of(system, "l_node", "rk4")
     pairs = [
-        (system.environment(solver=FINE), system.environment(3, solver=FINE)),
-        (model.environment(), model.environment(3)),
+        (environment(system, solver=FINE), environment(system, 3, solver=FINE)),
+        (environment(model), environment(model, 3)),
     ]
     for one, many in pairs:
         states, _ = many.reset(seed=1)
@@ -64,7 +64,7 @@ def test_copies_move_as_one_does_alone(name):
 def test_the_environment_of_a_model_is_accepted_and_is_its_step(method, integrator):
     system = SYSTEMS["acrobot"]
     model = model_of(system, method, integrator)
-    env = model.environment()
+    env = environment(model)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # unbounded observations, unnormalised torques
         check_env(env, skip_render_check=True)
@@ -96,7 +96,7 @@ def test_a_copy_whose_episode_is_over_starts_anew_at_the_next_step():
     def motion(q, v, u):
         return q + 1.0, v, q[:, 0] < lost_at
 
-    envs = system.environment(3, motion=motion, max_episode_steps=None)
+    envs = environment(system, 3, motion=motion, max_episode_steps=None)
     envs.reset(options={"q": [[98.0], [101.0], [0.0]], "v": [0.0]})
     rest = np.zeros((3, 1))
     state, _, lost, _, _ = envs.step(rest)
@@ -107,7 +107,7 @@ def test_a_copy_whose_episode_is_over_starts_anew_at_the_next_step():
     assert abs(state[1, 0]) <= np.pi
     assert reward[1] == 0.0 != reward[0]
     assert state[[0, 2], 0].tolist() == [100.0, 2.0]
-    one = system.environment(motion=motion)
+    one = environment(system, motion=motion)
     one.reset(options={"q": [101.0], "v": [0.5]})
     state, _, lost, *_ = one.step(rest[0])
     assert lost
@@ -119,7 +119,7 @@ def test_thousands_of_copies_move_in_one_batch():
     calls = []
     step = model.flow.integrator.step
     model.flow.integrator.step = lambda *x: calls.append(len(x[1])) or step(*x)
-    envs = model.environment(4096)
+    envs = environment(model, 4096)
     envs.reset(seed=0)
     state, reward, *_ = envs.step(envs.action_space.sample())
     assert calls == [4096]
@@ -131,18 +131,18 @@ def test_of_recordings_a_box_and_a_reward_are_told():
     system = Recorded(time_step=0.05, names=("a", "b"), angular="all", inputs=("0", "1"))
     model = model_of(system)
     with pytest.raises(ConfigError, match=r"box=dict\(q=") as caught:
-        model.environment()
+        environment(model)
     assert "\n" not in str(caught.value)
     box = {"q": [[-1, 1]] * 2, "v": [[-2, 2]] * 2, "u": [[-3, 3]] * 2}
-    env = model.environment(box=box, reward=lambda q, v, u: q[:, 0])
+    env = environment(model, box=box, reward=lambda q, v, u: q[:, 0])
     state, _ = env.reset(seed=0)
     assert (abs(state) < [1, 1, 2, 2]).all()
     state, reward, *_ = env.step(env.action_space.sample())
     assert reward == state[0]
-    with pytest.raises(ConfigError, match="a model moves it"):
-        system.environment(box=box)
+    with pytest.raises(ConfigError, match="give a model instead"):
+        environment(system, box=box)
     model.system = None
-    with pytest.raises(ConfigError, match="environment\\(system="):
-        model.environment()
+    with pytest.raises(ConfigError, match=r"environment\(model, system="):
+        environment(model)
     with pytest.raises(ConfigError, match="copies=0"):
-        model.environment(0, system=SYSTEMS["acrobot"])
+        environment(model, 0, system=SYSTEMS["acrobot"])

@@ -1,4 +1,4 @@
-"""Copies of a system under way: what its environments share, be there one copy or many."""
+"""States, steps and rewards of the copies in an environment, one or many."""
 
 from __future__ import annotations
 
@@ -14,17 +14,26 @@ from symo_exp.errors import ConfigError
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver, simulate
 
-Motion = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
-"""``(q, v, u)`` of a batch to ``(q⁺, v⁺)`` one time step later and, row by row, whether there is
-such a state."""
+TimeStep = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
+"""Maps ``(q, v, u)`` of a batch to ``(q⁺, v⁺, found)`` one time step later; ``found`` is false in
+rows without such a state."""
 Reward = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""``(q⁺, v⁺, u)`` of a batch to the reward of the step that led there."""
+"""Maps ``(q⁺, v⁺, u)`` of a batch to the reward of the step that led there."""
 
 
 class Copies:
-    """Any number of copies of a system under way: what an environment does, of one or of many."""
+    """Any number of copies of a system.
 
-    def __init__(self, system: System, motion: Motion, reward: Reward | None) -> None:
+    Args:
+        system: Its coordinates, inputs and box.
+        motion: The step that moves them.
+        reward: The reward of a step; ``None``: the potential energy where it is known, else 0.
+
+    Raises:
+        ConfigError: If the system has no box of starts and inputs.
+    """
+
+    def __init__(self, system: System, motion: TimeStep, reward: Reward | None) -> None:
         if system.box is None:
             n, m = system.input_matrix.shape
             raise ConfigError(
@@ -33,7 +42,7 @@ class Copies:
                 f"{n} coordinate(s) and {m} input(s)"
             )
         self.system, self.box = system, system.box
-        self._motion, self._reward = motion, reward or potential(system)
+        self._motion, self._reward = motion, reward or potential_reward(system)
         low, high = np.array(self.box.u, dtype=np.float64).reshape(-1, 2).T
         self.actions = gymnasium.spaces.Box(low, high, dtype=np.float64)
         shape = (2 * system.coordinates.n,)
@@ -42,7 +51,7 @@ class Copies:
     def draw(
         self, random: np.random.Generator, count: int, options: Mapping[str, Any] | None = None
     ) -> np.ndarray:
-        """States (count, 2n) to start from."""
+        """Return states (count, 2n) to start from."""
         given, parts = options or {}, []
         if unknown := set(given) - {"q", "v"}:
             raise ConfigError(f"reset options {sorted(unknown)}: expected q and v")
@@ -58,7 +67,10 @@ class Copies:
         return np.concatenate(parts, axis=1)
 
     def move(self, states: np.ndarray, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """One step: states, rewards and which copies are lost, whose state stays as it was."""
+        """Return states, rewards and which copies are lost after a step.
+
+        A lost copy keeps its state.
+        """
         clipped = np.clip(actions, self.actions.low, self.actions.high)
         u = torch.from_numpy(clipped.astype(np.float64).reshape(len(states), -1))
         q, v = torch.from_numpy(states).split(self.system.coordinates.n, dim=1)
@@ -70,10 +82,10 @@ class Copies:
         return torch.cat((q, v), dim=1).numpy(), reward.numpy(), ~found[:, 0].numpy()
 
 
-def exact(system: System, solver: Solver) -> Motion:
-    """That of the true system, by the function that makes the data sets."""
+def exact(system: System, solver: Solver) -> TimeStep:
+    """Return the step of a true system, integrated like simulated data."""
     if not isinstance(system, LagrangianSystem):
-        raise ConfigError(f"{type(system).__name__} has no known equations: a model moves it")
+        raise ConfigError(f"{type(system).__name__} has no known equations; give a model instead")
 
     def move(q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         after = simulate(system, q, v, u, steps=1, solver=solver)
@@ -82,8 +94,8 @@ def exact(system: System, solver: Solver) -> Motion:
     return move
 
 
-def potential(system: System) -> Reward:
-    """``V(q)`` where it is known."""
+def potential_reward(system: System) -> Reward:
+    """Return the reward ``V(q)``, 0 where it is not known."""
     if isinstance(system, LagrangianSystem):
         return lambda q, v, u: system.potential(q)
     return lambda q, v, u: q.new_zeros(len(q))

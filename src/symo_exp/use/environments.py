@@ -3,20 +3,20 @@
 Importing this module registers one environment for each system of ``conf/system``::
 
     import gymnasium
-    import symo_exp.systems.environment
+    import symo_exp.use.environments
 
     env = gymnasium.make("symo_exp/Acrobot-v0", render_mode="rgb_array")
     envs = gymnasium.make_vec("symo_exp/Acrobot-v0", num_envs=1000)
 
-Both say the same of one copy and of many:
+For one copy and for many:
 
 - Action: the control ``u`` (m,), float64 [N or N m], held over ``system.time_step``; clipped to the
-  range the data are drawn from (``system.box.u``).
+  range that data are drawn from (``system.box.u``).
 - Observation: ``(q, v)`` (2n,), float64. Angles are not wrapped: they count turns.
 - Reward: the true potential energy ``V(q)`` [J] of the state reached, where it is known: greatest
   where the masses are highest, so that swinging up pays. Else 0, unless one is given.
-- An episode ends by the limit of its steps only, or where a model finds no next state, which is
-  termination at the last one it had.
+- An episode is truncated after its largest number of steps, and terminated only where a model finds
+  no next state, at the last one it had.
 - ``reset`` draws the state uniformly from the system's box, or takes
   ``options={"q": [...], "v": [...]}``, either of which may be left out.
 """
@@ -32,15 +32,17 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
+from torch import Tensor
 
 from symo_exp.errors import ConfigError
+from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import System
 from symo_exp.systems.checks import whole
-from symo_exp.systems.copies import Copies, Motion, Reward, exact
-from symo_exp.systems.render import SIZE, Renderer, drawn
+from symo_exp.systems.render import SIZE, Renderer, draw_skeleton
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
+from symo_exp.use.copies import Copies, Reward, TimeStep, exact
 
 MAX_EPISODE_STEPS = 500
 SOLVER = Solver(method="RK45", rtol=1e-8, atol=1e-8)
@@ -48,15 +50,23 @@ SOLVER = Solver(method="RK45", rtol=1e-8, atol=1e-8)
 
 @final
 class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
-    """One copy. Without ``motion`` the true system moves, by SciPy's RK45 unless ``solver`` says
-    otherwise. ``gymnasium.make`` truncates an episode after 500 steps."""
+    """One copy of a system.
+
+    Args:
+        system: Its coordinates, inputs, box and picture.
+        solver: How the true system is integrated.
+        motion: The step that moves it; ``None``: the true system's.
+        reward: The reward of a step; ``None``: the potential energy.
+        render_mode: ``human``, ``rgb_array`` or ``None``.
+        max_episode_steps: Steps after which an episode is truncated; ``None``: never.
+    """
 
     def __init__(
         self,
         system: System,
         *,
         solver: Solver = SOLVER,
-        motion: Motion | None = None,
+        motion: TimeStep | None = None,
         reward: Reward | None = None,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
@@ -102,7 +112,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         return state[0].copy()
 
     def state(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """``q`` and ``v`` now, (1, n) each."""
+        """Return the current ``q`` and ``v``, (1, n) each."""
         q, v = torch.from_numpy(self._now()).split(self.system.coordinates.n, dim=1)
         return q, v
 
@@ -119,7 +129,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
             figure = self.system.skeleton(q)
             if figure is None:
                 raise ConfigError(f"{name} cannot be drawn: its class has no skeleton(q)")
-            picture = drawn(figure)
+            picture = draw_skeleton(figure)
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"], name)
         return self._renderer.show(picture)
@@ -127,8 +137,19 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
 
 @final
 class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """``num_envs`` copies that move together, in one batch. A copy whose episode is over starts
-    anew at the next step, whose action it does not see and whose reward is 0."""
+    """Copies of a system that move together, in one batch.
+
+    A copy whose episode is over is reset by the next step, which ignores its action and has the
+    reward 0.
+
+    Args:
+        system: Its coordinates, inputs and box.
+        num_envs: Number of copies.
+        solver: How the true system is integrated.
+        motion: The step that moves them; ``None``: the true system's.
+        reward: The reward of a step; ``None``: the potential energy.
+        max_episode_steps: Steps after which an episode is truncated; ``None``: never.
+    """
 
     def __init__(
         self,
@@ -136,7 +157,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
         num_envs: int,
         *,
         solver: Solver = SOLVER,
-        motion: Motion | None = None,
+        motion: TimeStep | None = None,
         reward: Reward | None = None,
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
     ) -> None:
@@ -175,9 +196,39 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
 
 
 def environment(
-    system: System, copies: int | None = None, *, box: Any = None, **options: Any
+    subject: System | DynamicsModel,
+    copies: int | None = None,
+    *,
+    system: System | None = None,
+    box: Any = None,
+    **options: Any,
 ) -> Environment | VectorEnvironment:
-    """That of a system: one, or so many ``copies``. ``box`` takes the place of the system's."""
+    """Return a Gymnasium environment that a system's own equations or a model moves.
+
+    Args:
+        subject: A system, or a model that moves it.
+        copies: Number of copies in a ``gymnasium.vector.VectorEnv``; ``None``: a single
+            ``gymnasium.Env``.
+        system: The system of a model; ``None``: that of its run.
+        box: Ranges ``dict(q=..., v=..., u=...)`` of starts and inputs; ``None``: the system's.
+        options: ``reward``, ``motion``, ``solver``, ``max_episode_steps`` (500) and, of a single
+            one, ``render_mode``.
+
+    Raises:
+        ConfigError: If the system of a model is not known, or it has neither equations nor a box.
+    """
+    if isinstance(subject, DynamicsModel):
+        system = system or subject.system
+        options = {"motion": _step_of(subject), **options}
+    elif isinstance(subject, System):
+        system = subject
+    else:
+        raise ConfigError(
+            f"environment({type(subject).__name__}): expected a system, or a model as "
+            "symo_exp.load gives it"
+        )
+    if system is None:
+        raise ConfigError("the system of this model is not known: environment(model, system=...)")
     if box is not None:
         system = dataclasses.replace(system, box=box)
     options = {"max_episode_steps": MAX_EPISODE_STEPS, **options}
@@ -186,16 +237,29 @@ def environment(
     return VectorEnvironment(system, copies, **options)
 
 
-def make(
+def _step_of(model: DynamicsModel) -> TimeStep:
+    def move(q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        path = model.rollout(q, v, torch.stack((u, u), dim=1))
+        return path.q[:, 1], path.v[:, 1], path.converged[:, 0]
+
+    return move
+
+
+def make_environment(
     system: str,
     parameters: Mapping[str, Any] | None = None,
     solver: Mapping[str, Any] | None = None,
     num_envs: int | None = None,
     **options: Any,
 ) -> Environment | VectorEnvironment:
-    """The environment of a system of ``conf/system``, with parameters other than its own.
+    """Return the environment of a system of ``conf/system``; Gymnasium calls this.
 
-    ``parameters`` are fields of the system, ``solver`` fields of ``Solver``.
+    Args:
+        system: Its name.
+        parameters: Fields of the system that differ from its file.
+        solver: Fields of ``Solver``.
+        num_envs: Number of copies; ``None``: a single environment.
+        options: Those of ``environment``.
     """
     options = {"max_episode_steps": None, **options}  # Gymnasium's own limit, of one copy
     chosen = dataclasses.replace(SOLVER, **(solver or {}))
@@ -205,8 +269,8 @@ def make(
 for _name, _kind in systems().items():
     gymnasium.register(
         f"symo_exp/{_kind.__name__}-v0",
-        entry_point="symo_exp.systems.environment:make",
-        vector_entry_point="symo_exp.systems.environment:make",
+        entry_point="symo_exp.use.environments:make_environment",
+        vector_entry_point="symo_exp.use.environments:make_environment",
         max_episode_steps=MAX_EPISODE_STEPS,
         kwargs={"system": _name},
     )

@@ -13,9 +13,9 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 from symo_exp.errors import ConfigError
-from symo_exp.systems.environment import Environment
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import systems
+from symo_exp.use.environments import Environment
 from tests.systems.every import SYSTEMS
 
 ids = pytest.mark.parametrize("name", [kind.__name__ for kind in systems().values()])
