@@ -47,6 +47,7 @@ def test_the_thesis_is_all_that_its_figures_need():
         "search",
         "noise_robust",
         "growth",
+        "machine",
     }
     assert Command(["-cn", "tables"]).several() == Command([]).several() == []
 

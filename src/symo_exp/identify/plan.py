@@ -19,15 +19,17 @@ from symo_exp.identify.recordings import Machine
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 REFERENCE = 0.37
 """Time of ``_exercise`` on the machine on which ``NODE`` and ``MEASURING`` were measured [s]."""
-NODE = 45e-6
+NODE = 30e-6
 """Time of an epoch of links in a plane, midpoint rule, a node and coordinate [s]."""
-MEASURING = 3e-3
-"""Time of the measures of a run, a node and coordinate [s]."""
-STARTING = 5.0
+VALIDATION = 1.0
+"""Time of the rollouts of a validation, two coordinates [s]; hardly more with more windows."""
+MEASURES = 4
+"""The measures at the end, in validations."""
+STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
 SCREENING, VARYING, REFITTING = 0.45, 0.2, 0.15
 """Shares of the budget."""
-FOLDS, FEWEST_NODES = 6, 800
+FOLDS, FEWEST_NODES, MOST_NODES = 6, 800, 30_000
 EFFORTS = ((40, 20), (20, 10), (10, 5))
 """Epochs with held nodes and for each epsilon, from the most thorough."""
 PATIENCE = 4.0
@@ -45,6 +47,8 @@ class Plan:
         folds: Of the cross-validation.
         first: Folds of the first round.
         seconds: Length of the training part of a fold [s].
+        most_seconds: Length of the training part of the last fit, or of folds that are tried with
+            more data.
         start: Epochs with held nodes.
         epochs: Epochs for each epsilon.
         names: Candidates of the first round.
@@ -58,6 +62,7 @@ class Plan:
     folds: int
     first: int
     seconds: float
+    most_seconds: float
     start: int
     epochs: int
     names: tuple[str, ...]
@@ -136,12 +141,26 @@ def make_plan(
         folds=folds,
         first=first,
         seconds=nodes * machine.time_step,
+        most_seconds=_most(chosen, machine, effort, REFITTING * budget * speed) * machine.time_step,
         start=effort[0],
         epochs=effort[1],
         names=tuple(c.name for c in chosen),
         variations=int(VARYING * work / one),
         key=key,
     )
+
+
+def _most(
+    candidates: Sequence[Candidate], machine: Machine, effort: tuple[int, int], work: float
+) -> int:
+    """Return the most nodes on which the costliest candidate can be fitted in the time."""
+    nodes = machine.nodes
+    while nodes > FEWEST_NODES and (
+        nodes > MOST_NODES
+        or max(_expected(c, nodes, machine.n, *effort) for c in candidates) > work
+    ):
+        nodes = max(FEWEST_NODES, int(nodes / 1.25))
+    return nodes
 
 
 def kept_plan(file: Path, key: str) -> Plan | None:
@@ -185,7 +204,8 @@ def _expected(candidate: Candidate, nodes: int, n: int, start: int, epochs: int)
     stages = 4 + 3 * (candidate.settings.get("dissipation") == "learned")
     total = candidate.starts * start + stages * epochs
     training = NODE * candidate.cost * n * nodes * total
-    return STARTING + training + MEASURING * n * nodes / FOLDS
+    measuring = VALIDATION * math.sqrt(candidate.cost * n / 2) * (total / epochs + MEASURES)
+    return STARTING + training + measuring
 
 
 def _exercise() -> float:

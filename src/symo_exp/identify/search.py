@@ -63,6 +63,7 @@ class Search:
         self._budget = plans.seconds_of(budget)
         if not OmegaConf.is_missing(master.data, "path"):
             OmegaConf.update(master, "experiment", self._experiment)
+        self._said_late = False
         self._trials: dict[str, Trial] = {}
         self._folders: dict[tuple[str, int], RunFolder] = {}
 
@@ -72,7 +73,7 @@ class Search:
         Raises:
             ConfigError: Before anything starts, if the recordings or settings do not allow it.
         """
-        start = time.monotonic()
+        self._start = time.monotonic()
         self._machine = machine = self._examine()
         candidates = ladder(machine)
         self._plan = plan = self._planned(candidates)
@@ -85,9 +86,11 @@ class Search:
         chosen = [c for c in candidates if c.name in plan.names]
         self._screen(chosen)
         base = self._choice()
-        if base is not None and plan.variations and not self._late(start, 0.7):
+        if base is not None and self._in_time(0.6, "variations are not tried"):
             self._vary(base)
         best = self._choice()
+        if best is not None and self._in_time(0.8, "more data are not tried"):
+            best = self._grow(best)
         if best is None:
             return self._no_model()
         return self._finish(best)
@@ -142,35 +145,53 @@ class Search:
     def _screen(self, candidates: Sequence[Candidate]) -> None:
         """Successive halving: every round has fewer candidates on more folds."""
         plan = self._plan
-        first = range(plan.first)
-        self._try(candidates, first)
-        alive = self._ranked(candidates, first)[: max(2, math.ceil(len(candidates) / 2))]
-        middle = range(plan.first, min(plan.folds, plan.first + 2))
-        self._try(alive, middle)
-        alive = self._ranked(alive, range(min(plan.folds, plan.first + 2)))
-        alive = alive[: max(2, math.ceil(len(alive) / 2))]
-        simplest = [c for c in candidates if c.rank == min(c.rank for c in candidates)]
-        self._try(list({c.name: c for c in [*alive, *simplest]}.values()), range(plan.folds))
+        self._try(candidates[:1], range(plan.first))  # a first model to use
+        rounds = sorted({plan.first, min(plan.folds, plan.first + 2), plan.folds})
+        alive = list(candidates)
+        for done, folds in enumerate(rounds):
+            if done and not self._in_time(0.6, f"{plan.folds - rounds[done - 1]} folds are left"):
+                return
+            self._try(alive, range(folds))
+            ranked = self._ranked(alive, range(folds))
+            alive = ranked[: max(2, math.ceil(len(alive) / 2))]
+            simplest = next((c for c in candidates if c in ranked), None)
+            if simplest is not None and simplest not in alive:
+                alive.append(simplest)
 
     def _vary(self, base: Trial) -> None:
         """Try variations of the best candidate, and what is better together."""
         plan = self._plan
         tried = list(variations(base.candidate, self._machine))[: plan.variations]
-        first = range(plan.first)
+        first, folds = range(plan.first), range(len(base.errors))
         self._try(tried, first)
         better = [
             c
             for c in self._ranked(tried, first)
             if self._trials[c.name].mean(first) < base.mean(first)
         ]
-        self._try(better[:3], range(plan.folds))
-        gains = [
-            c for c in better[:3]
-            if beats(self._trials[c.name].errors, base.errors, range(plan.folds))
-        ] if not any(self._trials[c.name].failed for c in better[:3]) else []  # fmt: skip
-        if len(gains) > 1:
-            both = _joined(base.candidate, gains[0], gains[1])
-            self._try([both], range(plan.folds))
+        self._try(better[:3], folds)
+        gains = [c for c in self._ranked(better[:3], folds) if self._gains(c, base, folds)]
+        if len(gains) > 1 and self._in_time(0.75, "variations are not combined"):
+            self._try([_joined(base.candidate, gains[0], gains[1])], folds)
+
+    def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
+        return beats(self._trials[candidate.name].errors, base.errors, folds)
+
+    def _grow(self, best: Trial) -> Trial:
+        """Return the chosen candidate with as much data as lowers the errors of the folds."""
+        seconds, folds = self._plan.seconds, range(len(best.errors))
+        longest = self._plan.most_seconds * (self._plan.folds - 1) / self._plan.folds
+        while 2 * seconds <= longest and self._in_time(0.8, "more data are not tried"):
+            seconds *= 2
+            more = best.candidate.changed(
+                f"{seconds:.3g} s of data", 0.01, 2.0, data__seconds=f"{seconds:g}"
+            )
+            self._try([more], folds)
+            grown = self._trial(more)
+            if grown.failed or not self._gains(more, best, folds):
+                break
+            best = grown
+        return best
 
     def _try(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> None:
         """Do the folds that are not done yet, side by side."""
@@ -221,18 +242,23 @@ class Search:
         return sorted(sound, key=lambda c: self._trials[c.name].mean(folds))
 
     def _choice(self) -> Trial | None:
-        return choose(list(self._trials.values()), range(self._plan.folds))
+        """Return the simplest of the best candidates, of those with the most folds."""
+        sound = [t for t in self._trials.values() if not t.failed]
+        folds = max((len(t.errors) for t in sound), default=0)
+        return choose(sound, range(folds)) if folds else None
 
     def _trial(self, candidate: Candidate) -> Trial:
         return self._trials.setdefault(candidate.name, Trial(candidate))
 
-    def _late(self, start: float, share: float) -> bool:
-        """Whether the clock says that nothing more can be tried."""
-        elapsed = time.monotonic() - start
-        late = elapsed > share * self._plan.budget
-        if late:
-            print(f"{elapsed / 60:.3g} min are over: no variation is tried (budget=...)")
-        return late
+    def _in_time(self, share: float, otherwise: str) -> bool:
+        """Whether less than this share of the budget has passed; says what is left out if not."""
+        elapsed = time.monotonic() - self._start
+        if elapsed <= share * self._plan.budget:
+            return True
+        if not self._said_late:
+            print(f"after {elapsed / 60:.2g} of {self._plan.budget / 60:.3g} min: {otherwise}")
+        self._said_late = True
+        return False
 
     # -- the chosen one ----------------------------------------------------------------------------
 
@@ -245,7 +271,7 @@ class Search:
             f"data.fold={POOLED}",
             f"trainer.max_epochs={epochs}",
             "optimizer.tolerance=1e9",  # the last parameters: nothing is held out
-            data__seconds=None,
+            data__seconds=self._longest(),
             logger=None,
             pictures="pictures=true",
         )
@@ -265,6 +291,11 @@ class Search:
         print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
         return 0
 
+    def _longest(self) -> str | None:
+        """Return the bound of the data of the last fit; ``None`` where there are no more."""
+        most = self._plan.most_seconds
+        return f"data.seconds={most:g}" if most < self._machine.seconds else None
+
     def _no_model(self) -> int:
         self._summary(None)
         print("verdict: no model; every candidate failed, for the reasons above")
@@ -276,7 +307,7 @@ class Search:
         """Return the epochs after which the folds were best, their median over whole stages."""
         begun = best.candidate.starts * self._plan.start
         stages = []
-        for k in range(self._plan.folds):
+        for k in best.errors:
             rows = read(self._folders[best.candidate.name, k] / SERIES)
             losses = [(row["val_loss"], row["epoch"]) for row in rows if "val_loss" in row]
             last = min(losses)[1] + 1 if losses else begun + self._plan.epochs
@@ -302,7 +333,8 @@ class Search:
     def _overrides(self, candidate: Candidate, *more: str, **changed: str | None) -> list[str]:
         """Return the overrides of a run, those of the command line last."""
         plan, machine = self._plan, self._machine
-        nodes = round(plan.seconds / machine.time_step)
+        seconds = float(candidate.settings.get("data.seconds", plan.seconds))
+        nodes = round(seconds / machine.time_step)
         settings = _by_key(
             [
                 *machine.settings,
