@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -35,15 +35,18 @@ from symo_exp.mechanics.explicit import RK4, Midpoint
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalMidpoint
-from symo_exp.models import learner
-from symo_exp.models.learner import Learner
+from symo_exp.models.base import DynamicsModel
 from symo_exp.models.objectives import RootError
+from symo_exp.nets.lagrangians import NetworkLagrangian
+from symo_exp.nets.mlp import MLP
 from symo_exp.optim.base import minibatches
 from symo_exp.optim.direct import direct_step
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.runs.series import Series
 from symo_exp.tracking.publish import MlflowView
-from symo_exp.training.recording import Recording
+from symo_exp.training import learner as learning
+from symo_exp.training.learner import Learner
+from symo_exp.training.recording import SeriesRecorder
 from symo_exp.training.trainer import make_trainer
 
 CLASSES = {"e2e_symo": "E2ESyMo", "l_node": "LNODE", "symo": "SyMo", "node": "NODE"}
@@ -63,14 +66,16 @@ def build(
     stopping: str = "row",
     **training: Any,
 ) -> Learner:
-    """A model of the project with the given weights."""
+    """A learner of the project whose model has the given weights."""
     options: dict[str, Any] = {
         "coordinates": Coordinates(tuple(f"q{i}" for i in range(case.n)), case.angular),
         "input_matrix": torch.tensor(case.input_matrix),
         "time_step": case.time_step,
-        "width": case.width,
-        **training,
     }
+    if method == "node":
+        options["net"] = partial(MLP, width=case.width, depth=2)
+    else:
+        options["lagrangian"] = partial(NetworkLagrangian, width=case.width)
     if method in ("symo", "e2e_symo"):
         options["integrator"] = VariationalMidpoint()
         options["root"] = Newton(
@@ -81,11 +86,11 @@ def build(
     else:
         options["integrator"] = {"rk4": RK4, "midpoint": Midpoint}[integrator]()
     module = importlib.import_module(f"symo_exp.models.{method}")
-    model: Learner = getattr(module, CLASSES[method])(**options).to(dtype)
+    model: DynamicsModel = getattr(module, CLASSES[method])(**options).to(dtype)
     with torch.no_grad():
         for parameter, value in zip(parameters(model), flatten(layers), strict=True):
             parameter.copy_(value)
-    return model
+    return Learner(model, **training)
 
 
 def flatten(layers: Sequence[Layer]) -> list[torch.Tensor]:
@@ -93,7 +98,7 @@ def flatten(layers: Sequence[Layer]) -> list[torch.Tensor]:
     return [x for layer in layers for x in layer]
 
 
-def parameters(model: Learner) -> list[torch.nn.Parameter]:
+def parameters(model: DynamicsModel) -> list[torch.nn.Parameter]:
     """The model's parameters in that order (it keeps weights and biases apart)."""
     holder: Any = model.lagrangian or model.flow.field
     net = holder.net
@@ -115,9 +120,10 @@ class Project:
         **options: Any,
     ):
         self.dtype = dtype
-        self.model = build(method, case, layers, dtype, **options)
+        self.learner = build(method, case, layers, dtype, **options)
+        self.model = self.learner.model
         if compiled:
-            compile_training(self.model)
+            compile_training(self.learner)
             compile_rollout(self.model)
         self.optimizer = torch.optim.Adam(self.model.parameters(), lr=lr, fused=True)
         self._step = direct_step(self.optimizer)
@@ -126,12 +132,12 @@ class Project:
         return Windows(*windows.to(self.dtype))
 
     def loss_and_gradient(self, batch: Windows) -> tuple[float, list[np.ndarray]]:
-        loss = self.model.loss_and_gradients(batch)
+        loss = self.learner.loss_and_gradients(batch)
         slope = [p.grad for p in parameters(self.model)]
         return loss.item(), [g.numpy().copy() for g in slope if g is not None]
 
     def train_step(self, batch: Windows) -> None:
-        self.model.loss_and_gradients(batch)
+        self.learner.loss_and_gradients(batch)
         self._step()
 
     @torch.no_grad()
@@ -151,7 +157,7 @@ class Project:
     @torch.no_grad()
     def iterations(self, batch: Windows, *, training: bool = False) -> int | None:
         """The most Newton iterations that a row took, where roots are found."""
-        objective, flow = self.model.objective, self.model.flow
+        objective, flow = self.learner.objective, self.model.flow
         if flow.reads_velocity:
             return None
         if not training or not isinstance(objective, RootError):
@@ -235,7 +241,7 @@ def whole_fit(
     epochs = max(epochs, round(seconds / (time.perf_counter() - began)))
 
     def fit() -> tuple[float, float]:
-        model = build(
+        learner = build(
             method,
             case,
             layers,
@@ -252,7 +258,7 @@ def whole_fit(
             threads=1,
             compile=False,
             folder=run.path,
-            callbacks=[Recording(Series(run / "series.csv"), lambda: view.publish(run), 10.0)],
+            callbacks=[SeriesRecorder(Series(run / "series.csv"), lambda: view.publish(run), 10.0)],
         )
         in_steps = 0.0
 
@@ -263,9 +269,9 @@ def whole_fit(
             in_steps += clock() - began
             return results
 
-        with mock.patch.object(learner, "minibatches", timed):
+        with mock.patch.object(learning, "minibatches", timed):
             began = clock()
-            trainer.fit(model, samples)
+            trainer.fit(learner, samples)
             whole = clock() - began
         return in_steps / (8 * epochs), whole / (8 * epochs)
 

@@ -6,6 +6,7 @@ Ratios are to the shortest trajectory, times and nodes alike: linear is where th
 """
 
 import time
+from functools import partial
 
 import torch
 
@@ -14,8 +15,10 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
+from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.systems.table import system
+from symo_exp.training.learner import Learner
 
 NODES, STEPS = (625, 1250, 2500, 5000), 3
 
@@ -31,13 +34,14 @@ def measured(nodes: int) -> float:
     model = SyMo(
         coordinates=known.coordinates, input_matrix=known.input_matrix, time_step=0.02,
         objective=PreconditionedResidual(), integrator=Galerkin(stages=2),
-        root=Newton(tolerance=1e-11), width=8,
+        root=Newton(tolerance=1e-11), lagrangian=partial(NetworkLagrangian, width=8),
     ).double()  # fmt: skip
+    learner = Learner(model)
     optimizer = TotalLeastSquares(model.parameters(), epsilons=[1.0], starts=1, start=1, epochs=9)
     taken = []
     for _ in range(1 + STEPS):
         start = time.process_time()
-        optimizer.epoch(model, [motion])
+        optimizer.epoch(learner, [motion])
         taken.append(time.process_time() - start)
     return min(taken[1:])
 

@@ -18,9 +18,7 @@ RULES = {
     ),
     "nets": ({"mechanics"}, {"torch", "jaxtyping"}),
     "optim": ({"mechanics", "nets"}, {"torch", "jaxtyping", "numpy", "scipy"}),
-    "models": (
-        {"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "lightning", "torchdiffeq", "numpy"},
-    ),
+    "models": ({"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "torchdiffeq"}),
     "compile": ({"mechanics", "nets", "models"}, {"torch", "jaxtyping"}),
     "data": (
         {"mechanics", "systems"},
@@ -33,7 +31,10 @@ RULES = {
     ),
     "runs": ({"models"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
     "process": (set(), set()),
-    "training": ({"process", "runs", "compile"}, {"torch", "lightning", "numpy", "tqdm"}),
+    "training": (
+        {"mechanics", "models", "optim", "process", "runs", "compile"},
+        {"torch", "jaxtyping", "lightning", "numpy", "tqdm"},
+    ),
     "tracking": ({"runs", "models"}, {"torch", "mlflow", "filelock"}),
     "report": (
         {"runs", "tracking", "systems", "models", "evaluation", "mechanics"},

@@ -153,7 +153,7 @@ def trained(tmp_path_factory, home):
     """Runs in the place of those whose folders pages name."""
     place = tmp_path_factory.mktemp("trained")
     write_log(place / "mine.csv")
-    simulated = "model=symo system=pendulum dissipation=viscous model.width=8"
+    simulated = "model=symo system=pendulum dissipation=viscous net.width=8"
     recorded = (
         "data=recorded data.path=mine.csv system=recorded system.angular=all system.time_step=0.02 "
         "preset=recorded reference=free_single_pendulum"

@@ -22,7 +22,7 @@ METHODS = {
 
 def trained(name, n, folder):
     words = [*TINY, *METHODS[name], "system=chain", f"system.links={n}", "logger=none"]
-    words += ["pictures=false", "model.width=4", f"experiment={name}_{n}"]
+    words += ["pictures=false", "net.width=4", f"experiment={name}_{n}"]
     assert main(words) == 0
     runs = load([folder / "outputs" / f"{name}_{n}"])
     return runs.set_index("metric").value

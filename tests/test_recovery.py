@@ -22,7 +22,7 @@ def test_the_inertia_of_the_pendulum_is_recovered_within_five_per_cent(model, tm
         "objective=preconditioned",
         "optimizer=adam_then_lm",
         "dtype=float64",
-        "model.width=16",
+        "net.width=16",
         "trainer.max_epochs=70",
         "data.n_traj=8",
         "data.integration_steps=20",

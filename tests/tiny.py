@@ -3,7 +3,7 @@
 import shutil
 
 TINY = [
-    "model.width=8",
+    "net.width=8",
     "trainer.max_epochs=2",
     "trainer.validate_every=1",
     "data.n_traj=2",

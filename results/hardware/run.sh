@@ -19,13 +19,13 @@ for machine in "$@"; do
     free_*) network=(integrator=galerkin4 dissipation.joints=neighbours) ;;
     motor_pendulum) network=(integrator=midpoint) ;;
     motor_double_pendulum)
-      network=(integrator=midpoint model.width=2 model.depth=1 harmonics=1 dissipation=friction
+      network=(integrator=midpoint net.width=2 net.depth=1 lagrangian.harmonics=1 dissipation=friction
         optimizer.starts=6) ;;
   esac
-  own=("${network[@]}") wide=(model.width=32)
+  own=("${network[@]}") wide=(net.width=32)
   if [ "$machine" = motor_double_pendulum ]; then
-    own=(integrator=midpoint structure=relative harmonics=0 dissipation=friction)
-    wide=(model.width=8 model.depth=1)
+    own=(integrator=midpoint lagrangian=relative dissipation=friction)
+    wide=(net.width=8 net.depth=1)
   fi
   explicit=(integrator=rk4)
   case $method in

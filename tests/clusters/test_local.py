@@ -46,7 +46,7 @@ def test_a_job_that_is_killed(tmp_path):
 
 
 def test_a_job_that_diverges(tmp_path):
-    code, said = go(tmp_path, *WORDS, "optimizer.lr=1e-3,1e30", "gradient_clip=null")
+    code, said = go(tmp_path, *WORDS, "optimizer.lr=1e-3,1e30", "learner.gradient_clip=null")
     assert code == 1
     (line,) = [line for line in said.splitlines() if line.startswith("failed: ")]
     assert "optimizer.lr=1e+30" in line or "optimizer.lr=1e30" in line

@@ -19,7 +19,7 @@ from symo_exp.compile import (
 from symo_exp.compile.inductor import CompilerError, lower
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.models.objectives import Objective, Residual, Residuals
-from tests.models.methods import flows, make, pairwise, windows
+from tests.models.methods import flows, learner, make, pairwise, windows
 
 
 def said(caplog):
@@ -45,9 +45,9 @@ def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
     method, integrator, stopping
 ):
     """At sizes where narrow products are turned, and by an optimiser that reads memory."""
-    model, data = make(method, integrator, 2, width=64), windows(2, samples=64)
+    model, data = learner(method, integrator, 2, width=64), windows(2, samples=64)
     if not model.reads_velocity:
-        model.flow.root = Newton(tolerance=1e-8, stopping=stopping)
+        model.model.flow.root = Newton(tolerance=1e-8, stopping=stopping)
     before = copy.deepcopy(model.state_dict())
 
     def step():
@@ -71,8 +71,8 @@ def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
 @pytest.mark.slow
 @needs_compiler
 def test_a_batch_that_newton_cannot_finish_is_left_to_the_safeguards(caplog):
-    model, data = make("e2e_symo", "midpoint", 2), windows(2, samples=8)
-    model.flow.root = Newton(tolerance=1e-300, max_iterations=2)
+    model, data = learner("e2e_symo", "midpoint", 2), windows(2, samples=8)
+    model.model.flow.root = Newton(tolerance=1e-300, max_iterations=2)
     expected = model.loss_and_gradients(data)
     compile_training(model, validation=True)
     torch.testing.assert_close(model.loss_and_gradients(data), expected)
@@ -166,14 +166,15 @@ def broken_compiler(monkeypatch):
 
 @pytest.mark.usefixtures("broken_compiler")
 def test_a_compiler_that_fails_is_said_once_and_done_without(caplog):
-    model, data = make("symo", "midpoint", 2), windows(2)
-    expected = model.loss_and_gradients(data)
+    fit, data = learner("symo", "midpoint", 2), windows(2)
+    model = fit.model
+    expected = fit.loss_and_gradients(data)
     rolled = model.rollout(data.q, data.v, steps=3)
-    compile_training(model, validation=True)
+    compile_training(fit, validation=True)
     compile_rollout(model)
     for _ in range(2):
-        torch.testing.assert_close(model.loss_and_gradients(data), expected)
-        torch.testing.assert_close(model.validation_loss(data).detach(), expected)
+        torch.testing.assert_close(fit.loss_and_gradients(data), expected)
+        torch.testing.assert_close(fit.validation_loss(data).detach(), expected)
         torch.testing.assert_close(model.rollout(data.q, data.v, steps=3), rolled)
     whats = "training step", "validation", "rollout"
     assert said(caplog) == [f"the {what} is not compiled: no such compiler" for what in whats]
@@ -200,7 +201,7 @@ class Faulty(Objective):
 
 
 def test_a_fault_of_ours_is_raised_and_not_taken_for_one_of_the_compiler(caplog):
-    model, data = make("symo", "midpoint", 2, objective=Faulty()), windows(2)
+    model, data = learner("symo", "midpoint", 2, objective=Faulty()), windows(2)
     compile_training(model, validation=True)
     for computed in (model.loss_and_gradients, model.validation_loss):
         with pytest.raises(RuntimeError, match="a fault of ours"):
@@ -227,9 +228,9 @@ class Counted(Residual):
 )
 def test_statistics_mean_the_same(method, options):
     """Rows that are roots from the start among others: means over rows, iterations from none."""
-    model, data = make(method, "midpoint", 1, **options), windows(1, samples=8)
+    model, data = learner(method, "midpoint", 1, **options), windows(1, samples=8)
     if method == "e2e_symo" and model.objective.guess == "datum":
-        reached = model.predict(data).q.detach()
+        reached = model.model.predict(data).q.detach()
         data = data._replace(q_next=torch.where(torch.arange(8)[:, None] < 3, reached, data.q_next))
     model.loss_and_gradients(data)
     compile_training(model)
@@ -254,7 +255,7 @@ def test_statistics_mean_the_same(method, options):
 def test_only_what_is_a_fixed_sequence_of_operations_is_compiled(
     method, integrator, options, possible
 ):
-    assert trains_compiled(make(method, integrator, 1, **options)) == possible
+    assert trains_compiled(learner(method, integrator, 1, **options)) == possible
 
 
 def test_the_compiled_tanh_is_right_to_single_precision():

@@ -1,6 +1,7 @@
 """Studies of models whose behaviour is known: the true systems in integrators of known kind."""
 
 import math
+from functools import partial
 
 import pytest
 import torch
@@ -17,6 +18,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.node import NODE
 from symo_exp.models.true import TrueOde, TrueVariational
+from symo_exp.nets.mlp import MLP
 from tests.oscillator import oscillator
 from tests.tables import systems
 
@@ -168,7 +170,7 @@ def test_what_was_learned_is_held_against_the_truth():
 def test_a_method_without_a_lagrangian_has_learned_none():
     system = SYSTEMS["pendulum"]
     node = NODE(
-        width=4, integrator=RK4(), coordinates=system.coordinates,
+        net=partial(MLP, width=4, depth=2), integrator=RK4(), coordinates=system.coordinates,
         input_matrix=system.input_matrix, time_step=system.time_step,
     )  # fmt: skip
     assert LearnedQuantities(name="learned", steps=3)(node, system, None).columns == {}

@@ -99,11 +99,11 @@ def test_a_job_whose_process_is_killed_each_time_has_failed(tmp_path):
 @pytest.mark.parametrize("launcher", ["basic", "joblib"])
 def test_a_job_that_runs_out_of_memory_does_not_stop_the_others(launcher, tmp_path):
     # 400 million weights in four copies are more than the process may have
-    words = [*TINY, "model=node", "pictures=false", "-m", "model.width=8,20000,9"]
+    words = [*TINY, "model=node", "pictures=false", "-m", "net.width=8,20000,9"]
     command = Command(tmp_path, *words, f"hydra/launcher={launcher}", memory=5 * 2**30)
     assert command.wait() == 1, command.said
     (line,) = [line for line in command.said.splitlines() if line.startswith("failed: ")]
-    assert "model.width=20000" in line
+    assert "net.width=20000" in line
     assert "memory" in line
     log = Path(line.rpartition("(log: ")[2].rstrip(")"))
     assert "Traceback" in log.read_text()

@@ -1,7 +1,8 @@
 """Small models of every method and integrator that the configuration offers, at any n."""
 
+import inspect
 from collections import Counter
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import torch
@@ -10,21 +11,24 @@ from omegaconf import OmegaConf
 
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.nets.lagrangians import NetworkLagrangian
+from symo_exp.nets.mlp import MLP
 from symo_exp.nets.structured_lagrangian import QUIET
+from symo_exp.training.learner import Learner
 from tests.tables import CONF, choices, explicit_integrators, variational_integrators
 
 H = 0.05
 
 
 def learned() -> list[str]:
-    """The models that have a net: all but the true ones."""
+    """The models that learn: all but the true ones."""
     return list(_files())
 
 
 @cache
 def _files() -> dict[str, Any]:
     files = {name: OmegaConf.load(CONF / "model" / f"{name}.yaml") for name in choices("model")}
-    return {name: file for name, file in files.items() if "width" in file}
+    return {name: file for name, file in files.items() if {"net", "dissipation"} & set(file)}
 
 
 def combinations() -> list[tuple[str, str]]:
@@ -44,11 +48,12 @@ def _kinds(integrators: dict[str, Any]) -> list[str]:
 
 
 def flows() -> list[tuple[str, str]]:
-    """The combinations whose flows differ: without methods that are another one but for their
-    objective."""
-    kinds = {method: get_class(file._target_) for method, file in _files().items()}
-    own = [m for m, kind in kinds.items() if not any(k in kind.__mro__[1:] for k in kinds.values())]
-    return [(method, integrator) for method, integrator in combinations() if method in own]
+    """The combinations whose flows differ, with one method for each kind of flow."""
+    kinds = {}
+    for method, integrator in combinations():
+        flow = make(method, integrator, 1).flow
+        kinds[type(flow), type(getattr(flow, "field", None))] = method
+    return [pair for pair in combinations() if pair[0] in kinds.values()]
 
 
 def pairwise(of: list[tuple[str, str]] | None = None) -> list[tuple[str, str, int]]:
@@ -70,7 +75,7 @@ def _integrators_of(file: Any) -> dict[str, Any]:
     return variational_integrators() if "root" in file else explicit_integrators()
 
 
-def make(method: str, integrator: str, n: int, **overrides: Any) -> Any:
+def make(method: str, integrator: str, n: int, *, width: int = 8, **overrides: Any) -> Any:
     """A model in float64 with an inertia well away from singular."""
     file = _files()[method]
     torch.manual_seed(n)
@@ -78,8 +83,11 @@ def make(method: str, integrator: str, n: int, **overrides: Any) -> Any:
         "coordinates": Coordinates(tuple(f"q{i}" for i in range(n)), (True, False, True)[:n]),
         "input_matrix": torch.eye(n, dtype=torch.float64)[:, -1:],
         "time_step": H,
-        "width": 8,
     }
+    if "net" in file:
+        arguments["net"] = partial(MLP, width=width, depth=2)
+    if "lagrangian" in file:
+        arguments["lagrangian"] = partial(NetworkLagrangian, width=width)
     if "integrator" in file:
         arguments["integrator"] = _integrators_of(file)[integrator]
     if "root" in file:
@@ -93,6 +101,13 @@ def make(method: str, integrator: str, n: int, **overrides: Any) -> Any:
     return model
 
 
+def learner(method: str, integrator: str, n: int, **overrides: Any) -> Learner:
+    """The learner of such a model; ``overrides`` are of either."""
+    own = {key: overrides.pop(key) for key in inspect.signature(Learner).parameters
+           if key in overrides and key != "objective"}  # fmt: skip
+    return Learner(make(method, integrator, n, **overrides), **own)
+
+
 def windows(n: int, samples: int = 5) -> Windows:
     """Smooth samples: three nodes of a parabola, with their velocities, and varying controls."""
     generator = torch.Generator().manual_seed(11)
@@ -104,5 +119,5 @@ def windows(n: int, samples: int = 5) -> Windows:
 
 
 def reads_back(model: Any) -> bool:
-    """Whether its loss looks at a number to know how to go on, as a search for roots does."""
+    """Whether the loss of a model reads a number to know how to go on, as a root finder does."""
     return not model.objective.branch_free(model.flow)

@@ -6,16 +6,16 @@ import torch
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Windows
 from symo_exp.optim.base import minibatches
-from tests.models.methods import combinations, make, reads_back, windows
+from tests.models.methods import combinations, learner, reads_back, windows
 
 N = 2
 gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
 
 
 def small(method, integrator):
-    model = make(method, integrator, N)
+    model = learner(method, integrator, N)
     if not model.reads_velocity:
-        model.flow.root = Newton(tolerance=1e-5)
+        model.model.flow.root = Newton(tolerance=1e-5)
     model.gradient_clip = 10.0
     return model
 
@@ -42,7 +42,7 @@ def test_it_trains_as_in_double_precision(method, integrator, device):
 def test_a_loss_needs_nothing_from_another_device(method, integrator):
     """Shown without a GPU by tensors that are nowhere: what lies in memory does not mix."""
     model = small(method, integrator)
-    if reads_back(model):
+    if reads_back(model.model):
         pytest.skip("reads a number on its way")
     nowhere = Windows(*(x.to("meta") for x in windows(N, 12)))
     model.to("meta").loss(nowhere).backward()

@@ -10,7 +10,8 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Windows
 from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.nets.affine import parameter_jacobian
-from tests.models.methods import H, combinations, flows, make, pairwise, windows
+from symo_exp.training.learner import Learner
+from tests.models.methods import H, combinations, flows, learner, make, pairwise, windows
 from tests.tables import variational_integrators
 
 ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
@@ -20,7 +21,7 @@ FLOWS = pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows())
 
 @PAIRWISE
 def test_gradient_of_the_loss_against_finite_differences(method, integrator, n):
-    model, data, eps = make(method, integrator, n), windows(n), 1e-6
+    model, data, eps = learner(method, integrator, n), windows(n), 1e-6
     parameters = [p for p in model.parameters() if p.requires_grad]
     gradients = torch.autograd.grad(model.loss(data), parameters, allow_unused=True)
     for x, gradient in zip(parameters, gradients, strict=True):
@@ -41,7 +42,7 @@ def test_gradient_of_the_loss_against_finite_differences(method, integrator, n):
 def test_consecutive_windows_are_like_windows_alone(objective, integrator):
     """In any order, though an integrator may solve the intervals that they share once: the
     residuals, and their derivatives in parameters and configurations."""
-    model = make("symo", integrator, 2, objective=objective())
+    model = learner("symo", integrator, 2, objective=objective())
     parameters, generator = list(model.parameters()), torch.Generator().manual_seed(5)
     shape = {"dtype": torch.float64, "generator": generator}
     bends = H * H * torch.randn(8, 2, **shape)
@@ -217,20 +218,25 @@ def test_where_the_search_starts_does_not_change_what_is_learned(integrator):
     for guess in ("datum", "inertial"):
         model = make("e2e_symo", integrator, 2, guess=guess)
         parameters = list(model.lagrangian.net.parameters())
-        loss = model.loss(data)
+        loss = Learner(model).loss(data)
         seen.append((loss.detach(), torch.autograd.grad(loss, parameters)))
     torch.testing.assert_close(*seen, rtol=1e-7, atol=1e-12)
 
 
 def test_a_datum_that_passes_for_a_root_teaches_all_the_same():
     """Else a model would stop learning once it is as good as the tolerance of its roots."""
-    exact, loose = (make("e2e_symo", "midpoint", 2, root=Newton(tolerance=t)) for t in (1e-12, 9.0))
+    exact, loose = (
+        learner("e2e_symo", "midpoint", 2, root=Newton(tolerance=t)) for t in (1e-12, 9.0)
+    )
     data = windows(2)
-    data = data._replace(q_next=exact.predict(data).q.detach() + 1e-6)
+    data = data._replace(q_next=exact.model.predict(data).q.detach() + 1e-6)
     torch.testing.assert_close(loose.residuals(data), exact.residuals(data), rtol=1e-3, atol=0)
     gradients = [
         torch.cat(
-            [g.flatten() for g in torch.autograd.grad(m.loss(data), [*m.lagrangian.net.weights])]
+            [
+                g.flatten()
+                for g in torch.autograd.grad(m.loss(data), [*m.model.lagrangian.net.weights])
+            ]
         )
         for m in (loose, exact)
     ]
@@ -247,13 +253,13 @@ def test_the_true_lagrangian_has_no_residual_where_the_discrete_motion_is_its_ow
     for method in ("symo", "e2e_symo"):
         model, data = make(method, "midpoint", 3), windows(3)
         exact = data._replace(q_next=model.predict(data).q.detach())
-        assert model.loss(data) > 1e-8
-        assert model.loss(exact) < 1e-20
+        assert Learner(model).loss(data) > 1e-8
+        assert Learner(model).loss(exact) < 1e-20
     for method in ("node", "l_node"):
         model, data = make(method, "rk4", 3), windows(3)
         step = model.predict(data)
         exact = data._replace(q_next=step.q.detach(), v_next=step.v.detach())
-        assert model.loss(exact) < 1e-20
+        assert Learner(model).loss(exact) < 1e-20
 
 
 FORMS = {

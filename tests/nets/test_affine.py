@@ -7,7 +7,7 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Windows
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.nets.affine import parameter_jacobian
-from tests.models.methods import make, pairwise, windows
+from tests.models.methods import learner, pairwise, windows
 
 CASES = [
     *((*case, {}) for case in pairwise()),
@@ -17,18 +17,19 @@ CASES = [
 
 @pytest.mark.parametrize(("method", "integrator", "n", "overrides"), CASES)
 def test_jacobian_by_samples(method, integrator, n, overrides):
-    check(make(method, integrator, n, **overrides), windows(n))
+    check(learner(method, integrator, n, **overrides), windows(n))
 
 
 def test_jacobian_by_samples_where_some_have_no_root():
-    model, data = make("e2e_symo", "midpoint", 2), windows(2)
+    fit, data = learner("e2e_symo", "midpoint", 2), windows(2)
+    model = fit.model
     hard = data._replace(q_next=data.q_next + 1e-3)  # a row that needs more than one step
     data = Windows(*(torch.cat((a[:2], b[2:])) for a, b in zip(hard, data, strict=True)))
     data.q_next[2:] = model.predict(data).q[2:].detach()
     model.flow.root = Newton(tolerance=1e-9, max_iterations=1)
     failed = model.objective(model.flow, data).statistics["newton_failed"]
     assert 0 < failed < 1
-    check(model, data)
+    check(fit, data)
 
 
 def check(model, data):
@@ -46,10 +47,10 @@ def check(model, data):
 
 
 def test_a_use_of_a_parameter_behind_its_back_is_refused():
-    model, data = make("node", "rk4", 2), windows(2)
+    model, data = learner("node", "rk4", 2), windows(2)
 
     def function():
-        return model.residuals(data) + model.flow.field.net.biases[-1].sum()
+        return model.residuals(data) + model.model.flow.field.net.biases[-1].sum()
 
     with pytest.raises(RuntimeError, match=r"outside nets\.affine"):
         parameter_jacobian(function, list(model.parameters()))

@@ -5,16 +5,20 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.systems.mujoco import read_mechanism
 from symo_exp.systems.multibody import Multibody
 from tests.learned import assert_each_sample_alone, assert_same
-from tests.models.methods import make
 from tests.systems import models
 from tests.systems.models import read
 from tests.tables import CONF
 
 ANGULAR = [(True,), (False,), (False, True, True), (True, False, True, True), (True,) * 7]
+
+
+def named(angular):
+    return Coordinates(tuple(f"q{i}" for i in range(len(angular))), angular)
 
 
 def points(n, count=6):
@@ -25,7 +29,7 @@ def points(n, count=6):
 @pytest.fixture(params=ANGULAR, ids=str)
 def chain(request):
     torch.manual_seed(5)
-    return RigidChain(angular=request.param).double()
+    return RigidChain(coordinates=named(request.param)).double()
 
 
 @pytest.mark.parametrize("quantity", ["gradients", "rates"])
@@ -56,7 +60,7 @@ TRUTHS = {
 def of_truth(system: Multibody) -> RigidChain:
     """The chain of a mechanism without branches and springs, its references zero."""
     found, before = (
-        RigidChain(angular=system.coordinates.angular).double(),
+        RigidChain(coordinates=system.coordinates).double(),
         torch.zeros(3, dtype=torch.float64),
     )
     with torch.no_grad():
@@ -94,16 +98,11 @@ def test_it_can_be_any_chain_of_rigid_bodies(name):
 
 
 def test_an_inertia_that_is_none_is_refused():
-    with pytest.raises(ConfigError, match=r"model\.initial_inertia=-1"):
-        RigidChain(angular=(True,), initial_inertia=-1.0)
+    with pytest.raises(ConfigError, match=r"lagrangian\.initial_inertia=-1"):
+        RigidChain(coordinates=named((True,)), initial_inertia=-1.0)
 
 
 @pytest.mark.parametrize("axes", [[[0, 0, 1]], [[0, 0, 1], [0, 1]], [[0, 0, 0], [0, 1, 0]], [1, 2]])
 def test_axes_that_are_none_are_refused_in_a_line(axes):
     with pytest.raises(ConfigError, match="expected 2 rows of three numbers"):
-        RigidChain(angular=(True, True), axes=axes)
-
-
-def test_axes_of_another_structure_are_refused_in_a_line():
-    with pytest.raises(ConfigError, match="expected structure=rigid"):
-        make("symo", "midpoint", 1, axes=[[0.0, 0.0, 1.0]])
+        RigidChain(coordinates=named((True, True)), axes=axes)

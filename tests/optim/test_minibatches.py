@@ -8,7 +8,7 @@ import torch
 
 from symo_exp.optim import base
 from symo_exp.optim.base import minibatches, step_bounded
-from tests.models.methods import make, windows
+from tests.models.methods import learner, windows
 
 OPTIMIZERS = {
     "sgd": lambda p: torch.optim.SGD(p, lr=1e-2, momentum=0.9),
@@ -30,7 +30,7 @@ def test_a_batch_without_a_finite_gradient_is_as_if_it_were_not_there(kind, wait
     data = windows(2, 24)
     good = [data.rows(slice(0, 12)), data.rows(slice(12, 24))]
     bad = good[0]._replace(q=torch.full_like(good[0].q, torch.inf))
-    model = make("symo", "midpoint", 2)
+    model = learner("symo", "midpoint", 2)
     model.gradient_clip = 10.0
     twin = copy.deepcopy(model)
     results = [
@@ -48,7 +48,7 @@ def test_a_batch_without_a_finite_gradient_is_as_if_it_were_not_there(kind, wait
 
 def test_where_no_gradient_is_finite_the_loss_is_no_number(waiting):
     data = windows(1, 12)
-    model = make("symo", "midpoint", 1)
+    model = learner("symo", "midpoint", 1)
     model.gradient_clip = 10.0
     before = [p.detach().clone() for p in model.parameters()]
     optimizer = OPTIMIZERS["fused adam"](model.parameters())

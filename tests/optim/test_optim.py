@@ -16,7 +16,7 @@ from symo_exp.optim.chained import Chained
 from symo_exp.optim.lbfgs import LBFGS
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.optim.total_least_squares import TotalLeastSquares
-from tests.models.methods import make, windows
+from tests.models.methods import learner, windows
 
 
 def halves(n, samples=24):
@@ -91,7 +91,7 @@ def test_bent_valleys_take_fewer_steps(monkeypatch):
 )
 @pytest.mark.parametrize("kind", [LevenbergMarquardt, LBFGS])
 def test_every_method_learns_with_it(kind, method, integrator, n):
-    model = make(method, integrator, n)
+    model = learner(method, integrator, n)
     optimizer, batches = kind(model.parameters()), halves(n)
     start = model.loss(windows(n, 24)).item()
     losses = [optimizer.epoch(model, batches)["train_loss"].item() for _ in range(10)]
@@ -118,12 +118,12 @@ def test_a_resumed_run_gives_the_same_bits(make_optimizer, stop, tmp_path):
             optimizer.epoch(model, halves(2))
             optimizer.validated(model.loss(windows(2)))
 
-    whole, part = (make("symo", "midpoint", 2) for _ in range(2))
+    whole, part = (learner("symo", "midpoint", 2) for _ in range(2))
     run(whole, make_optimizer(whole), 6)
     first = make_optimizer(part)
     run(part, first, stop)
     torch.save((part.state_dict(), first.state_dict()), tmp_path / "state")
-    again = make("symo", "midpoint", 2)
+    again = learner("symo", "midpoint", 2)
     second = make_optimizer(again)
     weights, state = torch.load(tmp_path / "state", weights_only=True)
     again.load_state_dict(weights)
@@ -170,7 +170,7 @@ def test_with_a_tolerance_the_last_of_the_nearly_best_is_kept():
 
 
 def test_memory_that_is_not_there_is_named_before_the_work(monkeypatch):
-    model = make("symo", "midpoint", 2)
+    model = learner("symo", "midpoint", 2)
     monkeypatch.setattr(levenberg_marquardt, "available_bytes", lambda: 1000)
     with pytest.raises(ConfigError, match=r"needs about .* GB .* are free; use a smaller"):
         LevenbergMarquardt(model.parameters()).epoch(model, halves(2))
@@ -178,7 +178,7 @@ def test_memory_that_is_not_there_is_named_before_the_work(monkeypatch):
 
 def test_single_precision_is_refused():
     with pytest.raises(ConfigError, match="dtype=float64"):
-        LevenbergMarquardt(make("node", "rk4", 1).float().parameters())
+        LevenbergMarquardt(learner("node", "rk4", 1).float().parameters())
 
 
 def test_within_a_training(tmp_path):
@@ -186,7 +186,7 @@ def test_within_a_training(tmp_path):
     import lightning
 
     torch.manual_seed(0)
-    model = make(
+    model = learner(
         "symo", "midpoint", 2, optimizer=lambda p: LevenbergMarquardt(p, patience=1), scheduler=None
     )
     data = SimpleNamespace(train=[halves(2)], val=[windows(2, 7)])

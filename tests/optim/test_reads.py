@@ -8,7 +8,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from symo_exp.optim import base
 from symo_exp.optim.base import minibatches, step_bounded
-from tests.models.methods import combinations, make, reads_back, windows
+from tests.models.methods import combinations, learner, reads_back, windows
 
 
 class Reads(TorchDispatchMode):
@@ -49,11 +49,11 @@ def reads(model, steps):
 def test_a_step_reads_nothing_back_unless_it_finds_roots(method, integrator, clip, monkeypatch):
     told = partial(step_bounded, wait=False)
     monkeypatch.setattr(base, "step_bounded", lambda *it, wait: told(*it))
-    model = make(method, integrator, 2)
+    model = learner(method, integrator, 2)
     model.gradient_clip = clip
     once = clip is not None  # at the end of the epoch: which losses count
     counted = [reads(model, steps) for steps in (1, 4)]
-    if reads_back(model):
+    if reads_back(model.model):
         assert counted[1] > counted[0] > once
     else:
         assert counted == [once, once]

@@ -2,6 +2,7 @@
 
 import copy
 import math
+from functools import partial
 
 import pytest
 import torch
@@ -18,9 +19,11 @@ from symo_exp.models.symo import SyMo
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.affine import linear
 from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.optim.banded import Chain
 from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.systems.chain import ChainPendulum
+from symo_exp.training.learner import Learner
 from tests.tables import explicit_integrators
 
 H = 0.05
@@ -56,7 +59,7 @@ def symo(n=2, **settings):
         return SyMo(
             coordinates=system.coordinates, input_matrix=system.input_matrix, time_step=H,
             objective=PreconditionedResidual(), integrator=Galerkin(stages=2), root=ROOT,
-            width=4, depth=1, harmonics=2, **settings,
+            lagrangian=partial(NetworkLagrangian, width=4, depth=1, harmonics=2), **settings,
         )  # fmt: skip
     finally:
         torch.set_default_dtype(before)
@@ -96,7 +99,7 @@ def train(model, trajectories, **settings):
     optimizer = TotalLeastSquares(model.parameters(), **settings)
     found = []
     while not optimizer.finished:
-        found.append(optimizer.epoch(model, trajectories))
+        found.append(optimizer.epoch(Learner(model), trajectories))
     return optimizer, found
 
 
@@ -142,10 +145,10 @@ def test_the_best_start_goes_on():
     )
     ends = []
     for _ in range(9):
-        optimizer.epoch(model, trajectories)
+        optimizer.epoch(Learner(model), trajectories)
         ends.append((float(optimizer.memory["loss"]), optimizer.flat().clone()))
     losses, places = zip(*ends[2::3], strict=True)
-    optimizer.epoch(model, trajectories)
+    optimizer.epoch(Learner(model), trajectories)
     away = [(optimizer.flat() - place).norm().item() for place in places]
     assert len(set(losses)) == 3
     assert away.index(min(away)) == losses.index(min(losses))
@@ -160,7 +163,7 @@ def test_late_parameters_are_zero_until_their_stage():
     )
     trajectories, seen = lengths(20, 20, n=1), []
     while not optimizer.finished:
-        optimizer.epoch(model, trajectories)
+        optimizer.epoch(Learner(model), trajectories)
         seen.append(any(bool(p.any()) for p in net))
     assert seen == [False] * (2 * 2 + 2 * 2) + [True] * 2
 
@@ -174,13 +177,13 @@ def test_it_goes_on_from_what_it_remembers_bit_for_bit():
     while not optimizer.finished:
         if optimizer.memory["epoch"] == 7:
             kept = copy.deepcopy((optimizer.state_dict(), model.state_dict()))
-        optimizer.epoch(model, trajectories)
+        optimizer.epoch(Learner(model), trajectories)
     again = symo(1, dissipation=friction(width=2))
     resumed = TotalLeastSquares(again.parameters(), **settings)
     again.load_state_dict(kept[1])
     resumed.load_state_dict(kept[0])
     while not resumed.finished:
-        resumed.epoch(again, trajectories)
+        resumed.epoch(Learner(again), trajectories)
     assert torch.equal(resumed.flat(), optimizer.flat())
     assert torch.equal(resumed.memory["nodes"], optimizer.memory["nodes"])
 
@@ -188,7 +191,8 @@ def test_it_goes_on_from_what_it_remembers_bit_for_bit():
 def test_a_method_that_reads_velocities_has_states_for_nodes():
     torch.manual_seed(0)
     model = LNODE(
-        coordinates=Coordinates(("a", "b"), (True, True)), width=4, time_step=H,
+        lagrangian=partial(NetworkLagrangian, width=4),
+        coordinates=Coordinates(("a", "b"), (True, True)), time_step=H,
         input_matrix=ChainPendulum(2).input_matrix, integrator=explicit_integrators()["rk4"],
     ).double()  # fmt: skip
     trajectories = lengths(20, 20, noise=1e-3)

@@ -16,6 +16,7 @@ from symo_exp.mechanics.types import Windows
 from symo_exp.runs.folder import CHECKPOINT, About, RunFolder
 from symo_exp.tracking.load import load
 from symo_exp.tracking.publish import MlflowView
+from symo_exp.training.learner import Learner
 from symo_exp.use.environments import environment
 from tests.tables import stated
 from tests.tiny import copy_store
@@ -27,20 +28,24 @@ SYSTEMS = {
 EXPLICIT = {"_target_": "symo_exp.mechanics.explicit.RK4"}
 VARIATIONAL = {"_target_": "symo_exp.mechanics.variational.VariationalMidpoint"}
 ROOT = {"_target_": "symo_exp.mechanics.roots.Newton", "tolerance": 1e-5, "max_iterations": 10}
+NET = {"_target_": "symo_exp.nets.mlp.MLP", "_partial_": True, "width": 8, "depth": 2}
+LAGRANGIAN = {
+    "_target_": "symo_exp.nets.lagrangians.NetworkLagrangian", "_partial_": True, "width": 8,
+}  # fmt: skip
+BY_ROOTS = {"lagrangian": LAGRANGIAN, "integrator": VARIATIONAL, "root": ROOT}
 MODELS = {
-    "node": {"_target_": "symo_exp.models.node.NODE", "integrator": EXPLICIT},
-    "l_node": {"_target_": "symo_exp.models.l_node.LNODE", "integrator": EXPLICIT},
-    "symo": {"_target_": "symo_exp.models.symo.SyMo", "integrator": VARIATIONAL, "root": ROOT},
-    "e2e_symo": {
-        "_target_": "symo_exp.models.e2e_symo.E2ESyMo", "integrator": VARIATIONAL, "root": ROOT,
+    "node": {"_target_": "symo_exp.models.node.NODE", "net": NET, "integrator": EXPLICIT},
+    "l_node": {
+        "_target_": "symo_exp.models.l_node.LNODE", "lagrangian": LAGRANGIAN,
+        "integrator": EXPLICIT,
     },
+    "symo": {"_target_": "symo_exp.models.symo.SyMo", **BY_ROOTS},
+    "e2e_symo": {"_target_": "symo_exp.models.e2e_symo.E2ESyMo", **BY_ROOTS},
 }  # fmt: skip
 
 
 def config(model="symo", system="pendulum"):
-    training = {"_target_": "torch.optim.Adam", "_partial_": True, "lr": 1e-3}
-    model_ = {**MODELS[model], "width": 8, "optimizer": training}
-    return copy.deepcopy({"system": SYSTEMS[system], "model": model_})
+    return copy.deepcopy({"system": SYSTEMS[system], "model": MODELS[model]})
 
 
 class Epoch:
@@ -72,7 +77,8 @@ def made(folder, settings):
         max_epochs=2, logger=False, accelerator="cpu", enable_progress_bar=False,
         enable_model_summary=False, enable_checkpointing=False, default_root_dir=folder,
     )  # fmt: skip
-    trainer.fit(model, train_dataloaders=Epoch([samples]))
+    learner = Learner(model, optimizer=lambda p: torch.optim.Adam(p, lr=1e-3))
+    trainer.fit(learner, train_dataloaders=Epoch([samples]))
     RunFolder(folder).write_config(settings)
     trainer.save_checkpoint(folder / CHECKPOINT)
     return model.eval()
@@ -204,7 +210,7 @@ def test_a_configuration_runs_nothing_but_models(folder, change, monkeypatch, tm
 
 
 def test_weights_of_another_shape(folder):
-    assert "does not fit" in edited(folder, lambda c: c["model"].update(width=9))
+    assert "does not fit" in edited(folder, lambda c: c["model"]["lagrangian"].update(width=9))
 
 
 def test_a_model_that_is_not_learned_needs_no_weights(folder):

@@ -131,20 +131,20 @@ def test_thesis_and_default_protocol(workplace):
     words = ["model=e2e_symo", "system=acrobot", "-m", "preset=default,thesis"]
     default, thesis = (job.config for job in jobs_of(*words))
     for config in default, thesis:
-        assert (config.model.width, config.optimizer.lr) == (256, 1e-3)
+        assert (config.net.width, config.optimizer.lr) == (256, 1e-3)
         assert config.trainer.max_epochs == 2000
         assert config.data.batch_size is None
         assert (config.scheduler.patience, config.scheduler.factor) == (50, 0.7)
         assert (config.root.training.tolerance, config.root.training.max_iterations) == (1e-5, 10)
-    assert (default.model.scheduler_monitor, default.data.monitor) == ("train_loss", "val")
-    assert (thesis.model.scheduler_monitor, thesis.data.monitor) == ("val_loss", "test")
+    assert (default.learner.scheduler_monitor, default.data.monitor) == ("train_loss", "val")
+    assert (thesis.learner.scheduler_monitor, thesis.data.monitor) == ("val_loss", "test")
     assert thesis.trainer.validate_every == 1
     assert (thesis.root.rollout.tolerance, thesis.root.rollout.max_iterations) == (1e-4, 10)
     assert default.root.rollout.tolerance <= 1e-9
     assert thesis.integrator.sensitivity == "adjoint"
     assert (thesis.data.solver.method, thesis.data.solver.rtol) == ("RK45", 1e-3)
     pendulum = job_of("system=pendulum").config
-    assert (pendulum.model.width, pendulum.optimizer.lr) == (128, 1e-4)
+    assert (pendulum.net.width, pendulum.optimizer.lr) == (128, 1e-4)
 
 
 RATES = published()[["system", "noise_std", "learning_rate"]].drop_duplicates()

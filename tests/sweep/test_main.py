@@ -14,6 +14,7 @@ from symo_exp.__main__ import main
 from symo_exp.cli.command import CHECK_ONLY
 from symo_exp.cli.help import CHANGED
 from symo_exp.job.job import _about
+from symo_exp.job.moved import MOVED
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.sweeper import Sweep, watched
@@ -35,12 +36,13 @@ BAD = [
     ("n_traj=8", "n_traj", "data.n_traj"),
     ("modle=symo", "modle", "model"),
     ("+data.x=1", "data.x", "n_traj"),
-    ("++model.dept=2", "model.dept", "model.depth"),
+    ("++net.dept=2", "net.dept", "net.depth"),
     ("+optimizer.learning_rate=1", "optimizer.learning_rate", "lr"),
     ("+root.training.stoping=row", "root.training.stoping", "root.training.stopping"),
     ("+nonsense.deep.inside=1", "nonsense", ""),
     ("+data.solver.metod=RK45", "data.solver.metod", "data.solver.method"),
     ("hydra.sweep.dirr=x", "dirr", ""),
+    *((f"{old}=1", old, f"write {new}=") for old, new in MOVED.items()),
     # choices
     ("model=symoo", "symoo", "e2e_symo, l_node, node, residual, symo"),
     ("system=pendulun", "pendulun", "did you mean pendulum"),
@@ -49,7 +51,7 @@ BAD = [
     ("+model=symo", "model", ""),
     ("hydra/launcher=jobli", "jobli", "joblib"),
     ("dtype=float16", "float16", "float32, float64"),
-    ("model.scheduler_monitor=loss", "loss", ""),
+    ("learner.scheduler_monitor=loss", "loss", ""),
     ("root.training.stopping=never", "never", "row or batch"),
     ("model=node integrator.sensitivity=magic", "magic", "direct or adjoint"),
     ("data.monitor=train", "train", "val"),
@@ -70,8 +72,8 @@ BAD = [
     ("trainer.threads=0", "0", "at least 1"),
     ("trainer.checkpoint_every=-1", "-1", "seconds"),
     ("optimizer.lr=-1", "-1", "learning rate"),
-    ("model.width=0", "width", "0"),
-    ("model.depth=0", "depth", "0"),
+    ("net.width=0", "width", "0"),
+    ("net.depth=0", "depth", "0"),
     ("root.training.tolerance=0", "tolerance", "0"),
     ("root.training.max_iterations=0", "max_iterations", "0"),
     ("system.mass=-1", "system.mass", "-1"),
@@ -153,7 +155,7 @@ def test_a_refusal_is_all_that_is_said_and_an_exit_code(
 
 
 def test_a_setting_that_each_swept_choice_has_is_none_that_the_usual_one_needs(home):
-    words = ["model=node,l_node", "model.sensitivity=adjoint", "model.width=2,4"]
+    words = ["model=node,l_node", "model.sensitivity=adjoint", "net.width=2,4"]
     with watched() as folders:
         assert main([*QUIET, *words, CHECK_ONLY]) == 0
     assert len(folders) == 4
@@ -199,10 +201,10 @@ def test_overrides_may_stand_on_both_sides_of_an_option():
 
 def test_values_are_set_as_hydra_sets_them(workplace):
     """What the composer saves by sharing files changes nothing of what comes out."""
-    words = ["model=node", "system=acrobot", "data.n_traj=8", "model.width=7", "seed=3",
+    words = ["model=node", "system=acrobot", "data.n_traj=8", "net.width=7", "seed=3",
              "optimizer.lr=1e-3", "data.solver={rtol: 1e-3}"]  # fmt: skip
-    shared = jobs_of(*words, "gradient_clip=1,2")
-    alone = [job_of(*words, f"++gradient_clip={x}") for x in (1, 2)]
+    shared = jobs_of(*words, "learner.gradient_clip=1,2")
+    alone = [job_of(*words, f"++learner.gradient_clip={x}") for x in (1, 2)]
     for one, other in zip(shared, alone, strict=True):
         assert one.config == other.config
         assert one.folder.path == other.folder.path
@@ -229,7 +231,7 @@ def test_a_folder_belongs_to_what_is_computed(workplace):
         (["preset=thesis", "trainer.max_epochs=3"], "thesis, trainer.max_epochs=3"),
         (["scheduler=cosine"], "scheduler=cosine"),
         (["learning_rate=1e-2"], "learning_rate=0.01"),
-        (["model.width=7", "data.n_test=9"], "data.n_test=9, model.width=7"),
+        (["net.width=7", "data.n_test=9"], "data.n_test=9, net.width=7"),
         (
             ["-cn", "demo", "model=node", "data.n_traj=8", "hydra/launcher=basic"],
             "trainer.max_epochs=200",
@@ -296,7 +298,7 @@ def test_a_run_ends_in_a_table_of_its_measures_and_its_folder(finished):
     assert line == str(folder.relative_to(place))
     run = RunFolder(folder)
     assert run.outcome().status == "finished"
-    assert "model.width=8" in run.about().variant
+    assert "net.width=8" in run.about().variant
 
 
 def test_the_same_command_gives_the_same_numbers(again):

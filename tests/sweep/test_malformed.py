@@ -67,8 +67,8 @@ YAML = {
     "deep": NODE + "integrator: {_target_: os.mkdir, path: harm}\n",
     "by_detour": NODE + "integrator: {_target_: symo_exp.tracking.store.os.mkdir, path: harm}\n",
     "positional": NODE + "_args_: [1, 2]\ninteger: 3\n",
-    "dangling": NODE + "depth: ${nowhere}\noptimizer: ${optimizer}\n",
-    "circle": NODE + "depth: ${model.optimizer}\noptimizer: ${model.depth}\n",
+    "dangling": NODE + "net: ${nowhere}\nintegrator: ${integrator.explicit}\n",
+    "circle": NODE + "net: ${model.integrator}\nintegrator: ${model.net}\n",
 }
 PLACES = [
     "output_dir=",

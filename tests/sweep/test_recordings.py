@@ -12,7 +12,7 @@ from tests.jobs import refusal
 
 WORDS = [
     "system=pendulum", "system.time_step=0.02", "data=recorded", "data.path=mine.csv",
-    "model=node", "model.width=8", "trainer.max_epochs=2", "logger=none",
+    "model=node", "net.width=8", "trainer.max_epochs=2", "logger=none",
 ]  # fmt: skip
 
 

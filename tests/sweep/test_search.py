@@ -49,11 +49,11 @@ def test_the_search_that_ships_counts_and_ends_with_a_command_that_repeats_the_b
     workplace, capsys
 ):
     """With fewer epochs than those between two validations."""
-    small = [word for word in TINY if not word.startswith(("model.width", "trainer.validate"))]
+    small = [word for word in TINY if not word.startswith(("net.width", "trainer.validate"))]
     words = [*small, "logger=none", "hydra.sweeper.n_trials=2", "trainer.validate_every=10"]
     assert main(["-cn", "search", *words]) == 0
     out, err = capsys.readouterr()
-    assert set(best(workplace)["best_params"]) == {"model.width", "learning_rate"}
+    assert set(best(workplace)["best_params"]) == {"net.width", "learning_rate"}
     assert "trial 1 of 2" in out
     assert "trial 2 of 2" in out
     assert "alembic" not in out + err

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from symo_exp.job.recipe import build, run
-from symo_exp.models.learner import Learner
 from symo_exp.runs.folder import About, RunFolder
+from symo_exp.training.learner import Learner
 from tests.jobs import job_of
 from tests.tiny import TINY
 

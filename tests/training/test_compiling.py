@@ -6,7 +6,7 @@ import pytest
 
 from symo_exp.training import compiling
 from symo_exp.training.compiling import COLD, WARM, CompileTraining, watches_much
-from tests.models.methods import make, windows
+from tests.models.methods import learner, windows
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def trained(monkeypatch, tmp_path):
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path / "kernels"))
     monkeypatch.setattr(compiling, "compiler_available", lambda: True)
     monkeypatch.setattr(compiling, "compile_training", lambda *_, **__: calls.append(True))
-    model = make("symo", "midpoint", 1)
+    model = learner("symo", "midpoint", 1)
 
     def train(steps, mode="auto", state=None, rows=8):
         batches = [windows(1, rows)]

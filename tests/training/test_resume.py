@@ -8,9 +8,9 @@ import pytest
 import torch
 
 import symo_exp
-from symo_exp.models.learner import Learner
 from symo_exp.runs.series import EPOCH, TIME, read
 from symo_exp.training.divergence import DivergenceError
+from symo_exp.training.learner import Learner
 from tests.training.runs import Cut, cut, go, same, state
 
 METHODS = [
@@ -126,7 +126,7 @@ DAMAGE = {
     "code": lambda path, _: torch.save(Pickled(), path),
     "other": lambda path, _: torch.save({"state_dict": {}}, path),
     "another seed": lambda path, m: another(path, f"{SYMO} seed=1", m),
-    "another model": lambda path, m: another(path, f"{SYMO} model.width=6", m),
+    "another model": lambda path, m: another(path, f"{SYMO} net.width=6", m),
 }
 
 
@@ -192,7 +192,7 @@ def test_cut_at_every_moment_a_file_takes_its_place(when, whole, folder, monkeyp
             except Cut:
                 continue
             break
-    assert moment >= 8
+    assert moment >= 7
     assert found == whole
     assert same(state(folder), state(folder.parent / "whole"))
     assert refused(caplog) == []
@@ -228,7 +228,7 @@ def test_a_training_that_diverges_keeps_the_last_good_weights(workplace, monkeyp
     for attempt in range(3):
         caplog.clear()
         with pytest.raises(DivergenceError, match=r"after epoch 4 .* try a smaller optimizer.lr"):
-            go("model=node gradient_clip=null", workplace / "run")
+            go("model=node learner.gradient_clip=null", workplace / "run")
         weights = symo_exp.load(workplace / "run").state_dict().values()
         assert all(bool(value.isfinite().all()) for value in weights)
         assert resumed(caplog) == ([3] if attempt else [])

@@ -7,8 +7,8 @@ import signal
 import pytest
 
 from symo_exp.__main__ import main
-from symo_exp.models.learner import Learner
 from symo_exp.process import stopping
+from symo_exp.training.learner import Learner
 from tests.training.runs import WORDS, same, state
 
 COMMAND = [*WORDS, "model=symo", "trainer.compile=false"]

@@ -46,7 +46,7 @@ def rigid(angular):
     names = tuple(f"q{i}" for i in range(len(angular)))
     coordinates = Coordinates(names, angular)
     friction = LearnedDissipation(coordinates=coordinates, joints="neighbours")
-    return DissipativeLagrangian(RigidChain(angular=angular).double(), perturbed(friction))
+    return DissipativeLagrangian(RigidChain(coordinates=coordinates).double(), perturbed(friction))
 
 
 def model_of(lagrangian, coordinates, matrix, system=None):

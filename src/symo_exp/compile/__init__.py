@@ -15,11 +15,11 @@ from torch import Tensor
 from symo_exp.compile.inductor import CompilerError, compiler_available, kernel_cache
 from symo_exp.compile.newton import RootLoss, VariationalAdvance
 from symo_exp.compile.program import Program
+from symo_exp.compile.trainable import Trainable
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Windows
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import ExplicitFlow, VariationalFlow
-from symo_exp.models.learner import Learner
 from symo_exp.models.objectives import NOTHING, RootError, Statistics
 
 __all__ = [
@@ -33,19 +33,19 @@ __all__ = [
 log = logging.getLogger(__name__)
 
 
-def trains_compiled(model: Learner) -> bool:
-    """Whether the loss of a model can be compiled."""
-    return _loss(model, gradients=False) is not None
+def trains_compiled(learner: Trainable) -> bool:
+    """Return whether the loss of a learner can be compiled."""
+    return _loss(learner, gradients=False) is not None
 
 
-def compile_training(model: Learner, *, validation: bool = False) -> None:
-    """Compile the training step of a model at its next call, and the validation loss if wanted."""
-    step, loss = _loss(model, gradients=True), _loss(model, gradients=False)
+def compile_training(learner: Trainable, *, validation: bool = False) -> None:
+    """Compile the training step of a learner at its next call, and the validation loss if asked."""
+    step, loss = _loss(learner, gradients=True), _loss(learner, gradients=False)
     assert step is not None
     assert loss is not None
-    _install(model, "training step", step, model.uncompiled_training)
+    _install(learner.compiled, "training step", step, learner.uncompiled_training)
     if validation:
-        _install(model, "validation", lambda windows: loss(windows)[0], model.loss)
+        _install(learner.compiled, "validation", lambda windows: loss(windows)[0], learner.loss)
 
 
 def compile_rollout(model: DynamicsModel) -> None:
@@ -70,13 +70,16 @@ def compile_rollout(model: DynamicsModel) -> None:
     def contiguous(*arguments: Tensor) -> Any:  # kernels belong to one layout of each tensor
         return advance(*(x.contiguous() for x in arguments))
 
-    _install(model, "rollout", contiguous, flow.advance)
+    _install(model.compiled, "rollout", contiguous, flow.advance)
 
 
 def _install(
-    model: DynamicsModel, what: str, compiled: Callable[..., Any], other: Callable[..., Any]
+    place: dict[str, Callable[..., Any]],
+    what: str,
+    compiled: Callable[..., Any],
+    other: Callable[..., Any],
 ) -> None:
-    """Let the model use a compiled function, or for good the other one if the compiler fails."""
+    """Put a compiled function in place, which for good is the other if the compiler fails."""
 
     def call(*arguments: Any) -> Any:
         nonlocal compiled
@@ -87,19 +90,20 @@ def _install(
             compiled = other
             return other(*arguments)
 
-    model.compiled[what] = call
+    place[what] = call
 
 
 def _loss(
-    model: Learner, *, gradients: bool
+    learner: Trainable, *, gradients: bool
 ) -> Callable[[Windows], tuple[Tensor, Statistics]] | None:
     """``windows → loss, statistics``; nothing where it cannot be compiled. ``gradients`` are left
     in the parameters."""
-    flow, objective = model.flow, model.objective
+    model, objective = learner.model, learner.objective
+    flow = model.flow
     if isinstance(objective, RootError) and isinstance(flow, VariationalFlow):
         if not isinstance(flow.root, Newton) or flow.integrator.iterates:
             return None
-        return RootLoss(model, flow, objective, gradients=gradients)
+        return RootLoss(learner, flow, objective, gradients=gradients)
     if not objective.branch_free(flow):
         return None
 

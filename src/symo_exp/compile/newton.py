@@ -15,12 +15,12 @@ from torch import Tensor, nn
 
 from symo_exp.compile.inductor import carry
 from symo_exp.compile.program import Program
+from symo_exp.compile.trainable import Trainable
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding, row_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, MidpointExpansion, MomentumMatching
 from symo_exp.models.flows import VariationalFlow
-from symo_exp.models.learner import Learner
 from symo_exp.models.objectives import NOTHING, RootError, Statistics
 from symo_exp.nets.structured_lagrangian import StructuredExpansion
 
@@ -104,9 +104,10 @@ class RootLoss:
     most_iterations = 5
 
     def __init__(
-        self, model: Learner, flow: VariationalFlow, objective: RootError, *, gradients: bool
+        self, learner: Trainable, flow: VariationalFlow, objective: RootError, *, gradients: bool
     ) -> None:
-        self._model, self._gradients = model, gradients
+        self._learner, self._gradients = learner, gradients
+        model = learner.model
         self._flow, self._objective = flow, objective
         self._start = Program(model, self._first_step)
         self._iterate = Program(model, self._next_step)
@@ -119,8 +120,8 @@ class RootLoss:
         while not over.item():
             if taken == min(self._flow.root.max_iterations, self.most_iterations):
                 if self._gradients:
-                    return self._model.uncompiled_training(windows)
-                return self._model.loss(windows), NOTHING
+                    return self._learner.uncompiled_training(windows)
+                return self._learner.loss(windows), NOTHING
             at, over = self._iterate(windows, impulse, at)
             taken += 1
         loss, iterations = self._finish(windows, before, at)

@@ -15,6 +15,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from symo_exp import code
 from symo_exp.errors import ConfigError
+from symo_exp.job.moved import MOVED
 
 ALLOWED = ("symo_exp", "torch", "lightning")
 """The packages a ``_target_`` may name besides those of ``code=FOLDER``: a configuration is data
@@ -23,7 +24,7 @@ and must not run anything else."""
 _INSTANTIATE_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 
 
-PARTS = ("system", "data", "model", "trainer", "logger")
+PARTS = ("system", "data", "model", "learner", "trainer", "logger")
 """What every run is made of: each of them names a class."""
 
 
@@ -83,6 +84,8 @@ def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") ->
 
 def unknown_key(name: str, siblings: Iterable[str], everything: Iterable[str] = ()) -> ConfigError:
     """The error for a setting that does not exist, with what may have been meant."""
+    if name in MOVED:
+        return ConfigError(f"{name} is not a setting any more; write {MOVED[name]}=...")
     parent, _, leaf = name.rpartition(".")
     siblings = sorted(set(siblings))
     meant = [f"{parent}.{s}" if parent else s for s in closest(leaf, siblings)]

@@ -35,7 +35,7 @@ from symo_exp.runs.folder import (
 )
 from symo_exp.runs.series import Series
 from symo_exp.training import resuming
-from symo_exp.training.recording import Recording
+from symo_exp.training.recording import SeriesRecorder
 
 log = logging.getLogger(__name__)
 
@@ -46,6 +46,7 @@ class Parts(NamedTuple):
     system: Any
     data: Any
     model: Any
+    learner: Any
     tracker: Any
     trainer: lightning.Trainer
     reference: Any = None
@@ -99,11 +100,12 @@ def build(config: DictConfig, folder: RunFolder) -> Parts:
             input_matrix=system.input_matrix,
             time_step=system.time_step,
         )
+    learner = make(config, "learner", model=model) if model.learns else None
     reference = _reference(config, system, data) if "reference" in config else None
     for name in config.study:
         make(config.study, name)
     tracker = make(config, "logger")
-    recording = Recording(
+    recorder = SeriesRecorder(
         Series(folder / SERIES), lambda: tracker.publish(folder), tracker.flush_seconds
     )
     trainer = make(
@@ -112,14 +114,14 @@ def build(config: DictConfig, folder: RunFolder) -> Parts:
         folder=folder / CHECKPOINTS,
         run=digest(plain(config)),
         kernels=kernels(plain(config)),
-        callbacks=[recording],
+        callbacks=[recorder],
     )
     try:
-        if model.learns:
-            model.configure_optimizers()
+        if learner is not None:
+            learner.configure_optimizers()
     except (ValueError, TypeError, RuntimeError) as error:
         raise ConfigError(f"optimizer or scheduler: {error}") from error
-    return Parts(system, data, model, tracker, trainer, reference)
+    return Parts(system, data, model, learner, tracker, trainer, reference)
 
 
 def _reference(config: DictConfig, system: Any, data: Any) -> Any:
@@ -170,17 +172,18 @@ def _announce(tracker: Any, folder: RunFolder) -> None:
 
 def _train(parts: Parts, folder: Path, run: str) -> None:
     """Fit, from the last sound checkpoint in ``folder`` on if there is one."""
-    saved = resuming.latest(folder, run, parts.model) if parts.model.learns else None
-    if not parts.model.learns or (saved is not None and saved.complete):
+    learner = parts.learner
+    saved = None if learner is None else resuming.latest(folder, run, learner)
+    if learner is None or (saved is not None and saved.complete):
         parts.data.prepare_data()
         parts.data.setup()
         if saved is not None:
-            parts.model.load_state_dict(saved.state["state_dict"])
+            learner.load_state_dict(saved.state["state_dict"])
         return
     if saved is not None:
-        log.info("going on after epoch %d", saved.state["epoch"])
+        log.info("going on after epoch %d", saved.state["epoch"] + 1)
     path = None if saved is None else str(saved.path)
-    parts.trainer.fit(parts.model, datamodule=parts.data, ckpt_path=path)
+    parts.trainer.fit(learner, datamodule=parts.data, ckpt_path=path)
     stopping.raise_if_requested()
 
 

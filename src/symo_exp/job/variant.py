@@ -30,7 +30,7 @@ class Differences(NamedTuple):
 def variant(config: DictConfig, choices: Mapping[str, Any], compose: Compose) -> str:
     """Return the preset and each choice and setting that is not its own.
 
-    It is empty for what ships, and else like ``"fast, optimizer=lbfgs, model.width=8"``.
+    It is empty for what ships, and else like ``"fast, optimizer=lbfgs, net.width=8"``.
     """
     found = _differences(config, choices, compose)
     preset = choices.get("preset", "default")

@@ -6,23 +6,19 @@ import copy
 from collections.abc import Callable
 from typing import Any, Literal
 
-import lightning
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from symo_exp.mechanics.dissipation import Dissipation
-from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Coordinates, Windows
-from symo_exp.mechanics.variational import VariationalIntegrator
 from symo_exp.models.control import Linear, inverse_dynamics, linearize
-from symo_exp.models.fields import EulerLagrangeAcceleration, Field
-from symo_exp.models.flows import ExplicitFlow, Flow, Rollout, Step, VariationalFlow
+from symo_exp.models.flows import Flow, Rollout, Step
 from symo_exp.models.inputs import Array, Inputs
+from symo_exp.models.objectives import Objective
 
 
-class DynamicsModel(lightning.LightningModule):
+class DynamicsModel(nn.Module):
     """The motion of a mechanical system with coordinates ``q`` (n) and controls ``u`` (m).
 
     Methods take a batch, ``q`` and ``v`` (B, n), ``u`` (B, m), and give one back; or a single
@@ -34,16 +30,17 @@ class DynamicsModel(lightning.LightningModule):
     def __init__(
         self,
         flow: Flow,
-        /,
         *,
         coordinates: Coordinates,
+        objective: Objective | None = None,
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
         super().__init__()
         self.flow, self.coordinates, self.time_step = flow, coordinates, flow.time_step
+        self.objective = objective
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self.compiled: dict[str, Callable[..., Any]] = {}
-        """What takes the place of ``flow.advance`` as "rollout", and see ``Learner``."""
+        """Functions that replace uncompiled ones: "rollout" replaces ``flow.advance``."""
         self.system: Any = None
         """What is known of the system, of a model that was loaded from a run."""
 
@@ -162,55 +159,4 @@ class DynamicsModel(lightning.LightningModule):
 
     def __getstate__(self) -> dict[str, Any]:
         """A copy goes without what was compiled for this model, and can be pickled."""
-        return {**super().__getstate__(), "compiled": {}}
-
-
-class ExplicitModel(DynamicsModel):
-    """A vector field in a Runge-Kutta method; ``objective`` where it is trained."""
-
-    def __init__(
-        self,
-        field: Field,
-        /,
-        *objective: Any,
-        time_step: float,
-        integrator: RungeKutta,
-        sensitivity: Literal["direct", "adjoint"] = "direct",
-        rollout_integrator: RungeKutta | None = None,
-        **base: Any,
-    ) -> None:
-        flow = ExplicitFlow(field, integrator, time_step, sensitivity, rollout_integrator)
-        super().__init__(flow, *objective, **base)
-
-
-class LagrangianOde(ExplicitModel):
-    """The Euler-Lagrange equation of a Lagrangian in a Runge-Kutta method."""
-
-    def __init__(
-        self, lagrangian: Lagrangian, /, *objective: Any, input_matrix: Tensor, **base: Any
-    ) -> None:
-        super().__init__(EulerLagrangeAcceleration(lagrangian, input_matrix), *objective, **base)
-
-
-class VariationalModel(DynamicsModel):
-    """A Lagrangian in a variational integrator; ``objective`` where it is trained."""
-
-    def __init__(
-        self,
-        lagrangian: Lagrangian,
-        /,
-        *objective: Any,
-        input_matrix: Tensor,
-        time_step: float,
-        integrator: VariationalIntegrator,
-        root: RootFinder,
-        evaluation_root: RootFinder | None = None,
-        rollout_root: RootFinder | None = None,
-        **base: Any,
-    ) -> None:
-        """``root`` is that of steps, ``evaluation_root`` of steps of the copy for evaluation,
-        ``rollout_root`` of rollouts. Left out, they are the one before."""
-        evaluation = evaluation_root or root
-        roots = (root, evaluation, rollout_root or evaluation)
-        flow = VariationalFlow(lagrangian, integrator, time_step, input_matrix, roots)
-        super().__init__(flow, *objective, **base)
+        return {**self.__dict__, "compiled": {}}

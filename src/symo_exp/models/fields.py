@@ -1,24 +1,37 @@
-"""Vector fields: the acceleration of a state, from a network or from a Lagrangian."""
+"""Vector fields: the acceleration of a state, by a network or by a Lagrangian."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from typing_extensions import override
 
 from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.nets.embedding import Embedding
-from symo_exp.nets.mlp import MLP
+
+
+@runtime_checkable
+class MakesNetwork(Protocol):
+    """A factory of networks, such as ``MLP`` with its sizes bound (``net`` in ``conf``)."""
+
+    def __call__(self, *, inputs: int, outputs: int) -> nn.Module:
+        """Return a new network with so many inputs and outputs."""
 
 
 class Field(nn.Module, ABC):
-    """``v̇ = a(q, v, u)`` of ``n`` coordinates and ``m`` controls, in SI units."""
+    """An acceleration ``v̇ = a(q, v, u)`` of ``n`` coordinates under ``m`` controls, in SI units.
+
+    Args:
+        input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
+    """
 
     lagrangian: Lagrangian | None
-    """That of the system, where the field has one."""
+    """The Lagrangian of the field, if it has one."""
     input_matrix: Tensor
 
     def __init__(self, input_matrix: Float[Tensor, "n m"]) -> None:
@@ -28,28 +41,41 @@ class Field(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, q: Tensor, v: Tensor, u: Tensor) -> Float[Tensor, "batch n"]:
-        """The acceleration at a batch of states and controls."""
+        """Return the accelerations at a batch of states under a batch of controls."""
 
 
 class NetworkAcceleration(Field):
-    """``v̇ = MLP(s(q), v, u)`` with angles embedded as ``(cos, sin)``: no mechanics in it."""
+    """``v̇ = net(s(q), v, u)`` with angles embedded as ``(cos, sin)``, without mechanics.
+
+    Args:
+        net: Factory of the network, called with the numbers of its inputs and outputs.
+        angular: Which coordinates are angles.
+        input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
+    """
 
     lagrangian = None
 
     def __init__(
-        self, *, angular: tuple[bool, ...], input_matrix: Tensor, width: int, depth: int
+        self, net: MakesNetwork, *, angular: tuple[bool, ...], input_matrix: Tensor
     ) -> None:
         super().__init__(input_matrix)
         n, m = input_matrix.shape
         self.embedding = Embedding(angular=angular)
-        self.net = MLP(inputs=self.embedding.size + n + m, outputs=n, width=width, depth=depth)
+        self.net = net(inputs=self.embedding.size + n + m, outputs=n)
 
+    @override
     def forward(self, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
-        return self.net(torch.cat((self.embedding(q).x, v, u), dim=1))
+        found: Tensor = self.net(torch.cat((self.embedding(q).x, v, u), dim=1))
+        return found
 
 
 class EulerLagrangeAcceleration(Field):
-    """``v̇ = H⁻¹ (B u − Ḣ v + ℒ_q)`` (thesis (3.14)); the Lagrangian may be learned or true."""
+    """``v̇ = H⁻¹ (B u − Ḣ v + ℒ_q)`` (thesis (3.14)) of a learned or a true Lagrangian.
+
+    Args:
+        lagrangian: The Lagrangian ``ℒ``.
+        input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
+    """
 
     lagrangian: Lagrangian
 
@@ -57,5 +83,6 @@ class EulerLagrangeAcceleration(Field):
         super().__init__(input_matrix)
         self.lagrangian = lagrangian
 
+    @override
     def forward(self, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
         return acceleration(self.lagrangian, q, v, generalised_force(self.input_matrix, u))

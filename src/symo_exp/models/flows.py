@@ -183,12 +183,15 @@ class VariationalFlow(Flow):
         integrator: VariationalIntegrator,
         time_step: float,
         input_matrix: Float[Tensor, "n m"],
-        roots: tuple[RootFinder, RootFinder, RootFinder],
+        *,
+        root: RootFinder,
+        evaluation_root: RootFinder | None = None,
+        rollout_root: RootFinder | None = None,
     ) -> None:
-        """``roots`` are those of steps, of steps of the converged copy, and of rollouts."""
         super().__init__(time_step)
         self.lagrangian, self.integrator = lagrangian, integrator
-        self.root, self.evaluation_root, self.rollout_root = roots
+        self.root, self.evaluation_root = root, evaluation_root or root
+        self.rollout_root = rollout_root or self.evaluation_root
         self.register_buffer(
             "input_matrix", input_matrix.to(torch.get_default_dtype()), persistent=False
         )

@@ -1,17 +1,65 @@
 """SyMo: a symplectic-momentum network (thesis section 5.1)."""
 
-from typing import Any
+from typing import Literal
 
-from symo_exp.models.base import VariationalModel
-from symo_exp.models.learned import LearnsLagrangian
-from symo_exp.models.learner import Learner
+from torch import Tensor
+
+from symo_exp.mechanics.roots import RootFinder
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.variational import VariationalIntegrator
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.flows import VariationalFlow
+from symo_exp.models.learned import MakesDissipation, MakesLagrangian, learned_lagrangian
 from symo_exp.models.objectives import Objective, Residual
 
 
-class SyMo(LearnsLagrangian, VariationalModel, Learner):
-    """A learned Lagrangian in a variational integrator, trained on the violation of the discrete
-    Euler-Lagrange equations at the data; it finds roots only to predict."""
+class SyMo(DynamicsModel):
+    """A learned Lagrangian in a variational integrator.
 
-    def __init__(self, *, objective: Objective | None = None, **base: Any) -> None:
-        """``objective`` is one of a variational flow, ``Residual`` if left out."""
-        super().__init__(objective or Residual(), **base)
+    It is trained on the residual of the discrete Euler-Lagrange equations at the data, and finds
+    roots only to predict.
+
+    Args:
+        lagrangian: Factory of the Lagrangian.
+        dissipation: Factory of its dissipation; without one energy is conserved.
+        coordinates: Coordinates of the system.
+        input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
+        time_step: Time step [s].
+        integrator: Variational integrator.
+        root: Root finder of steps.
+        evaluation_root: That of the copy for evaluation; ``root`` if left out.
+        rollout_root: That of rollouts; ``evaluation_root`` if left out.
+        objective: Residuals to be minimised, of a variational flow.
+        evaluation_dtype: Precision of the copy for evaluation.
+    """
+
+    def __init__(
+        self,
+        lagrangian: MakesLagrangian,
+        *,
+        coordinates: Coordinates,
+        input_matrix: Tensor,
+        time_step: float,
+        integrator: VariationalIntegrator,
+        root: RootFinder,
+        evaluation_root: RootFinder | None = None,
+        rollout_root: RootFinder | None = None,
+        dissipation: MakesDissipation | None = None,
+        objective: Objective | None = None,
+        evaluation_dtype: Literal["float32", "float64"] = "float64",
+    ) -> None:
+        flow = VariationalFlow(
+            learned_lagrangian(coordinates, lagrangian, dissipation),
+            integrator,
+            time_step,
+            input_matrix,
+            root=root,
+            evaluation_root=evaluation_root,
+            rollout_root=rollout_root,
+        )
+        super().__init__(
+            flow,
+            coordinates=coordinates,
+            objective=objective or Residual(),
+            evaluation_dtype=evaluation_dtype,
+        )

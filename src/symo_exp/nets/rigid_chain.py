@@ -19,6 +19,7 @@ from symo_exp.mechanics.lagrangian import (
     Rates,
     matvec,
 )
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import rows
 
 PLACE = 0.1
@@ -96,17 +97,17 @@ class RigidChain(nn.Module, Lagrangian):
     def __init__(
         self,
         *,
-        angular: tuple[bool, ...],
+        coordinates: Coordinates,
         initial_inertia: float | None = 1.0,
         axes: Any = None,
     ) -> None:
         super().__init__()
         if initial_inertia is not None and not initial_inertia > 0.0:
             raise ConfigError(
-                f"model.initial_inertia={initial_inertia}: expected a positive number, or null"
+                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
-        n = len(angular)
-        self.register_buffer("turns", torch.tensor(angular), persistent=False)
+        n = coordinates.n
+        self.register_buffer("turns", torch.tensor(coordinates.angular), persistent=False)
         row, column = torch.tril_indices(4, 4)
         place = torch.full((4, 4), 10)
         place[row, column] = torch.arange(10)
@@ -187,7 +188,8 @@ def _directions(given: Any, n: int) -> Float[Tensor, "n 3"]:
         if bool(found.isfinite().all()) and bool(found.norm(dim=1).min() > 0.0):
             return found
     raise ConfigError(
-        f"axes={given}: expected {n} rows of three numbers, one of them not 0, as [[0,0,1],[0,1,0]]"
+        f"lagrangian.axes={given}: expected {n} rows of three numbers, one of them not 0, "
+        "as [[0,0,1],[0,1,0]]"
     )
 
 

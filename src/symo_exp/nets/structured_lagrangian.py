@@ -53,7 +53,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
     """``ℒ`` of ``n`` coordinates by one network; the inertia is positive definite by design.
 
     With ``initial_inertia`` [kg, kg m²] training starts near ``H = initial_inertia · I`` and a
-    weak potential. Without it the last layer starts uniform in ``±1/√width``, PyTorch's default,
+    weak potential. Without it the last layer starts uniform in ``±1/√inputs``, PyTorch's default,
     as in the published code of the thesis, whose text has Xavier weights there too: these would
     often lead to a nearly singular ``H`` whose accelerations fly off.
 
@@ -80,7 +80,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         super().__init__()
         if initial_inertia is not None and not initial_inertia > 0.0:
             raise ConfigError(
-                f"model.initial_inertia={initial_inertia}: expected a positive number, or null"
+                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
         self.embedding = Embedding(angular=angular, relative=relative)
         self.head = FactorHead(len(angular), squares=squares)
@@ -96,7 +96,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         self.skip = nn.Parameter(torch.zeros(self.head.outputs, size)) if size else None
         last, bias = self.net.weights[-1], self.net.biases[-1]
         if initial_inertia is None:
-            bound = 1.0 / math.sqrt(width)
+            bound = 1.0 / math.sqrt(last.shape[1])
             nn.init.uniform_(last, -bound, bound)
             nn.init.uniform_(bias, -bound, bound)
         else:

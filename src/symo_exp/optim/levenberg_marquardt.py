@@ -116,7 +116,7 @@ class LevenbergMarquardt(EpochOptimizer):
             raise ConfigError(
                 f"Levenberg-Marquardt needs about {needed / 1e9:.1f} GB for {size} parameters and "
                 f"{equations} residuals, and {free / 1e9:.1f} GB are free; use a smaller "
-                "model.width, fewer trajectories (data.n_traj), or optimizer=adam or lbfgs"
+                "net.width, fewer trajectories (data.n_traj), or optimizer=adam or lbfgs"
             )
 
 

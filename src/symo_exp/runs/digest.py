@@ -27,7 +27,9 @@ def digest(settings: Mapping[str, Any]) -> str:
 
 def kernels(settings: Mapping[str, Any]) -> str:
     """A digest of what a compiled training step depends on, but for the sizes of its batches."""
-    groups = {"seed", "data", "draws", "optimizer", "scheduler", "learning_rate", "trainer"}
+    groups = {
+        "seed", "data", "draws", "optimizer", "scheduler", "learning_rate", "learner", "trainer",
+    }  # fmt: skip
     return digest({key: value for key, value in settings.items() if key not in groups})
 
 

@@ -14,13 +14,11 @@ import yaml
 from symo_exp import code
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
+from symo_exp.runs import before
 from symo_exp.runs.folder import CHECKPOINT, CONFIG
 
 HOMES = ("symo_exp.systems.", "symo_exp.models.", "symo_exp.mechanics.", "symo_exp.nets.")
 """Where the classes of a model come from. A run folder is data: it must not run anything else."""
-
-TRAINING = {"optimizer", "scheduler", "validation"}
-"""Settings of a model that it needs to be trained only."""
 
 
 def from_folder(
@@ -28,7 +26,7 @@ def from_folder(
 ) -> DynamicsModel:
     """In evaluation mode; ``dtype`` is that of the training unless given."""
     config = _read_config(folder / CONFIG)
-    plan = {k: v for k, v in config["model"].items() if k not in TRAINING}
+    plan = before.model_settings(config["model"])
     _check([config["system"], plan], folder)
     system = hydra.utils.instantiate(config["system"])
     build = hydra.utils.instantiate({**plan, "_partial_": True})
@@ -46,7 +44,7 @@ def from_folder(
 
 
 def _set_weights(model: DynamicsModel, folder: Path) -> None:
-    weights = _read_weights(folder / CHECKPOINT)
+    weights = before.model_weights(_read_weights(folder / CHECKPOINT))
     model.to(next(value.dtype for value in weights.values() if value.is_floating_point()))
     try:
         model.load_state_dict(weights)

@@ -12,6 +12,7 @@ from typing import Any
 import lightning
 import numpy as np
 import torch
+from lightning.pytorch import callbacks
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from symo_exp.files import write_whole
@@ -39,7 +40,7 @@ class WholeFiles(TorchCheckpointIO):
         return state
 
 
-class Checkpoint(lightning.Callback):
+class Checkpoint(callbacks.Checkpoint):
     """Write ``last.ckpt`` between two epochs when ``seconds`` have passed, and after the training.
 
     Between two epochs, when everything about the first has been logged, nothing of it can be lost
@@ -64,11 +65,14 @@ class Checkpoint(lightning.Callback):
             random.setstate(_tuples(self._random["python"]))
             np.random.set_state(_tuples(self._random["numpy"]))
             self._random = None
+        stopping.raise_if_requested()
 
-    def on_train_epoch_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+    def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        if trainer.should_stop or trainer.current_epoch + 1 == trainer.max_epochs:
+            return  # the training is over: ``on_fit_end`` follows
         signum = stopping.requested()
         due = time.monotonic() - self._written >= self.seconds
-        if trainer.current_epoch > 0 and (signum is not None or due):
+        if signum is not None or due:
             try:
                 self.write(trainer)
             except OSError as error:  # a full disk, perhaps: there is a good one from before
@@ -97,9 +101,6 @@ class Checkpoint(lightning.Callback):
             "python": random.getstate(),
             "numpy": numpy,
         }
-        for counts in checkpoint["loops"]["fit_loop"]["epoch_progress"].values():
-            # the next epoch is announced: with that, Lightning would take it for half done
-            counts["ready"] = counts["started"]
         checkpoint["run"] = self.run
         checkpoint["complete"], checkpoint["resumable"] = self._complete, self._resumable
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any
 
 import lightning
@@ -29,16 +30,14 @@ class StopOnDivergence(lightning.Callback):
         self._remember(pl_module)
 
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        loss = trainer.callback_metrics.get("train_loss")
-        if loss is None:
-            return
-        if torch.isfinite(loss):
+        loss = pl_module.epoch_metrics["train_loss"]
+        if math.isfinite(loss):
             self._remember(pl_module)
             return
         self._keep(trainer, pl_module)
         raise DivergenceError(
-            f"the loss of {type(pl_module).__name__} is {float(loss)} after epoch "
-            f"{trainer.current_epoch + 1} (optimiser step {trainer.global_step}); "
+            f"the loss of {type(pl_module.model).__name__} is {loss} after epoch "
+            f"{trainer.current_epoch + 1} (optimiser step {pl_module.steps}); "
             "try a smaller optimizer.lr, another seed or dtype=float64"
         )
 

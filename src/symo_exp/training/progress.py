@@ -32,7 +32,7 @@ class ProgressBar(lightning.Callback):
             self._bar = tqdm(
                 total=trainer.max_epochs,
                 initial=self._start,
-                desc=type(pl_module).__name__,
+                desc=type(pl_module.model).__name__,
                 unit="epoch",
                 leave=False,
                 dynamic_ncols=True,
@@ -41,12 +41,11 @@ class ProgressBar(lightning.Callback):
         if self._bar is None or time.monotonic() - self._drawn < _REFRESH:
             return
         self._drawn = time.monotonic()
-        losses = {
-            name: f"{float(trainer.callback_metrics[name]):.2e}"
-            for name in ("train_loss", "val_loss")
-            if name in trainer.callback_metrics
-        }
-        self._bar.set_postfix(losses, refresh=False)
+        losses = {"train_loss": pl_module.epoch_metrics["train_loss"]}
+        if "val_loss" in trainer.callback_metrics:
+            losses["val_loss"] = float(trainer.callback_metrics["val_loss"])
+        told = {name: f"{loss:.2e}" for name, loss in losses.items()}
+        self._bar.set_postfix(told, refresh=False)
         self._bar.n = trainer.current_epoch + 1
         self._bar.refresh()
 

@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 RETRY_SECONDS = 60.0
 
 
-class Recording(lightning.Callback):
+class SeriesRecorder(lightning.Callback):
     """A row of ``series`` at the end of each epoch; ``publish`` every ``seconds`` at most.
 
     Neither a full disk nor a store that is away stops a training: rows wait for the next epoch.

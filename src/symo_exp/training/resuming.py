@@ -59,7 +59,7 @@ def _read(path: Path, run: str, model: torch.nn.Module) -> dict[str, Any]:
             raise
         reason = next(iter(str(error).splitlines()), "") or type(error).__name__
         raise _UnsoundError(f"it cannot be read ({reason})") from None
-    wanted = {"state_dict", "run", "complete", "resumable", "random", "loops", "optimizer_states"}
+    wanted = {"state_dict", "run", "complete", "resumable", "random", "optimizer_states"}
     if not isinstance(state, dict) or not wanted <= state.keys():
         raise _UnsoundError("it is no checkpoint of a run")
     if state["run"] != run:

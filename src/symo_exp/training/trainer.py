@@ -71,7 +71,6 @@ def make_trainer(
         # on a cluster, too, a run is one process: Lightning's own ways of queueing it again and
         # of choosing a checkpoint would get in the way of ours
         plugins=[WholeFiles(), LightningEnvironment()],
-        enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,
         default_root_dir=folder,

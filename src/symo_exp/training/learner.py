@@ -1,92 +1,110 @@
-"""Training: a flow is made to meet an objective, by one loop for every method."""
+"""The LightningModule that trains every method."""
 
 from __future__ import annotations
 
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal
 
+import lightning
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
+from typing_extensions import override
 
-from symo_exp.mechanics.types import Windows
+from symo_exp.mechanics.types import Trajectory, Windows
 from symo_exp.models.base import DynamicsModel
-from symo_exp.models.flows import Flow
 from symo_exp.models.objectives import Objective, Statistics
 from symo_exp.optim.base import EpochOptimizer, minibatches
 
 
-class Learner(DynamicsModel):
-    """Trains the parameters of a flow; the loss is the mean square of an objective's residuals.
+class Learner(lightning.LightningModule):
+    """Minimises the mean square of an objective's residuals over the parameters of a model.
 
-    One Lightning batch is one epoch: a list of mini batches. Optimisation is by hand, so that an
-    epoch costs little more than its optimiser steps. What it leaves in
-    ``epoch_metrics``: ``train_loss``, ``lr``, ``step_ms``, ``training_seconds``, ``peak_memory``
-    [MiB] of the process, ``skipped_steps`` and the statistics of the objective
-    (``newton_iterations`` and ``newton_failed``, means over rows and steps, where roots are found).
-    In ``compiled``, "training step" takes the place of ``uncompiled_training``, "validation" that
-    of ``loss``.
+    One Lightning batch is one epoch: a list of mini batches. Optimisation is manual, so that an
+    epoch costs little more than its optimiser steps. To an optimiser the learner is a
+    :class:`symo_exp.optim.base.Problem`.
 
-    ``val_loss`` is the loss on held-out samples, or what ``validation`` makes of the model and of
-    the held-out trajectories.
+    After each epoch ``epoch_metrics`` holds ``train_loss``, ``lr``, ``step_ms``,
+    ``training_seconds`` (processor time), ``peak_memory`` [MiB] of the process, ``skipped_steps``
+    and the means over steps of the objective's statistics. ``val_loss`` is logged.
+
+    Args:
+        model: The model to be trained.
+        objective: Residuals to be minimised; those of the method if left out.
+        optimizer: Factory of the optimiser; a learner without one only evaluates losses.
+        scheduler: Factory of the schedule of the learning rate.
+        scheduler_monitor: Loss that the schedule watches, if it watches one.
+        gradient_clip: Bound on the norm of the gradient; ``None``: no bound.
+        validation: Measure of the model on held-out trajectories, which becomes ``val_loss``
+            instead of the loss on held-out samples.
     """
 
     def __init__(
         self,
-        flow: Flow,
-        objective: Objective,
-        /,
+        model: DynamicsModel,
         *,
+        objective: Objective | None = None,
         optimizer: Callable[[Iterable[Tensor]], Optimizer] | None = None,
         scheduler: Callable[[Optimizer], LRScheduler] | None = None,
         scheduler_monitor: Literal["train_loss", "val_loss"] = "train_loss",
         gradient_clip: float | None = None,
-        validation: Callable[[DynamicsModel, Any], float] | None = None,
-        **base: Any,
+        validation: Callable[[DynamicsModel, Sequence[Trajectory]], float] | None = None,
     ) -> None:
-        super().__init__(flow, **base)
+        super().__init__()
         if gradient_clip is not None and not gradient_clip > 0.0:
             raise ValueError(f"gradient_clip must be positive or null, got {gradient_clip}")
-        self._validation = validation
-        self.objective, self.gradient_clip = objective, gradient_clip
+        chosen = objective or model.objective
+        if chosen is None:
+            raise ValueError(f"{type(model).__name__} has no objective to be trained on")
+        self.model, self.objective = model, chosen
+        self.gradient_clip, self.scheduler_monitor = gradient_clip, scheduler_monitor
         self.automatic_optimization = False
-        self._optimizer, self._scheduler = optimizer, scheduler
-        self.scheduler_monitor = scheduler_monitor
+        self.compiled: dict[str, Callable[..., Any]] = {}
+        """Functions that replace uncompiled ones: "training step" replaces
+        ``uncompiled_training``, "validation" replaces ``loss``."""
         self.epoch_metrics: dict[str, float] = {}
-        """The numbers of the last epoch of training."""
+        """The numbers of the last training epoch."""
+        self.steps = 0
+        """Optimiser steps so far, skipped ones included."""
+        self._optimizer, self._scheduler, self._validation = optimizer, scheduler, validation
         self._statistics: dict[str, list[Tensor]] = {}
         self._training_seconds = 0.0
 
-    # -- as an optimiser sees it ---------------------------------------------------------------
+    # -- the problem that an optimiser sees ----------------------------------------------------
+
+    @property
+    def reads_velocity(self) -> bool:
+        """Whether the objective depends on measured velocities."""
+        return self.model.reads_velocity
 
     def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]:
-        """The residuals of each sample."""
-        return self._note(*self.objective(self.flow, windows))
+        """Return the residuals of each sample."""
+        return self._note(*self.objective(self.model.flow, windows))
 
     def loss(self, windows: Windows) -> Float[Tensor, ""]:
-        """Mean square of the residuals."""
+        """Return the mean square of the residuals."""
         return self.residuals(windows).square().mean()
 
     def loss_and_gradients(self, windows: Windows) -> Float[Tensor, ""]:
-        """The loss as a number; its gradients are left in the parameters."""
+        """Return the detached loss and leave its gradients in the parameters."""
         train = self.compiled.get("training step", self.uncompiled_training)
         return self._note(*train(windows))
 
     def uncompiled_training(self, windows: Windows) -> tuple[Tensor, Statistics]:
-        """The loss as a number, with the objective's statistics; gradients go to the parameters."""
+        """Return the detached loss and the objective's statistics; leave gradients in place."""
         self.zero_grad()
-        residuals = self.objective(self.flow, windows)
+        residuals = self.objective(self.model.flow, windows)
         loss = residuals.loss
         loss.backward()
         return loss.detach(), residuals.statistics
 
     def validation_loss(self, windows: Windows) -> Float[Tensor, ""]:
-        """The loss, without gradients."""
+        """Return the loss, without gradients where it is compiled."""
         return self.compiled.get("validation", self.loss)(windows)
 
     def _note(self, found: Tensor, statistics: Statistics) -> Tensor:
@@ -95,34 +113,32 @@ class Learner(DynamicsModel):
                 self._statistics.setdefault(name, []).append(value)
         return found
 
-    # -- as Lightning sees it ------------------------------------------------------------------
+    # -- the hooks of Lightning ----------------------------------------------------------------
 
+    @override
     def configure_optimizers(self) -> Any:
         if self._optimizer is None:
-            raise ValueError("this model was built without an optimizer: it can only predict")
+            raise ValueError("this learner was built without an optimizer: it cannot train")
         optimizer = self._optimizer(self.parameters())
         return [optimizer], [self._scheduler(optimizer)] if self._scheduler else []
 
+    @override
     def training_step(self, batches: list[Windows], _: int) -> None:
-        """All optimiser steps of one epoch, then the learning rate schedule."""
+        """Take all optimiser steps of an epoch, then one step of the learning rate schedule."""
         optimizer: Any = self._torch_optimizer()
         start, processor = time.perf_counter(), time.process_time()
         self._statistics = {}
         rate = optimizer.param_groups[0]["lr"]
         if isinstance(optimizer, EpochOptimizer):
             whole = optimizer.reads_trajectories
-            data: Any = self.trainer
-            given = data.datamodule.trajectories("train") if whole else batches
+            given = self._data.trajectories("train") if whole else batches
             results = optimizer.epoch(self, given)
             self.trainer.should_stop |= optimizer.finished
         else:
             results = minibatches(optimizer, self, batches)
-        # Lightning counts steps in its wrapper of the optimiser; skipped ones count
-        count = self.trainer.fit_loop.epoch_loop.manual_optimization.optim_step_progress.total
-        count.ready, count.completed = count.ready + len(batches), count.completed + len(batches)
-        mean = results["train_loss"]
+        self.steps += len(batches)
         if self.scheduler_monitor == "train_loss":
-            self._schedule(mean)
+            self._schedule(results["train_loss"])
         self._training_seconds += time.process_time() - processor
         means = {name: torch.stack(values).mean() for name, values in self._statistics.items()}
         metrics: dict[str, Any] = {"lr": rate, **results, **means}
@@ -131,16 +147,16 @@ class Learner(DynamicsModel):
         most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         metrics["peak_memory"] = most / (2**20 if sys.platform == "darwin" else 2**10)
         metrics["step_ms"] = 1e3 * (time.perf_counter() - start) / len(batches)
+        # kept here, since `log` takes half a millisecond for each name
         self.epoch_metrics = {name: float(value) for name, value in metrics.items()}
-        # straight to where it is read: `log` takes half a millisecond for each name
-        self.trainer.callback_metrics["train_loss"] = mean
 
+    @override
     def validation_step(self, windows: Windows, _: int) -> None:
         if self._validation is None:
             loss = self.validation_loss(windows)
         else:
-            data = self.trainer.datamodule  # type: ignore[attr-defined]
-            loss = torch.tensor(self._validation(self, data.trajectories(data.monitor)))
+            held_out = self._data.trajectories(self._data.monitor)
+            loss = torch.tensor(self._validation(self.model, held_out))
         self.log("val_loss", loss, batch_size=1)
         if self.trainer.sanity_checking:
             return
@@ -151,16 +167,24 @@ class Learner(DynamicsModel):
             method.validated(loss)
             self.trainer.should_stop |= method.finished
 
+    @override
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        checkpoint["training_seconds"] = self._training_seconds
+        checkpoint["training_seconds"], checkpoint["steps"] = self._training_seconds, self.steps
 
+    @override
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        self._training_seconds = checkpoint.get("training_seconds", 0.0)
+        self._training_seconds, self.steps = checkpoint["training_seconds"], checkpoint["steps"]
 
+    @override
     def on_train_end(self) -> None:
         method = self._torch_optimizer()
         if isinstance(method, EpochOptimizer):
             method.ended()
+
+    @property
+    def _data(self) -> Any:
+        trainer: Any = self.trainer
+        return trainer.datamodule
 
     def _schedule(self, monitored: Tensor) -> None:
         if isinstance(self._torch_optimizer(), EpochOptimizer):
@@ -172,5 +196,5 @@ class Learner(DynamicsModel):
             scheduler.step()
 
     def _torch_optimizer(self) -> Any:
-        """The optimiser without Lightning's wrapper, which costs 0.2 ms a step."""
+        """Return the optimiser without Lightning's wrapper, which costs 0.2 ms a step."""
         return self.optimizers(use_pl_optimizer=False)
