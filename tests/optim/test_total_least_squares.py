@@ -96,10 +96,11 @@ def test_the_band_is_that_of_the_whole_matrix(d):
 
 
 def train(model, trajectories, **settings):
+    problem = Learner(model) if isinstance(model, SyMo | LNODE) else model
     optimizer = TotalLeastSquares(model.parameters(), **settings)
     found = []
     while not optimizer.finished:
-        found.append(optimizer.epoch(Learner(model), trajectories))
+        found.append(optimizer.epoch(problem, trajectories))
     return optimizer, found
 
 
