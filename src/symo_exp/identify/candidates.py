@@ -11,13 +11,13 @@ PLANE = "links in a plane"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
-    "relative": {"structure": "relative", "harmonics": "0"},
-    "absolute": {"structure": "absolute", "harmonics": "0"},
+    "relative": {"lagrangian": "relative"},
+    "absolute": {"lagrangian": "absolute"},
     "small network": {
-        "structure": "network", "model.width": "2", "model.depth": "1", "harmonics": "1",
+        "lagrangian": "network", "net.width": "2", "net.depth": "1", "lagrangian.harmonics": "1",
     },
-    "network": {"structure": "network", "model.width": "8", "harmonics": "2"},
-    "rigid": {"structure": "rigid", "harmonics": "0"},
+    "network": {"lagrangian": "network", "net.width": "8", "lagrangian.harmonics": "2"},
+    "rigid": {"lagrangian": "rigid"},
 }  # fmt: skip
 """Settings of the Lagrangians, the only place that names them."""
 
