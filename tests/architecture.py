@@ -1,6 +1,7 @@
 """Who may import whom, and who does, read from the sources."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -66,6 +67,11 @@ RULES = {
 }  # fmt: skip
 
 
+DOCUMENTED = {"_replace", "_fields", "_asdict", "_make"}
+LOOPS = {"fit_loop", "epoch_loop", "validate_loop", "manual_optimization"}
+PRIVATE_NAME = re.compile(r"_[a-z]\w*(?<!_)|_(foreach|fused)_\w+")
+
+
 def imports(file: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -77,6 +83,28 @@ def imports(file: Path) -> Iterator[str]:
                 yield from (f"symo_exp.{alias.name}" for alias in node.names)
             else:
                 yield node.module
+
+
+def foreign_attributes(file: Path) -> Iterator[str]:
+    """Private attributes that the file uses and does not define, and the loops of Lightning.
+
+    Attributes with an underscore that are documented are no private ones: those of named tuples
+    and Hydra's keys, as ``_target_``.
+    """
+    nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+    own = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    own |= {n.attr for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)}
+    own |= {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    used = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+    used |= {
+        word.value
+        for node in nodes
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr")
+        for word in node.args
+        if isinstance(word, ast.Constant) and isinstance(word.value, str)
+    }
+    yield from sorted(name for name in used - own - DOCUMENTED if PRIVATE_NAME.fullmatch(name))
+    yield from sorted(used & LOOPS)
 
 
 def files(package: str) -> list[Path]:

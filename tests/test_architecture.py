@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.architecture import ROOT, RULES, files, graph, imports
+from tests.architecture import ROOT, RULES, files, foreign_attributes, graph, imports
 
 EVERYBODYS = {"errors", "files", "imports", "shell", "shipped", "code"}
 CONFIG_HOMES = {"cli", "job", "sweep", "identify", "runs"}
@@ -61,6 +61,25 @@ def test_libraries_are_used_by_their_public_interface():
                 compilers.add(file)
         assert "unittest" not in file.read_text(encoding="utf-8"), file
     assert len(compilers) <= 1, compilers
+
+
+PRIVATE_ATTRIBUTES = {
+    "nets/mlp.py": {"_parameters"},
+    "optim/base.py": {"_step_supports_amp_scaling"},
+    "optim/direct.py": {
+        "_foreach_add_", "_fused_adam_", "_optimizer_step_pre_hooks", "_optimizer_step_post_hooks",
+    },
+}  # fmt: skip
+"""By file: the attributes of PyTorch without a public equivalent, whose use is explained there."""
+
+
+def test_attributes_of_libraries_are_public():
+    found = {
+        file.relative_to(ROOT).as_posix(): names
+        for file in ROOT.rglob("*.py")
+        if (names := set(foreign_attributes(file)))
+    }
+    assert found == PRIVATE_ATTRIBUTES
 
 
 def test_configuration_objects_stay_at_the_entrance():

@@ -13,6 +13,7 @@ import pandas as pd
 import yaml
 
 from symo_exp.report.tables import Table, markdown
+from symo_exp.runs.before import model_settings
 from symo_exp.runs.folder import RunFolder
 
 HERE = Path(__file__).parent
@@ -37,7 +38,7 @@ def runs(outputs: Path) -> pd.DataFrame:
             {
                 "system": config["system"]["_target_"].rsplit(".", 1)[-1].lower(),
                 "method": method + (", estimated velocities" if estimated(config) else ""),
-                "structure": config["model"].get("structure", "network"),
+                "structure": structure(config["model"]),
                 "noise": config["data"]["noise_std"],
                 "input noise": config["data"].get("input_noise_std", 0.0),
                 "input weight": config["optimizer"].get("input_weight", 0.0),
@@ -47,6 +48,14 @@ def runs(outputs: Path) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def structure(stored: dict) -> str:
+    """What a learned Lagrangian is made of."""
+    settings = model_settings(stored).get("lagrangian", {})
+    if "relative" not in settings:
+        return "rigid" if settings.get("_target_", "").endswith("RigidChain") else "network"
+    return "relative" if settings["relative"] else "absolute"
 
 
 def estimated(config: dict) -> bool:

@@ -90,6 +90,13 @@ def flip(path):
     path.write_bytes(whole)
 
 
+def without_prefix(path):
+    """The weights named as by versions in which the model was the learner."""
+    state = torch.load(path, weights_only=True)
+    state["state_dict"] = {k.removeprefix("model."): x for k, x in state["state_dict"].items()}
+    torch.save(state, path)
+
+
 def another(path, other, monkeypatch):
     cut(other, path.parents[2] / "other", 1, monkeypatch)
     shutil.copy(path.parents[2] / "other" / "checkpoints" / "last.ckpt", path)
@@ -125,6 +132,7 @@ DAMAGE = {
     "text": lambda path, _: path.write_text("my diary"),
     "code": lambda path, _: torch.save(Pickled(), path),
     "other": lambda path, _: torch.save({"state_dict": {}}, path),
+    "another version": lambda path, _: without_prefix(path),
     "another seed": lambda path, m: another(path, f"{SYMO} seed=1", m),
     "another model": lambda path, m: another(path, f"{SYMO} net.width=6", m),
 }
