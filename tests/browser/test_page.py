@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from symo_exp.report.__main__ import report
+from symo_exp.report.__main__ import general_report
 from symo_exp.report.page import html
 from symo_exp.report.runs import tidy
 from tests.report.stores import MEASURES, row
@@ -34,7 +34,7 @@ def made() -> str:
         for seed in (0, 1)
     ]  # fmt: skip
     rows.append(row(status="FAILED", reason="out of memory", experiment="mine", seed=7))
-    return html(report(tidy(rows), "From a test."))
+    return html(general_report(tidy(rows), "From a test."))
 
 
 @pytest.fixture(scope="module")
@@ -260,5 +260,5 @@ def test_the_page_of_400_runs_is_small():
     ]  # fmt: skip
     assert len(rows) == 400
     start = time.process_time()
-    assert len(html(report(tidy(rows), ""))) < 1_300_000
+    assert len(html(general_report(tidy(rows), ""))) < 1_300_000
     assert time.process_time() - start < 5

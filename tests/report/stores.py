@@ -34,7 +34,7 @@ def row(metrics=MEASURES, **given: Any) -> runs.Row:
     """One run for ``runs.tidy``."""
     known = dict.fromkeys(runs.COLUMNS, "") | {"experiment": "thesis", "status": "FINISHED"}
     known |= {"run_id": next(IDENTITIES), "started": "2026-01-01", "seconds": 40.0}
-    known = {name: known[name] for name in (*runs.KNOWN, "variant", "files")}
+    known = {name: known[name] for name in (*runs.KNOWN, *runs.LATER, "variant", "files")}
     return {**known, **cell_of(given)}, metrics
 
 
@@ -62,11 +62,13 @@ def add_run(
     return run
 
 
-def add_folder(path: Path, status="finished", metrics=MEASURES, **cell: Any) -> RunFolder:
+def add_folder(
+    path: Path, status="finished", metrics=MEASURES, experiment="mine", **cell: Any
+) -> RunFolder:
     """One run in a folder of its own."""
     folder = RunFolder(path)
     folder.path.mkdir(parents=True)
-    folder.describe(About("made", {**parameters(cell), "experiment": "mine"}))
+    folder.describe(About("made", {**parameters(cell), "experiment": experiment}))
     seconds = metrics.get("training_seconds", 0.0)
     (folder / "series.csv").write_text(f"epoch,time,training_seconds\n0,1.0,1.0\n1,2.0,{seconds}\n")
     folder.write_measures(metrics)

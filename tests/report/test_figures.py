@@ -14,7 +14,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from symo_exp.report import curves
-from symo_exp.report.cells import cells
+from symo_exp.report.cells import Compared, cells
 from symo_exp.report.charts import MARKERS, declare, draw_charts
 from symo_exp.report.document import Report
 from symo_exp.report.figures import Figure, Panel
@@ -70,7 +70,7 @@ def swing(wrong=0.0, nodes=2000, lost=False) -> pd.DataFrame:
 PAIRS = [("symo", "midpoint"), ("node", "rk4")]
 TABLES = first({pair: swing(0.1) for pair in PAIRS})
 FIGURES = [
-    *(figure for section in sections(runs()) for figure in section.figures),
+    *(figure for section in sections(runs(), Compared("")) for figure in section.figures),
     *(draw(draw.__name__, "chain", TABLES) for draw in (motion, phase_space, learned)),
     *drift([Studied("drift", "chain", 0.1, TABLES)]),
 ]  # fmt: skip
@@ -130,7 +130,7 @@ def test_what_can_be_switched_off_is_what_there_are_several_of():
 
 
 def report() -> Report:
-    return Report("a <title> & more", "it", sections(runs()), runs())
+    return Report("a <title> & more", "it", sections(runs(), Compared("")), runs())
 
 
 def test_the_page_holds_the_figures_and_needs_nothing_else():

@@ -1,10 +1,12 @@
 """The command: from runs that are complete, half there and none."""
 
+from dataclasses import replace
+
 import pandas as pd
 import pytest
 from PIL import Image
 
-from symo_exp.report.__main__ import main, report
+from symo_exp.report.__main__ import general_report, main
 from symo_exp.report.motions import studied
 from symo_exp.report.runs import read_runs, save_runs, tidy
 from symo_exp.report.tables import markdown_table
@@ -29,7 +31,7 @@ def test_a_store_becomes_tables_figures_and_a_page(store, tmp_path, capsys):
     add_run(store, experiment="other", method="true_ode", metrics={"test_mse": 1e-8})
     out = tmp_path / "out"
     words = ["--directory", str(store.database.parent), "--formats", "png", "pdf"]
-    assert main([*words, "--out", str(out)]) == 0  # all there is
+    assert main([*words, "--all", "--out", str(out)]) == 0
     assert "index.html" in capsys.readouterr().out
     tidy = pd.read_csv(out / "runs.csv")
     assert tidy.run_id.nunique() == 5
@@ -46,6 +48,44 @@ def test_a_store_becomes_tables_figures_and_a_page(store, tmp_path, capsys):
     assert main(["--runs", str(out / "runs.csv"), "--out", str(again), *bare]) == 0
     for table in (out / "tables").iterdir():
         assert (again / "tables" / table.name).read_text() == table.read_text()
+
+
+def test_of_several_experiments_the_last_is_reported_and_the_option_named(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    for seed, name in enumerate(("old", "new")):
+        folder = add_folder(tmp_path / "outputs" / name / "a", experiment=name, seed=seed)
+        about = folder.about()
+        folder.clear()
+        folder.describe(replace(about, started=1e9 + seed))
+        folder.record("finished")
+    report = tmp_path / "report" / "report.md"
+    for words, title, said in [
+        ([], "# new:", "new: the last of 2 experiments; --experiment NAME"),
+        (["--experiment", "old"], "# old:", ""), (["--all"], "# new, old:", ""),
+        (["outputs/old"], "# old:", ""),
+    ]:  # fmt: skip
+        assert main([*words, "--no-page"]) == 0
+        assert report.read_text().startswith(title)
+        assert said in capsys.readouterr().out
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda _: "2")
+    assert main(["--no-page"]) == 0
+    assert report.read_text().startswith("# old:")
+
+
+def test_the_answer_is_of_the_last_sweep_unless_other_settings_are_asked_for(tmp_path):
+    rows = [row({"test_mse": 1.0}, method=method, variant=variant, sweep=sweep, started=started,
+                seed=seed)
+            for variant, sweep, started, seeds in (("trainer.max_epochs=2", "a", "2026-01-01", 5),
+                                                   ("fast", "b", "2026-01-02", 1))
+            for seed in range(seeds) for method in ("symo", "node")]  # fmt: skip
+    text = (made(tmp_path, rows) / "report.md").read_text()
+    assert "Answer and figures: runs with fast; 10 runs have other settings" in text
+    asked = made(tmp_path, rows, "--settings", "trainer.max_epochs=2") / "report.md"
+    assert "Answer and figures: runs with trainer.max_epochs=2; 2 runs" in asked.read_text()
 
 
 def test_run_folders_are_reported_where_there_is_no_store(tmp_path, monkeypatch):
@@ -92,6 +132,7 @@ def test_bad_input_is_a_line_and_code_2(store, tmp_path, capsys):
         (["--runs", str(tmp_path / "file")], "cannot be read (No columns"),
         (["--runs", str(tmp_path / "torn.parquet")], "torn.parquet cannot be read ("),
         (["--runs", str(tmp_path / "other.csv")], "no column 'variant'"),
+        (["--settings", "fast"], "there are: defaults"),
     ]:
         assert main([*bare, "--out", str(tmp_path / "out"), *words]) == 2, words
         (line,) = capsys.readouterr().err.strip().splitlines()
@@ -105,7 +146,7 @@ def test_bad_input_is_a_line_and_code_2(store, tmp_path, capsys):
 def test_tables_have_the_numbers_of_the_runs():
     values = enumerate((1e-6, 2e-6, 4e-6))
     rows = [row(MEASURES | {"test_mse": value}, seed=seed) for seed, value in values]
-    tables = {t.key: t for s in report(tidy(rows), "it").sections for t in s.tables}
+    tables = {t.key: t for s in general_report(tidy(rows), "it").sections for t in s.tables}
     wanted = "| pendulum | 32 | defaults | SyMo, midpoint | 3 | 2.00e-6 | 0.5 |"
     assert wanted in markdown_table(tables["accuracy"])
 
@@ -126,5 +167,35 @@ def test_each_method_s_study_of_the_lowest_seed_is_drawn(store, tmp_path):
     (found,) = studied(runs, ["long_term", "forced"], store)
     assert (found.study, found.system, set(found.tables)) == ("long_term", "pendulum", set(PAIRS))
     assert found.tables["symo", "midpoint"].energy.iloc[0] == 2.0
-    keys = {f.key for s in report(runs, "it", store).sections for f in s.figures}
+    keys = {f.key for s in general_report(runs, "it", store).sections for f in s.figures}
     assert {"long_term_pendulum", "long_term_pendulum_phase_space"} <= keys
+
+
+def recorded(path, method, rmse, **more):
+    """A run on a recording, with a baseline of constant velocity and noise."""
+    horizons = ("0.5s", "1s", "2s")
+    measures = {"windows": 9.0, "usable_s": 0.7, "noise": 1e-3, "test_mse": 1e-6}
+    measures |= {f"rmse_{h}": rmse for h in horizons}
+    measures |= {f"constant_velocity_rmse_{h}": 2.0 for h in horizons}
+    variant = f"recorded, data=recorded, data.path={path}"
+    return row(measures, system="recorded", method=method, recording=path, variant=variant,
+               n_traj=None, **more)  # fmt: skip
+
+
+def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):
+    rows = [recorded("a/arm.csv", "symo", 0.1, seed=s) for s in (0, 1)]
+    rows += [recorded("a/arm.csv", "node", 0.4), recorded("a/leg.csv", "symo", 3.0)]
+    out = made(tmp_path, rows)
+    text = (out / "report.md").read_text()
+    assert text.startswith("# thesis: 2 methods on arm.csv and leg.csv")
+    assert "**arm.csv**: **SyMo, midpoint** predicts best: RMSE to 1 s 0.1 (constant vel" in text
+    assert "## Recording arm.csv" in text
+    assert "## Recording leg.csv" in text
+    arm = (out / "tables" / "recording_arm_csv.md").read_text()
+    assert "| SyMo, midpoint | 2 | 0.1 | 0.1 | 0.1 | 0.7 | – | usable to 0.7 s |" in arm
+    assert "| NODE, midpoint | 1 | 0.4 | 0.4 | 0.4 |" in arm
+    assert "| constant velocity |  | 2 | 2 | 2 |" in arm
+    assert "| noise of the measurement |  | 1.00e-3 | 1.00e-3 | 1.00e-3 |" in arm
+    leg = (out / "tables" / "recording_leg_csv.md").read_text()
+    assert "no better than constant velocity" in leg
+    assert not (out / "tables" / "accuracy.md").exists()

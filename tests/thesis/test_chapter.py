@@ -9,7 +9,7 @@ from symo_exp.report.runs import tidy
 from symo_exp.thesis import published
 from symo_exp.thesis.chapter import factor, progress
 from symo_exp.thesis.claims import CLAIMS, PAIRS, judge
-from symo_exp.thesis.view import report
+from symo_exp.thesis.view import thesis_report
 from tests.report.stores import repeated, row
 from tests.report.test_report import made
 
@@ -36,7 +36,7 @@ def test_a_repeated_chapter_agrees_with_the_published(tmp_path):
 
 
 def test_the_published_is_drawn_beside_ours():
-    told = report(tidy(repeated(SIZES)), "it")
+    told = thesis_report(tidy(repeated(SIZES)), "it")
     figures = {f.key: f for s in told.sections for f in s.figures}
     for key in ("data_size_cartpole_errors", "noise_cartpole"):
         assert figures[key].title.endswith(f"(thesis, figure {published.figures()[key]})")

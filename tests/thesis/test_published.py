@@ -58,7 +58,7 @@ def test_every_run_of_the_thesis_is_there_once():
 def test_factors_compare_what_averages_over_the_same():
     cell = {"system": "cartpole", "method": "symo", "integrator": "midpoint"}
     run = row({"integration_mse": 0.1, "integration_mse_state": 0.551668}, **cell)
-    compared = published.beside(cells(tidy([run])))
+    compared = published.with_ours(cells(tidy([run])))
     (found,) = compared[(compared.seeds > 0)].to_dict("records")
     assert found["over"] == "state"
     assert found["median"] == 0.1
@@ -68,7 +68,7 @@ def test_factors_compare_what_averages_over_the_same():
 
 def test_a_repeated_thesis_is_found_to_agree():
     rows = at_32(published.published())
-    compared = published.beside(cells(tidy(repeated(rows, factor=2.0))))
+    compared = published.with_ours(cells(tidy(repeated(rows, factor=2.0))))
     done = compared[compared.seeds > 0]
     assert len(done) == len(rows)
     assert done.factor.to_numpy() == pytest.approx(2.0)

@@ -1,4 +1,4 @@
-"""``python -m symo_exp.report``: the answer, figures and tables of runs, whatever they are of.
+"""``python -m symo_exp.report``: tables, figures and a page of runs.
 
 Exit codes: 0 written, 2 bad input.
 """
@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from symo_exp.errors import ConfigError
-from symo_exp.shell import python_command
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,13 +22,23 @@ if TYPE_CHECKING:
     from symo_exp.report.document import Report
     from symo_exp.tracking.store import Store
 
-VIEW = "symo_exp.report.__main__:report"
-THESIS = "symo_exp.thesis.view:report"
-"""By name: the thesis is a guest that nothing imports."""
+VIEW = "symo_exp.report.__main__:general_report"
+THESIS = "symo_exp.thesis.view:thesis_report"
+"""By name, so that nothing imports the thesis."""
 OUTPUTS, STORE = Path("outputs"), "mlruns"
 SEVERAL: dict[str, Any] = {"nargs": "+", "default": []}
 OPTIONS: dict[str, dict[str, Any]] = {
-    "--experiment": {**SEVERAL, "metavar": "NAME", "help": "only these experiments; default: all"},
+    "--experiment": {
+        **SEVERAL, "metavar": "NAME",
+        "help": "only these experiments; default: of several the one that is chosen when asked, "
+        "or without a terminal the one that ran last",
+    },
+    "--all": {"action": "store_true", "help": "all experiments together"},
+    "--settings": {
+        "metavar": "TEXT",
+        "help": "compare the runs with these settings, as the tables name them (defaults: those "
+        "that change none); default: those of the last sweep",
+    },
     "--system": {**SEVERAL, "metavar": "NAME", "help": "only these systems"},
     "--seed": {**SEVERAL, "metavar": "N", "type": int, "help": "only these seeds"},
     "--tracking-uri": {
@@ -39,14 +48,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "FOLDER",
         "help": f"of the SQLite store; default: {STORE}, and without it the runs in {OUTPUTS}",
     },
-    "--runs": {
-        **SEVERAL, "type": Path, "metavar": "PATH",
-        "help": "in place of a store: folders of runs, runs.csv or runs.parquet of earlier reports",
-    },
+    "--runs": {**SEVERAL, "type": Path, "metavar": "PATH", "help": "same as PATH"},
     "--out": {"default": "report", "type": Path, "metavar": "FOLDER", "help": "default: report"},
     "--formats": {
         "nargs": "*", "default": [], "choices": ("png", "pdf", "svg"), "metavar": "FORMAT",
-        "help": "figures as files besides: png, pdf, svg; a few seconds each",
+        "help": "also write the figures as files: png, pdf, svg",
     },
     "--no-page": {"action": "store_true", "help": "leave out index.html"},
     "--thesis": {
@@ -56,27 +62,43 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def report(runs: pd.DataFrame, source: str, store: Store | None = None) -> Report:
-    """Everything that can be said of the runs; ``source`` says where they are from."""
+def general_report(
+    runs: pd.DataFrame, source: str, store: Store | None = None, settings: str | None = None
+) -> Report:
+    """Return the report of any runs.
+
+    Args:
+        runs: The tidy table of runs (``report.runs``).
+        source: Where the runs are from, for the last line.
+        store: Where the files of studies are, unless in folders.
+        settings: The settings of the answer; those of the last sweep if not given.
+    """
+    from symo_exp.report.cells import last_compared
     from symo_exp.report.document import Report
     from symo_exp.report.overview import sections, title
 
-    return Report(title(runs), source, sections(runs, store), runs)
+    simulated = runs[runs.recording == ""]
+    parts = sections(runs, last_compared(simulated, settings), store)
+    return Report(title(runs), source, parts, runs)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The command line. Returns the exit code."""
+    """Run the command line and return the exit code."""
     parser = argparse.ArgumentParser(
-        prog=python_command("symo_exp.report"),
-        description="Which method is best, by these runs: a page, tables and figures. Without an "
-        "option: of all runs that there are.",
+        prog="python -m symo_exp.report",
+        description="Compare methods by their runs: a page, tables and figures.",
     )
+    parser.add_argument(
+        "paths", nargs="*", type=Path, metavar="PATH",
+        help="folders of runs (outputs/demo), runs.csv or runs.parquet of earlier reports; "
+        "default: the tracking store",
+    )  # fmt: skip
     for name, option in OPTIONS.items():
         parser.add_argument(name, **option)
-    options = parser.parse_args(argv)
+    options = parser.parse_intermixed_args(argv)
     start = time.perf_counter()
     try:
-        files = _made(options)
+        files = _write(options)
     except ConfigError as error:
         print(f"symo_exp.report: error: {error}", file=sys.stderr)
         return 2
@@ -87,13 +109,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _made(options: argparse.Namespace) -> list[Path]:
+def _write(options: argparse.Namespace) -> list[Path]:
     from symo_exp.report.files import write_report
     from symo_exp.report.runs import load_runs, read_runs
     from symo_exp.tracking.store import find
 
     asked = {"systems": options.system, "seeds": options.seed}
-    named, paths, store = options.experiment, options.runs, None
+    named, paths, store = options.experiment, [*options.paths, *options.runs], None
+    every = options.all or bool(named or paths)
     told = options.tracking_uri or options.directory or os.environ.get("MLFLOW_TRACKING_URI")
     if not (paths or told or Path(STORE, "mlflow.db").exists()) and OUTPUTS.is_dir():
         paths = [OUTPUTS]
@@ -102,15 +125,40 @@ def _made(options: argparse.Namespace) -> list[Path]:
     else:
         store = find(options.tracking_uri, options.directory or STORE)
         runs = read_runs(store, named, **asked)
+    if not every and runs.experiment.nunique() > 1:
+        named = [_chosen(runs)]
+        runs = runs[runs.experiment.isin(named)].reset_index(drop=True)
     of = {"experiment": named, "saved runs": paths, **asked}
     source = "; ".join(f"{k} {', '.join(map(str, words))}" for k, words in of.items() if words)
     view: Callable[..., Report] = pkgutil.resolve_name(options.view)
-    made = view(runs, f"From {source or 'all experiments'}.", store)
+    report = view(runs, f"From {source or 'all experiments'}.", store, options.settings)
     try:
-        return write_report(made, options.out, formats=options.formats, page=not options.no_page)
+        return write_report(report, options.out, formats=options.formats, page=not options.no_page)
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(f"--out {options.out} cannot be written ({reason})") from error
+
+
+def _chosen(runs: pd.DataFrame) -> str:
+    """Return the experiment that is chosen at a terminal, or else the one that ran last."""
+    each = runs.drop_duplicates("run_id").groupby("experiment")
+    started = each.started.max().sort_values(ascending=False)
+    names, last = list(map(str, started.index)), str(started.index[0])
+    if sys.stdin.isatty() and sys.stdout.isatty():
+        print("Experiments, the last first:")
+        for i, name in enumerate(names):
+            print(f"{i + 1:4d}  {name}: {len(each.get_group(name))} runs, {started[name]:%F %H:%M}")
+        answer = input(f"Which one? [1: {last}] ").strip() or "1"
+        if answer.isdigit() and 0 < int(answer) <= len(names):
+            return names[int(answer) - 1]
+        if answer in names:
+            return answer
+        raise ConfigError(f"no experiment {answer!r}; give its number or name")
+    print(
+        f"{last}: the last of {len(names)} experiments; --experiment NAME chooses another of "
+        f"{', '.join(names)}, --all takes all."
+    )
+    return last
 
 
 if __name__ == "__main__":

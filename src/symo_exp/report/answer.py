@@ -1,4 +1,4 @@
-"""The answer first: which method is best at what, by how much and how sure, and one heat map."""
+"""The answer of a report: the best method for each question, by how much and how surely."""
 
 from __future__ import annotations
 
@@ -8,24 +8,34 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from symo_exp.report.cells import DEFAULTS, Compared
 from symo_exp.report.looks import in_order, letters, look, measure_name, number, pair_name, short
-from symo_exp.report.ranking import Interval, between, drawn, logarithms
+from symo_exp.report.ranking import Interval, between, logarithms, resampled
 from symo_exp.report.tables import ResultTable
 
 ROOTS = "test_newton_failed"
-"""A measure of methods that find the next configuration from configurations; the others start from
-velocities, which they are given."""
+"""A measure of the methods that predict from configurations; the others are given velocities."""
 DIVERGED = 30.0
-"""The power of ten that ``logarithms`` has for what is infinite."""
+"""The power of ten that ``logarithms`` returns for infinite values."""
+LEVEL = 0.022
+"""Margin in powers of ten, a factor of 1.05, below which two methods are level."""
 AGAINST = (
-    "n: training trajectories. Medians over the seeds; × how many times the best. The darker, the "
-    "better the rank; the best is framed."
+    "n: training trajectories. Medians over the seeds; × times the best. Darker is a better rank; "
+    "the best is framed."
 )
 
 
 class Question(NamedTuple):
-    """``measures``: the first that the runs have is asked. ``says`` and ``than``: what it is to be
-    best, and better."""
+    """A question to the runs.
+
+    Args:
+        asks: How the answer begins.
+        measures: The first of these that the runs have decides.
+        says: The predicate of the best method.
+        than: How it compares with the second.
+        smallest: Whether the smallest training set is asked about.
+        noisy: Whether noisy data are asked about.
+    """
 
     asks: str
     measures: Sequence[str]
@@ -37,15 +47,15 @@ class Question(NamedTuple):
 
 QUESTIONS = (
     Question("From few data", ("test_mse",), "has the smallest test error", smallest=True),
-    Question("Over long horizons", ("integration_mse", "rmse_2s"), "predicts best"),
+    Question("Over long horizons", ("integration_mse",), "predicts best"),
     Question("For energy", ("energy_mse", "energy_mse_fd"), "keeps it best"),
     Question("From noisy data", ("test_mse",), "has the smallest test error", noisy=True),
     Question("In time", ("training_seconds",), "trains in the shortest time", "faster than"),
 )
 
 
-class Found(NamedTuple):
-    """One measure of all contestants: a row for each system and seed, a column for each of them."""
+class Finding(NamedTuple):
+    """Values of one measure: a row for each system and seed, a column for each contestant."""
 
     question: Question
     asks: str
@@ -55,14 +65,13 @@ class Found(NamedTuple):
     values: pd.DataFrame
 
     def medians(self) -> pd.DataFrame:
-        """A row for each system: the logarithms of the medians over seeds."""
+        """Return the logarithms of the medians over seeds, a row for each system."""
         return self.values.groupby("system").median()
 
 
-def answers(runs: pd.DataFrame, variant: str) -> tuple[list[str], list[ResultTable]]:
-    """A sentence for each question that the runs can answer and one of what the methods are given,
-    and a heat map for each system."""
-    rows = contestants(runs[runs.source == "ours"], variant)
+def answers(runs: pd.DataFrame, compared: Compared) -> tuple[list[str], list[ResultTable]]:
+    """Return a sentence for each question that the runs answer, and a heat map for each system."""
+    rows = contestants(runs[runs.source == "ours"], compared)
     found = [one for question in QUESTIONS if (one := _ask(rows, question)) is not None]
     systems = sorted({system for one in found for system in one.values.index.unique("system")})
     said = [sentence(one) for one in found]
@@ -70,7 +79,7 @@ def answers(runs: pd.DataFrame, variant: str) -> tuple[list[str], list[ResultTab
 
 
 def given(rows: pd.DataFrame) -> list[str]:
-    """Which methods are given velocities, where they are compared with some that are not."""
+    """Return a sentence on the inputs of the methods if some are given velocities and some not."""
     finds_roots = (rows.metric == ROOTS).groupby(rows.method).any()
     named: dict[bool, list[str]] = {True: [], False: []}
     for method in sorted(map(str, finds_roots.index), key=lambda name: in_order((name, ""))):
@@ -78,22 +87,47 @@ def given(rows: pd.DataFrame) -> list[str]:
     alone, told = (" and ".join(named[finds]) for finds in (True, False))
     if not (alone and told):
         return []
-    return [f"**What they are given**: {told} velocities, too; {alone} configurations alone."]
+    return [f"**Inputs**: {told} are given velocities, {alone} configurations alone."]
 
 
-def contestants(runs: pd.DataFrame, variant: str) -> pd.DataFrame:
-    """The measured runs that are compared, each with its name in ``who``.
+def other_settings(found: pd.DataFrame, variant: str) -> list[str]:
+    """Return a sentence on the cell of other settings that beats the answer's test error most.
 
-    Methods in their integrators with the settings of ``variant``; of one method alone, its
-    settings.
+    Args:
+        found: Cells of all settings (``report.cells``).
+        variant: The settings of the answer.
+    """
+    rows = found[(found.source == "ours") & (found.metric == "test_mse")]
+    rows = rows[~(rows.noise_std > 0) & (rows["median"] > 0)]
+    best = rows[rows.variant == variant].groupby("system")["median"].min()
+    others = rows[rows.variant != variant].assign(best=lambda t: t.system.map(best).astype(float))
+    others = others.assign(times=others.best / others["median"])
+    if others.empty or not others.times.max() > 10**LEVEL:
+        return []
+    one = others.loc[others.times.idxmax()]
+    settings = one.variant or DEFAULTS
+    data = f", {one.n_traj:g} trajectories" if one.n_traj == one.n_traj else ""
+    return [
+        f"**Other settings**: {pair_name(one.method, one.integrator)} with {settings} has test MSE "
+        f"{short(one['median'])} ({one.system}{data}), {short(one.times)} times below the best "
+        f'above; `--settings "{settings}"` compares the runs with these.'
+    ]
+
+
+def contestants(runs: pd.DataFrame, compared: Compared) -> pd.DataFrame:
+    """Return the measured runs that are compared, with the name of the contestant in ``who``.
+
+    Methods and integrators with equal settings are compared; if there is one method only, its
+    settings in one sweep.
     """
     runs = runs[runs.metric != ""]
-    mine = runs[runs.variant == variant]
+    mine = runs[runs.variant == compared.variant]
     pairs = sorted({*zip(mine.method, mine.integrator, strict=True)}, key=in_order)
-    if len(pairs) == 1 and runs.variant.nunique() > 1:
+    if len(pairs) == 1 and len(compared.rivals) > 1:
         method, integrator = pairs[0]
         mine = runs[(runs.method == method) & (runs.integrator == integrator)]
-        return mine.assign(who=mine.variant.replace("", "defaults"))
+        mine = mine[mine.variant.isin(compared.rivals)]
+        return mine.assign(who=mine.variant.replace("", DEFAULTS))
     several = [method for method, _ in pairs]
     names = {
         (m, i): pair_name(m, i) if several.count(m) > 1 else look(m).label for m, i in pairs
@@ -103,11 +137,11 @@ def contestants(runs: pd.DataFrame, variant: str) -> pd.DataFrame:
     return mine.assign(who=pd.Series(who, index=mine.index, dtype=order))
 
 
-def _ask(rows: pd.DataFrame, question: Question) -> Found | None:
-    """What the runs say, of one noise and one size of the training set.
+def _ask(rows: pd.DataFrame, question: Question) -> Finding | None:
+    """Return the values at one noise and one size of the training set.
 
-    The smallest size if that is asked, unless it is that of a few strays; else the one that most
-    has been run with.
+    The size is the smallest that more than half of the contestants have if the question asks for
+    it, otherwise the most frequent one.
     """
     noise = rows.noise_std.fillna(0.0)
     rows = rows[(noise > 0) if question.noisy else (noise == 0)]
@@ -126,11 +160,11 @@ def _ask(rows: pd.DataFrame, question: Question) -> Found | None:
     values = here.pivot_table("value", ["system", "seed"], "who", aggfunc="last", observed=True)
     values.columns = list(map(str, values.columns))
     asks = "One step ahead" if question.smallest and not few else question.asks
-    return Found(question, asks, there[0], noise, size, values)
+    return Finding(question, asks, there[0], noise, size, values)
 
 
-def sentence(found: Found) -> str:
-    """Who is best, by how much, how sure, and where it is another."""
+def sentence(found: Finding) -> str:
+    """Return the best contestant, its margin with an interval, and the systems with another."""
     question, medians = found.question, found.medians()
     where = [f"noise {number(found.noise)}"] if found.noise else []
     where += [f"{number(found.size)} trajectories"] if found.size else []
@@ -141,16 +175,18 @@ def sentence(found: Found) -> str:
         told = ", ".join(f"{name} {short(10**x)} ({system})" for system, name, x in least)
         return f"{start}: {measure_name(found.metric)} of {told}."
     best, second = everywhere.mean().sort_values(kind="stable").index[:2]
-    margin = everywhere[second].mean() - everywhere[best].mean()
-    says = f"**{best}** {question.says}, {_times(margin)} times {question.than} {second}"
+    apart = everywhere[second].mean() - everywhere[best].mean()
+    says = f"**{best}** {question.says}, {_times(apart)} times {question.than} {second}"
     both = found.values[[best, second]].dropna().groupby("system").size()
     seeds = both.reindex(medians.index, fill_value=0).min()
-    sure = "one seed, no interval" if seeds == 1 else "no seed of both, no interval"
+    sure = "one seed, no interval" if seeds == 1 else "no common seed, no interval"
     if seeds > 1:
         low, high = _interval(found, best, second)
         sure = f"95 % interval {_times(low)} to {_times(high)}, {seeds} seeds"
         if low <= 0:
-            says = f"undecided between **{best}** and **{second}**, {_times(margin)} times apart"
+            says = f"undecided between **{best}** and **{second}**, {_times(apart)} times apart"
+    if apart < LEVEL:
+        says = f"**{best}** and **{second}** are level"
     others: dict[str, list[str]] = {}
     for system, winner in medians.idxmin(axis=1).items():
         if winner != best:
@@ -159,18 +195,18 @@ def sentence(found: Found) -> str:
     return f"{start}: {says} ({sure})" + f"; {but}" * bool(but) + "."
 
 
-def _interval(found: Found, best: str, second: str) -> Interval:
-    """Of the margin in powers of ten, by resampling the seeds of every system."""
+def _interval(found: Finding, best: str, second: str) -> Interval:
+    """Return the interval of the margin in powers of ten, by resampling the seeds of a system."""
     apart = []
     for stream, (_, rows) in enumerate(found.values[[best, second]].groupby("system")):
         both = rows.dropna().to_numpy()
-        medians = np.median(both[drawn(len(both), stream)], axis=1)
+        medians = np.median(both[resampled(len(both), stream)], axis=1)
         apart.append(medians[:, 1] - medians[:, 0])
     return between(np.mean(apart, axis=0))
 
 
-def heat_map(system: str, found: Iterable[Found]) -> ResultTable:
-    """A row for each contestant, a column for each measure, shaded by rank."""
+def heat_map(system: str, found: Iterable[Finding]) -> ResultTable:
+    """Return a table with a row for each contestant and a column for each measure."""
     texts, shades = {}, {}
     for one in found:
         medians = one.medians()
@@ -179,7 +215,7 @@ def heat_map(system: str, found: Iterable[Found]) -> ResultTable:
         here = medians.loc[system].dropna()
         where = f", σ={number(one.noise)}" * bool(one.noise) + f", n={one.size:g}" * bool(one.size)
         what = measure_name(one.metric) + where
-        texts[what] = pd.Series([_beside(x, here.min()) for x in here], here.index)
+        texts[what] = pd.Series([_against(x, here.min()) for x in here], here.index)
         places = 1 - (here.rank(method="min") - 1) / max(len(here) - 1, 1)
         shades[what] = places if len(here) > 1 else places * np.nan
     names = list(dict.fromkeys(name for column in texts.values() for name in column.index))
@@ -191,10 +227,10 @@ def heat_map(system: str, found: Iterable[Found]) -> ResultTable:
     return ResultTable(f"best_{letters(system)}", system, rows, notes, system=system, shades=marks)
 
 
-def _beside(power: float, least: float) -> str:
+def _against(power: float, least: float) -> str:
     if power >= DIVERGED:
         return "diverged"
-    return short(10**power) + (f" ×{_times(power - least)}" if power > least else "")
+    return short(10**power) + (f" ×{_times(power - least)}" if power - least >= LEVEL else "")
 
 
 def _times(power: float) -> str:

@@ -1,20 +1,39 @@
-"""Cells: measures of runs that differ in the seed alone, summed up."""
+"""Cells: measures of runs that differ only in the seed, summarised; and which of them to show."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from symo_exp.errors import ConfigError
 from symo_exp.report.runs import CELL
 
 SUMMARY = ["seeds", "median", "low", "high", "seconds"]
+DEFAULTS = "defaults"
+"""What a reader calls the settings of runs that change none."""
+
+
+class Compared(NamedTuple):
+    """Settings of the runs that an answer compares.
+
+    Args:
+        variant: The settings in which methods are compared.
+        rivals: The settings that are compared where there is one method only.
+    """
+
+    variant: str
+    rivals: tuple[str, ...] = ()
 
 
 def cells(runs: pd.DataFrame) -> pd.DataFrame:
-    """A row for each cell and metric: how many ``seeds``, their ``median``, the ``low``est and
-    ``high``est value, and the median ``seconds`` that a run trained."""
+    """Return a row for each cell and metric.
+
+    Its columns beside those of the cell are ``seeds`` (their number), ``median``, ``low`` and
+    ``high`` of the measure over them, and the median ``seconds`` of training.
+    """
     keys = [*CELL, "source", "metric"]
     measured = runs[runs.metric != ""]
     if measured.empty:
@@ -29,14 +48,37 @@ def cells(runs: pd.DataFrame) -> pd.DataFrame:
     return found.reset_index()
 
 
+def last_compared(runs: pd.DataFrame, settings: str | None = None) -> Compared:
+    """Return the settings asked for or those of the last sweep, without any sweep of the last run.
+
+    Raises:
+        ConfigError: No run has the settings asked for.
+    """
+    learned = runs[runs.source == "ours"]
+    if settings is not None:
+        variant = "" if settings == DEFAULTS else settings
+        if variant not in set(learned.variant):
+            have = "; ".join(sorted({one or DEFAULTS for one in learned.variant})) or "none"
+            raise ConfigError(f"--settings {settings}: no run has these; there are: {have}")
+        return Compared(variant)
+    if learned.empty:
+        return Compared("")
+    swept = learned[learned.sweep != ""]
+    last = learned if swept.empty else swept
+    column = "run_id" if swept.empty else "sweep"
+    started = last.started.fillna(pd.Timestamp(0, tz="UTC"))
+    last = last[last[column] == last[column][started.idxmax()]]
+    return Compared(str(last.variant.value_counts().idxmax()), tuple(sorted(set(last.variant))))
+
+
 def main_variant(rows: pd.DataFrame) -> str:
-    """The variant that figures show: the defaults if there are any, else the most frequent."""
+    """Return the defaults if any run has them, otherwise the most frequent settings."""
     variants = rows[rows.source == "ours"].variant.value_counts()
     return "" if "" in variants or variants.empty else str(variants.idxmax())
 
 
 def usual_steps(rows: pd.DataFrame) -> dict[str, float]:
-    """The time step of each system: the one that most of its learned runs have, or of all."""
+    """Return the time step of each system that most of its learned runs have, or all its runs."""
     learned = rows[rows.source == "ours"].dropna(subset="time_step")
     others = rows[~rows.system.isin(learned.system)].dropna(subset="time_step")
     steps = pd.concat([learned, others]).groupby("system").time_step
@@ -44,13 +86,13 @@ def usual_steps(rows: pd.DataFrame) -> dict[str, float]:
 
 
 def at_step(rows: pd.DataFrame, steps: Mapping[str, float]) -> pd.DataFrame:
-    """The rows of runs with the given time step; of a system without one, all."""
+    """Return the rows with the time step given for their system, or all rows of other systems."""
     usual = rows.system.map(steps).fillna(rows.time_step).astype(float)
     return rows[np.isclose(rows.time_step.astype(float), usual, equal_nan=True)]
 
 
 def _median(values: pd.Series) -> float:
-    """With infinite values too; pandas' own turns a pair of them into NaN."""
-    ordered = np.sort(values.to_numpy(dtype=float))  # NaN last, as if worst
+    """Return the median; pandas' own of two infinite values is NaN."""
+    ordered = np.sort(values.to_numpy(dtype=float))  # NaN last, as the worst
     low, high = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
     return float(low if low == high else 0.5 * (low + high))

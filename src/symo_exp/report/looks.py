@@ -44,7 +44,14 @@ TRUE = {
     "true_variational": Look("true system, variational", "#222222", "."),
 }
 """The models that are not learned: drawn as floors under the others."""
+BASELINES = {
+    "constant_velocity": Look("constant velocity", "#8a8a8a", "v"),
+    "reference": Look("reference", "#56B4E9", "P"),
+    "noise": Look("noise of the measurement", "#222222", "."),
+}
+"""What models of recordings are compared with."""
 TRUTH = Look("truth", "#3b3b3b", ".")
+MEASURED = Look("measured", "#3b3b3b", ".")
 SPARE = (("#CC79A7", "v"), ("#56B4E9", "P"), ("#F0E442", "X"))
 INTEGRATORS = {
     "": Stroke("", "-"),  # a line through several integrators
@@ -93,7 +100,7 @@ GREEK = dict(
 
 def look(method: str) -> Look:
     """The look of a method; one that has no entry gets a spare one by its name."""
-    known = METHODS | TRUE
+    known = METHODS | TRUE | BASELINES
     return known.get(method) or Look(method, *SPARE[sum(method.encode()) % len(SPARE)])
 
 

@@ -49,7 +49,7 @@ class Studied(NamedTuple):
     tables: Tables
 
 
-def figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | None) -> list[Figure]:
+def motion_figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | None) -> list[Figure]:
     """All figures of the studies that the runs have done; ``drifting`` are those of floors."""
     made: list[Figure] = []
     for one in studied(runs, (*TITLES, LEARNED), store):

@@ -1,4 +1,4 @@
-"""The report of any runs: its sections, in the order in which they are read."""
+"""The report of any runs: its sections in reading order."""
 
 from __future__ import annotations
 
@@ -7,18 +7,12 @@ from collections.abc import Iterable, Sequence
 import pandas as pd
 
 from symo_exp.report import curves, motions
-from symo_exp.report.answer import answers
-from symo_exp.report.cells import at_step, cells, main_variant, usual_steps
+from symo_exp.report.answer import answers, other_settings
+from symo_exp.report.cells import DEFAULTS, Compared, at_step, cells, usual_steps
 from symo_exp.report.document import Section
 from symo_exp.report.growth import growth
-from symo_exp.report.looks import (
-    look,
-    measure_name,
-    number,
-    pair_names,
-    short,
-    stroke,
-)
+from symo_exp.report.held_out import recording_answers, recording_names, recording_sections
+from symo_exp.report.looks import look, measure_name, number, pair_names, short, stroke
 from symo_exp.report.runs import without_result
 from symo_exp.report.tables import ResultTable
 from symo_exp.tracking.store import Store
@@ -29,67 +23,86 @@ ACCURACY = (*FLOORS, "inertia_mse_aligned", "training_seconds")
 
 
 def sections(
-    runs: pd.DataFrame, store: Store | None = None, beside: pd.DataFrame | None = None
+    runs: pd.DataFrame,
+    compared: Compared,
+    store: Store | None = None,
+    others: pd.DataFrame | None = None,
 ) -> list[Section]:
-    """The answer, the figures, and folded what they rest on. Answer and figures are of one variant.
+    """Return the answer, the figures, and folded the tables that they rest on.
 
-    ``store`` has the files of studies. ``beside`` are cells to draw with ours, such as published
-    ones: the columns of ``cells``, and ``text``.
+    Args:
+        runs: The tidy table of runs (``report.runs``).
+        compared: The settings of the answer and of the figures.
+        store: Where the files of studies are, unless in folders.
+        others: Cells drawn beside these, such as published ones: the columns of ``cells``, and
+            ``text``.
     """
-    found, variant, steps = cells(runs), main_variant(runs), usual_steps(runs)
+    every, recorded = runs, runs[runs.recording != ""]
+    runs, variant = runs[runs.recording == ""], compared.variant
+    found, steps = cells(runs), usual_steps(runs)
     usual = at_step(found, steps)
-    drawn = pd.concat([usual[(usual.variant == variant) | (usual.source == "floor")], beside])
-    said, heat_maps = answers(at_step(runs, steps), variant)
+    drawn = pd.concat([usual[(usual.variant == variant) | (usual.source == "floor")], others])
+    said, heat_maps = answers(at_step(runs, steps), compared)
+    said += other_settings(usual, variant) if said else []
     mine = at_step(runs[(runs.variant == variant) & (runs.source == "ours")], steps)
     at_32 = mine[(mine.n_traj == curves.AT) & (mine.noise_std == 0)]
     floors, grown = runs[runs.source == "floor"], growth(runs)
+    intro = scope(runs, compared) if said else []
+    text = [*intro, *said, *recording_answers(recorded), *warning(every)]
     parts = [
-        Section("answer", "Answer", [*shown(variant), *said, *warning(runs)], heat_maps),
+        Section("answer", "Answer", text, heat_maps),
+        *recording_sections(recorded),
         Section("sizes", "Errors over the size of the training set",
                 figures=curves.data_size(drawn)),
         Section("noise", "Errors over noise", figures=curves.noise(drawn)),
         Section("time", "Accuracy against time", figures=curves.speed(runs)),
         Section("motions", "Motions, and what was learned",
-                figures=motions.figures(at_32, floors, store)),
+                figures=motions.motion_figures(at_32, floors, store)),
         Section("orders", "Errors over the order of the integrator",
                 figures=curves.over_order(usual)),
         Section("growth", "Growth with the number of coordinates", tables=grown[0],
                 figures=grown[1]),
         Section("floors", "Floors: the integrators alone", figures=curves.steps(found)),
         Section("tables", "Tables", tables=[accuracy(found), floor_table(usual)], folded=True),
-        Section("state", "What has been run", state(runs), [unfinished(runs)],
-                folded=True),
+        Section("state", "What has been run", state(every), [unfinished(every)], folded=True),
     ]  # fmt: skip
     return [part for part in parts if part]
 
 
 def title(runs: pd.DataFrame) -> str:
-    """The experiments, and what is compared in them."""
+    """Return the experiments, the methods and the systems or recordings."""
     learned = runs[runs.source == "ours"]
     if runs.empty:
         return "No runs"
-    methods, systems = (sorted(set(learned[name])) for name in ("method", "system"))
+    methods = sorted(set(learned.method))
+    simulated = learned[learned.recording == ""]
+    systems = [*sorted(set(simulated.system)), *recording_names(learned)]
     of = look(methods[0]).label if len(methods) == 1 else f"{len(methods)} methods"
     where = " and ".join(filter(None, (", ".join(systems[:-1]), *systems[-1:])))
     name = ", ".join(sorted(set(runs.experiment)))
-    return f"{name}: {of} on {where}" if methods else name
+    return f"{name}: {of} on {where}" if systems else name
 
 
 def warning(runs: pd.DataFrame) -> list[str]:
-    """That there is nothing to tell, or not of all."""
+    """Return a sentence on runs without a result, if there are any."""
     count = without_result(runs).run_id.nunique()
     if runs.run_id.nunique() == count:
-        return ["There are no finished runs yet: nothing can be told."]
-    return [f"{count} runs have no result; the last section says which."] if count else []
+        return ["There are no finished runs yet."]
+    return [f"{count} runs have no result; the last section lists them."] if count else []
 
 
-def shown(variant: str) -> list[str]:
-    """Of which settings the answer is, unless they are the defaults."""
-    return [f"Answer and figures are of the runs with {variant}."] if variant else []
+def scope(runs: pd.DataFrame, compared: Compared) -> list[str]:
+    """Return a sentence on the settings of the answer, unless all runs have the defaults."""
+    learned = runs[runs.source == "ours"].drop_duplicates("run_id")
+    rest = (learned.variant != compared.variant).sum()
+    if not (compared.variant or rest):
+        return []
+    others = f"; {rest} runs have other settings, which the tables list" if rest else ""
+    return [f"Answer and figures: runs with {compared.variant or DEFAULTS}{others}."]
 
 
 def state(runs: pd.DataFrame) -> list[str]:
-    """How many runs there are, and of which sources they were made."""
+    """Return the number of runs by status, their training time and the revisions of the source."""
     each = runs.drop_duplicates("run_id")
     if each.empty:
         return []
@@ -103,7 +116,7 @@ def state(runs: pd.DataFrame) -> list[str]:
 
 
 def unfinished(runs: pd.DataFrame) -> ResultTable:
-    """Runs that are not finished, nor were by another."""
+    """Return a table of the runs that have not finished."""
     left = without_result(runs)
     left = left.assign(method=pair_names(left), status=left.status.str.lower())
     left = left.rename(columns={"n_traj": "n", "noise_std": "noise"})
@@ -113,7 +126,7 @@ def unfinished(runs: pd.DataFrame) -> ResultTable:
 
 
 def accuracy(found: pd.DataFrame) -> ResultTable:
-    """Every variant, integrator and size that has been run without noise, system by system."""
+    """Return a table of all settings, integrators and sizes run without noise."""
     learned = found[(found.source == "ours") & ~(found.noise_std > 0)]
     keys = ["system", "n_traj", "variant", "method", "integrator", "time_step"]
     seeds = learned.groupby(keys, dropna=False).seeds.max().astype(str)
@@ -133,22 +146,22 @@ def accuracy(found: pd.DataFrame) -> ResultTable:
 
 
 def floor_table(found: pd.DataFrame) -> ResultTable:
-    """What the true systems miss in each integrator."""
+    """Return a table of the errors of the true systems in each integrator."""
     keys = ["system", "method", "integrator"]
     wide = medians(found[found.source == "floor"], keys, FLOORS).reset_index()
     names = {"integrator": wide.integrator.map(lambda name: stroke(name).label),
              "": wide.method.map(lambda name: look(name).label)}  # fmt: skip
     rows = pd.DataFrame({"system": wide.system, **names}).join(wide.drop(columns=keys))
     note = (
-        "A learned model can lie below: it may learn part of its integrator's own error, at the "
-        "price of a biased inertia."
+        "A learned model can lie below: it can learn part of the error of its integrator, with a "
+        "biased inertia."
     )
     title = "Floors: the true systems in the integrators, nothing learned"
     return ResultTable("floors", title, rows, [note], words=3)
 
 
 def medians(found: pd.DataFrame, keys: Sequence[str], metrics: Iterable[str]) -> pd.DataFrame:
-    """Cells with a column for each of the measures that there are, printed."""
+    """Return cells with a column of printed medians for each measure that there is."""
     wide = found.groupby([*keys, "metric"], dropna=False)["median"].median().unstack()
     there = wide.reindex(columns=[name for name in metrics if name in wide])
     return there.map(short).rename(columns=measure_name)

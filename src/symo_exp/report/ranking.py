@@ -1,7 +1,7 @@
-"""Which method is better: margins, with intervals from resampling.
+"""Margins between methods, with intervals from resampling.
 
-A block is what methods can be compared in without comparing anything else: one system, one size
-of the training set, one noise, one seed. Resampling draws blocks with replacement.
+Methods are compared within a block: one system, one size of the training set, one noise, one seed.
+Resampling draws seeds with replacement.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ LEVEL = 0.95
 
 
 class Interval(NamedTuple):
+    """Bounds of an interval."""
+
     low: float
     high: float
 
 
 def wide(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
-    """A row for each block, a column for each pair of method and integrator."""
+    """Return a row for each block, a column for each pair of method and integrator."""
     rows = runs[runs.metric == metric].drop_duplicates([*BLOCK, *PAIR], keep="last")
     table = rows.set_index([*BLOCK, *PAIR])["value"].unstack(PAIR)
     return table[sorted(table.columns, key=in_order)]
@@ -35,10 +37,19 @@ def wide(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
 def margin(
     table: pd.DataFrame, lower: list[Pair], higher: list[Pair], higher_in: pd.DataFrame
 ) -> tuple[float, Interval, int]:
-    """By how much the worst of ``lower`` lies below the best of ``higher``, in powers of ten.
+    """Return by how much the worst of ``lower`` lies below the best of ``higher``.
 
-    Of the medians over the seeds that have all of them; the interval is from resampling seeds.
-    ``table`` and ``higher_in`` have a row for each seed. NaN where a pair has not been run.
+    Medians are taken over the seeds that all pairs have.
+
+    Args:
+        table: Values of the pairs in ``lower``, a row for each seed.
+        lower: Pairs that are said to be smaller.
+        higher: Pairs that are said to be larger.
+        higher_in: Values of the pairs in ``higher``, a row for each seed.
+
+    Returns:
+        The margin in powers of ten, its interval from resampled seeds, and the number of seeds;
+        NaN and 0 where a pair has not been run.
     """
     nothing = math.nan, Interval(math.nan, math.nan), 0
     if not set(lower) <= set(table.columns) or not set(higher) <= set(higher_in.columns):
@@ -50,26 +61,26 @@ def margin(
     small_, large_ = (logarithms(part.loc[seeds]) for part in (small, large))
 
     def below(rows: np.ndarray) -> np.ndarray:
-        """For each row of seed numbers."""
+        """Return the margin for each row of seed numbers."""
         worst = np.median(small_[rows], axis=1).max(axis=1)
         return np.median(large_[rows], axis=1).min(axis=1) - worst
 
     every = np.arange(len(seeds))[None]
-    return float(below(every)[0]), between(below(drawn(len(seeds)))), len(seeds)
+    return float(below(every)[0]), between(below(resampled(len(seeds)))), len(seeds)
 
 
-def drawn(count: int, stream: int = 0) -> np.ndarray:
-    """Rows of as many numbers below ``count``, with replacement; the same each time."""
+def resampled(count: int, stream: int = 0) -> np.ndarray:
+    """Return ``DRAWS`` rows of ``count`` numbers below ``count``, drawn with replacement."""
     return np.random.default_rng(stream).integers(0, count, (DRAWS, count))
 
 
 def between(values: np.ndarray) -> Interval:
-    """What all but a twentieth of the values lie in."""
+    """Return the central interval that has a share ``LEVEL`` of the values."""
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(values, [tail, 1 - tail])
     return Interval(float(low), float(high))
 
 
 def logarithms(values: pd.DataFrame | pd.Series) -> np.ndarray:
-    """Bounded: two methods that diverge are equally bad, and differ by no NaN."""
+    """Return bounded logarithms, so that two methods that diverge are equal."""
     return np.log10(values.to_numpy(dtype=float).clip(1e-300, 1e30))

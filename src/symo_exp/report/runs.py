@@ -1,19 +1,18 @@
 """Runs as one tidy table: a row for each measure of each run.
 
-What a run is, the same in all its rows; runs that differ in nothing but ``seed`` make a cell:
+Columns that describe the run, equal in all its rows; runs that differ only in ``seed`` form a cell:
 
-* ``variant``: its settings beyond the columns here, as recorded when it was made; ``""``: defaults;
+* ``variant``: settings other than the columns below, as recorded by the run; ``""`` for defaults;
 * ``system``, ``time_step`` [s], ``method``, ``integrator``, ``n_traj``, ``noise_std``, ``seed``;
-* ``optimizer``; ``run_id``, ``experiment``; ``status``: ``FINISHED`` and others, with ``reason``;
-* ``started``: UTC; ``seconds``: processor time of training; ``revision`` of the source;
-* ``files``: where the files of the run lie, a path or an address of MLflow; not saved.
+* ``optimizer``; ``run_id``; ``experiment``; ``sweep``: identity of the sweep, ``""`` for one run;
+* ``recording``: the files of a run on recordings, otherwise ``""``;
+* ``status``: ``FINISHED`` and others, with ``reason``; ``started``: UTC; ``seconds``: processor
+  time of training; ``revision`` of the source;
+* ``files``: path or MLflow address of the files of the run; not saved.
 
-Then ``metric`` and ``value``. A run without a measure has one row, with ``metric=""``. Of runs that
-are the same there is one: the last that finished. ``source`` says how figures draw a row: ``ours``,
-or ``floor`` for a true system in an integrator.
-
-``read`` takes them from a tracking store, ``load`` from run folders and from the files that a
-report saved. Another place to read from gives ``tidy`` its rows.
+``metric`` and ``value`` follow. A run without measures has one row with ``metric=""``. Of equal
+runs, the table has the last one that finished. ``source`` is ``floor`` for a true system in an
+integrator, otherwise ``ours``.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ from symo_exp.report.looks import TRUE
 from symo_exp.runs.folder import ABOUT, DIED, SERIES, RunFolder
 from symo_exp.runs.series import EPOCH, TIME
 from symo_exp.runs.series import read as read_series
-from symo_exp.tracking.publish import REASON, STATUS
+from symo_exp.tracking.publish import PARENT, REASON, STATUS
 from symo_exp.tracking.store import Store, check, connect
 
 PAGE = 1000
-"""Runs in one request."""
+"""Number of runs in one request."""
 LARGEST = 1.7e308
-"""An SQL store keeps an infinite measure as the largest double."""
+"""SQL stores keep an infinite measure as the largest double."""
 REVISION = "mlflow.source.git.commit"
 PARAMETERS = {
     "system": "system",
@@ -48,18 +47,20 @@ PARAMETERS = {
     "seed": "seed",
     "optimizer": "optimizer",
 }
-"""Column: the parameter of a run that it is read from."""
+"""The parameter of a run that each column is read from."""
 CELL = ["variant", "system", "time_step", "method", "integrator", "n_traj", "noise_std"]
-"""What a cell of a table is: the runs that differ in nothing but the seed."""
+"""Columns that are equal in all runs of a cell."""
 KNOWN = ["run_id", "experiment", "status", "reason", "started", "seconds", "revision"]
-SAVED = [*CELL, "seed", "optimizer", *KNOWN, "metric", "value"]
+LATER = ["sweep", "recording"]
+"""Columns that files of earlier versions do not have."""
+SAVED = [*CELL, "seed", "optimizer", *KNOWN, *LATER, "metric", "value"]
 """The columns of ``runs.csv`` and ``runs.parquet``."""
 COLUMNS = [*SAVED, "files", "source"]
 WHOLE = ["n_traj", "seed"]
 NUMBERS = ["time_step", "noise_std", "seconds", "value", *WHOLE]
 
 Row = tuple[Mapping[str, Any], Mapping[str, float]]
-"""A run: what is known of it, by column, and its measures."""
+"""A run: its columns and its measures."""
 
 
 def read_runs(
@@ -69,9 +70,18 @@ def read_runs(
     systems: Sequence[str] = (),
     seeds: Sequence[int] = (),
 ) -> pd.DataFrame:
-    """The runs of the experiments in a store; without a name, of all.
+    """Return the runs of a tracking store.
 
-    The requests are as many as there are thousands of runs, whatever the number of measures.
+    One request reads a thousand runs with all their measures.
+
+    Args:
+        store: The store.
+        experiments: Names of experiments; all if empty.
+        systems: Names of systems; all if empty.
+        seeds: Seeds; all if empty.
+
+    Raises:
+        ConfigError: The store cannot be reached or has no such experiment.
     """
     return _asked(tidy(_in_store(store, experiments)), (), systems, seeds)
 
@@ -83,15 +93,24 @@ def load_runs(
     systems: Sequence[str] = (),
     seeds: Sequence[int] = (),
 ) -> pd.DataFrame:
-    """The runs below the folders, and in the ``runs.csv`` and ``runs.parquet``, all together.
+    """Return the runs below folders and in saved ``runs.csv`` and ``runs.parquet`` together.
 
-    Reports save no files of studies: their figures are not there again.
+    Saved tables have no files of studies, so that their figures are missing.
+
+    Args:
+        paths: Folders of runs, or files that a report saved.
+        experiments: Names of experiments; all if empty.
+        systems: Names of systems; all if empty.
+        seeds: Seeds; all if empty.
+
+    Raises:
+        ConfigError: A path cannot be read or has no run.
     """
     return _asked(pd.concat([_load(path) for path in paths]), experiments, systems, seeds)
 
 
 def tidy(runs: Iterable[Row]) -> pd.DataFrame:
-    """The table of runs; one that names no method or no system is none of ours."""
+    """Return the table of runs, without those of other projects (no method or no system)."""
     rows = [
         {**about, "metric": metric, "value": value}
         for about, measures in runs if about["method"] and about["system"]
@@ -101,7 +120,7 @@ def tidy(runs: Iterable[Row]) -> pd.DataFrame:
 
 
 def save_runs(runs: pd.DataFrame, path: Path) -> Path:
-    """Write a table for ``load``: CSV or Parquet by the name of the file."""
+    """Write a table for ``load_runs``, as CSV or Parquet by the suffix of ``path``."""
     kept = runs[SAVED].astype(dict.fromkeys(WHOLE, "Int64"))
     if path.suffix == ".parquet":
         kept.to_parquet(path, index=False)
@@ -111,7 +130,7 @@ def save_runs(runs: pd.DataFrame, path: Path) -> Path:
 
 
 def without_result(runs: pd.DataFrame) -> pd.DataFrame:
-    """The runs that have not finished."""
+    """Return a row for each run that has not finished."""
     return runs[runs.status != "FINISHED"].drop_duplicates("run_id")
 
 
@@ -138,14 +157,15 @@ def _in_store(store: Store, experiments: Sequence[str]) -> Iterator[Row]:
                     "run_id": info.run_id, "experiment": name, "status": info.status,
                     "reason": tags.get(REASON), "revision": tags.get(REVISION),
                     "started": pd.Timestamp(info.start_time, unit="ms", tz="UTC"),
-                    # not from start to end: a run may have been cut and continued, or studied later
+                    # not the time from start to end: a run may have been resumed
                     "seconds": metrics.get("training_seconds"), "files": info.artifact_uri,
+                    "sweep": tags.get(PARENT),
                 }, metrics  # fmt: skip
             token = page.token or None
 
 
 def _in_folder(folder: RunFolder) -> Row | None:
-    """The run of a folder, as the store would have it; a dead one has failed."""
+    """Return the run of a folder as a store would; a killed run has failed."""
     about, outcome = folder.about(), folder.outcome()
     if about is None:
         return None
@@ -161,13 +181,18 @@ def _in_folder(folder: RunFolder) -> Row | None:
         "started": pd.Timestamp(about.started, unit="s", tz="UTC"),
         "seconds": measures.get("training_seconds"),
         "files": str(folder.path),
+        "sweep": about.sweep,
     }, measures
 
 
 def _parameters(told: Mapping[str, Any]) -> dict[str, Any]:
     preset = told.get("preset", "default")
     row = {column: told.get(name) for column, name in PARAMETERS.items()}
-    return {"variant": told.get("variant", "" if preset == "default" else preset), **row}
+    return {
+        "variant": told.get("variant", "" if preset == "default" else preset),
+        "recording": told.get("data.path"),
+        **row,
+    }
 
 
 def _load(path: Path) -> pd.DataFrame:
@@ -182,7 +207,9 @@ def _load(path: Path) -> pd.DataFrame:
             table = pd.read_parquet(path)
         else:
             table = pd.read_csv(path, dtype=str, keep_default_na=False)
-        absent = [column for column in SAVED if column not in table]
+        absent = [name for name in SAVED if name not in table and name not in LATER]
+        if not absent and "sweep" not in table:  # all runs of an experiment count as one sweep
+            table = table.assign(sweep=table.experiment, recording="")
         typed = table if absent else _typed(table[SAVED].assign(files=""))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
@@ -196,7 +223,7 @@ def _load(path: Path) -> pd.DataFrame:
 
 
 def _typed(table: pd.DataFrame) -> pd.DataFrame:
-    """Numbers, times and words, whatever the source has them as."""
+    """Convert the columns to numbers, times and text."""
     table = table.replace({"None": None, "null": None})
     table[NUMBERS] = table[NUMBERS].apply(pd.to_numeric).astype(float)
     infinite = table.value.abs() > LARGEST
@@ -218,7 +245,7 @@ def _asked(
 
 
 def _last_of_each(runs: pd.DataFrame) -> pd.DataFrame:
-    """Of runs that are the same, the one that finished and, of those, that started last."""
+    """Keep of equal runs the finished one that started last."""
     each = runs.drop_duplicates("run_id")
     each = each.assign(done=each.status == "FINISHED").sort_values(["done", "started"])
     kept = each.drop_duplicates([*CELL, "seed"], keep="last").run_id

@@ -32,7 +32,7 @@ TOLERATED = 3.0
 SIZES, NOISES = (8, 16, 32, 64, 128), (0.0, 1e-4, 5e-4, 1e-3, 5e-3, 1e-2)
 
 
-def beside(found: pd.DataFrame, compared: pd.DataFrame) -> Iterable[ResultTable]:
+def chapter_tables(found: pd.DataFrame, compared: pd.DataFrame) -> Iterable[ResultTable]:
     """Tables 6.2 to 6.4 of each variant, from cells at the chapter's time steps."""
     learned = _at_32(found[found.source == "ours"])
     theirs = _at_32(compared[compared.time_step == compared.system.map(TIME_STEPS)])

@@ -49,7 +49,7 @@ def as_cells(variant: str) -> pd.DataFrame:
     )
 
 
-def beside(found: pd.DataFrame) -> pd.DataFrame:
+def with_ours(found: pd.DataFrame) -> pd.DataFrame:
     """A row for each published number: with ours, where that cell has been run.
 
     ``like`` names our measure that averages over the same, ``alike`` is its median and ``factor``

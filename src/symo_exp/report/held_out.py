@@ -1,0 +1,140 @@
+"""Recordings in the report: for each file the errors of models beside baseline and noise."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import PurePath
+
+import pandas as pd
+
+from symo_exp.evaluation.verdict import comparison, verdict
+from symo_exp.report.document import Section
+from symo_exp.report.figures import Figure, Panel
+from symo_exp.report.looks import BASELINES, in_order, letters, pair_name, short
+from symo_exp.report.tables import ResultTable
+
+ERRORS = {"rmse_0.5s": 0.5, "rmse_1s": 1.0, "rmse_2s": 2.0}
+"""Measures of prediction errors, and their horizons [s]."""
+TIMES = {"usable_s": "usable [s]", "valid_s": "error below 0.1 [s]"}
+WINDOWS = (
+    "Medians over the windows of the test part, and over the seeds; open loop from fitted starts."
+)
+PATH = re.compile(r"(?:^|, )data\.path=(?:\[[^\]]*\]|[^,]*)")
+
+
+def recording_sections(runs: pd.DataFrame) -> list[Section]:
+    """Return a section for each file of recordings, with a table and a figure."""
+    return [_section(name, rows) for name, rows in _files(runs).items()]
+
+
+def recording_answers(runs: pd.DataFrame) -> list[str]:
+    """Return a sentence for each file: the best model, its error, baseline, noise and verdict."""
+    said = []
+    for name, rows in _files(runs).items():
+        medians = _medians(rows)
+        if "rmse_1s" not in medians:
+            said.append(f"**{name}**: {verdict(_measures(medians.iloc[0])) or 'no errors'}.")
+            continue
+        best = medians.sort_values("rmse_1s").iloc[0]
+        who = pair_name(best.method, best.integrator)
+        measures = _measures(best)
+        told = [text for text in (comparison(measures), verdict(measures)) if text]
+        which = f"**{who}** predicts best" if len(medians) > 1 else f"**{who}**"
+        said.append(f"**{name}**: {which}: {'; '.join(told)}.")
+    return said
+
+
+def recording_names(runs: pd.DataFrame) -> list[str]:
+    """Return the names of the files of recordings, shortest first unless they are the same."""
+    return list(_files(runs))
+
+
+def _files(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return the measured runs of each file by its name, or by its path if names are equal."""
+    there = runs[(runs.recording != "") & (runs.metric != "")]
+    paths = sorted(set(there.recording))
+    names = {path: ", ".join(PurePath(p).name for p in re.findall(r"[^\[\]', ]+", path))
+             for path in paths}  # fmt: skip
+    twice = {name for name in names.values() if list(names.values()).count(name) > 1}
+    return {
+        path if names[path] in twice else names[path]: there[there.recording == path]
+        for path in paths
+    }
+
+
+def _medians(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each model and its settings, a column for each measure."""
+    rows = rows.assign(settings=[PATH.sub("", v).removeprefix(", ") for v in rows.variant])
+    keys = ["method", "integrator", "settings", "time_step"]
+    wide = rows.groupby([*keys, "metric"], dropna=False).value.median().unstack()
+    wide["seeds"] = rows.groupby(keys, dropna=False).seed.nunique()
+    wide = wide.reset_index()
+    order = [in_order(pair) for pair in zip(wide.method, wide.integrator, strict=True)]
+    return wide.loc[pd.Series(order, index=wide.index, dtype=object).sort_values().index]
+
+
+def _measures(row: pd.Series) -> Mapping[str, float]:
+    numbers = {k: float(v) for k, v in row.items() if isinstance(v, (int, float)) and v == v}
+    return {str(name): value for name, value in numbers.items()}
+
+
+def _section(name: str, rows: pd.DataFrame) -> Section:
+    medians, key = _medians(rows), f"recording_{letters(name)}"
+    common = set.intersection(*(set(text.split(", ")) for text in medians.settings))
+    lines = []
+    for _, row in medians.iterrows():
+        own = ", ".join(word for word in row.settings.split(", ") if word not in common)
+        who = pair_name(row.method, row.integrator) + f" ({own})" * bool(own)
+        measures = _measures(row)
+        lines.append([who, str(row.seeds), *_printed(row), verdict(measures) or "–"])
+    for baseline, known in BASELINES.items():
+        line = _printed(_baseline(medians, baseline))
+        if any(text != "–" for text in line):
+            lines.append([known.label, "", *line, ""])
+    header = ["", "seeds", *(f"RMSE to {h:g} s [rad, m]" for h in ERRORS.values()),
+              *TIMES.values(), "verdict"]  # fmt: skip
+    table = ResultTable(key, name, pd.DataFrame(lines, columns=header), [WINDOWS])
+    figure = Figure(f"{key}_horizon", f"{name}: error over the horizon", WINDOWS, _panels(rows))
+    return Section(key, f"Recording {name}", tables=[table], figures=[figure])
+
+
+def _baseline(medians: pd.DataFrame, name: str) -> pd.Series:
+    """Return the measures of a baseline, which all runs on the file have alike."""
+    if name == "noise":
+        noise = medians.get("noise", pd.Series(dtype=float)).median()
+        return pd.Series(dict.fromkeys(ERRORS, noise))
+    names = [*ERRORS, *TIMES]
+    there = {m: medians[f"{name}_{m}"].median() for m in names if f"{name}_{m}" in medians}
+    return pd.Series(there, dtype=float)
+
+
+def _printed(row: pd.Series) -> list[str]:
+    return [short(row.get(name)) for name in (*ERRORS, *TIMES)]
+
+
+def _panels(rows: pd.DataFrame) -> list[Panel]:
+    """Return the errors over the horizon, and over those of constant velocity."""
+    errors = rows[rows.metric.isin(ERRORS)]
+    grouped = errors.groupby(["method", "integrator", "metric"]).value
+    lines = grouped.agg(y="median", low="min", high="max").reset_index().assign(source="ours")
+    medians = _medians(rows)
+    parts = [lines.assign(x=lines.metric.map(ERRORS))]
+    for baseline in BASELINES:
+        found = _baseline(medians, baseline)
+        there = [(ERRORS[m], found[m]) for m in ERRORS if m in found and found[m] == found[m]]
+        line = pd.DataFrame(there, columns=["x", "y"])
+        parts.append(line.assign(method=baseline, integrator="", source="floor"))
+    drawn = pd.concat(parts, ignore_index=True)
+    for bound in ("low", "high"):
+        drawn[bound] = drawn[bound].where(drawn[bound].notna(), drawn.y)
+    ticks = tuple(ERRORS.values())
+    panels = [Panel("", "horizon [s]", "RMSE [rad, m]", drawn, ticks=ticks)]
+    baseline = _baseline(medians, "constant_velocity")
+    if not baseline.empty:
+        least = drawn.x.map({h: baseline.get(name) for name, h in ERRORS.items()})
+        shares = drawn.assign(**{name: drawn[name] / least for name in ("y", "low", "high")})
+        panels.append(
+            Panel("", "horizon [s]", "RMSE over constant velocity's", shares, ticks=ticks)
+        )
+    return panels
