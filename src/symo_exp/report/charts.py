@@ -31,9 +31,8 @@ MARKERS = {
     ".": "circle",
 }  # fmt: skip
 """Vega's name or path for each marker of Matplotlib."""
-DASHES = {"-": [1, 0], "--": [6, 3], "-.": [6, 2, 1, 2], ":": [1, 2]}
-FILLS = {"-": 1.0, "--": 0.0, "-.": 0.4, ":": 0.0}
-"""Filling of points by the dash of their integrator."""
+FILLS = {0: 1.0, 2: 0.0, 4: 0.4}
+"""Filling of points by the number of dashes of their integrator."""
 OPACITY = {"ours": 1.0, "published": 0.5, "floor": 0.7, "truth": 0.4}
 LINES = {"ours": 1.8, "published": 1.0, "floor": 1.3, "truth": 3.5}
 INK = {"light": "#333333", "dark": "#dddddd"}
@@ -150,12 +149,12 @@ class _Channels:
         self.fill = alt.Fill("method:N", scale=colours, legend=methods)
         shapes = scale({name: MARKERS[look.marker] for name, look in looks.items()})
         self.shape = alt.Shape("method:N", scale=shapes, legend=methods)
-        dashes = scale({name: DASHES[dash] for name, dash in strokes.items()})
+        dashes = scale({name: list(dash or (1, 0)) for name, dash in strokes.items()})
         self.dash = alt.StrokeDash("integrator:N", scale=dashes, legend=legend(integrators))
         told = legend(sources)
         self.opacity = alt.Opacity("kind:O", scale=scale(OPACITY), legend=told)
         self.width = alt.StrokeWidth("kind:O", scale=scale(LINES), legend=told)
-        fills = {name: FILLS[dash] for name, dash in strokes.items()}
+        fills = {name: FILLS[len(dash)] for name, dash in strokes.items()}
         self.by_integrator = alt.FillOpacity("integrator:O", scale=scale(fills), legend=None)
         hollow = {kind: float(kind != "published") for kind in OPACITY}
         self.by_source = alt.FillOpacity("kind:O", scale=scale(hollow), legend=None)
@@ -283,7 +282,9 @@ def _notes(panel: Panel) -> list[str]:
     strokes = {t.stroke.label: t.stroke.dash for t in panel.traces() if t.stroke.label}
     if panel.mark == "points" and len(strokes) > 1:
         words = {1.0: "filled", 0.0: "hollow", 0.4: "half filled"}
-        notes.append(", ".join(f"{words[FILLS[dash]]}: {name}" for name, dash in strokes.items()))
+        notes.append(
+            ", ".join(f"{words[FILLS[len(dash)]]}: {name}" for name, dash in strokes.items())
+        )
     return notes
 
 

@@ -130,9 +130,9 @@ def _panels(rows: pd.DataFrame) -> list[Panel]:
         drawn[bound] = drawn[bound].where(drawn[bound].notna(), drawn.y)
     ticks = tuple(ERRORS.values())
     panels = [Panel("", "horizon [s]", "RMSE [rad, m]", drawn, ticks=ticks)]
-    baseline = _baseline(medians, "constant_velocity")
-    if not baseline.empty:
-        least = drawn.x.map({h: baseline.get(name) for name, h in ERRORS.items()})
+    still = _baseline(medians, "constant_velocity")
+    if not still.empty:
+        least = drawn.x.map({h: still.get(name) for name, h in ERRORS.items()})
         shares = drawn.assign(**{name: drawn[name] / least for name in ("y", "low", "high")})
         panels.append(
             Panel("", "horizon [s]", "RMSE over constant velocity's", shares, ticks=ticks)

@@ -26,10 +26,15 @@ class Look(NamedTuple):
 
 
 class Stroke(NamedTuple):
-    """An integrator: ``dash`` is Matplotlib's."""
+    """Name and dashes of an integrator.
+
+    Args:
+        label: The name for a reader.
+        dash: Lengths of strokes and gaps [px]; empty for a solid line.
+    """
 
     label: str
-    dash: str
+    dash: tuple[int, ...] = ()
 
 
 METHODS = {
@@ -54,14 +59,14 @@ TRUTH = Look("truth", "#3b3b3b", ".")
 MEASURED = Look("measured", "#3b3b3b", ".")
 SPARE = (("#CC79A7", "v"), ("#56B4E9", "P"), ("#F0E442", "X"))
 INTEGRATORS = {
-    "": Stroke("", "-"),  # a line through several integrators
-    "midpoint": Stroke("midpoint", "-"),
-    "rk4": Stroke("RK4", "--"),
-    "dopri5": Stroke("Dormand-Prince 5", "-."),
-    "galerkin4": Stroke("Galerkin 4", "--"),
-    "galerkin6": Stroke("Galerkin 6", "-."),
-    "galerkin10": Stroke("Galerkin 10", ":"),
-    "none": Stroke("", "-"),
+    "": Stroke(""),  # a line through several integrators
+    "midpoint": Stroke("midpoint"),
+    "rk4": Stroke("RK4", (6, 3)),
+    "dopri5": Stroke("Dormand-Prince 5", (6, 2, 1, 2)),
+    "galerkin4": Stroke("Galerkin 4", (10, 3)),
+    "galerkin6": Stroke("Galerkin 6", (10, 2, 3, 2)),
+    "galerkin10": Stroke("Galerkin 10", (2, 2)),
+    "none": Stroke(""),
 }
 MEASURES = {
     "train_mse": ("train MSE", "m², rad²"),
@@ -106,7 +111,7 @@ def look(method: str) -> Look:
 
 def stroke(integrator: str) -> Stroke:
     """The stroke of an integrator; one that has no entry is dotted."""
-    return INTEGRATORS.get(integrator, Stroke(integrator, ":"))
+    return INTEGRATORS.get(integrator, Stroke(integrator, (1, 2)))
 
 
 def pair_name(method: str, integrator: str) -> str:

@@ -97,7 +97,8 @@ def _draw(axes: Axes, panel: Panel, series: Trace, limits: Range | None) -> str 
 
 def _style(panel: Panel, series: Trace) -> dict[str, Any]:
     look, dash, count = series.look, series.stroke.dash, len(series.rows)
-    style = {"color": look.colour, "ls": dash, "marker": look.marker, **STYLES[series.source]}
+    line = (0, dash) if dash else "-"
+    style = {"color": look.colour, "ls": line, "marker": look.marker, **STYLES[series.source]}
     if panel.mark == "line":
         if panel.rows.method.nunique() > 2 and series.method:  # and the truth: apart without colour
             first = int((0.05 + sum(series.name.encode()) % 5 * 0.04) * count)
@@ -108,7 +109,7 @@ def _style(panel: Panel, series: Trace) -> dict[str, Any]:
         if count > MANY_POINTS:
             return style | {"ms": 1.2, "marker": "."}
         # points have no dash: those of a second integrator are hollow, of a third half filled
-        return style | {"-": {}, "-.": {"fillstyle": "left"}}.get(dash, {"mfc": "none"})
+        return style | {0: {}, 4: {"fillstyle": "left"}}.get(len(dash), {"mfc": "none"})
     return style
 
 
