@@ -15,7 +15,7 @@ from pathlib import Path
 import pandas as pd
 import yaml
 
-from symo_exp.report.tables import Table, markdown
+from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.folder import RunFolder
 
 HERE = Path(__file__).parent
@@ -64,14 +64,14 @@ def revision(about: object) -> str:
     return str(getattr(about, "tags", {}).get("mlflow.source.git.commit", ""))[:7]
 
 
-def table(found: pd.DataFrame, machine: str, start: str) -> Table:
+def table(found: pd.DataFrame, machine: str, start: str) -> ResultTable:
     chosen = found[(found.machine == machine) & (found.start == start)]
     makers = chosen[chosen.method == "makers"].iloc[0]
     head = ["model", "seeds", *MEASURES, "makers' over its errors", "training [s]"]
     rows = [line(chosen[chosen.method == key], name, makers) for key, name in METHODS.items()]
     known = pd.DataFrame([row for row in rows if row], columns=head)
     title = f"{machine.replace('_', ' ').capitalize()}, {start} start"
-    return Table(f"{machine}_{start}", title, known)
+    return ResultTable(f"{machine}_{start}", title, known)
 
 
 def line(rows: pd.DataFrame, name: str, makers: pd.Series) -> list[str]:
@@ -96,7 +96,7 @@ def cell(values: pd.Series) -> str:
 def tables(found: pd.DataFrame) -> Iterator[str]:
     for start in STARTS:
         for machine in found.machine.unique():
-            yield markdown(table(found, machine, start))
+            yield markdown_table(table(found, machine, start))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 import yaml
 
-from symo_exp.report.tables import Table, markdown
+from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.before import model_settings
 from symo_exp.runs.folder import RunFolder
 
@@ -51,7 +51,7 @@ def runs(outputs: Path) -> pd.DataFrame:
 
 
 def structure(stored: dict) -> str:
-    """What a learned Lagrangian is made of."""
+    """Return the kind of a learned Lagrangian."""
     settings = model_settings(stored).get("lagrangian", {})
     if "relative" not in settings:
         return "rigid" if settings.get("_target_", "").endswith("RigidChain") else "network"
@@ -74,7 +74,7 @@ def table(found: pd.DataFrame) -> str:
         seeds=("seed", "nunique"), **cells, training=("seconds", "median")
     )
     rows["training"] = rows.training.map("{:.0f} s".format)
-    return markdown(Table("noise", "Medians over seeds", rows.reset_index().astype(str)))
+    return markdown_table(ResultTable("noise", "Medians over seeds", rows.reset_index().astype(str)))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from symo_exp.evaluation.measures import rollout_mse
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.objectives import PreconditionedResidual
-from symo_exp.report.tables import Table, markdown
+from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.base import System
 from symo_exp.thesis.published import TIME_STEPS, published
@@ -93,7 +93,7 @@ def draws(runs: Path, name: str) -> str:
     head = ["run", "noise", "seed", "median", "mean", "16 drawn: 5 %", "50 %", "95 %"]
     head += ["published", "of draws below"]
     table = pd.DataFrame(sorted(rows), columns=head)
-    return markdown(Table(f"draws_{name}", f"{name}, over the {over}", table))
+    return markdown_table(ResultTable(f"draws_{name}", f"{name}, over the {over}", table))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from symo_exp.mechanics.types import Windows
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.models.true import TrueVariational
-from symo_exp.report.tables import Table, markdown
+from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.folder import RunFolder
 
 HEAD = [
@@ -79,7 +79,7 @@ def table(runs: Path, name: str) -> str:
             method += ", preconditioned"
         rows.append((method, noise, rate, config["seed"], [f"{x:.2g}" for x in figures]))
     told = [(run, *(f"{x:g}" for x in cell), *shown) for run, *cell, shown in sorted(rows)]
-    return markdown(Table(f"noise_{name}", name, pd.DataFrame(told, columns=HEAD)))
+    return markdown_table(ResultTable(f"noise_{name}", name, pd.DataFrame(told, columns=HEAD)))
 
 
 if __name__ == "__main__":
