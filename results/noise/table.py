@@ -74,7 +74,9 @@ def table(found: pd.DataFrame) -> str:
         seeds=("seed", "nunique"), **cells, training=("seconds", "median")
     )
     rows["training"] = rows.training.map("{:.0f} s".format)
-    return markdown_table(ResultTable("noise", "Medians over seeds", rows.reset_index().astype(str)))
+    return markdown_table(
+        ResultTable("noise", "Medians over seeds", rows.reset_index().astype(str))
+    )
 
 
 if __name__ == "__main__":
