@@ -1,11 +1,23 @@
-"""Classes of a user's own: modules of the folder that ``code=FOLDER`` names, and of no other."""
+"""Classes that a configuration may name, and those of the folder ``code=FOLDER``.
+
+A configuration is data and must not run anything else.
+"""
 
 from __future__ import annotations
 
+import inspect
+import pkgutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from symo_exp.errors import ConfigError
+
+COMMANDS = "symo_exp", "torch", "lightning"
+"""The packages that a ``_target_`` of a command may name."""
+MODELS = "symo_exp.systems", "symo_exp.models", "symo_exp.mechanics", "symo_exp.nets"
+"""Those that a ``_target_`` of a stored model may name."""
 
 _folders: list[Path] = []
 
@@ -22,8 +34,42 @@ def add(folder: str | Path | None) -> None:
         sys.path.append(str(path))
 
 
-def modules() -> set[str]:
-    """The names of all modules that were added."""
+def locate(target: Any, where: str, homes: tuple[str, ...] = COMMANDS) -> Callable[..., Any]:
+    """Import what a ``_target_`` names.
+
+    Args:
+        target: The dotted name.
+        where: The place of the name, for the error.
+        homes: The packages that it may name, besides the modules of ``code=FOLDER``.
+
+    Returns:
+        A class of these packages or modules; a function only of a module of the user's, or of this
+        package where a command asks for it.
+
+    Raises:
+        ConfigError: For any other name. The name alone proves nothing: ``symo_exp.x.os.system``
+            begins well, too.
+    """
+    mine = _modules()
+    allowed = f"it may name a class of {', '.join((*homes, *mine))} (your own: code=FOLDER)"
+    if not isinstance(target, str) or not target.startswith(
+        tuple(f"{name}." for name in (*homes, *mine))
+    ):
+        raise ConfigError(f"{where}={target} is refused: {allowed}")
+    try:
+        made: Callable[..., Any] = pkgutil.resolve_name(target)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"{where}={target} cannot be found: {error}") from error
+    module = f"{getattr(made, '__module__', '')}."
+    function = ("symo_exp.",) if homes == COMMANDS else ()
+    homely = inspect.isclass(made) and module.startswith(tuple(f"{home}." for home in homes))
+    if not homely and not (callable(made) and (module.startswith(function) or _owns(made))):
+        raise ConfigError(f"{where}={target} is refused: {allowed}")
+    return made
+
+
+def _modules() -> set[str]:
+    """Return the names of all modules that were added."""
     return {
         entry.stem
         for folder in _folders
@@ -32,8 +78,8 @@ def modules() -> set[str]:
     }
 
 
-def owns(made: object) -> bool:
-    """Whether a class or function is written in one of the folders: a name alone proves nothing."""
+def _owns(made: object) -> bool:
+    """Return whether a class or function is written in one of the folders."""
     module = sys.modules.get(str(getattr(made, "__module__", "")))
     file = getattr(module, "__file__", None)
     return file is not None and any(Path(file).is_relative_to(folder) for folder in _folders)

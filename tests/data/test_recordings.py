@@ -9,7 +9,6 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
-from symo_exp.job.config import plain
 from symo_exp.job.recipe import build
 from symo_exp.runs.folder import RunFolder
 from tests.jobs import job_of
@@ -22,7 +21,7 @@ SPLITS = ["train", "val", "test"]
 def test_a_recording_is_enough(file: Path, workplace: Path) -> None:
     words = f"data=recorded data.path={file} system=recorded system.angular=all"
     job = job_of(*words.split(), "system.time_step=0.02", "model=symo")
-    data = build(job.config, RunFolder(workplace / "run")).data
+    data = build(job.values, RunFolder(workplace / "run")).data
     data.setup()
     table = pd.read_parquet(file)
     ends = table.groupby(["split", "trajectory"], sort=False)["t"].max()
@@ -42,7 +41,7 @@ def test_the_configuration_of_a_run_is_whole(workplace: Path) -> None:
     table.to_csv("mine.csv", index=False)
     words = "data=recorded data.path=mine.csv system=recorded system.angular=[arm]"
     job = job_of(*words.split(), "system.time_step=0.1", "data.columns={q_arm: angle}")
-    stated = plain(job.config)["system"]
+    stated = job.values["system"]
     Path("mine.csv").unlink()
     system = instantiate(stated)
     assert system.coordinates.names == ("arm",)

@@ -27,7 +27,7 @@ SHIPPED = [*CONF.rglob("*.yaml"), *SWEEPS.glob("*.yaml")]
 
 
 def build_all(*argv: str, folder) -> list:
-    return [build(job.config, RunFolder(folder / str(i))) for i, job in enumerate(jobs_of(*argv))]
+    return [build(job.values, RunFolder(folder / str(i))) for i, job in enumerate(jobs_of(*argv))]
 
 
 @pytest.mark.parametrize(("group", "choice"), CHOICES)

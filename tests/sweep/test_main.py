@@ -87,7 +87,7 @@ BAD = [
     ("system=recorded", "system.time_step", ""),
     ("system=recorded system.time_step=0.1", "system=recorded", "data=recorded data.path=FILE"),
     ("system=recorded system.time_step=0.1 data=recorded data.path=no.csv", "no.csv", "No such"),
-    ("data=recorded data.path=nowhere.csv data.columns=t", "nowhere.csv", ""),
+    ("data=recorded data.path=nowhere.csv data.columns=t", "data.columns=t", "a mapping"),
     # places
     ("output_dir=/dev/null/here", "/dev/null", "output_dir"),
     ("logger.tracking_uri=http://127.0.0.1:9", "127.0.0.1:9", "tracking"),
@@ -240,7 +240,7 @@ def test_a_folder_belongs_to_what_is_computed(workplace):
 )
 def test_a_run_says_how_it_differs_from_what_ships(words, told, workplace):
     with planned(*words, "logger=none") as (_, (job,)):
-        assert _about(job.config, job.choices, job.overrides).variant == told
+        assert _about(job.settings, job.choices, job.overrides).variant == told
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def test_a_run_is_named_by_what_its_sweep_varies(varied, name, workplace, monkey
     monkeypatch.setenv("SYMO_EXP_VARIED", varied)
     words = ["model=symo", "system=acrobot", "data.n_traj=16", "seed=3", "optimizer.lr=1e-3"]
     with planned(*words, "logger=none") as (_, (job,)):
-        about = _about(job.config, job.choices, words)
+        about = _about(job.settings, job.choices, words)
     assert about.name == name
 
 

@@ -48,7 +48,8 @@ def test_one_class_and_one_file_is_all(what, mine):
     """Composed and checked as by a command, which `test_a_run_is_not_believed` gives."""
     job = job_of("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
     folder = job.folder.path
-    run(build(job.config, job.folder), job.config, job.folder, About("a b", {}))
+    values = job.values
+    run(build(values, job.folder), values, job.folder, About("a b", {}))
     found = json.loads((folder / "metrics.json").read_text())
     assert found["test_mse"] >= 0.0
     model = symo_exp.load(folder, code="mine_own")

@@ -78,7 +78,7 @@ def test_the_true_pendulum_along_the_published_rollouts(rollouts, error, workpla
         "data.n_traj=1", "data.n_train_max=1", "data.n_val=1", "data.n_test=1",
         "data.monitor_trajectories=null",
     )  # fmt: skip
-    parts = build(job.config, RunFolder(workplace / "run"))
+    parts = build(job.values, RunFolder(workplace / "run"))
     parts.data.setup()
     found = evaluate(parts.model, parts.system, parts.data).measures
     assert found["integration_mse"] == pytest.approx(error, rel=0.01)

@@ -25,7 +25,7 @@ class Cut(BaseException):
 @functools.cache
 def configuration(words):
     """Composing it takes longer than the run."""
-    return job_of(*WORDS, *words.split()).config
+    return job_of(*WORDS, *words.split()).values
 
 
 def go(words, path):

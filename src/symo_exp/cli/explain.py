@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from symo_exp.errors import ConfigError, one_line
-from symo_exp.job.checks import closest, has, unknown_key
+from symo_exp.job.checks import closest, unknown_key
 from symo_exp.shell import install_command
 from symo_exp.shipped import CONF
 
@@ -101,9 +101,10 @@ def _check_key(name: str, known: DictConfig, groups: Sequence[str]) -> None:
     node: Any = known
     parts = name.split(".")
     for depth, part in enumerate(parts):
-        if not isinstance(node, DictConfig) or not has(node, part):
+        if not isinstance(node, DictConfig) or not (
+            part in node or OmegaConf.is_missing(node, part)
+        ):
             siblings = [str(key) for key in node] if isinstance(node, DictConfig) else []
-            siblings = [s for s in siblings if not s.startswith("_")]
             top = list(groups) if depth == 0 else []
             raise unknown_key(".".join(parts[: depth + 1]), siblings + top, _names(known))
         node = None if OmegaConf.is_missing(node, part) else node[part]

@@ -1,116 +1,145 @@
-"""A composed configuration held against the constructors that it names."""
+"""A resolved configuration held against the constructors that it names."""
 
 from __future__ import annotations
 
 import difflib
+import functools
 import inspect
-import pkgutil
-import types
+import json
+import os
 import typing
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import PurePath
+from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from pydantic import ConfigDict, PydanticUserError, TypeAdapter, ValidationError
+from pydantic_core import SchemaError
 
 from symo_exp import code
 from symo_exp.errors import ConfigError
+from symo_exp.job.config import MISSING, Settings
 from symo_exp.job.moved import MOVED
 
-ALLOWED = ("symo_exp", "torch", "lightning")
-"""The packages a ``_target_`` may name besides those of ``code=FOLDER``: a configuration is data
-and must not run anything else."""
+PARTS = ("system", "data", "model", "learner", "trainer", "logger")
+"""The parts of every run; each of them names a class."""
 
 _INSTANTIATE_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
+_PLAIN = {
+    "int_type": "a whole number", "float_type": "a number", "bool_type": "true or false",
+    "string_type": "text", "none_required": "null", "mapping_type": "a mapping",
+    "dict_type": "a mapping",
+}  # fmt: skip
+"""Pydantic's kinds of errors in the words of a command line."""
+_STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
-PARTS = ("system", "data", "model", "learner", "trainer", "logger")
-"""What every run is made of: each of them names a class."""
-
-
-def check(config: DictConfig, files: DictConfig) -> None:
-    """Refuse a configuration that names no such parts, or gives them other settings.
+def check(settings: Settings, known: Mapping[str, Any]) -> None:
+    """Refuse settings that do not exist, have no value, or a value of the wrong type.
 
     Args:
-        config: The configuration of a run.
-        files: The configuration that its choices of files alone would give.
+        settings: The settings of a run.
+        known: What the chosen files alone have, unresolved.
     """
-    code.add(config.code)
-    check_parts(config)
-    check_nodes(config, files)
+    code.add(settings.values["code"])
+    check_parts(settings)
+    _check_node(settings.values, known, settings.references)
 
 
-def check_parts(config: DictConfig) -> None:
-    """Every part is there, with the class that makes it."""
+def check_parts(settings: Settings) -> None:
+    """Refuse a configuration in which a part is missing or names no class."""
     for part in PARTS:
-        node = config.get(part)
-        if not isinstance(node, DictConfig) or "_target_" not in node:
+        node = settings.values.get(part)
+        if not isinstance(node, Mapping) or "_target_" not in node:
             raise ConfigError(f"{part} names no class: its file needs a _target_")
 
 
-def check_nodes(config: DictConfig, known: DictConfig | None, path: str = "") -> None:
-    """Every key and the type of every value below ``config``.
+def _check_node(
+    node: Mapping[str, Any],
+    known: Mapping[str, Any] | None,
+    references: Mapping[str, str],
+    path: str = "",
+) -> None:
+    """Check every key and the type of every value below a node.
 
-    A node with a ``_target_`` may hold what its constructor takes; any other node, what the
-    files of the configuration (``known``) hold at the same place.
+    A node with a ``_target_`` may hold what its constructor takes; any other node, what the files
+    have at the same place. A reference is checked where it points to.
     """
-    target = config.get("_target_")
-    if "_target_" in config and not isinstance(target, str):
-        raise ConfigError(f"{path}._target_={target} is no name of a class")
-    parameters = None if target is None else _parameters(target, path)
-    for key in map(str, config):
+    parameters = _parameters(node["_target_"], path) if "_target_" in node else None
+    for key, value in node.items():
         name = f"{path}.{key}" if path else key
         if parameters is None:
-            if known is None or not has(known, key):
-                raise unknown_key(name, siblings=[] if known is None else map(str, known))
-            if isinstance(known.get(key), bool) and not isinstance(config[key], bool):
-                raise ConfigError(f"{name}={_spell(config[key])} has to be true or false")
+            if known is None or key not in known:
+                raise unknown_key(name, known or ())
+            if isinstance(known[key], bool) and not isinstance(value, bool):
+                raise ConfigError(f"{name}={_spell(value)} has to be true or false")
         elif key not in _INSTANTIATE_KEYS:
             if key not in parameters:
-                raise unknown_key(name, siblings=parameters)
-            if OmegaConf.is_missing(config, key):
+                raise unknown_key(name, parameters)
+            if value == MISSING:
                 raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
-            _check_type(name, config, key, parameters[key])
-        if OmegaConf.is_interpolation(config, key):
-            continue  # checked where it points to
-        value = config[key]
-        if parameters is not None and _free(parameters.get(key)):
+            if problem := mismatch(value, parameters[key]):
+                source = references.get(name, name).removeprefix("${").removesuffix("}")
+                raise ConfigError(f"{source}={_spell(value)} has the wrong type: {problem}")
+        if name in references or (parameters is not None and _free(parameters.get(key))):
             continue
-        below = known.get(key) if known is not None and key in known else None
-        for item in value if isinstance(value, ListConfig) else [value]:
-            if isinstance(item, DictConfig):
-                check_nodes(item, below if isinstance(below, DictConfig) else None, name)
+        below = None if known is None else known.get(key)
+        for item in value if isinstance(value, list) else [value]:
+            if isinstance(item, Mapping):
+                _check_node(item, below if isinstance(below, Mapping) else None, references, name)
 
 
 def unknown_key(name: str, siblings: Iterable[str], everything: Iterable[str] = ()) -> ConfigError:
-    """The error for a setting that does not exist, with what may have been meant."""
+    """Return the error for a setting that does not exist, with what may have been meant."""
     if name in MOVED:
         return ConfigError(f"{name} is not a setting any more; write {MOVED[name]}=...")
     parent, _, leaf = name.rpartition(".")
-    siblings = sorted(set(siblings))
+    siblings = sorted({s for s in map(str, siblings) if not s.startswith("_")})
     meant = [f"{parent}.{s}" if parent else s for s in closest(leaf, siblings)]
     meant += [other for other in everything if other.rpartition(".")[2] == leaf]
-    hint = f"did you mean {' or '.join(meant)}?" if meant else f"{parent or 'there'} has: "
-    if not meant:
-        hint += ", ".join(siblings) or "nothing that can be set"
+    there = f"{parent or 'there'} has: {', '.join(siblings) or 'nothing that can be set'}"
+    hint = f"did you mean {' or '.join(meant)}?" if meant else there
     return ConfigError(f"{name} is not a setting; {hint} (--cfg job shows all)")
 
 
-def has(config: DictConfig, key: str) -> bool:
-    """Whether the key is there, if only waiting for a value (``???``)."""
-    return key in config or OmegaConf.is_missing(config, key)
-
-
 def closest(word: str, words: Iterable[str]) -> list[str]:
+    """Return up to two words like the given one."""
     return difflib.get_close_matches(word, list(words), n=2, cutoff=0.6)
 
 
-def _parameters(target: str, path: str) -> Mapping[str, Any]:
-    """Names and type hints of what the constructor takes.
+def mismatch(value: Any, hint: Any) -> str:
+    """Return what a type annotation expects of a value that does not fit it, else nothing.
+
+    Structures are left to the constructor, unless it expects a scalar.
+    """
+    if isinstance(value, Mapping | list):
+        return "expected a scalar" if hint in (bool, int, float, str, type(None)) else ""
+    adapter = _adapter(hint)
+    if adapter is None:  # a protocol or a dataclass
+        return "" if value is None else f"expected {getattr(hint, '__name__', hint)}"
+    try:
+        adapter.validate_json(json.dumps(value))
+    except ValidationError as error:
+        found = [(e["type"], e["msg"]) for e in error.errors() if "Cannot check" not in e["msg"]]
+        told = [_PLAIN.get(kind, text.partition("should be ")[2]) for kind, text in found]
+        words = " or ".join(dict.fromkeys(told)).replace("'", "")
+        return f"expected {words or getattr(hint, '__name__', hint)}"
+    return ""
+
+
+@functools.cache
+def _adapter(hint: Any) -> TypeAdapter[Any] | None:
+    try:
+        return TypeAdapter(hint, config=_STRICT)
+    except (PydanticUserError, SchemaError):
+        return None
+
+
+def _parameters(target: Any, path: str) -> Mapping[str, Any]:
+    """Return the names and type hints of what the constructor takes.
 
     One that takes ``**base`` hands it to the constructor of the class above.
     """
-    made = _locate(target, path)
+    made = code.locate(target, f"{path}._target_" if path else "_target_")
     calls: list[Callable[..., Any]] = [made]
     if inspect.isclass(made) and made.__init__ is not object.__init__:
         calls = [vars(c)["__init__"] for c in made.__mro__ if "__init__" in vars(c)]
@@ -139,70 +168,38 @@ def _free(hint: Any) -> bool:
     return Mapping in kinds
 
 
-def _locate(target: str, path: str) -> Callable[..., Any]:
-    where = f"{path}._target_" if path else "_target_"
-    packages = (*ALLOWED, *code.modules())
-    allowed = f"it may name something of {', '.join(packages)}"
-    if target.partition(".")[0] not in packages:
-        raise ConfigError(f"{where}={target} is refused: {allowed} (your own: code=FOLDER)")
-    try:
-        made = pkgutil.resolve_name(target)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{where}={target} cannot be found: {error}") from error
-    home = str(getattr(made, "__module__", "")).partition(".")[0]
-    ours = callable(made) and (home == "symo_exp" or code.owns(made))
-    if not ours and not (home in ALLOWED and inspect.isclass(made)):
-        raise ConfigError(f"{where}={target} is refused: {allowed}, and a class")
-    return typing.cast("Callable[..., Any]", made)
-
-
-def _check_type(name: str, config: DictConfig, key: str, hint: Any) -> None:
-    value = config[key]
-    if conforms(value, hint):
-        return
-    raw = OmegaConf.to_container(config, resolve=False)
-    assert isinstance(raw, dict)
-    source = raw[key]
-    if isinstance(source, str) and source.startswith("${") and source.endswith("}"):
-        name = source[2:-1]
-    raise ConfigError(f"{name}={_spell(value)} has the wrong type: {describe(hint)} is wanted")
-
-
-def conforms(value: Any, hint: Any) -> bool:
-    """Whether a scalar fits its annotation; structures are left to the constructor."""
-    origin = typing.get_origin(hint)
-    if origin in (typing.Union, types.UnionType):
-        return any(conforms(value, option) for option in typing.get_args(hint))
-    if origin is typing.Literal:
-        return value in typing.get_args(hint)
-    if isinstance(value, DictConfig | ListConfig):
-        return hint not in (bool, int, float, str, type(None))
-    if hint is float:
-        return isinstance(value, float | int) and not isinstance(value, bool)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    if hint is type(None) or value is None:
-        return value is None and hint in (type(None), Any)
-    if hint is Any:
-        return True
-    if inspect.isclass(hint):  # no word or number is an object of any other class
-        return isinstance(value, hint) or (isinstance(value, str) and issubclass(hint, PurePath))
-    return True
-
-
-def describe(hint: Any) -> str:
-    origin = typing.get_origin(hint)
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(describe(option) for option in typing.get_args(hint))
-    if origin is typing.Literal:
-        return " or ".join(str(option) for option in typing.get_args(hint))
-    words = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}
-    if hint is type(None):
-        return "null"
-    return str(words.get(hint) or getattr(hint, "__name__", hint))
-
-
 def _spell(value: Any) -> str:
     if value is None:
         return "null"
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def check_names(output_dir: Any, experiment: Any, folder: Any) -> None:
+    """Refuse names of folders that are empty or climb out of the output folder."""
+    for name, value in {
+        "output_dir": output_dir, "hydra's dir": folder, "experiment": experiment,
+    }.items():  # fmt: skip
+        if not isinstance(value, str) or not value or "\0" in value:
+            raise ConfigError(f"{name}={value!r} has to be a word that names a folder")
+    for part in experiment.split("/"):
+        if not part or part.startswith(".") or not part.isprintable():
+            raise ConfigError(
+                f"experiment={experiment!r} names a folder below output_dir: expected printable "
+                "parts divided by /, none of which is empty or begins with a dot"
+            )
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse an output folder that cannot be made or written."""
+    there = next(path for path in (folder, *folder.parents) if path.exists())
+    if not there.is_dir():
+        raise ConfigError(f"output folder {folder}: {there} is a file; choose another output_dir")
+    try:
+        probe = there / f".symo_exp.{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise ConfigError(
+            f"output folder {folder}: {there} cannot be written ({error.strerror}); "
+            "choose another output_dir"
+        ) from error

@@ -2,19 +2,60 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 
 from symo_exp.errors import ConfigError
 from symo_exp.runs.digest import digest
 
+MISSING = "???"
+"""The value of a setting that has none yet."""
 
-def plain(config: DictConfig) -> dict[str, Any]:
-    """The configuration with every reference resolved."""
-    values = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+
+class Settings(NamedTuple):
+    """The settings of a run, resolved once."""
+
+    values: dict[str, Any]
+    """Plain values."""
+    references: dict[str, str]
+    """By dotted name, the settings that refer to others, as they are written."""
+
+    def is_reference(self, name: str) -> bool:
+        """Return whether a setting, or a node above it, only refers to another."""
+        parts = name.split(".")
+        return any(".".join(parts[:n]) in self.references for n in range(1, len(parts) + 1))
+
+    def value(self, name: str) -> Any:
+        """Return the value of a dotted name, ``None`` where there is none."""
+        node: Any = self.values
+        for part in name.split("."):
+            node = node.get(part) if isinstance(node, Mapping) else None
+        return node
+
+
+def resolve(config: DictConfig) -> Settings:
+    """Resolve all but Hydra's own part; a setting without a value is ``MISSING``."""
+    ours = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
+    values = OmegaConf.to_container(ours, resolve=True)
     assert isinstance(values, dict)
-    return {str(key): value for key, value in values.items() if key != "hydra"}
+    return Settings(
+        {str(key): value for key, value in values.items()}, dict(_references(unresolved(ours)))
+    )
+
+
+def unresolved(config: DictConfig) -> Any:
+    """Return a configuration as its files have it, references included."""
+    return OmegaConf.to_container(config, resolve=False)
+
+
+def _references(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(node, str) and "${" in node:
+        yield path, node
+    elif isinstance(node, Mapping):
+        for key, value in node.items():
+            yield from _references(value, f"{path}.{key}" if path else str(key))
 
 
 def run_folder(*, _root_: DictConfig) -> str:

@@ -7,17 +7,17 @@ import math
 import os
 import shlex
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig
 
 from symo_exp.errors import ConfigError, one_line
 from symo_exp.imports import first_import
-from symo_exp.job.config import plain
+from symo_exp.job.config import Settings, resolve
 from symo_exp.job.lines import brief, run_line
 from symo_exp.job.variant import alone, variant
 from symo_exp.process import phases, stopping
@@ -45,20 +45,21 @@ def job(config: DictConfig) -> float | None:
     run that has failed has the worst, and only bad input and an interruption are raised. Nothing
     happens when the command was asked to stop, or when another process has finished the run.
     """
-    settings = HydraConfig.get()
-    folder = RunFolder(settings.runtime.output_dir)
+    hydras = HydraConfig.get()
+    folder = RunFolder(hydras.runtime.output_dir)
     logging.raiseExceptions = debugging()  # a log that cannot be written: no traceback of that
     stopping.install()
     if stopping.requested():
         return None
-    choices, asked = dict(settings.runtime.choices), list(settings.overrides.task)
-    sweeper = settings.sweeper._target_
+    choices, asked = dict(hydras.runtime.choices), list(hydras.overrides.task)
+    sweeper = hydras.sweeper._target_
+    settings = resolve(config)
 
     def about() -> About:
-        words = alone(config, choices, _compose) if sweeper != OURS else typed(settings)
-        return _about(config, choices, asked, shlex.join(["python", "-m", "symo_exp", *words]))
+        words = alone(settings, choices, _compose) if sweeper != OURS else typed(hydras)
+        return _about(settings, choices, asked, shlex.join(["python", "-m", "symo_exp", *words]))
 
-    failure = _do(config, folder, about)
+    failure = _do(settings.values, folder, about)
     phases.clear()
     if failure is not None and debugging():
         raise failure
@@ -66,12 +67,12 @@ def job(config: DictConfig) -> float | None:
         return None
     if isinstance(failure, ConfigError | stopping.Interrupted):
         raise failure
-    trials = settings.sweeper.get("n_trials")
-    log.info("%s%s", f"trial {settings.job.num + 1} of {trials}: " * bool(trials), run_line(folder))
+    trials = hydras.sweeper.get("n_trials")
+    log.info("%s%s", f"trial {hydras.job.num + 1} of {trials}: " * bool(trials), run_line(folder))
     if failure is not None:
-        maximize = "maximize" in str(settings.sweeper.get("direction"))
+        maximize = "maximize" in str(hydras.sweeper.get("direction"))
         return -math.inf if maximize else math.inf
-    return optimized(config.optimized_metric, folder)
+    return optimized(settings.values["optimized_metric"], folder)
 
 
 def optimized(name: str, folder: RunFolder) -> float:
@@ -84,27 +85,29 @@ def optimized(name: str, folder: RunFolder) -> float:
     return measures[name] if name in measures else values[-1]
 
 
-def is_done(config: DictConfig, folder: RunFolder) -> bool:
+def is_done(settings: Mapping[str, Any], folder: RunFolder) -> bool:
     """Whether the run is finished, and nothing that was asked for besides is missing."""
     if folder.outcome().status != "finished":
         return False
-    drawn = not config.pictures or (folder / PICTURES).exists()
-    if plain(config).get("reference") != folder.reference():
+    drawn = not settings["pictures"] or (folder / PICTURES).exists()
+    if settings.get("reference") != folder.reference():
         return False
-    return drawn and not folder.missing_studies(plain(config.study))
+    return drawn and not folder.missing_studies(settings["study"])
 
 
 def debugging() -> bool:
     return os.environ.get("SYMO_EXP_DEBUG") == "1"
 
 
-def _do(config: DictConfig, folder: RunFolder, about: Callable[[], About]) -> BaseException | None:
+def _do(
+    settings: Mapping[str, Any], folder: RunFolder, about: Callable[[], About]
+) -> BaseException | None:
     """Do what is left of the run; what ended it before it was finished, if anything did."""
     start = time.perf_counter()
     tracker: Any = None
     time_is_up = False
     with stopping.urgent(), folder.alone():
-        if is_done(config, folder):
+        if is_done(settings, folder):
             return None
         trained = folder.outcome().status == "finished"
         failure: BaseException | None = None
@@ -114,9 +117,9 @@ def _do(config: DictConfig, folder: RunFolder, about: Callable[[], About]) -> Ba
             with first_import("symo_exp.job.recipe"):
                 from symo_exp.job.recipe import build, run
 
-            parts = build(config, folder)
+            parts = build(settings, folder)
             tracker = parts.tracker
-            run(parts, config, folder, about(), trained=trained)
+            run(parts, settings, folder, about(), trained=trained)
         except stopping.Interrupted as error:
             time_is_up = error.signum == stopping.TIME_IS_UP
             failure, status, reason = error, "interrupted", str(error)
@@ -163,15 +166,15 @@ def publish(tracker: Any, folder: RunFolder) -> str:
         return ""
 
 
-def typed(settings: Any) -> list[str]:
+def typed(hydras: Any) -> list[str]:
     """Return the words of the command that repeats one run of a sweep."""
     words = []
-    if settings.job.config_name != "config":
-        words += ["-cn", settings.job.config_name]
-    for source in settings.runtime.config_sources:
+    if hydras.job.config_name != "config":
+        words += ["-cn", hydras.job.config_name]
+    for source in hydras.runtime.config_sources:
         if source.provider == "command-line":
             words += ["--config-dir", source.path]
-    return [*words, *settings.overrides.task]
+    return [*words, *hydras.overrides.task]
 
 
 def _compose(overrides: list[str]) -> DictConfig:
@@ -179,31 +182,32 @@ def _compose(overrides: list[str]) -> DictConfig:
 
 
 def _about(
-    config: DictConfig, choices: dict[str, Any], asked: Sequence[str], command: str = ""
+    settings: Settings, choices: dict[str, Any], asked: Sequence[str], command: str = ""
 ) -> About:
     """What the run is; its name says what its sweep varied: ``E2E-SyMo acrobot n=16``."""
 
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
     told = [brief(o) for o in varied if not o.startswith(NAMED)]
-    size = config.data.get("n_traj")
+    size = settings.value("data.n_traj")
     name = [look(choices["model"]).label, choices["system"], f"n={size}" * bool(size), *told]
     return About(
         name=" ".join(filter(None, name)),
-        parameters=groups | dict(_parameters(config)),
-        variant=variant(config, choices, _compose),
+        parameters=groups | dict(_parameters(settings.values, settings)),
+        variant=variant(settings, choices, _compose),
         sweep=os.environ.get(SWEEP, ""),
         tags={**revision_tags(), COMMAND: command},
     )
 
 
-def _parameters(config: DictConfig, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Every setting but those of studies, each under one name: where it is written."""
-    for key in map(str, config):
+def _parameters(
+    node: Mapping[str, Any], settings: Settings, path: str = ""
+) -> Iterator[tuple[str, Any]]:
+    """Yield every setting but those of studies, each under the name where it is written."""
+    for key, value in node.items():
         name = f"{path}.{key}" if path else key
-        value = config[key]
-        if isinstance(value, DictConfig):
-            if name != "study" and not OmegaConf.is_interpolation(config, key):
-                yield from _parameters(value, name)
+        if isinstance(value, Mapping):
+            if name != "study" and name not in settings.references:
+                yield from _parameters(value, settings, name)
         elif key != "_partial_":
-            yield name, OmegaConf.to_object(value) if isinstance(value, ListConfig) else value
+            yield name, value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pkgutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,6 @@ from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.runs import before
 from symo_exp.runs.folder import CHECKPOINT, CONFIG
-
-HOMES = ("symo_exp.systems.", "symo_exp.models.", "symo_exp.mechanics.", "symo_exp.nets.")
-"""Where the classes of a model come from. A run folder is data: it must not run anything else."""
 
 
 def from_folder(
@@ -90,29 +86,10 @@ def _check(node: Any, folder: Path) -> None:
     """
     if isinstance(node, Mapping):
         if "_target_" in node:
-            _check_target(node["_target_"], folder)
+            code.locate(node["_target_"], f"{folder}: _target_", code.MODELS)
         node = list(node.values())
     if isinstance(node, str) and "${" in node:
         raise ConfigError(f"{folder} holds an unresolved setting, {node!r}")
     if isinstance(node, list):
         for value in node:
             _check(value, folder)
-
-
-def _check_target(target: object, folder: Path) -> None:
-    """Refuse all but classes of systems and models.
-
-    The name alone proves nothing: ``symo_exp.systems.x.os.system`` begins well, too.
-    """
-    mine = tuple(f"{module}." for module in code.modules())
-    if isinstance(target, str) and target.startswith(HOMES + mine):
-        try:
-            made = pkgutil.resolve_name(target)
-        except (ImportError, AttributeError, ValueError):
-            raise ConfigError(f"{folder} needs {target}, which this version has not") from None
-        if isinstance(made, type) and (made.__module__.startswith(HOMES) or code.owns(made)):
-            return
-    raise ConfigError(
-        f"{folder} asks for {target!r}, which is no class of a system or a model "
-        "(classes of your own: code=FOLDER)"
-    )

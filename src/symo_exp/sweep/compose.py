@@ -12,8 +12,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 
-import symo_exp.job.config  # noqa: F401 (its resolvers)
 from symo_exp.errors import ConfigError
+from symo_exp.job.config import Settings, resolve, unresolved
 from symo_exp.runs.folder import RunFolder
 
 
@@ -24,9 +24,15 @@ class Job(NamedTuple):
     label: str
     overrides: list[str]
     config: DictConfig
+    settings: Settings
     files: DictConfig
     choices: dict[str, Any]
     folder: RunFolder
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The settings as plain values."""
+        return self.settings.values
 
 
 def expand(arguments: Sequence[str], params: Mapping[str, Any] | None = None) -> list[list[str]]:
@@ -104,7 +110,7 @@ class Composer:
         folder = RunFolder(f"{config.hydra.sweep.dir}/{config.hydra.sweep.subdir}")
         with open_dict(config):
             del config["hydra"]
-        return Job(label, overrides, config, files, choices, folder)
+        return Job(label, overrides, config, resolve(config), files, choices, folder)
 
     def options(self, group: str) -> list[str]:
         """The files of a group; none if it is a setting, whose name may have a dot."""
@@ -119,9 +125,10 @@ class Composer:
 
     def check_choices(self, job: Job) -> None:
         """Refuse a choice that has nothing for this model: SyMo has no Runge-Kutta method."""
-        references = _raw(job.config.model)
-        for reference in references.values():
-            name = str(reference).strip("${}")
+        for setting, reference in job.settings.references.items():
+            if not setting.startswith("model.") or setting.count(".") > 1:
+                continue
+            name = reference.strip("${}")
             group = name.partition(".")[0]
             here = OmegaConf.select(job.config, name, default="nothing")  # null, not nothing
             if group == name or group not in job.choices or here is not None:
@@ -140,16 +147,12 @@ class Composer:
         if key not in self._merged:
             own = self.loader.load_sweep_config(self.master, list(overrides))
             sweep, runtime = (own.hydra[k] for k in ("sweep", "runtime"))
-            raw = {"sweep": _raw(sweep), "runtime": {"choices": _raw(runtime.choices)}}
+            raw = {"sweep": unresolved(sweep), "runtime": {"choices": unresolved(runtime.choices)}}
             with open_dict(own):
                 del own["hydra"]
                 own["hydra"] = raw
             self._merged[key] = own
         return self._merged[key]
-
-
-def _raw(config: DictConfig) -> Any:
-    return OmegaConf.to_container(config, resolve=False)
 
 
 def _is_value(override: Override) -> bool:

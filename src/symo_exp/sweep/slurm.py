@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 import logging
 import shutil
 import subprocess
 import threading
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -39,11 +39,9 @@ class Queue:
         OmegaConf.update(master, "hydra.launcher.name", f"symo_exp-{uuid.uuid4().hex[:8]}")
         return cls(launcher.name)
 
-    def as_here(self, config: DictConfig) -> DictConfig:
-        """What the jobs need on their machines, a graphics processor, is not asked for on this."""
-        here = copy.deepcopy(config)
-        here.trainer.accelerator = "cpu"
-        return here
+    def as_here(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the settings without the graphics processor that only the nodes have."""
+        return {**settings, "trainer": {**settings["trainer"], "accelerator": "cpu"}}
 
     def run(self, launch: Callable[[], object]) -> None:
         """Launch jobs, and come back when none of them runs or waits.

@@ -26,7 +26,8 @@ from omegaconf.errors import OmegaConfBaseException
 from symo_exp.cli.explain import blamed
 from symo_exp.errors import ConfigError, one_line
 from symo_exp.imports import first_import
-from symo_exp.job.checks import check, check_parts
+from symo_exp.job.checks import check, check_folder, check_names, check_parts
+from symo_exp.job.config import unresolved
 from symo_exp.job.job import debugging, is_done, publish
 from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
@@ -34,7 +35,6 @@ from symo_exp.shell import python_command
 from symo_exp.sweep import slurm
 from symo_exp.sweep.compose import Composer, Job, expand, labels
 from symo_exp.sweep.parent import parent
-from symo_exp.sweep.places import check_folder, check_places
 from symo_exp.sweep.table import Watch, table
 
 log = logging.getLogger(__name__)
@@ -68,7 +68,7 @@ class Sweep:
         jobs = self._plan(arguments, params)
         for folders in _watching:
             folders += [job.folder for job in jobs]
-        finished = [job for job in jobs if job.config.resume and is_done(job.config, job.folder)]
+        finished = [job for job in jobs if job.values["resume"] and is_done(job.values, job.folder)]
         done = {job.folder.path for job in finished}
         todo = [job for job in jobs if job.folder.path not in done]
         self._check(todo, labelled=len(jobs) > 1)
@@ -102,7 +102,7 @@ class Sweep:
         for overrides, label in zip(combinations, labels, strict=True):
             try:
                 job = self._composed(overrides, label)
-                if not (job.config.resume and is_done(job.config, job.folder)):
+                if not (job.values["resume"] and is_done(job.values, job.folder)):
                     todo[job.folder.path] = job
                 found.append(job.folder)
             except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
@@ -142,11 +142,12 @@ class Sweep:
     def _composed(self, overrides: list[str], label: str) -> Job:
         """Return a job whose places and, unless it is done, settings are checked."""
         job = self._composer.job(overrides, label)
-        check_places(job.config, self._master.hydra.sweep)
-        if not is_done(job.config, job.folder):
-            check_parts(job.config)
+        values = job.values
+        check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
+        if not is_done(values, job.folder):
+            check_parts(job.settings)
             self._composer.check_choices(job)
-            check(job.config, job.files)
+            check(job.settings, unresolved(job.files))
         return job
 
     def _check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
@@ -161,11 +162,12 @@ class Sweep:
             phases.say(f"checking run {place} of {len(jobs)}")
             try:
                 check_folder(job.folder.path)
-                here = self._cluster.as_here(job.config) if self._cluster else job.config
+                values = job.values
+                here = self._cluster.as_here(values) if self._cluster else values
                 parts = build(here, job.folder)
-                if job.config.logger not in stores:
+                if values["logger"] not in stores:
                     parts.tracker.check()
-                    stores.append(job.config.logger)
+                    stores.append(values["logger"])
             except ConfigError as error:
                 raise _labelled(error, job.label if labelled else "") from error
 
@@ -174,7 +176,7 @@ class Sweep:
     def _do(self, jobs: Sequence[Job], todo: Sequence[Job]) -> None:
         on_stop = self._cluster.stop if self._cluster else None
         phases.say("opening the store")
-        tracker = instantiate(todo[0].config.logger)
+        tracker = instantiate(todo[0].values["logger"])
         tracker.close_dead()
         with ExitStack() as stack:
             if len(jobs) > 1:
@@ -244,7 +246,7 @@ class Sweep:
 
     def _publish(self, job: Job) -> None:
         """Bring the store up to date where it is not known to be."""
-        tracker = instantiate(job.config.logger)
+        tracker = instantiate(job.values["logger"])
         if not tracker.is_published(job.folder):
             publish(tracker, job.folder)
 
@@ -254,7 +256,7 @@ class Sweep:
         if len(jobs) > 1:
             print(table([job.label for job in jobs], folders))
             # to look for it takes the seconds of an import
-            if len(finished) < len(jobs) and (page := instantiate(jobs[0].config.logger).page()):
+            if len(finished) < len(jobs) and (page := instantiate(jobs[0].values["logger"]).page()):
                 print(
                     f"To compare them: {python_command('symo_exp.report')}\nTo look at them: {page}"
                 )
@@ -281,7 +283,7 @@ def _clear(job: Job) -> None:
     """Forget how an earlier start ended and, with ``resume=false``, all that could be continued."""
     if job.folder.in_use():
         return  # another command is at it
-    if not job.config.resume:
+    if not job.values["resume"]:
         job.folder.clear()
     elif job.folder.outcome().status != "finished":  # else it is only studied further
         job.folder.forget_outcome()
