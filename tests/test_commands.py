@@ -39,12 +39,14 @@ NOT_RUN = {
 """Parts of commands that are not run here, and why."""
 
 SHORT = [
-    # of a run: epochs; of simulated data: test trajectories and steps of rollouts
+    # epochs; of simulated data: test trajectories and steps of rollouts; of searches: trials; of
+    # trainings of second order: training trajectories
     (r"-m symo_exp (?!record)", "trainer.max_epochs=2 trainer.validate_every=1"),
     (r"-m symo_exp (?!record)(?!.*(data=recorded|draws=published|preset=thesis))",
      "data.n_val=4 data.n_test=4 data.n_integration=2 data.integration_steps=30 "
      "data.monitor_trajectories=null"),
     (r"-cn search|hydra/sweeper=optuna", "hydra.sweeper.n_trials=2"),
+    (r"preset=(fast|joints|rigid)|-cn (growth|accuracy)", "data.n_traj=8 data.n_train_max=8"),
 ]  # fmt: skip
 """Settings appended to a command in which the pattern is found.
 

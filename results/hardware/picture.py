@@ -1,8 +1,8 @@
-"""The picture of a machine: a window predicted open loop, and the errors in all of them.
+"""Draw a machine: a window predicted in open loop, and the errors in all windows.
 
     python results/hardware/picture.py RUN FILE.png
 
-``RUN`` is the folder of a run on recordings that was held to a reference.
+``RUN`` is the folder of a run on recordings with a reference.
 """
 
 import sys
@@ -12,10 +12,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.looks import axis_label
+from symo_exp.report.looks import BASELINES, MEASURED, METHODS, RC, axis_label
 
-SINGLE = 10  # windows that are drawn one by one
-OURS, MAKERS = {"color": "C0"}, {"color": "C1", "linestyle": (0, (4, 2))}
+SINGLE = 10
+"""Number of windows up to which each is drawn."""
+OURS = {"color": METHODS["symo"].colour}
+MAKERS = {"color": BASELINES["reference"].colour, "linestyle": (0, (4, 2))}
 
 
 def error(table: pd.DataFrame, prefix: str, names: list[str]) -> pd.Series:
@@ -31,11 +33,15 @@ def draw(run: Path, file: Path) -> None:
     one = table[table.window == totals.index[(len(totals) - 1) // 2]]
     figure, (motion, errors) = plt.subplots(1, 2, figsize=(10, 3.2))
     for i, name in enumerate(names):
+        predicted, measured = one[f"q_{name}"], one[f"q_true_{name}"]
+        motion.plot(one.t, predicted, lw=1.5, label="" if i else "predicted by SyMo", **OURS)
         motion.plot(
-            one.t, one[f"q_{name}"], lw=1.5, label=axis_label(name, angular=True), color=f"C{i + 2}"
+            one.t, measured, ".", ms=4, color=MEASURED.colour, label="" if i else "measured"
         )
-        motion.plot(one.t, one[f"q_true_{name}"], "k.", ms=3, label="" if i else "measured")
-    motion.set(xlabel="time [s]", ylabel="angle [rad]", title="measured, and predicted by SyMo")
+        label = axis_label(name, angular=True).partition(" [")[0]
+        end = (one.t.iloc[-1], predicted.iloc[-1])
+        motion.annotate(label, end, (4, 0), textcoords="offset points", va="center", fontsize=9)
+    motion.set(xlabel="time [s]", ylabel="angle [rad]", title="Window of median error")
     motion.legend(frameon=False, fontsize=8)
     for key, label, look in (("makers", "makers' model", MAKERS), ("ours", "SyMo", OURS)):
         over = table[table.t > 0].pivot(index="t", columns="window", values=key)
@@ -45,12 +51,13 @@ def draw(run: Path, file: Path) -> None:
         low, middle, high = (over.quantile(share, axis=1) for share in (0.1, 0.5, 0.9))
         errors.plot(over.index, middle, lw=1.8, label=f"{label}, median and 80 %", **look)
         errors.fill_between(over.index, low, high, color=look["color"], alpha=0.25, lw=0)
-    errors.set(yscale="log", xlabel="time [s]", ylabel="error, RMS over angles [rad]")
-    errors.set_title(f"all {len(totals)} windows of the test part")
+    errors.set(yscale="log", xlabel="time [s]", ylabel="RMS error over angles [rad]")
+    errors.set_title(f"All {len(totals)} windows of the test part")
     errors.legend(frameon=False, fontsize=8)
     figure.tight_layout()
     figure.savefig(file, dpi=110)
 
 
 if __name__ == "__main__":
-    draw(Path(sys.argv[1]), Path(sys.argv[2]))
+    with plt.rc_context(RC):
+        draw(Path(sys.argv[1]), Path(sys.argv[2]))
