@@ -19,7 +19,15 @@ from symo_exp.report.charts import MARKERS, declare, draw_charts
 from symo_exp.report.document import Report
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import METHODS, TRUE, axis_label, in_order, look, short
-from symo_exp.report.motions import LONG, Studied, drift, first, learned, motion, phase_space
+from symo_exp.report.motions import (
+    LONG,
+    Studied,
+    drift_figures,
+    first,
+    learned_figure,
+    motion_figure,
+    phase_space_figure,
+)  # fmt: skip
 from symo_exp.report.overview import sections
 from symo_exp.report.page import html, toggles
 from symo_exp.report.runs import COLUMNS
@@ -71,8 +79,9 @@ PAIRS = [("symo", "midpoint"), ("node", "rk4")]
 TABLES = first({pair: swing(0.1) for pair in PAIRS})
 FIGURES = [
     *(figure for section in sections(runs(), Compared("")) for figure in section.figures),
-    *(draw(draw.__name__, "chain", TABLES) for draw in (motion, phase_space, learned)),
-    *drift([Studied("drift", "chain", 0.1, TABLES)]),
+    *(draw(draw.__name__, "chain", TABLES)
+      for draw in (motion_figure, phase_space_figure, learned_figure)),
+    *drift_figures([Studied("drift", "chain", 0.1, TABLES)]),
 ]  # fmt: skip
 
 
@@ -125,7 +134,7 @@ def test_what_can_be_switched_off_is_what_there_are_several_of():
     boxes = toggles(FIGURES)
     assert set(boxes["method"]) >= {look(name).label for name in (*METHODS, *TRUE, "mine")}
     assert set(boxes["source"]) == {"ours", "floor", "truth"}
-    few = [figure for figure in FIGURES if figure.key == "motion"]
+    few = [figure for figure in FIGURES if figure.key == "motion_figure"]
     assert set(toggles(few)["method"]) == {look(method).label for method, _ in PAIRS}
 
 
@@ -202,10 +211,10 @@ def test_what_diverges_leaves_the_picture_and_not_its_scale():
     panel = Panel("", "t", "q", pd.concat([truth, lost]), y_log=False)
     low, high = panel.limits()
     assert -3 < low < -1 < 1 < high < 3
-    lost = motion("forced", "", {PAIRS[0]: swing(lost=True)})
+    lost = motion_figure("forced", "", {PAIRS[0]: swing(lost=True)})
     (data, *_) = declare(lost, interactive=True)["datasets"].values()
     assert all(row["y"] is None or np.isfinite(row["y"]) for row in data)
-    assert motion("forced", "", TABLES).panels[0].rows.x.max() <= LONG
+    assert motion_figure("forced", "", TABLES).panels[0].rows.x.max() <= LONG
 
 
 def test_a_constant_truth_leaves_room_to_see_the_others():
@@ -217,7 +226,7 @@ def test_a_constant_truth_leaves_room_to_see_the_others():
 
 def test_a_symplectic_integrator_keeps_the_volume_small_steps_first():
     tables = {("true_ode", "rk4"): swing(0.1), ("true_variational", "midpoint"): swing()}
-    (figure,) = drift([Studied("drift", "chain", h, tables) for h in (0.2, 0.05)])
+    (figure,) = drift_figures([Studied("drift", "chain", h, tables) for h in (0.2, 0.05)])
     assert [panel.title for panel in figure.panels] == ["step 0.05 s", "step 0.2 s"] * 2
     explicit, variational = figure.panels[-1].traces()
     assert explicit.rows.y.iloc[-1] < 1e-4
@@ -225,7 +234,7 @@ def test_a_symplectic_integrator_keeps_the_volume_small_steps_first():
 
 
 def test_names_become_symbols():
-    assert axis_label("theta") == "θ [rad, m]"
+    assert axis_label("theta") == "θ [rad]"
     assert (
         axis_label("theta_12", angular=True) == axis_label("theta12", angular=True) == "θ₁₂ [rad]"
     )

@@ -12,7 +12,7 @@ from symo_exp.evaluation.evaluate import Evaluation
 from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.report import pictures
 from symo_exp.report.animation import animate
-from symo_exp.report.looks import look
+from symo_exp.report.looks import TRUTH, look
 from symo_exp.report.motions import ranking
 from symo_exp.systems.chain import ChainPendulum
 from tests.tables import systems
@@ -52,7 +52,7 @@ KEYS = ["trajectories", "phase_portrait", "energy", "learned"]
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_every_system_has_its_figures(name):
     system = SYSTEMS[name]
-    found = pictures.figures(knowing(system, system), system, made(system), "symo", name)
+    found = pictures.run_figures(knowing(system, system), system, made(system), "symo", name)
     assert [figure.key for figure in found] == KEYS
     for panel in (panel for figure in found for panel in figure.panels):
         wanted = {panel.only or "truth", panel.only or "ours"}
@@ -92,8 +92,10 @@ def test_what_a_system_or_a_run_does_not_have_is_not_drawn(tmp_path):
 
 
 def test_recordings_have_pictures_of_their_own(tmp_path, monkeypatch):
-    monkeypatch.setattr(pictures, "save", lambda figure, folder, formats: [figure.key])
-    monkeypatch.setattr(pictures.recordings, "figures", lambda model, found, *names: [found])
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, folder, formats: [figure.key])
+    monkeypatch.setattr(
+        pictures.recordings, "recording_figures", lambda model, found, *names: [found]
+    )
     unseen = SimpleNamespace(skeleton=lambda q: None)
     rollouts = dataclasses.replace(made(SYSTEMS["pendulum"]), energy=None)
     found = pictures.draw_run(
@@ -185,7 +187,7 @@ def test_a_phase_portrait_wraps_angles_and_has_gaps_where_they_jump():
 
 def test_the_animation_plays_in_real_time(tmp_path):
     system = SYSTEMS["acrobot"]
-    path = animate(system, made(system, nodes=21), 0, look("node"), "t", tmp_path)
+    path = animate(system, made(system, nodes=21), 0, (look("node"), TRUTH), "t", tmp_path)
     with Image.open(path) as image:
         assert image.n_frames == 21
         assert image.info["duration"] == 50

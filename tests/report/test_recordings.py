@@ -11,7 +11,7 @@ from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.report import recordings
 from symo_exp.report.motions import ranking
-from symo_exp.report.paper import save
+from symo_exp.report.paper import save_figure
 
 H = 0.02
 
@@ -53,10 +53,10 @@ DAMPED = SimpleNamespace(force=lambda q, v: -0.3 * v)
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_windows_show_prediction_measurement_and_reference(n):
     model, _, found = recorded(n)
-    (figure,) = recordings.figures(model, found, "symo", "run")
+    (figure,) = recordings.recording_figures(model, found, "symo", "run")
     assert len(figure.panels) == 3 * (n + 1)
     for panel in figure.panels[: 3 * n]:
-        assert {one.source for one in panel.traces()} == {"truth", "ours", "floor"}
+        assert {one.source for one in panel.traces()} == {"measured", "ours", "floor"}
     errors = found.model.rmse(2.0)
     chosen = ranking(errors)
     assert errors[chosen["best"]] == errors.min()
@@ -66,7 +66,7 @@ def test_windows_show_prediction_measurement_and_reference(n):
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_dissipation_is_drawn_over_velocity_and_time(n):
     model, _, found = recorded(n, dissipation=DAMPED)
-    _, figure = recordings.figures(model, found, "symo", "run")
+    _, figure = recordings.recording_figures(model, found, "symo", "run")
     assert len(figure.panels) == 2 * n
     for over_velocity in figure.panels[::2]:
         assert torch.allclose(
@@ -78,8 +78,8 @@ def test_a_dissipation_is_drawn_over_velocity_and_time(n):
 def test_what_is_lost_is_drawn_as_far_as_it_goes(tmp_path):
     model, measures, found = recorded(2, lost=True, dissipation=DAMPED)
     assert measures["pooled_rmse_2s"] > 1e100
-    made = recordings.figures(model, found, "node", "lost")
-    assert [path.name for figure in made for path in save(figure, tmp_path, ["png"])] == [
+    made = recordings.recording_figures(model, found, "node", "lost")
+    assert [path.name for figure in made for path in save_figure(figure, tmp_path, ["png"])] == [
         "windows.png", "dissipation.png",
     ]  # fmt: skip
 

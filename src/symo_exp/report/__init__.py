@@ -1,1 +1,1 @@
-"""Tracked runs to tables, figures and pictures."""
+"""Tables, figures and pages of runs, and pictures of single runs."""

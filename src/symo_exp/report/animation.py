@@ -1,4 +1,4 @@
-"""An animation of prediction and truth side by side, drawn from a system's skeleton."""
+"""Animations of prediction and truth side by side."""
 
 from __future__ import annotations
 
@@ -11,28 +11,41 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from symo_exp.evaluation.evaluate import Rollouts
-from symo_exp.report.looks import TRUTH, Look
+from symo_exp.report.looks import Look
 from symo_exp.systems.base import System
 from symo_exp.systems.render import FINE, JOINT, MARGIN, PAPER, RAIL, paint, points_of
 
 SECONDS, FRAME = 12.0, 0.05
-"""Length of the animation and shortest time between two frames [s]; it plays in real time."""
+"""Length of an animation and shortest time between two frames [s]; it plays in real time."""
 PANEL, HEADER = 240, 44
 GHOST = "#d5d5d5"
+Looks = tuple[Look, Look]
+"""Of the prediction and of the truth."""
 
 
 def animate(
-    system: System, rollouts: Rollouts, which: int, style: Look, title: str, folder: Path
+    system: System, rollouts: Rollouts, which: int, looks: Looks, title: str, folder: Path
 ) -> Path:
     """Write ``animation.gif``: left the prediction with a shadow of the truth, right the truth.
 
-    The true motion's first point stays in the middle of both pictures.
+    The first point of the true motion stays in the middle of both pictures.
+
+    Args:
+        system: The system, which has a skeleton or a picture.
+        rollouts: Predicted and true motions.
+        which: The number of the motion.
+        looks: The looks of the prediction and of the truth.
+        title: The text above.
+        folder: Where the file is written.
+
+    Returns:
+        The file.
     """
     stride = max(1, round(FRAME / rollouts.time_step))
     last = min(rollouts.q.shape[1] - 1, round(SECONDS / rollouts.time_step))
     frames = [
         _frame(system, rollouts.q[which, k], rollouts.q_true[which, k],
-               k * rollouts.time_step, style, title)
+               k * rollouts.time_step, looks, title)
         for k in range(0, last + 1, stride)
     ]  # fmt: skip
     palette = frames[0].quantize(48, dither=Image.Dither.NONE)
@@ -46,15 +59,16 @@ def animate(
 
 
 def _frame(
-    system: System, q: torch.Tensor, q_true: torch.Tensor, t: float, style: Look, title: str
+    system: System, q: torch.Tensor, q_true: torch.Tensor, t: float, looks: Looks, title: str
 ) -> Image.Image:
+    style, other = looks
     size = (2 * PANEL * FINE, (PANEL + HEADER) * FINE)
     image = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(image)
     here = bool(torch.isfinite(q).all())
     truth = system.picture(q_true, PANEL)
     if truth is None:
-        gone = _figures(system, draw, q if here else None, q_true, style)
+        gone = _figures(system, draw, q if here else None, q_true, looks)
     else:
         gone = "" if here else "diverged"
         _pictures(image, truth, system.picture(q, PANEL) if here else None)
@@ -64,15 +78,15 @@ def _frame(
     _text(draw, (8, 5), title, JOINT, 11, "la")
     _text(draw, (2 * PANEL - 8, 5), f"{t:5.1f} s", JOINT, 11, "ra")
     _text(draw, (PANEL / 2, 24), style.label, style.colour, 13, "ma")
-    _text(draw, (PANEL * 1.5, 24), TRUTH.label, TRUTH.colour, 13, "ma")
+    _text(draw, (PANEL * 1.5, 24), other.label, other.colour, 13, "ma")
     return image.resize((2 * PANEL, PANEL + HEADER), Image.Resampling.BOX)
 
 
 def _figures(
     system: System, draw: ImageDraw.ImageDraw, q: torch.Tensor | None, q_true: torch.Tensor,
-    style: Look,
+    looks: Looks,
 ) -> str:  # fmt: skip
-    """Skeletons; what is to be said of a prediction that is not seen."""
+    """Draw skeletons; return a note if the prediction is not seen."""
     true = system.skeleton(q_true)
     assert true is not None
     camera = points_of(true)[0]
@@ -82,17 +96,17 @@ def _figures(
     if q is not None:
         figure = system.skeleton(q)
         assert figure is not None
-        paint(draw, left, figure, camera, style.colour)
+        paint(draw, left, figure, camera, looks[0].colour)
         away = (points_of(figure) - camera) / (MARGIN * figure.reach)
         gone = "out of view" if (np.abs(away) > 1).any(axis=1).all() else ""
-    # the prediction may leave its panel: the truth's is cleared of it
+    # the prediction may have left its panel
     draw.rectangle((PANEL * FINE, 0, 2 * PANEL * FINE, (PANEL + HEADER) * FINE), fill=PAPER)
-    paint(draw, right, true, camera, TRUTH.colour)
+    paint(draw, right, true, camera, looks[1].colour)
     return gone
 
 
 def _pictures(image: Image.Image, truth: np.ndarray, predicted: np.ndarray | None) -> None:
-    """The system's own: a quarter of what is seen on the left is the truth."""
+    """Paste pictures of the system; on the left a quarter is the truth."""
     seen = truth if predicted is None else 0.25 * truth + 0.75 * predicted
     for x, picture in ((0, seen), (PANEL, truth)):
         panel = Image.fromarray(picture.astype(np.uint8))
@@ -110,5 +124,5 @@ def _text(
 
 @lru_cache(maxsize=4)
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    """Matplotlib's own font: there on every machine."""
+    """Return the font that Matplotlib ships."""
     return ImageFont.truetype(f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf", size)

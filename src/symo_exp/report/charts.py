@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import vl_convert
 
-from symo_exp.report.figures import Figure, Panel, Range, Trace
+from symo_exp.report.figures import SHOULD, Figure, Panel, Range, Trace
 
 WIDTH, HEIGHT = 300, 220
 """Size of the plot of a panel in a file [px]; the page fits the width to the window."""
@@ -33,8 +33,8 @@ MARKERS = {
 """Vega's name or path for each marker of Matplotlib."""
 FILLS = {0: 1.0, 2: 0.0, 4: 0.4}
 """Filling of points by the number of dashes of their integrator."""
-OPACITY = {"ours": 1.0, "published": 0.5, "floor": 0.7, "truth": 0.4}
-LINES = {"ours": 1.8, "published": 1.0, "floor": 1.3, "truth": 3.5}
+OPACITY = {"ours": 1.0, "published": 0.5, "floor": 0.7, "truth": 0.4, "measured": 0.4}
+LINES = {"ours": 1.8, "published": 1.0, "floor": 1.3, "truth": 3.5, "measured": 3.5}
 INK = {"light": "#333333", "dark": "#dddddd"}
 SOFT = {"light": "#666666", "dark": "#a0a0a0"}
 GRID = {"light": "#e6e6e6", "dark": "#33363b"}
@@ -250,7 +250,7 @@ def _rows(panel: Panel) -> pd.DataFrame:
         if panel.mark == "line":
             step = max(1, len(rows) // MARKED)
             first = int(step * (0.3 + 0.17 * order)) % step
-            rows["marked"] = (np.arange(len(rows)) % step == first) & (trace.source != "truth")
+            rows["marked"] = (np.arange(len(rows)) % step == first) & (trace.source not in SHOULD)
         parts.append(
             rows.assign(
                 name=trace.name,

@@ -1,4 +1,4 @@
-"""Figures of measures over an axis: the size of the training set, noise, time, step or order."""
+"""Figures of measures over training set size, noise, training time, time step or order."""
 
 from __future__ import annotations
 
@@ -19,15 +19,23 @@ GROUPS = {
     "physics": ("energy, inertia and horizon", ("energy_mse", "inertia_mse", "valid_steps")),
 }
 FLOORED = ("test_mse", "integration_mse", "energy_mse", "valid_steps")
-"""Measures for which the true system in the same integrator is a floor (of the last, a ceiling)."""
+"""Measures that the true system in the same integrator bounds."""
 OVER_ORDER = ("test_mse", "integration_mse_100", "energy_mse", "inertia_mse_aligned")
 SPREAD = "Median over the seeds; the band is from the lowest to the highest."
 AT = 32
-"""The number of training trajectories at which noises and orders are compared."""
+"""Number of training trajectories at which noises and orders are compared."""
 
 
 class Axis(NamedTuple):
-    """A column that measures are drawn over; with ``ticks`` at its values alone."""
+    """An x axis.
+
+    Args:
+        column: The column of the cells.
+        label: The label, with a unit.
+        log: Whether the axis is logarithmic.
+        ticks: Whether there are ticks at the values alone.
+        mark: How values are drawn (``Panel.mark``).
+    """
 
     column: str
     label: str
@@ -44,9 +52,9 @@ ORDER = Axis("order", "order of the integrator", log=False, ticks=True)
 
 
 def panels(rows: pd.DataFrame, axis: Axis, metrics: Iterable[str]) -> list[Panel]:
-    """A panel for each system and measure: the column ``median`` over that of the axis.
+    """Return a panel for each system and measure: the column ``median`` over that of the axis.
 
-    ``x`` takes the place of the latter where it is there.
+    A column ``x`` replaces that of the axis.
     """
     rows = rows.assign(x=rows.get("x", rows[axis.column]).astype(float), y=rows["median"])
     rows = rows.dropna(subset="x").sort_values("x", kind="stable")
@@ -63,9 +71,10 @@ def panels(rows: pd.DataFrame, axis: Axis, metrics: Iterable[str]) -> list[Panel
 
 
 def data_size(found: pd.DataFrame) -> list[Figure]:
-    """Errors over the number of training trajectories, one figure for a system and a group.
+    """Return errors over the number of training trajectories, a figure for each system and group.
 
-    ``found`` has cells of learned models, of floors, and others to draw beside them.
+    Args:
+        found: Cells of learned models, of floors, and others to draw beside them.
     """
     clean = _with_floors(found[~(found.noise_std > 0)], SIZE)
     sizes = clean[clean.source == "ours"].groupby("system").n_traj.nunique()
@@ -79,16 +88,16 @@ def data_size(found: pd.DataFrame) -> list[Figure]:
 
 
 def noise(found: pd.DataFrame) -> list[Figure]:
-    """Errors over the noise in the training data, for systems of which more than one was run."""
+    """Return errors over the noise of the training data, for systems with several noises."""
     rows = _with_floors(found[(found.n_traj == AT) | (found.source == "floor")], NOISE)
     ours = rows[rows.source == "ours"].groupby("system").noise_std.unique()
     caption = f"{SPREAD} σ = 0 stands at the left edge. Tested on clean data."
     made = []
     for system, noises in ours[ours.map(len) > 1].items():
         here = rows[(rows.system == system)]
-        # others may have been tested far beyond ours
+        # published noises may go far beyond
         here = here[here.noise_std.isin(noises) | (here.source == "floor")]
-        edge = here.x[here.x > 0].min() / 4  # a logarithm knows no zero
+        edge = here.x[here.x > 0].min() / 4  # where zero is drawn on the logarithmic axis
         drawn = panels(here.assign(x=here.x.where(here.x > 0, edge)), NOISE, ERRORS)
         title = f"{system}: errors over the noise, {AT} trajectories"
         made.append(Figure(f"noise_{system}", title, caption, drawn))
@@ -96,7 +105,7 @@ def noise(found: pd.DataFrame) -> list[Figure]:
 
 
 def speed(runs: pd.DataFrame) -> list[Figure]:
-    """Accuracy against the time of training: every run a point, all variants together."""
+    """Return errors against the time of training, a point for each run of any settings."""
     learned = runs[(runs.source == "ours") & ~(runs.noise_std > 0)]
     words = zip(learned.variant, learned.n_traj, learned.seed, strict=True)
     said = [f"{v or 'defaults'}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]
@@ -108,21 +117,21 @@ def speed(runs: pd.DataFrame) -> list[Figure]:
 
 
 def steps(found: pd.DataFrame) -> list[Figure]:
-    """The true systems over the time step: what an integrator alone misses, and its order."""
+    """Return the errors of the true systems over the time step."""
     true = found[found.source == "floor"]
     several = true.groupby("system").time_step.transform("nunique") > 1
     caption = (
-        "The true systems: nothing is learned. The slope is twice the order plus two for one "
-        "step, twice the order for the energy."
+        "True systems, nothing is learned. The slope is twice the order plus two for one step, "
+        "and twice the order for the energy."
     )
     drawn = panels(true[several], STEP, ("test_mse", "energy_mse"))
     return [Figure("floors_over_steps", "The error of the integrators alone", caption, drawn)]
 
 
 def over_order(found: pd.DataFrame) -> list[Figure]:
-    """Errors over the order of the integrator, beside those of the true systems in it.
+    """Return errors over the order of the integrator, with those of the true systems.
 
-    Of every variant in which a method has been run with more than one integrator.
+    There is a figure for all settings in which a method has been run with several integrators.
     """
     ordered = found.assign(order=found.integrator.map(order_of), text=pair_names(found))
     ordered = ordered.assign(integrator="").dropna(subset="order")  # a line is through several
@@ -141,7 +150,7 @@ def over_order(found: pd.DataFrame) -> list[Figure]:
 
 @functools.cache
 def order_of(integrator: str) -> int | None:
-    """The order of convergence of an integrator of the configuration."""
+    """Return the order of convergence of an integrator of the configuration."""
     path = CONF / "integrator" / f"{integrator}.yaml"
     # as its first comment says: its class would take the seconds of an import of PyTorch
     said = re.search(r"order (\d+)", path.read_text(encoding="utf-8")) if path.is_file() else None
@@ -149,7 +158,7 @@ def order_of(integrator: str) -> int | None:
 
 
 def _with_floors(found: pd.DataFrame, axis: Axis) -> pd.DataFrame:
-    """What there is of ours, others beside it, and floors as lines from our first to our last."""
+    """Return learned and other cells, and floors as lines across the learned ones."""
     lines = found[found.source != "floor"].dropna(subset=axis.column)
     lines = lines.assign(x=lines[axis.column].astype(float))
     of, ours = ["system", "metric"], lines.source == "ours"

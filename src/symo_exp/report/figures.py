@@ -1,11 +1,11 @@
-"""What a figure shows, apart from who draws it: on paper (``paper``) or in a browser (``page``).
+"""Figures as data, apart from who draws them: ``charts`` for the report, ``paper`` for a run.
 
-A panel is a tidy table; what a row is drawn as follows from three of its columns:
+A panel is a tidy table. Three of its columns determine the look of a row:
 
 * ``method``, ``integrator``: names of the configuration; they set colour, marker and dash;
-* ``source``: ``ours``, ``published``, ``floor`` (a true system in an integrator) or ``truth``;
-* ``x``, ``y``: the point; ``low``, ``high``: the band around it; ``text``: said of it in a browser.
-  The last three may be left out.
+* ``source``: ``ours``, ``published``, ``floor`` (a true system in an integrator, or a baseline),
+  ``truth`` or ``measured``;
+* ``x``, ``y``: the point. Optional: ``low``, ``high``: the band around it; ``text``: a note.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.looks import TRUTH, Look, Stroke, in_order, look, pair_name, stroke
+from symo_exp.report.looks import MEASURED, TRUTH, Look, Stroke, in_order, look, pair_name, stroke
 
 SMALLEST, LARGEST = 1e-33, 1e12
-"""What a logarithmic axis shows at most, whatever has diverged."""
+"""Limits of a logarithmic axis, even if a method has diverged."""
+SHOULD = {"truth": TRUTH, "measured": MEASURED}
+"""Sources of what the models predict."""
 Range = tuple[float, float]
 
 
@@ -34,10 +36,12 @@ class Trace(NamedTuple):
 
     @property
     def look(self) -> Look:
-        return TRUTH if self.source == "truth" else look(self.method)
+        """The colour and marker."""
+        return SHOULD.get(self.source) or look(self.method)
 
     @property
     def stroke(self) -> Stroke:
+        """The dash of the integrator."""
         return stroke(self.integrator)
 
     @property
@@ -48,19 +52,33 @@ class Trace(NamedTuple):
     @property
     def name(self) -> str:
         """The name with the integrator and the source."""
-        if self.source == "truth":
+        if self.source in SHOULD:
             return self.label
         name = pair_name(self.method, self.integrator)
         return f"{name}, published" if self.source == "published" else name
 
     @property
     def band(self) -> bool:
+        """Whether there is a band around the line."""
         return "low" in self.rows and bool((self.rows.low < self.rows.high).any())
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes. ``mark`` is ``both``, ``line`` (no marks at points) or ``points``."""
+    """One pair of axes.
+
+    Args:
+        title: The heading.
+        x_label: The label of the x axis, with a unit.
+        y_label: The label of the y axis, with a unit.
+        rows: The data, with the columns that the module lists.
+        x_log: Whether the x axis is logarithmic.
+        y_log: Whether the y axis is logarithmic.
+        mark: ``both`` lines and markers, ``line`` or ``points``.
+        ticks: Ticks of the x axis; chosen if empty.
+        only: The source that is drawn, all if empty; the others still set the limits.
+        system: The system that the panel shows, for a page that selects one.
+    """
 
     title: str
     x_label: str
@@ -70,24 +88,21 @@ class Panel:
     y_log: bool = True
     mark: str = "both"
     ticks: tuple[float, ...] = ()
-    """Where the x axis has its ticks; empty: anywhere."""
     only: str = ""
-    """The source that is drawn; the others count for what the axes show."""
     system: str = ""
-    """For the page, which shows one system or all."""
 
     def traces(self) -> Iterator[Trace]:
-        """The truth first, so that a prediction lies on it; then in the order of methods."""
+        """Yield the truth, on which predictions lie, then the others in the order of methods."""
         rows = self.rows[self.rows.source == self.only] if self.only else self.rows
         groups = rows.groupby(["source", "method", "integrator"], sort=False)
         found = [Trace(*map(str, key), rows) for key, rows in groups]  # type: ignore
-        places = {"truth": 0, "published": 2}
+        places = {"truth": 0, "measured": 0, "published": 2}
         yield from sorted(
             found, key=lambda s: (places.get(s.source, 1), in_order((s.method, s.integrator)))
         )
 
     def limits(self) -> Range | None:
-        """What the y axis shows: one diverged method must not squeeze the others."""
+        """Return the limits of the y axis, within which a diverged method is not."""
         columns = [name for name in ("y", "low", "high") if name in self.rows]
         values = self.rows[columns].to_numpy(dtype=float)
         if not self.y_log:
@@ -97,30 +112,38 @@ class Panel:
             return None
         low, high = max(values.min(), SMALLEST), min(values.max(), LARGEST)
         high = max(high, 10 * low)
-        margin = max(2.0, (high / low) ** 0.03)  # a marker at the end is whole
+        margin = max(2.0, (high / low) ** 0.03)  # room for a marker
         return float(low / margin), float(high * margin)
 
     def x_limits(self) -> Range | None:
-        """The same of a linear x axis: of a line over time all of it, however early one is lost."""
+        """Return the limits of a linear x axis; a line over time is shown whole."""
         if self.x_log:
             return None
         x, true = self.rows.x.to_numpy(dtype=float), self._truth("x")
         return _near(true if len(true) or self.mark != "line" else x, x)
 
     def _truth(self, column: str) -> np.ndarray:
-        return self.rows[self.rows.source == "truth"][column].to_numpy(dtype=float)
+        return self.rows[self.rows.source.isin(SHOULD)][column].to_numpy(dtype=float)
 
 
 @dataclass(frozen=True)
 class Figure:
-    """``key`` names its files. Of panels that show nothing, none is kept."""
+    """Panels with a title and a caption; panels without a value are left out.
+
+    Args:
+        key: The name of its files.
+        title: The heading.
+        caption: Text below the panels.
+        panels: The panels, row by row.
+        columns: Largest number of panels in a row.
+        system: The system that all panels show, for a page that selects one.
+    """
 
     key: str
     title: str
     caption: str
     panels: list[Panel]
     columns: int = 3
-    """How many panels stand in a row on paper, at most."""
     system: str = ""
 
     def __post_init__(self) -> None:
@@ -134,7 +157,7 @@ class Figure:
 
 
 def _near(truth: np.ndarray, values: np.ndarray) -> Range | None:
-    """A range that has all of the truth, and of ``values`` what is not far from it."""
+    """Return limits with all of ``truth``, and with the values that are not far from it."""
     inside, everything = truth[np.isfinite(truth)], values[np.isfinite(values)]
     if not len(inside):
         return None

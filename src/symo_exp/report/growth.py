@@ -1,4 +1,4 @@
-"""What more coordinates cost: accuracy, time and memory over their number."""
+"""Accuracy, time and memory over the number of coordinates."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ KEYS = ["system", "settings", "n_traj", "method", "integrator", "coordinates"]
 
 
 def growth(runs: pd.DataFrame) -> tuple[list[ResultTable], list[Figure]]:
-    """A table and a figure of each system that has been run with several numbers of coordinates.
+    """Return a table and a figure for each system run with several numbers of coordinates.
 
-    What a run was told of its system is no setting here.
+    Settings of the system are not compared.
     """
     tables, figures = [], []
     for (system, settings, n_traj), rows in _grown(runs):

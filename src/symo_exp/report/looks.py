@@ -1,13 +1,15 @@
-"""How methods, integrators, measures and numbers are named and drawn: in one place, for all.
+"""Names and looks of methods, integrators, measures and numbers in tables and figures.
 
-Methods are told apart by colour (Okabe and Ito, 2008: safe for the colour-blind) and by marker,
-integrators by dash, what is published by hollow markers.
+Methods differ by colour (Okabe and Ito, 2008: safe for the colour-blind) and marker, integrators
+by dash.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ Pair = tuple[str, str]
 
 
 class Look(NamedTuple):
-    """A method: ``marker`` is Matplotlib's."""
+    """Name, colour and marker of a method; the marker is Matplotlib's."""
 
     label: str
     colour: str
@@ -48,13 +50,13 @@ TRUE = {
     "true_ode": Look("true system, explicit", "#8a8a8a", "."),
     "true_variational": Look("true system, variational", "#222222", "."),
 }
-"""The models that are not learned: drawn as floors under the others."""
+"""True systems, which are drawn as floors below learned models."""
 BASELINES = {
     "constant_velocity": Look("constant velocity", "#8a8a8a", "v"),
     "reference": Look("reference", "#56B4E9", "P"),
     "noise": Look("noise of the measurement", "#222222", "."),
 }
-"""What models of recordings are compared with."""
+"""Baselines of models of recordings."""
 TRUTH = Look("truth", "#3b3b3b", ".")
 MEASURED = Look("measured", "#3b3b3b", ".")
 SPARE = (("#CC79A7", "v"), ("#56B4E9", "P"), ("#F0E442", "X"))
@@ -87,7 +89,7 @@ MEASURES = {
     "step_ms": ("optimiser step", "ms"),
     "peak_memory": ("peak memory", "MiB"),
 }
-"""Label and unit; a measure without an entry is named by its key."""
+"""Label and unit of each measure; others are named by their key."""
 RC: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 9.5,
     "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
@@ -104,44 +106,46 @@ GREEK = dict(
 
 
 def look(method: str) -> Look:
-    """The look of a method; one that has no entry gets a spare one by its name."""
+    """Return the look of a method; an unknown one has a spare look chosen by its name."""
     known = METHODS | TRUE | BASELINES
     return known.get(method) or Look(method, *SPARE[sum(method.encode()) % len(SPARE)])
 
 
 def stroke(integrator: str) -> Stroke:
-    """The stroke of an integrator; one that has no entry is dotted."""
+    """Return the dash of an integrator; an unknown one is dotted."""
     return INTEGRATORS.get(integrator, Stroke(integrator, (1, 2)))
 
 
 def pair_name(method: str, integrator: str) -> str:
+    """Return the name of a method with its integrator."""
     return ", ".join(filter(None, (look(method).label, stroke(integrator).label)))
 
 
 def pair_names(rows: pd.DataFrame) -> list[str]:
+    """Return the name of the method with its integrator for each row."""
     return [pair_name(*pair) for pair in zip(rows.method, rows.integrator, strict=True)]
 
 
 def in_order(pair: Pair) -> tuple[int, str, int, str]:
-    """To sort pairs by: methods, then integrators, in the order above; unknown ones last."""
+    """Return a sort key: methods, then integrators in the order above, unknown ones last."""
     places = (list(METHODS | TRUE), list(INTEGRATORS))
     at = [p.index(x) if x in p else len(p) for x, p in zip(pair, places, strict=True)]
     return at[0], pair[0], at[1], pair[1]
 
 
 def measure_name(metric: str, *, axis: bool = False) -> str:
-    """The label of a measure with its unit; one of several units, for an axis only."""
+    """Return the label of a measure with its unit; several units only for an axis."""
     label, unit = MEASURES.get(metric, (metric.replace("_", " "), ""))
     return f"{label} [{unit}]" if unit and (axis or "," not in unit) else label
 
 
 def unit(metric: str) -> str:
-    """The label of an axis under a title that names the measure."""
+    """Return the label of an axis below a title that names the measure."""
     return f"[{MEASURES[metric][1]}]" if MEASURES.get(metric, ("", ""))[1] else ""
 
 
 def short(x: float | None) -> str:
-    """A measure in a table; a dash for what is not there."""
+    """Return a measure as tables print it, with a dash for a missing one."""
     if x is None or math.isnan(x):
         return "–"
     if math.isinf(x):
@@ -150,7 +154,7 @@ def short(x: float | None) -> str:
 
 
 def written(x: float) -> str:
-    """Three digits: ``1.38e-4``, ``0.498``, ``38.6``."""
+    """Return a number with three digits: ``1.38e-4``, ``0.498``, ``38.6``."""
     if x == 0 or not math.isfinite(x) or 1e-2 <= abs(x) < 1e3:
         return f"{x:.3g}"
     digits, exponent = f"{x:.2e}".split("e")
@@ -158,17 +162,17 @@ def written(x: float) -> str:
 
 
 def number(x: float) -> str:
-    """A setting; a dash where the run has none."""
+    """Return the value of a setting, with a dash for a missing one."""
     return "–" if math.isnan(x) else f"{x:g}"
 
 
 def letters(name: str) -> str:
-    """As the name of a file."""
+    """Return a name with letters and digits alone, for a file."""
     return "".join(c if c.isalnum() else "_" for c in name)
 
 
 def symbol(name: str) -> str:
-    """A coordinate's name as it is written: ``theta_1`` becomes θ₁."""
+    """Return the symbol of a coordinate: θ₁ for ``theta_1``."""
     found = re.fullmatch(rf"({'|'.join(GREEK)}|[a-zA-Z])_?(\d*)", name)
     if found is None:
         return name
@@ -177,7 +181,34 @@ def symbol(name: str) -> str:
 
 
 def axis_label(name: str, *, velocity: bool = False, angular: bool | None = None) -> str:
-    """The symbol of a coordinate or of its velocity, and its SI unit."""
+    """Return the symbol of a coordinate or of its velocity with its SI unit.
+
+    Args:
+        name: The name of the coordinate.
+        velocity: Whether the label is of the velocity.
+        angular: Whether the coordinate is an angle; by its name if not given.
+    """
     label = f"d{symbol(name)}/dt" if velocity else symbol(name)
-    units = {True: "rad", False: "m", None: "rad, m"}[angular].split(", ")
-    return f"{label} [{', '.join(unit + '/s' * velocity for unit in units)}]"
+    return f"{label} [{', '.join(unit + '/s' * velocity for unit in _units(name, angular))}]"
+
+
+def error_unit(names: Sequence[str], angular: Sequence[bool | None] = ()) -> str:
+    """Return the unit of a squared error over coordinates, such as ``m², rad²``."""
+    each = [_units(*pair) for pair in zip_longest(names, angular)]
+    return ", ".join(f"{unit}²" for unit in sorted({unit for units in each for unit in units}))
+
+
+def inertia_unit(row: str, column: str) -> str:
+    """Return the unit of an entry of the mass matrix by the names of its coordinates."""
+    units = [_units(name, None) for name in (row, column)]
+    if any(len(one) > 1 for one in units):
+        return "kg, kg m, kg m²"
+    return ("kg", "kg m", "kg m²")[units.count(("rad",))]
+
+
+def _units(name: str, angular: bool | None) -> tuple[str, ...]:
+    """Return the possible units; by name, Greek ones are angles and x, y and z are lengths."""
+    if angular is None:
+        plain = re.sub(r"_?\d*$", "", name)
+        return ("rad",) if plain in GREEK else ("m",) if plain in ("x", "y", "z") else ("m", "rad")
+    return ("rad",) if angular else ("m",)

@@ -1,13 +1,12 @@
-"""Figures of motions: over time, in phase space, what was learned, drift.
+"""Figures of motions: over time, in phase space, learned quantities, and drift.
 
-They are drawn from tables with a row for each node (``Rollouts.columns``), which studies leave
-among the files of a run.
+Their data are the tables of studies, with a row for each node (``Rollouts.columns``).
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import unquote, urlsplit
@@ -16,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import Pair, axis_label, pair_name
+from symo_exp.report.looks import Pair, axis_label, error_unit, inertia_unit, pair_name
 from symo_exp.runs.folder import STUDIES
 from symo_exp.tracking.store import Store, connect
 
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 POINTS = 600
-"""Of a line at most: more are not seen, and weigh on the page."""
+"""Largest number of points of a line."""
 TITLES = {
     "test_trajectory": "a motion without input",
     "long_term": "a long motion without input",
@@ -32,16 +31,16 @@ TITLES = {
     "forced_fast": "a motion under a sinusoidal input of 2 s",
 }
 LEARNED = "learned_quantities"
-FIRST = "Each method's run of the lowest seed, from the same start; the first of its motions."
+FIRST = "The run of the lowest seed of each method; the first of its motions, from one start."
 LONG = 10.0
-"""Seconds that are shown of a motion."""
+"""Time of a motion that is shown [s]: more oscillations cannot be told apart."""
 LOST = 1.5
-"""A prediction that is so many times faster than the truth ever is has nothing more to show."""
+"""Velocity of a prediction, over the largest true one, from which it counts as lost."""
 Tables = Mapping[Pair, pd.DataFrame]
 
 
 class Studied(NamedTuple):
-    """``tables`` hold the numbers of one study, by what ran it."""
+    """Tables of one study of a system, by method and integrator."""
 
     study: str
     system: str
@@ -50,27 +49,37 @@ class Studied(NamedTuple):
 
 
 def motion_figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | None) -> list[Figure]:
-    """All figures of the studies that the runs have done; ``drifting`` are those of floors."""
+    """Return the figures of all studies.
+
+    Args:
+        runs: Runs of learned models.
+        drifting: Runs of true systems, for the study ``drift``.
+        store: Where the files of studies are, unless in folders.
+    """
     made: list[Figure] = []
     for one in studied(runs, (*TITLES, LEARNED), store):
         key, tables = f"{one.study}_{one.system}", first(one.tables)
         long = max(table.t.max() for table in tables.values())
         if one.study == LEARNED:
             made.append(
-                learned(key, f"{one.system}: what was learned, along a true motion", tables)
+                learned_figure(key, f"{one.system}: what was learned, along a true motion", tables)
             )
         else:
-            made.append(motion(key, f"{one.system}: {TITLES[one.study]}, {long:g} s", tables))
+            made.append(
+                motion_figure(
+                    key, f"{one.system}: {TITLES[one.study]}, the first {long:g} s", tables
+                )
+            )
         if one.study == "long_term":
             title = f"{one.system}: phase space of a long motion"
-            made.append(phase_space(f"{key}_phase_space", title, first(one.tables, np.inf)))
-    return [*made, *drift(studied(drifting, ["drift"], store))]
+            made.append(phase_space_figure(f"{key}_phase_space", title, first(one.tables, np.inf)))
+    return [*made, *drift_figures(studied(drifting, ["drift"], store))]
 
 
 def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> list[Studied]:
-    """The studies of the given runs, of which each method has one a system: the lowest seed.
+    """Return the studies of the runs: for each system and method that of the lowest seed.
 
-    Only runs whose measures tell of a study are asked for its file.
+    Only the files of runs that have a measure of the study are read.
     """
     found = []
     for name in names:
@@ -87,8 +96,8 @@ def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> li
     return found
 
 
-def motion(key: str, title: str, tables: Tables) -> Figure:
-    """Every coordinate over time, the squared error of the configuration, and the energy."""
+def motion_figure(key: str, title: str, tables: Tables) -> Figure:
+    """Return the coordinates, the squared error of the configuration and the energy over time."""
     names, tables = coordinates(tables), {pair: kept(table) for pair, table in tables.items()}
     panels = [over_time(tables, f"q_{name}", f"q_true_{name}", axis_label(name)) for name in names]
     errors = {
@@ -97,13 +106,15 @@ def motion(key: str, title: str, tables: Tables) -> Figure:
         )
         for pair, table in tables.items()
     }
-    panels.append(over_time(errors, "error", None, "squared error [m², rad²]", log=True))
+    panels.append(
+        over_time(errors, "error", None, f"squared error [{error_unit(names)}]", log=True)
+    )
     panels.append(over_time(tables, "energy", "energy_true", "energy [J]"))
     return Figure(key, title, FIRST, panels)
 
 
-def phase_space(key: str, title: str, tables: Tables) -> Figure:
-    """A panel for each method, the truth under it; angles are wrapped."""
+def phase_space_figure(key: str, title: str, tables: Tables) -> Figure:
+    """Return a panel for each method, with the truth below it; angles are wrapped."""
     name = coordinates(tables)[0]
     labels = axis_label(name), axis_label(name, velocity=True)
     panels = [
@@ -114,11 +125,29 @@ def phase_space(key: str, title: str, tables: Tables) -> Figure:
     return Figure(key, title, f"{FIRST} Angles are wrapped.", panels)
 
 
-def learned(key: str, title: str, tables: Tables) -> Figure:
-    """Energies and inertia, learned and true, along a true motion."""
+def learned_figure(key: str, title: str, tables: Tables, names: Sequence[str] = ()) -> Figure:
+    """Return learned and true energies and inertia along a true motion.
+
+    Args:
+        key: The name of the files.
+        title: The heading.
+        tables: A table for each method, with the columns of ``beside_true``.
+        names: The names of the coordinates; those of the table if not given.
+    """
     columns = next(iter(tables.values())).columns
+    names = names or [str(c)[2:] for c in columns if str(c).startswith("q_")]
+
+    def unit(entry: str) -> str:
+        # inertia_23; from ten coordinates on, two digits are not told apart
+        rows = [int(digit) - 1 for digit in entry.removeprefix("inertia_")]
+        at = [names[i] for i in rows if i < len(names)]
+        return inertia_unit(*at) if len(at) == 2 else "kg, kg m, kg m²"
+
     panels = [
-        over_time(tables, column, f"{column}_true", "[kg, kg m, kg m²]", column.replace("_", " H"))
+        over_time(
+            tables, column, f"{column}_true", f"{column.replace('inertia_', 'H')} [{unit(column)}]",
+            column.replace("_", " H"),
+        )
         if column.startswith("inertia")
         else over_time(tables, column, f"{column}_true", f"{column} energy [J]")
         for column in columns if f"{column}_true" in columns
@@ -126,12 +155,12 @@ def learned(key: str, title: str, tables: Tables) -> Figure:
     return Figure(key, title, f"{FIRST} Potentials are shifted by a constant each.", panels)
 
 
-def drift(found: Iterable[Studied]) -> Iterable[Figure]:
-    """The true systems over small and large steps: energy lost, and volume of phase space."""
+def drift_figures(found: Iterable[Studied]) -> Iterable[Figure]:
+    """Yield figures of the true systems over small and large steps: energy error and volume."""
     found = sorted(found, key=lambda one: (one.system, one.time_step))
     caption = (
-        "Above: distance of the energy from the start's. Below: a small volume around the start, "
-        "carried along; a symplectic integrator keeps it."
+        "Above: difference of the energy from the initial one. Below: a small volume around the "
+        "initial state, carried along; a symplectic integrator preserves it."
     )
     for system in dict.fromkeys(one.system for one in found):
         above, below = [], []
@@ -144,7 +173,7 @@ def drift(found: Iterable[Studied]) -> Iterable[Figure]:
             }
             step = f"step {one.time_step:g} s"
             above.append(over_time(rows, "lost", None, "energy error [J]", step, log=True))
-            below.append(over_time(rows, "volume", None, "phase-space volume, of the first", step))
+            below.append(over_time(rows, "volume", None, "phase-space volume, relative", step))
         title = f"{system}: the true system in integrators, small steps and large"
         yield Figure(f"drift_{system}", title, caption, above + below, columns=len(above))
 
@@ -153,20 +182,29 @@ def over_time(
     tables: Tables, column: str, truth: str | None, label: str, title: str = "", *,
     log: bool = False,
 ) -> Panel:  # fmt: skip
-    """A column of every table over time; ``truth`` is that of the truth, in the first of them."""
-    parts = [rows(table.t, table[column], pair) for pair, table in tables.items()]
+    """Return a column of every table over time.
+
+    Args:
+        tables: A table for each method.
+        column: The column of the predictions.
+        truth: The column of the truth, in the first table.
+        label: The label of the y axis.
+        title: The heading.
+        log: Whether the y axis is logarithmic.
+    """
+    parts = [points(table.t, table[column], pair) for pair, table in tables.items()]
     if truth is not None:
         table = next(iter(tables.values()))
-        parts.insert(0, rows(table.t, table[truth]))
+        parts.insert(0, points(table.t, table[truth]))
     return Panel(title, "time [s]", label, pd.concat(parts), y_log=log, mark="line")
 
 
 def phase_rows(
     pair: Pair, table: pd.DataFrame, name: str, *, wrap: bool, count: int | None = None
 ) -> pd.DataFrame:
-    """Rows of a coordinate and its velocity, of the truth and of a model.
+    """Return a coordinate and its velocity, of the truth and of a model.
 
-    A line through them has gaps where an angle jumps and where another trajectory begins.
+    There are gaps where an angle jumps and where another trajectory begins.
     """
     parts = []
     for who, field in ((None, "_true"), (pair, "")):
@@ -175,12 +213,12 @@ def phase_rows(
         another = np.diff(table.trajectory, append=table.trajectory.iloc[-1]) != 0
         with np.errstate(invalid="ignore"):
             jumps = np.abs(np.diff(x, append=x[-1])) > (np.pi if wrap else np.inf)
-        parts.append(rows(x, np.where(another | jumps, np.nan, y), who, count or len(x)))
+        parts.append(points(x, np.where(another | jumps, np.nan, y), who, count or len(x)))
     return pd.concat(parts)
 
 
-def rows(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POINTS) -> pd.DataFrame:
-    """Points to draw, of a model or else of the truth, thinned to about ``count``."""
+def points(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POINTS) -> pd.DataFrame:
+    """Return about ``count`` points of a model, or of the truth without a pair."""
     table = pd.DataFrame({"x": x, "y": y})
     method, integrator = pair or ("", "")
     source = "ours" if pair else "truth"
@@ -189,7 +227,7 @@ def rows(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POINTS
 
 
 def kept(table: pd.DataFrame) -> pd.DataFrame:
-    """The motions, of a prediction that is lost only what comes before."""
+    """Return the motions, with predictions only until they are lost."""
     names = [c.removeprefix("v_true_") for c in map(str, table) if c.startswith("v_true_")]
     gone = pd.Series(False, index=table.index)
     for name in names:
@@ -202,13 +240,13 @@ def kept(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def wrapped(angle: np.ndarray) -> np.ndarray:
-    """Angles in (−π, π]."""
+    """Return angles in (−π, π]."""
     finite = np.where(np.isfinite(angle), angle, np.nan)
     return np.asarray(np.pi - np.mod(np.pi - finite, 2 * np.pi))
 
 
 def unbroken(angle: pd.Series) -> pd.Series:
-    """The angle wrapped, with a gap where it jumps."""
+    """Return wrapped angles, with gaps where they jump."""
     values = wrapped(angle.to_numpy())
     with np.errstate(invalid="ignore"):
         jumps = np.abs(np.diff(values, append=values[-1])) > np.pi
@@ -216,24 +254,24 @@ def unbroken(angle: pd.Series) -> pd.Series:
 
 
 def coordinates(tables: Tables) -> list[str]:
-    """The names of the coordinates in tables of a motion and its truth."""
+    """Return the names of the coordinates of a motion."""
     columns = next(iter(tables.values())).columns
     return [c.removeprefix("q_true_") for c in columns if c.startswith("q_true_")]
 
 
 def first(tables: Tables, seconds: float = LONG) -> Tables:
-    """The first motion in each table."""
+    """Return the first motion of each table, until ``seconds``."""
     return {pair: t[(t.trajectory == 0) & (t.t <= seconds)] for pair, t in tables.items()}
 
 
 def ranking(errors: Tensor) -> dict[str, int]:
-    """The motions that are predicted ``best``, ``median`` and ``worst``."""
+    """Return the indices of the motions that are predicted ``best``, ``median`` and ``worst``."""
     order = errors.argsort(stable=True).tolist()
     return {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
 
 
 def _read(store: Store | None, run_id: str, files: str, study: str) -> pd.DataFrame | None:
-    """From where the files lie, if this machine can reach it, else through the store."""
+    """Read the table of a study from a folder, or else through the store."""
     name, parts = f"{STUDIES}/{study}.parquet", urlsplit(files)
     if parts.scheme in ("", "file"):
         path = Path(unquote(parts.path) if parts.scheme else files) / name
@@ -243,5 +281,5 @@ def _read(store: Store | None, run_id: str, files: str, study: str) -> pd.DataFr
     with tempfile.TemporaryDirectory(prefix="symo_exp-") as copy:
         try:
             return pd.read_parquet(connect(store).download_artifacts(run_id, name, copy))
-        except Exception:  # gone, or away: the figure does without
+        except Exception:  # the file is gone or the server away: there is no figure
             return None

@@ -23,7 +23,13 @@ if TYPE_CHECKING:
     from symo_exp.report.document import Report
 
 WEB = Path(__file__).parent / "web"
-SOURCES = {"ours": "ours", "published": "published", "floor": "true system", "truth": "truth"}
+SOURCES = {
+    "ours": "ours",
+    "published": "published",
+    "floor": "true system",
+    "truth": "truth",
+    "measured": "measured",
+}
 
 
 def html(report: Report) -> str:

@@ -1,4 +1,4 @@
-"""Figures on paper: PNG, PDF and SVG by Matplotlib."""
+"""Figures of single runs as files, drawn by Matplotlib."""
 
 from __future__ import annotations
 
@@ -20,16 +20,18 @@ from symo_exp.report.looks import RC, short
 WIDTH, HEIGHT = 3.7, 2.7
 """Size of a panel [inch]."""
 MANY_POINTS, LONG_LINE = 200, 5000
-"""More are drawn small, and thin: they are of many runs or trajectories."""
+"""Numbers of points from which markers are drawn small and lines thin."""
 STYLES: dict[str, dict[str, Any]] = {
     "ours": {"lw": 1.5, "ms": 3.5},
-    "published": {"lw": 0.7, "ms": 4.5, "mfc": "none", "alpha": 0.8},
     "floor": {"lw": 1.1, "ms": 4, "alpha": 0.7},
     "truth": {"lw": 2.6, "ms": 2.4, "alpha": 0.35},
+    "measured": {"lw": 2.6, "ms": 2.4, "alpha": 0.35},
 }
 
 
-def save(figure: Figure, folder: Path, formats: Iterable[str] = ("png", "pdf")) -> list[Path]:
+def save_figure(
+    figure: Figure, folder: Path, formats: Iterable[str] = ("png", "pdf")
+) -> list[Path]:
     """Write ``<key>.<format>`` for each format."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{figure.key}.{form}" for form in formats]
@@ -43,7 +45,7 @@ def save(figure: Figure, folder: Path, formats: Iterable[str] = ("png", "pdf")) 
 
 
 def draw(figure: Figure) -> mpl.Figure:
-    """All panels, then one legend for them."""
+    """Return all panels with one legend."""
     columns = min(figure.columns, len(figure.panels))
     rows = -(-len(figure.panels) // columns)
     legend = _legend(figure.panels)
@@ -68,7 +70,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
     axes.set(xscale="log" if panel.x_log else "linear", yscale="log" if panel.y_log else "linear")
     axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     limits = panel.limits()
-    gone = [said for series in panel.traces() if (said := _draw(axes, panel, series, limits))]
+    gone = [said for trace in panel.traces() if (said := _draw(axes, panel, trace, limits))]
     shown = {"ylim": limits, "xlim": panel.x_limits()}
     axes.set(**{name: bounds for name, bounds in shown.items() if bounds})
     if panel.ticks:
@@ -81,36 +83,28 @@ def _panel(axes: Axes, panel: Panel) -> None:
     )  # fmt: skip
 
 
-def _draw(axes: Axes, panel: Panel, series: Trace, limits: Range | None) -> str | None:
-    """One series; what is to be said of it where nothing of it is within the limits."""
-    rows = series.rows
+def _draw(axes: Axes, panel: Panel, trace: Trace, limits: Range | None) -> str | None:
+    """Draw a trace and return a note on it if it is outside the limits."""
+    rows = trace.rows
     x, y = _finite(rows.x), _finite(rows.y)
-    axes.plot(x, y, **_style(panel, series))
-    if series.band:
+    axes.plot(x, y, **_style(panel, trace))
+    if trace.band:
         low, high = _finite(rows.low), _finite(rows.high)
-        axes.fill_between(x, low, high, color=series.look.colour, alpha=0.15, lw=0)
+        axes.fill_between(x, low, high, color=trace.look.colour, alpha=0.15, lw=0)
     if limits is None or ((y >= limits[0]) & (y <= limits[1])).any():
         return None
     where = short(float(np.nanmedian(y))) if np.isfinite(y).any() else "diverged"
-    return f"{series.name}: off the scale ({where})"
+    return f"{trace.name}: off the scale ({where})"
 
 
-def _style(panel: Panel, series: Trace) -> dict[str, Any]:
-    look, dash, count = series.look, series.stroke.dash, len(series.rows)
-    line = (0, dash) if dash else "-"
-    style = {"color": look.colour, "ls": line, "marker": look.marker, **STYLES[series.source]}
-    if panel.mark == "line":
-        if panel.rows.method.nunique() > 2 and series.method:  # and the truth: apart without colour
-            first = int((0.05 + sum(series.name.encode()) % 5 * 0.04) * count)
-            return style | {"markevery": (first, max(1, count // 4))}
-        return style | {"marker": ""} | ({"lw": 0.6} if count > LONG_LINE else {})
+def _style(panel: Panel, trace: Trace) -> dict[str, Any]:
+    look, count = trace.look, len(trace.rows)
+    style: dict[str, Any] = {"color": look.colour, **STYLES[trace.source]}
     if panel.mark == "points":
-        style |= {"ls": "", "alpha": 0.8}
-        if count > MANY_POINTS:
-            return style | {"ms": 1.2, "marker": "."}
-        # points have no dash: those of a second integrator are hollow, of a third half filled
-        return style | {0: {}, 4: {"fillstyle": "left"}}.get(len(dash), {"mfc": "none"})
-    return style
+        small = {"ms": 1.2, "marker": "."} if count > MANY_POINTS else {"marker": look.marker}
+        return style | {"ls": "", "alpha": 0.8} | small
+    dash = (0, trace.stroke.dash) if trace.stroke.dash else "-"
+    return style | {"ls": dash} | ({"lw": 0.6} if count > LONG_LINE else {})
 
 
 def _finite(values: Any) -> np.ndarray:
@@ -119,13 +113,8 @@ def _finite(values: Any) -> np.ndarray:
 
 
 def _legend(panels: Iterable[Panel]) -> dict[str, Line2D]:
-    """A mark for everything that is drawn; of what is published one, for it has the others'."""
+    """Return a mark for each name."""
     entries: dict[str, Line2D] = {}
-    for panel, series in ((one, series) for one in panels for series in one.traces()):
-        style = _style(panel, series)
-        if series.source == "published":
-            ring = {**style, "color": "#777777", "ls": "-", "marker": "o"}
-            entries["published"] = Line2D([], [], **ring)
-        else:
-            entries.setdefault(series.name, Line2D([], [], **style))
+    for panel, trace in ((one, trace) for one in panels for trace in one.traces()):
+        entries.setdefault(trace.name, Line2D([], [], **_style(panel, trace)))
     return entries

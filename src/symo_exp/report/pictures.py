@@ -1,4 +1,4 @@
-"""Pictures of one run: what the model predicts and what it has learned, beside the truth."""
+"""Pictures of one run: predictions and learned quantities beside the truth."""
 
 from __future__ import annotations
 
@@ -16,15 +16,25 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.report import recordings
 from symo_exp.report.animation import animate
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import TRUTH, axis_label, look
-from symo_exp.report.motions import kept, learned, over_time, phase_rows, ranking, rows, unbroken
-from symo_exp.report.paper import save
+from symo_exp.report.looks import MEASURED, TRUTH, axis_label, error_unit, look
+from symo_exp.report.motions import (
+    LONG,
+    kept,
+    learned_figure,
+    over_time,
+    phase_rows,
+    points,
+    ranking,
+    unbroken,
+)  # fmt: skip
+from symo_exp.report.paper import save_figure
 from symo_exp.systems.base import LagrangianSystem, System
+from symo_exp.systems.recorded import Recorded
 
 LEARNED_SECONDS = 10.0
-"""Length of the motion along which learned quantities are drawn, as in the thesis."""
+"""Length [s] of the motion along which learned quantities are drawn, as in the thesis."""
 DRAWN = 1e-16, 1e30
-"""A logarithm knows no zero, and its axis no more than this."""
+"""Limits of values on a logarithmic axis."""
 
 
 def draw_run(
@@ -36,37 +46,58 @@ def draw_run(
     title: str,
     folder: Path,
 ) -> list[Path]:
-    """Write all pictures of a run into ``folder``; without a skeleton there is no animation.
+    """Write all pictures of a run; there is an animation of systems with a skeleton.
 
-    ``method`` chooses the look, ``title`` is what the run is called.
+    Args:
+        model: The trained model.
+        system: The system.
+        found: Its evaluation.
+        method: The name of the method, which determines the look.
+        title: The name of the run.
+        folder: Where the files are written.
+
+    Returns:
+        The files.
     """
-    rollouts = found.rollouts
-    made = figures(model, system, rollouts, method, title)
+    rollouts, measured = found.rollouts, isinstance(system, Recorded)
+    made = run_figures(model, system, rollouts, method, title)
+    if measured:
+        made = [recordings.measured_figure(figure) for figure in made]
     if found.recorded is not None:
-        made += recordings.figures(model, found.recorded, method, title)
-    paths = [path for figure in made for path in save(figure, folder, ["png"])]
+        made += recordings.recording_figures(model, found.recorded, method, title)
+    paths = [path for figure in made for path in save_figure(figure, folder, ["png"])]
     if system.skeleton(rollouts.q_true[0, 0]) is not None:
         which = ranking(_errors(rollouts))["median"]
-        paths.append(animate(system, rollouts, which, look(method), title, folder))
+        paths.append(
+            animate(
+                system,
+                rollouts,
+                which,
+                (look(method), MEASURED if measured else TRUTH),
+                title,
+                folder,
+            )
+        )
     return paths
 
 
-def figures(
+def run_figures(
     model: DynamicsModel, system: System, rollouts: Rollouts, method: str, title: str
 ) -> list[Figure]:
-    """Those of a run; without an energy or a learned Lagrangian there is none of it."""
+    """Return the figures of a run, of energies and a learned Lagrangian only where there are."""
     made = [trajectories(rollouts, method, title), phase_portrait(rollouts, method, title)]
     if rollouts.energy is not None:
-        made.append(energy(rollouts, method, title))
+        made.append(energy_figure(rollouts, method, title))
     if model.lagrangian is not None and isinstance(system, LagrangianSystem):
         made.append(learned_quantities(model, system, rollouts, method, title))
     return made
 
 
 def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
-    """Every coordinate over time, prediction on truth, for a good, a typical and a bad rollout.
+    """Return the coordinates over time for the best, the median and the worst rollout.
 
-    Angles are wrapped where the truth turns over. Below, the error, which does not jump.
+    They show the first seconds, the errors below all of the rollout. Angles are wrapped where the
+    truth turns over.
     """
     errors, table, pair = _errors(rollouts), _table(rollouts), (method, "")
     chosen = {which: table[table.trajectory == at] for which, at in ranking(errors).items()}
@@ -77,13 +108,15 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
             turns = angular and np.ptp(one[columns[1]]) > 2 * np.pi
             said = f"{which} of {len(errors)}: MSE {errors[one.trajectory.iloc[0]]:.2g}"
             shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
+            shown = shown[shown.t <= LONG]
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
     names = rollouts.coordinates.names
+    unit = error_unit(names, rollouts.coordinates.angular)
     for one in chosen.values():
         squares = sum((one[f"q_{n}"] - one[f"q_true_{n}"]) ** 2 for n in names) / len(names)
         panels.append(
             over_time(
-                {pair: one.assign(error=squares)}, "error", None, "squared error [m², rad²]",
+                {pair: one.assign(error=squares)}, "error", None, f"squared error [{unit}]",
                 log=True,
             )
         )  # fmt: skip
@@ -91,7 +124,7 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
 
 
 def phase_portrait(rollouts: Rollouts, method: str, title: str) -> Figure:
-    """All rollouts in the phase plane of every coordinate, truth beside prediction.
+    """Return all rollouts in the phase plane of each coordinate, truth beside prediction.
 
     Angles are wrapped to (−π, π].
     """
@@ -108,8 +141,8 @@ def phase_portrait(rollouts: Rollouts, method: str, title: str) -> Figure:
     )
 
 
-def energy(rollouts: Rollouts, method: str, title: str) -> Figure:
-    """The true system's energy of the predicted states, and its distance from the start's."""
+def energy_figure(rollouts: Rollouts, method: str, title: str) -> Figure:
+    """Return the true energy of the predicted states, and its difference from the initial one."""
     assert rollouts.energy is not None
     assert rollouts.energy_true is not None
     initial, pair = rollouts.energy_true[:, :1], (method, "")
@@ -118,9 +151,9 @@ def energy(rollouts: Rollouts, method: str, title: str) -> Figure:
     above = over_time({pair: table}, "energy", "energy_true", "E [J]", "rollout of median error")
     lost = (rollouts.energy - initial).abs().nan_to_num(nan=float("inf")).clamp(*DRAWN).numpy()
     drift = (rollouts.energy_true - initial).abs().clamp(*DRAWN).numpy()
-    ours = rows(table.t, np.median(lost, 0), pair, len(table))
+    ours = points(table.t, np.median(lost, 0), pair, len(table))
     ours = ours.assign(low=lost.min(0), high=lost.max(0))
-    both = pd.concat([rows(table.t, np.median(drift, 0), None, len(table))[1:], ours[1:]])
+    both = pd.concat([points(table.t, np.median(drift, 0), None, len(table))[1:], ours[1:]])
     below = Panel("all rollouts: median and range", "time [s]", "|E − E₀| [J]", both, mark="line")
     return Figure(
         "energy",
@@ -133,29 +166,29 @@ def energy(rollouts: Rollouts, method: str, title: str) -> Figure:
 def learned_quantities(
     model: DynamicsModel, system: LagrangianSystem, rollouts: Rollouts, method: str, title: str
 ) -> Figure:
-    """Energies and inertia, learned and true, along one true motion."""
+    """Return learned and true energies and inertia along a true motion."""
     nodes = 1 + round(LEARNED_SECONDS / rollouts.time_step)
     which = ranking(_errors(rollouts))["median"]
     q, v = rollouts.q_true[which, :nodes], rollouts.v_true[which, :nodes]
     found = beside_true(model.for_evaluation(), system, q[None], v[None]).columns
     table = pd.DataFrame({name: column.numpy() for name, column in found.items()})
     title = f"{title}: learned quantities along a true motion"
-    return learned("learned", title, {(method, ""): table})
+    return learned_figure("learned", title, {(method, ""): table}, system.coordinates.names)
 
 
 def _errors(rollouts: Rollouts) -> Tensor:
-    """Mean squared error of each trajectory; infinite for one that is lost."""
+    """Return the mean squared error of each trajectory, infinite for a lost one."""
     return squared_error(rollouts.q[:, 1:], rollouts.q_true[:, 1:]).mean((1, 2))
 
 
 def _table(rollouts: Rollouts) -> pd.DataFrame:
-    """All motions: a row for each node; of a prediction that is lost what comes before."""
+    """Return all motions, a row for each node, with predictions only until they are lost."""
     columns = {name: column.numpy() for name, column in rollouts.columns().items()}
     return kept(pd.DataFrame(columns))
 
 
 def _until(one: pd.DataFrame) -> str:
-    """When the prediction of a motion is lost, if it is."""
+    """Return when the prediction of a motion is lost, if it is."""
     gone = one[one.filter(like="q_").isna().any(axis=1)]
     return "" if gone.empty else f", lost at {gone.t.iloc[0]:.1f} s"
 

@@ -1,4 +1,4 @@
-"""Pictures of a run on recordings: its windows, and the dissipation that it has learned."""
+"""Pictures of a run on recordings: its windows and its learned dissipation."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.rollouts import along
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import Pair, axis_label, symbol
-from symo_exp.report.motions import over_time, ranking, rows
+from symo_exp.report.looks import MEASURED, TRUTH, Pair, axis_label, symbol
+from symo_exp.report.motions import over_time, points, ranking
 
 REFERENCE: Pair = ("reference", "")
 Force = Callable[[Tensor, Tensor], Tensor]
 """The generalised force of dissipation at a batch of states."""
 
 
-def figures(
+def recording_figures(
     model: DynamicsModel, found: RecordedPredictions, method: str, title: str
 ) -> list[Figure]:
-    """The windows; where the model has a dissipation, what it does in them."""
-    made = [windows(found, method, title)]
+    """Return the windows and, of a model with dissipation, its forces in them."""
+    made = [windows_figure(found, method, title)]
     learned = getattr(model, "dissipation", None)
     force: Force | None = learned and learned.force
     if force is not None:
-        made.append(dissipation(model, force, found, method, title))
-    return made
+        made.append(dissipation_figure(model, force, found, method, title))
+    return [measured_figure(figure) for figure in made]
 
 
-def windows(found: RecordedPredictions, method: str, title: str) -> Figure:
-    """Every coordinate over time, prediction on measurement, and the error below."""
+def windows_figure(found: RecordedPredictions, method: str, title: str) -> Figure:
+    """Return the coordinates over time, predicted and measured, with the errors below."""
     table, errors = _table(found), found.model.rmse(HORIZONS[-1])
     chosen = {which: table[table.window == at] for which, at in ranking(errors).items()}
     above, below = [], []
@@ -53,10 +53,10 @@ def windows(found: RecordedPredictions, method: str, title: str) -> Figure:
     return Figure("windows", f"{title}: windows of the recordings", "", above + below)
 
 
-def dissipation(
+def dissipation_figure(
     model: DynamicsModel, force: Force, found: RecordedPredictions, method: str, title: str
 ) -> Figure:
-    """Its generalised force over velocity in all windows, and over time in the median one."""
+    """Return the generalised force over velocity in all windows, over time in the median one."""
     place, v, pair = model.input_matrix, found.model.v, (method, "")
     finite = (found.model.q + v + found.model.q_true).isfinite().all(2, keepdim=True)
     states = (x.where(finite, 0.0).to(place) for x in (found.model.q, v))
@@ -67,8 +67,8 @@ def dissipation(
     for i, (name, angular) in enumerate(zip(*found.coordinates, strict=True)):
         label = f"F of {symbol(name)} [{'N m' if angular else 'N'}]"
         speed = axis_label(name, velocity=True, angular=angular)
-        cloud = rows(v[..., i].flatten(), values[..., i].flatten(), pair, 10_000)
-        line = rows(found.model.time_step * nodes, values[which, :, i], pair)
+        cloud = points(v[..., i].flatten(), values[..., i].flatten(), pair, 10_000)
+        line = points(found.model.time_step * nodes, values[which, :, i], pair)
         panels += [
             Panel("all windows", speed, label, cloud, y_log=False, mark="points"),
             Panel("window of median error", "time [s]", label, line, y_log=False, mark="line"),
@@ -76,16 +76,29 @@ def dissipation(
     return Figure("dissipation", f"{title}: learned dissipation", "", panels, columns=2)
 
 
+def measured_figure(figure: Figure) -> Figure:
+    """Return a figure of a recorded motion: measured, where others show the truth."""
+    panels = [
+        replace(
+            panel, rows=panel.rows.assign(source=panel.rows.source.replace("truth", "measured")),
+            only=panel.only.replace("truth", "measured"),
+            title=MEASURED.label if panel.title == TRUTH.label else panel.title,
+        )
+        for panel in figure.panels
+    ]  # fmt: skip
+    return replace(figure, panels=panels)
+
+
 def _beside(panel: Panel, table: pd.DataFrame, column: str) -> Panel:
-    """The panel with what a reference says, if there is one."""
+    """Return the panel with the prediction of a reference, if there is one."""
     if column not in table:
         return panel
-    other = rows(table.t, table[column], REFERENCE).assign(source="floor")
+    other = points(table.t, table[column], REFERENCE).assign(source="floor")
     return replace(panel, rows=pd.concat([panel.rows, other]))
 
 
 def _with_errors(found: RecordedPredictions, table: pd.DataFrame) -> pd.DataFrame:
-    """``error`` of the predicted nodes, and ``error_reference`` where there is one."""
+    """Add ``error`` of the predicted nodes and, of a reference, ``error_reference``."""
     names, errors = found.coordinates.names, {}
     for suffix in ("", "_reference"):
         if f"q{suffix}_{names[0]}" in table:

@@ -1,4 +1,4 @@
-"""Tables, apart from who prints them: Markdown, LaTeX, HTML."""
+"""Tables as data, and as Markdown and LaTeX."""
 
 from __future__ import annotations
 
@@ -17,20 +17,30 @@ LATEX = {
 
 
 class Cell(NamedTuple):
-    """``shade`` is the share of a rank, 1 for the best, or NaN."""
+    """Text of a cell; ``shade`` is its rank between 0 and 1, the best, or NaN."""
 
     text: str
     shade: float
 
     @property
     def best(self) -> bool:
+        """Whether the cell has the best rank."""
         return self.shade == 1
 
 
 @dataclass(frozen=True)
 class ResultTable:
-    """``key`` names its files; ``rows`` are text, the first ``words`` columns set flush left;
-    ``notes`` stand below it. A heat map has ``shades``, one for each cell."""
+    """A table of text.
+
+    Args:
+        key: The name of its files.
+        title: The heading.
+        rows: The text.
+        notes: Lines below the table.
+        words: Number of columns, from the left, that are set flush left.
+        system: The system of the table, for a page that selects one.
+        shades: Of a heat map, the rank of each cell between 0 and 1, the best.
+    """
 
     key: str
     title: str
@@ -42,17 +52,18 @@ class ResultTable:
 
     @property
     def header(self) -> list[str]:
+        """The headings of the columns."""
         return list(map(str, self.rows.columns))
 
     def lines(self) -> Iterator[list[Cell]]:
-        """The rows below the header."""
+        """Yield the rows below the header."""
         shades = self.rows.map(lambda _: float("nan")) if self.shades is None else self.shades
         for texts, marks in zip(self.rows.astype(str).values, shades.values, strict=True):
             yield [Cell(text, mark) for text, mark in zip(texts, marks, strict=True)]
 
 
 def markdown_table(table: ResultTable) -> str:
-    """The best are bold."""
+    """Return a table as Markdown, the best cells in bold."""
     rule = [":--" if i < table.words else "--:" for i in range(table.rows.shape[1])]
     rows = [[f"**{x.text}**" if x.best else x.text for x in line] for line in table.lines()]
     escaped = ([cell.replace("|", r"\|") for cell in line] for line in (table.header, rule, *rows))
@@ -61,7 +72,7 @@ def markdown_table(table: ResultTable) -> str:
 
 
 def latex(table: ResultTable) -> str:
-    """A ``table`` environment of the package booktabs."""
+    """Return a table as a LaTeX ``table`` environment, for the package booktabs."""
     columns = "l" * table.words + "r" * (table.rows.shape[1] - table.words)
     rows = [
         [rf"\textbf{{{_escaped(x.text)}}}" if x.best else _escaped(x.text) for x in line]
