@@ -5,8 +5,16 @@ import math
 import pytest
 
 from symo_exp.identify.candidates import Candidate
-from symo_exp.identify.validation import Trial, beats, choose, compared, error
-from symo_exp.runs.folder import RunFolder
+from symo_exp.identify.validation import (
+    Trial,
+    baseline_error,
+    beats,
+    choose,
+    compared,
+    fold_error,
+)
+from symo_exp.runs.folder import SERIES, RunFolder
+from symo_exp.runs.series import Series
 
 
 def trial(rank, errors, reasons=None):
@@ -49,13 +57,25 @@ def test_the_comparison_is_of_logarithms():
     assert beats({0: 1.0, 1: 1.1}, other, [0, 1])
 
 
-@pytest.mark.parametrize(("rmse", "wanted"), [(0.1, 0.1), (math.inf, 10.0), (1e6, 10.0)])
-def test_an_error_is_finite_and_at_most_ten_times_the_baselines(rmse, wanted, tmp_path):
+@pytest.mark.parametrize(
+    ("losses", "wanted"),
+    [([3.0, 1.0, 2.0], 1.0), ([math.inf, 2.0], 2.0), ([math.inf], math.inf), ([], math.nan)],
+)
+def test_the_error_of_a_fold_is_the_smallest_of_its_validations(losses, wanted, tmp_path):
     folder = RunFolder(tmp_path / "run")
     folder.path.mkdir()
-    horizons = ("0.5s", "1s", "2s")
-    folder.write_measures(
-        {f"rmse_{h}": rmse for h in horizons}
-        | {f"constant_velocity_rmse_{h}": 1.0 for h in horizons}
-    )
-    assert error(folder) == (pytest.approx(wanted), pytest.approx(1.0))
+    series = Series(folder / SERIES)
+    for epoch in range(2 * len(losses) + 1):
+        validated = {"val_loss": losses[epoch // 2]} if epoch % 2 else {}
+        series.append(epoch, {"train_loss": 1.0, **validated})
+    series.flush()
+    assert fold_error(folder) == pytest.approx(wanted, nan_ok=True)
+
+
+def test_the_baseline_is_known_where_a_fold_was_measured(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.path.mkdir()
+    assert math.isnan(baseline_error(folder))
+    horizons = {"0.5s": 1.0, "1s": 2.0, "2s": 4.0}
+    folder.write_measures({f"constant_velocity_rmse_{h}": x for h, x in horizons.items()})
+    assert baseline_error(folder) == pytest.approx(2.0)

@@ -23,15 +23,17 @@ NODE = 30e-6
 """Time of an epoch of links in a plane, midpoint rule, a node and coordinate [s]."""
 VALIDATION = 1.0
 """Time of the rollouts of a validation, two coordinates [s]; hardly more with more windows."""
-MEASURES = 4
-"""The measures at the end, in validations."""
 STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
-SCREENING, VARYING, REFITTING = 0.45, 0.2, 0.15
+SCREENING, VARYING, REFITTING = 0.4, 0.35, 0.15
 """Shares of the budget."""
 FOLDS, FEWEST_NODES, MOST_NODES = 6, 800, 30_000
-EFFORTS = ((40, 20), (20, 10), (10, 5))
+EFFORTS = ((20, 20), (10, 10))
 """Epochs with held nodes and for each epsilon, from the most thorough."""
+PROMOTED, VARIED = 2, 1.5
+"""Variations that are tried on all folds, and the cost of one over its candidate's."""
+DATA = 0.6
+"""Share of the time that fewer data leave at least where data are reduced first."""
 PATIENCE = 4.0
 """A run that takes so many times longer than planned is ended."""
 
@@ -47,8 +49,6 @@ class Plan:
         folds: Of the cross-validation.
         first: Folds of the first round.
         seconds: Length of the training part of a fold [s].
-        most_seconds: Length of the training part of the last fit, or of folds that are tried with
-            more data.
         start: Epochs with held nodes.
         epochs: Epochs for each epsilon.
         names: Candidates of the first round.
@@ -62,7 +62,6 @@ class Plan:
     folds: int
     first: int
     seconds: float
-    most_seconds: float
     start: int
     epochs: int
     names: tuple[str, ...]
@@ -81,6 +80,15 @@ class Plan:
     def expected(self, candidate: Candidate, nodes: int, n: int) -> float:
         """Return the time of a run on so many nodes and coordinates [s]."""
         return _expected(candidate, nodes, n, self.start, self.epochs) / self.speed
+
+    def most_seconds(self, candidate: Candidate, machine: Machine) -> float:
+        """Return the length of data that a candidate can be fitted to in its time [s]."""
+        nodes, time = machine.nodes, REFITTING * self.budget
+        while nodes > FEWEST_NODES and (
+            nodes > MOST_NODES or self.expected(candidate, nodes, machine.n) > time
+        ):
+            nodes = max(FEWEST_NODES, int(nodes / 1.25))
+        return min(machine.seconds, nodes * machine.time_step)
 
     def limit(self, candidate: Candidate, nodes: int, n: int) -> float:
         """Return the time after which a training is ended [s]."""
@@ -109,7 +117,8 @@ def make_plan(
 ) -> Plan:  # fmt: skip
     """Return the most thorough plan that fits the budget.
 
-    First the epochs are reduced, then the data, then the candidates, the costliest first.
+    First the epochs are reduced, then the data where they take most of the time, then the folds and
+    the candidates, the costliest first.
     """
     work = budget * cores * speed
     folds = max(2, min(FOLDS, machine.recordings if machine.recordings >= 3 else FOLDS))
@@ -127,13 +136,25 @@ def make_plan(
     for effort in EFFORTS:
         if screening(effort, nodes, chosen) <= SCREENING * work:
             break
-    while screening(effort, nodes, chosen) > SCREENING * work and nodes > FEWEST_NODES:
-        nodes = max(FEWEST_NODES, int(nodes / 1.5))
-    while screening(effort, nodes, chosen) > SCREENING * work and len(chosen) > 2:
-        chosen.remove(max(chosen, key=lambda c: c.cost))
-    while screening(effort, nodes, chosen) > SCREENING * work and folds > 3:
+
+    def too_much() -> bool:
+        return screening(effort, nodes, chosen) > SCREENING * work
+
+    def data_matter() -> bool:
+        return screening(effort, FEWEST_NODES, chosen) < DATA * screening(effort, nodes, chosen)
+
+    while too_much() and nodes > FEWEST_NODES and data_matter():
+        nodes = max(FEWEST_NODES, int(nodes / 1.25))
+    while too_much() and folds > 4:
         folds -= 1
-    one = _expected(chosen[0], nodes, machine.n, *effort) * folds * 1.5
+    while too_much() and len(chosen) > 2:
+        chosen.remove(max(chosen, key=lambda c: c.cost))
+    while too_much() and nodes > FEWEST_NODES:
+        nodes = max(FEWEST_NODES, int(nodes / 1.25))
+    while too_much() and folds > 3:
+        folds -= 1
+    one = VARIED * _expected(chosen[0], nodes, machine.n, *effort)
+    left = VARYING * work / one - PROMOTED * (folds - first)
     return Plan(
         budget=budget,
         cores=cores,
@@ -141,26 +162,12 @@ def make_plan(
         folds=folds,
         first=first,
         seconds=nodes * machine.time_step,
-        most_seconds=_most(chosen, machine, effort, REFITTING * budget * speed) * machine.time_step,
         start=effort[0],
         epochs=effort[1],
         names=tuple(c.name for c in chosen),
-        variations=int(VARYING * work / one),
+        variations=max(0, int(left / first)),
         key=key,
     )
-
-
-def _most(
-    candidates: Sequence[Candidate], machine: Machine, effort: tuple[int, int], work: float
-) -> int:
-    """Return the most nodes on which the costliest candidate can be fitted in the time."""
-    nodes = machine.nodes
-    while nodes > FEWEST_NODES and (
-        nodes > MOST_NODES
-        or max(_expected(c, nodes, machine.n, *effort) for c in candidates) > work
-    ):
-        nodes = max(FEWEST_NODES, int(nodes / 1.25))
-    return nodes
 
 
 def kept_plan(file: Path, key: str) -> Plan | None:
@@ -204,7 +211,7 @@ def _expected(candidate: Candidate, nodes: int, n: int, start: int, epochs: int)
     stages = 4 + 3 * (candidate.settings.get("dissipation") == "learned")
     total = candidate.starts * start + stages * epochs
     training = NODE * candidate.cost * n * nodes * total
-    measuring = VALIDATION * math.sqrt(candidate.cost * n / 2) * (total / epochs + MEASURES)
+    measuring = VALIDATION * math.sqrt(candidate.cost * n / 2) * total / epochs
     return STARTING + training + measuring
 
 

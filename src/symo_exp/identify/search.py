@@ -29,7 +29,15 @@ from symo_exp.identify.doubts import doubts
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.table import candidates_table, write_candidates
-from symo_exp.identify.validation import Trial, beats, choose, error
+from symo_exp.identify.validation import (
+    LEAST,
+    WORST,
+    Trial,
+    baseline_error,
+    beats,
+    choose,
+    fold_error,
+)
 from symo_exp.process import phases
 from symo_exp.runs.folder import SERIES, RunFolder
 from symo_exp.runs.series import read
@@ -65,6 +73,7 @@ class Search:
             OmegaConf.update(master, "experiment", self._experiment)
         self._said_late = False
         self._trials: dict[str, Trial] = {}
+        self._baselines: dict[int, float] = {}
         self._folders: dict[tuple[str, int], RunFolder] = {}
 
     def run(self, *, check_only: bool = False) -> int:
@@ -169,8 +178,10 @@ class Search:
             for c in self._ranked(tried, first)
             if self._trials[c.name].mean(first) < base.mean(first)
         ]
-        self._try(better[:3], folds)
-        gains = [c for c in self._ranked(better[:3], folds) if self._gains(c, base, folds)]
+        self._try(better[: plans.PROMOTED], folds)
+        gains = [
+            c for c in self._ranked(better[: plans.PROMOTED], folds) if self._gains(c, base, folds)
+        ]
         if len(gains) > 1 and self._in_time(0.75, "variations are not combined"):
             self._try([_joined(base.candidate, gains[0], gains[1])], folds)
 
@@ -180,7 +191,8 @@ class Search:
     def _grow(self, best: Trial) -> Trial:
         """Return the chosen candidate with as much data as lowers the errors of the folds."""
         seconds, folds = self._plan.seconds, range(len(best.errors))
-        longest = self._plan.most_seconds * (self._plan.folds - 1) / self._plan.folds
+        there = self._plan.most_seconds(best.candidate, self._machine)
+        longest = there * (self._plan.folds - 1) / self._plan.folds
         while 2 * seconds <= longest and self._in_time(0.8, "more data are not tried"):
             seconds *= 2
             more = best.candidate.changed(
@@ -228,11 +240,17 @@ class Search:
         if outcome.status != "finished":
             trial.reasons[k] = outcome.reason
             return
-        mine, _ = error(folder)
-        if math.isnan(mine):
-            trial.reasons[k] = "no window of the held-out part moves"
+        mine = fold_error(folder)
+        if not math.isnan(baseline := baseline_error(folder)):
+            self._baselines[k] = baseline
+        mine = min(mine, WORST * self._baselines.get(k, math.inf))
+        if not math.isfinite(mine):
+            trial.reasons[k] = (
+                "it was ended before its first validation" if math.isnan(mine)
+                else "it diverges, or no window of the held-out part moves"
+            )  # fmt: skip
             return
-        trial.errors[k] = mine
+        trial.errors[k] = max(mine, LEAST)
         self._folders[trial.candidate.name, k] = folder
         trial.overran += len(read(folder / SERIES)) < self._epochs(trial.candidate)
 
@@ -271,9 +289,10 @@ class Search:
             f"data.fold={POOLED}",
             f"trainer.max_epochs={epochs}",
             "optimizer.tolerance=1e9",  # the last parameters: nothing is held out
-            data__seconds=self._longest(),
+            data__seconds=self._longest(best.candidate),
             logger=None,
             pictures="pictures=true",
+            measures="measures=true",
         )
         (folder,) = self._sweep.perform([overrides], [best.candidate.name])
         if isinstance(folder, ConfigError):
@@ -291,9 +310,9 @@ class Search:
         print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
         return 0
 
-    def _longest(self) -> str | None:
+    def _longest(self, candidate: Candidate) -> str | None:
         """Return the bound of the data of the last fit; ``None`` where there are no more."""
-        most = self._plan.most_seconds
+        most = self._plan.most_seconds(candidate, self._machine)
         return f"data.seconds={most:g}" if most < self._machine.seconds else None
 
     def _no_model(self) -> int:
@@ -342,6 +361,8 @@ class Search:
                 "logger=none",
                 "trainer.compile=false",  # it takes longer than most of these trainings
                 "pictures=false",
+                # one candidate's folds are measured, for the baseline
+                f"measures={str(candidate.name == plan.names[0]).lower()}",
                 f"data.seconds={plan.seconds:g}",
                 f"trainer.time_limit={plan.limit(candidate, nodes, machine.n):.0f}",
                 *plan.overrides(candidate),

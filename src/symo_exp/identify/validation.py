@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symo_exp.identify.candidates import Candidate
-from symo_exp.runs.folder import RunFolder
+from symo_exp.runs.folder import SERIES, RunFolder
+from symo_exp.runs.series import read
 
 HORIZONS = ("0.5s", "1s", "2s")
-WORST = 10.0
-"""An error counts as at most so many times that of constant velocity."""
+WORST, LEAST = 10.0, 1e-12
+"""An error counts as at most so many times that of constant velocity, and at least as this."""
 
 
 @dataclass
@@ -44,20 +45,21 @@ class Trial:
         return math.exp(float(np.mean([math.log(self.errors[k]) for k in chosen])))
 
 
-def error(folder: RunFolder) -> tuple[float, float]:
-    """Return the error of a fold and that of constant velocity.
+def fold_error(folder: RunFolder) -> float:
+    """Return the smallest error of a training on its held-out part.
 
-    It is the geometric mean of the medians over windows of the errors to 0.5, 1 and 2 s.
+    It is the geometric mean of the medians over windows of the errors to 0.5, 1 and 2 s; infinite
+    where the model diverges or no window moves, NaN without a validation.
     """
+    losses = [row["val_loss"] for row in read(folder / SERIES) if "val_loss" in row]
+    return min((x for x in losses if not math.isnan(x)), default=math.inf if losses else math.nan)
+
+
+def baseline_error(folder: RunFolder) -> float:
+    """Return the same error of constant velocity; NaN where it was not measured."""
     measures = folder.measures()
-    found = []
-    for prefix in ("", "constant_velocity_"):
-        values = [measures.get(f"{prefix}rmse_{horizon}", math.nan) for horizon in HORIZONS]
-        found.append(math.prod(values) ** (1 / len(values)))
-    mine, baseline = found
-    if math.isnan(mine) and not math.isnan(baseline):
-        mine = math.inf
-    return max(min(mine, WORST * baseline), 1e-12), baseline
+    values = [measures.get(f"constant_velocity_rmse_{h}", math.nan) for h in HORIZONS]
+    return math.prod(values) ** (1 / len(values))
 
 
 def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:

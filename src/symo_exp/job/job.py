@@ -90,9 +90,8 @@ def is_done(settings: Mapping[str, Any], folder: RunFolder) -> bool:
     if folder.outcome().status != "finished":
         return False
     drawn = not settings["pictures"] or (folder / PICTURES).exists()
-    if settings.get("reference") != folder.reference():
-        return False
-    return drawn and not folder.missing_studies(settings["study"])
+    measured = not settings["measures"] or folder.is_measured(settings.get("reference"))
+    return drawn and measured and not folder.missing_studies(settings["study"])
 
 
 def debugging() -> bool:

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 INCIDENTAL = {
-    "hydra", "experiment", "output_dir", "logger", "resume", "study", "pictures", "code",
-    "optimized_metric", "reference", "data.cache_dir", "trainer.progress",
+    "hydra", "experiment", "output_dir", "logger", "resume", "study", "pictures", "measures",
+    "code", "optimized_metric", "reference", "data.cache_dir", "trainer.progress",
     "trainer.checkpoint_every", "trainer.time_limit", "budget",
 }  # fmt: skip
 """Settings, and groups of them, that change no number of a run."""

@@ -160,6 +160,10 @@ class RunFolder:
         config = yaml.safe_load((self / CONFIG).read_text(encoding="utf-8")) if there else None
         return (config or {}).get("reference")
 
+    def is_measured(self, reference: Any) -> bool:
+        """Whether the measures were taken, beside this reference."""
+        return (self / MEASURES).exists() and self.reference() == reference
+
     def write_table(self, name: str, columns: Mapping[str, Any]) -> None:
         """Columns of equal length as a Parquet file."""
         import pyarrow
