@@ -122,3 +122,21 @@ def graph() -> dict[str, set[str]]:
                   if any(f"{name}.".startswith(f"symo_exp.{other}.") for name in names)}
         for package, names in named.items()
     }  # fmt: skip
+
+
+def modules() -> dict[str, Path]:
+    """Dotted name: file, of every module of ours."""
+    found = {}
+    for file in ROOT.rglob("*.py"):
+        parts = ["symo_exp", *file.relative_to(ROOT).with_suffix("").parts]
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return found
+
+
+def imported_modules(file: Path) -> Iterator[str]:
+    """Yield the names that a file may import: ``from a import b`` gives ``a`` and ``a.b``."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names))

@@ -5,7 +5,16 @@ import sys
 
 import pytest
 
-from tests.architecture import ROOT, RULES, files, foreign_attributes, graph, imports
+from tests.architecture import (
+    ROOT,
+    RULES,
+    files,
+    foreign_attributes,
+    graph,
+    imported_modules,
+    imports,
+    modules,
+)
 
 EVERYBODYS = {"errors", "files", "imports", "shell", "shipped", "code"}
 CONFIG_HOMES = {"cli", "job", "sweep", "identify", "runs"}
@@ -46,6 +55,22 @@ def test_no_circle():
         order += free
         left = {package: needs for package, needs in left.items() if package not in free}
     assert len(order) == len(RULES)
+
+
+def test_no_circle_among_files():
+    """At whatever place of a file the import stands, for a type checker alone included."""
+    known = modules()
+    left = {
+        name: {other for other in imported_modules(file) if other in known} - {name}
+        for name, file in known.items()
+        if name != "symo_exp"  # which names its public functions
+    }
+    left = {name: needs - {"symo_exp"} for name, needs in left.items()}
+    while left:
+        free = [name for name, needs in left.items() if not needs & set(left)]
+        circle = sorted(name for name, needs in left.items() if needs & set(left))
+        assert free, f"a circle among some of {circle}"
+        left = {name: needs for name, needs in left.items() if name not in free}
 
 
 PRIVATE = re.compile(r"(?:hydra|submitit|lightning|mlflow|omegaconf|loky|joblib)(?:\.\w+)*\._\w+")
