@@ -58,10 +58,9 @@ def _execute(argv: list[str]) -> int:
 
     command = Command([word for word in argv if word not in ("-h", "--help")])
     if len(command.options) + len(command.overrides) < len(argv):
-        from symo_exp.cli.help import help_text, screen
+        from symo_exp.cli.help import help_text
 
-        show = help_text if "--help" in argv else screen
-        print(show([command.folder] if command.folder else []), end="")
+        print(help_text([command.folder] if command.folder else []), end="")
         return 0
     several = command.several()
     for one in several:  # a word that one of them cannot take is found before anything runs

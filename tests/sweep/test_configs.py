@@ -4,7 +4,7 @@ import pytest
 import torch
 import yaml
 
-from symo_exp.cli.help import description
+from symo_exp.cli.help import summary
 from symo_exp.errors import ConfigError
 from symo_exp.job.recipe import build
 from symo_exp.runs.folder import RunFolder
@@ -123,7 +123,7 @@ def test_sweeps_share_their_runs(sweep, workplace):
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda f: f"{f.parent.name}/{f.stem}")
 def test_every_file_says_what_it_is(file):
-    assert description(file)
+    assert summary(file)
 
 
 def test_thesis_and_default_protocol(workplace):

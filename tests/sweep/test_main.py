@@ -8,11 +8,9 @@ import subprocess
 import sys
 
 import pytest
-from omegaconf import OmegaConf
 
 from symo_exp.__main__ import main
 from symo_exp.cli.command import CHECK_ONLY
-from symo_exp.cli.help import CHANGED
 from symo_exp.job.job import _about
 from symo_exp.job.moved import MOVED
 from symo_exp.runs.folder import RunFolder
@@ -58,6 +56,7 @@ BAD = [
     ("trainer.accelerator=tpu", "tpu", "cpu or gpu"),
     # values
     ("data.n_traj=0", "0", "1 to 128"),
+    ("~resume", "resume", "cannot be deleted"),
     ("pair=l_node_rk4", "pair=l_node_rk4", "model=l_node integrator=rk4"),
     ("data.n_traj=129", "129", "data.n_train_max=129"),
     ("data.n_traj=8.5", "8.5", "whole number"),
@@ -161,29 +160,16 @@ def test_a_setting_that_each_swept_choice_has_is_none_that_the_usual_one_needs(h
     assert len(folders) == 4
 
 
-def test_help_fits_a_screen_with_what_people_change(workplace, capsys):
-    assert main(["-h"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) <= 40
-    assert max(map(len, lines)) <= 80
-    choices, config = job_of().choices, job_of().config
-    for name in CHANGED:
-        (line,) = [line for line in lines if line.startswith(f"{name}=")]
-        value, *said = line.partition("=")[2].split(maxsplit=1)
-        assert value == str(choices.get(name) or OmegaConf.select(config, name))
-        assert said
-    assert all(any(stem.stem in line for line in lines) for stem in SWEEPS.glob("*.yaml"))
-
-
-def test_help_shows_every_choice_with_a_line(workplace, capsys):
-    assert main(["--help"]) == 0
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_help_shows_every_choice_with_a_line(flag, workplace, capsys):
+    assert main([flag]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     for file in [*CONF.glob("*/*.yaml"), *SWEEPS.glob("*.yaml")]:
         assert any(line[0] == file.stem and len(line) > 2 for line in lines if line), file
 
 
 def test_help_and_settings_come_without_the_heavy_libraries(workplace):
-    for words in (["-h"], ["--help"], ["model=node", "--cfg", "job"]):
+    for words in (["-h"], ["model=node", "--cfg", "job"]):
         done = subprocess.run(
             [sys.executable, "-c", LIGHT, *words], capture_output=True, text=True, check=False
         )

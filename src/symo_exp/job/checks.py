@@ -23,6 +23,8 @@ from symo_exp.job.moved import MOVED
 PARTS = ("system", "data", "model", "learner", "trainer", "logger")
 """The parts of every run; each of them names a class."""
 
+NEEDED = "output_dir", "experiment", "code", "resume", "study", "pictures", "optimized_metric"
+
 _INSTANTIATE_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 _PLAIN = {
     "int_type": "a whole number", "float_type": "a number", "bool_type": "true or false",
@@ -41,12 +43,14 @@ def check(settings: Settings, known: Mapping[str, Any]) -> None:
         known: What the chosen files alone have, unresolved.
     """
     code.add(settings.values["code"])
-    check_parts(settings)
     _check_node(settings.values, known, settings.references)
 
 
 def check_parts(settings: Settings) -> None:
-    """Refuse a configuration in which a part is missing or names no class."""
+    """Refuse a configuration in which a setting was deleted, or a part names no class."""
+    for name in NEEDED:
+        if name not in settings.values:
+            raise ConfigError(f"{name} is needed and cannot be deleted")
     for part in PARTS:
         node = settings.values.get(part)
         if not isinstance(node, Mapping) or "_target_" not in node:

@@ -143,9 +143,9 @@ class Sweep:
         """Return a job whose places and, unless it is done, settings are checked."""
         job = self._composer.job(overrides, label)
         values = job.values
+        check_parts(job.settings)
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
         if not is_done(values, job.folder):
-            check_parts(job.settings)
             self._composer.check_choices(job)
             check(job.settings, unresolved(job.files))
         return job
