@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from symo_exp.data.windows import windows
+from symo_exp.data.windows import cut_windows
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
 
@@ -55,7 +55,7 @@ def data(system: Oscillator, h: float, steps: int = 30, batch: int = 3) -> Data:
     nodes = [system.flow(q, v, h * k) for k in range(steps + 2)]
     q, v = (torch.stack(x, dim=1) for x in zip(*nodes, strict=True))
     trajectories = Trajectories(q, v, torch.zeros_like(q[..., :1]))
-    samples = windows(trajectories.each())
+    samples = cut_windows(trajectories.each())
     return Data(samples, samples, trajectories)
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from symo_exp.data.noise import add_noise
-from symo_exp.data.windows import windows
+from symo_exp.data.windows import cut_windows
 from symo_exp.mechanics.types import Trajectories, Trajectory
 
 
@@ -26,7 +26,7 @@ def stacked(trajectories: list[Trajectory]) -> Trajectories:
 
 
 def test_windows_hold_the_nodes_they_name() -> None:
-    cut = windows(labelled().each())
+    cut = cut_windows(labelled().each())
     assert all(len(field) == 3 * 5 for field in cut)
     row = 5 + 2  # second trajectory, third window
     for name, kind, node in [
@@ -43,7 +43,7 @@ def test_windows_hold_the_nodes_they_name() -> None:
 
 
 def test_every_window_once_and_none_across_trajectories() -> None:
-    cut = windows(labelled().each())
+    cut = cut_windows(labelled().each())
     assert len(torch.unique(cut.q_prev[:, 0])) == 15
     assert ((cut.q_next - cut.q_prev) == 20).all()
 
@@ -51,9 +51,9 @@ def test_every_window_once_and_none_across_trajectories() -> None:
 def test_windows_of_ragged_trajectories_lose_no_tail() -> None:
     first, second, third = labelled().each()
     short = Trajectory(*(field[:3] for field in second))
-    cut = windows([first, short, third])
+    cut = cut_windows([first, short, third])
     rows = torch.cat([torch.arange(5), torch.tensor([5]), torch.arange(10, 15)])
-    for field, whole in zip(cut, windows(labelled().each()), strict=True):
+    for field, whole in zip(cut, cut_windows(labelled().each()), strict=True):
         assert torch.equal(field, whole[rows])
 
 

@@ -2,6 +2,7 @@
 
 import copy
 
+import pandas as pd
 import pytest
 import torch
 
@@ -164,7 +165,7 @@ def test_single_precision_follows_double(method, integrator):
 def test_a_diverging_rollout_ends_in_numbers_not_in_an_exception(method, integrator):
     model = make(method, integrator, 1)
     q0 = torch.tensor([[float("nan")], [0.1]], dtype=torch.float64)
-    rollout = model.rollout(q0, torch.zeros_like(q0), steps=3)
+    rollout = model.flow.rollout(q0, torch.zeros_like(q0), torch.zeros(2, 4, 1).to(q0))
     assert rollout.q[0].isnan().all()
     assert rollout.q[1].isfinite().all()
 
@@ -185,7 +186,7 @@ def test_adjoint_gradients_approach_the_direct_ones_as_the_step_shrinks(method, 
         for sensitivity in ("direct", "adjoint"):
             model = make(method, "rk4", n, time_step=h, sensitivity=sensitivity)
             weight = list(model.parameters())[1]
-            total = model.step(data.q, data.v, data.u).q.sum()
+            total = model.flow.step(data.q, data.v, data.u, data.u).q.sum()
             gradients.append(torch.autograd.grad(total, weight)[0])
         direct, adjoint = gradients
         errors.append(((direct - adjoint).norm() / direct.norm()).item())
@@ -315,3 +316,42 @@ def test_what_cannot_be_a_state_is_said_in_a_line(call, said):
     with pytest.raises(ConfigError, match=said) as caught:
         call(make("symo", "midpoint", 2))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["node", "l_node", "symo"])
+def test_results_carry_a_gradient_only_where_an_argument_asks(method):
+    model, data = make(method, "midpoint", 2), windows(2)
+    calls = {
+        "step": lambda q, v: model.step(q, v, data.u).q,
+        "rollout": lambda q, v: model.rollout(q, v, steps=2).q,
+    }
+    if model.lagrangian is not None:
+        calls |= {"energy": model.energy, "mass_matrix": lambda q, v: model.mass_matrix(q)}
+    for name, call in calls.items():
+        call(data.q, data.v).numpy()
+        call(data.q.numpy(), data.v.tolist()).numpy()
+        tracked = call(data.q.clone().requires_grad_(), data.v)
+        assert tracked.requires_grad == (name != "rollout"), name
+        with torch.no_grad():
+            call(data.q.clone().requires_grad_(), data.v).numpy()
+
+
+def test_data_frames_are_taken():
+    model, data = make("symo", "midpoint", 2), windows(2)
+    q, v = (pd.DataFrame(x.numpy(), columns=["q_a", "q_b"]) for x in (data.q, data.v))
+    assert torch.equal(model.energy(q, v), model.energy(data.q, data.v))
+    assert torch.equal(model.energy(q.iloc[0], v.iloc[0]), model.energy(data.q[0], data.v[0]))
+    with pytest.raises(ConfigError, match="q is no array of numbers"):
+        model.energy(q.assign(q_a="high"), v)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_a_rollout_from_a_start_that_is_not_finite_is_refused(bad):
+    model, data = make("node", "midpoint", 2), windows(2)
+    for name in ("q0", "v0"):
+        start = {"q0": data.q.clone(), "v0": data.v.clone()}
+        start[name][1, 0] = bad
+        with pytest.raises(ConfigError, match=f"{name} is not finite in row 1"):
+            model.rollout(**start, steps=3)
+        with pytest.raises(ConfigError, match=f"{name} is not finite: "):
+            model.rollout(**{key: x[1] for key, x in start.items()}, steps=3)

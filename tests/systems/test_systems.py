@@ -299,3 +299,23 @@ def test_bad_parameters_are_refused_in_one_line(name: str, changes: dict, key: s
     assert key in str(error.value)
     assert "expected" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mass_matrix", lambda self, q: torch.ones_like(q)),
+        ("mass_matrix", lambda self, q: torch.ones(1, 1, dtype=q.dtype)),
+        ("potential", lambda self, q: q),
+        ("potential", lambda self, q: q.sum()),
+    ],
+)
+def test_a_term_of_a_wrong_shape_is_named(name: str, value: object) -> None:
+    side = ((-1.0, 1.0),)
+    wrong = type("Wrong", (Spring,), {name: value})
+    system = wrong(time_step=0.05, box=SamplingBox(side, side, side))
+    with pytest.raises(
+        ConfigError, match=rf"Wrong\.{name}\(q\) has shape .* expected \(3"
+    ) as error:
+        system.identity()
+    assert "\n" not in str(error.value)

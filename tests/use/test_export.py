@@ -58,6 +58,18 @@ def leaves_home(model, n, folder, iterations):
     torch.testing.assert_close(torch.load(folder / "end.pt"), end)
 
 
+@pytest.mark.parametrize("method", ["node", "l_node", "symo"])
+def test_a_step_takes_either_precision_and_gives_plain_numbers(method, tmp_path):
+    model = make(method, "midpoint", 2).float()
+    step = torch.export.load(symo_exp.export(model, tmp_path / "model.pt2")).module()
+    given = [x.float() for x in states(2)]
+    single, double = step(*given), step(*(x.double() for x in given))
+    for a, b in zip(single, double, strict=True):
+        assert a.dtype == b.dtype != torch.float64
+        torch.testing.assert_close(a, b)
+        a.numpy()
+
+
 def test_a_step_runs_without_this_package(tmp_path):
     leaves_home(make("node", "midpoint", 1), 1, tmp_path, iterations=1)
 

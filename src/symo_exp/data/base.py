@@ -1,4 +1,4 @@
-"""What simulated and recorded data have in common: noise, windows, batches."""
+"""Noise, windows and batches of simulated and recorded data."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from symo_exp.data.noise import add_noise
-from symo_exp.data.windows import windows
+from symo_exp.data.windows import cut_windows
 from symo_exp.mechanics.types import Trajectories, Trajectory, Windows
-from symo_exp.systems.checks import one_of, real, whole
+from symo_exp.systems.checks import one_of, real, whole_number
 
 Item = TypeVar("Item")
 
@@ -29,28 +29,36 @@ class Splits(NamedTuple):
 
 
 class DataModule(lightning.LightningDataModule, ABC):
-    """Named windows of trajectories, in memory, in an order that only the seed decides.
+    """Windows of trajectories in memory, in an order that depends on the seed alone.
 
-    After ``setup()``: ``train``, ``val`` and ``test`` (``Windows`` in ``dtype``);
-    ``train_trajectories``, ``val_trajectories`` and ``test_trajectories``, lists of what they were
-    cut from, of any lengths, and ``integration``, all float64. It needs no Trainer.
+    After ``setup()`` there are ``train``, ``val`` and ``test`` (``Windows`` in ``dtype``), the
+    trajectories that they were cut from (``train_trajectories``, ``val_trajectories`` and
+    ``test_trajectories``, lists of any lengths) and ``integration``, all float64. A Trainer is not
+    needed.
 
-    ``n_traj`` is the number of training trajectories, the first of all there are. Noise of
-    standard deviation ``noise_std`` is added to the training data, to its inputs that of
-    ``input_noise_std``, and with ``noise_test`` the first to the test data too; validation stays
-    clean. An epoch has batches of ``batch_size`` samples,
-    ``4 n_traj`` if none is given. ``monitor`` says whether the windows of the validation or of the
-    test trajectories are watched during training, the first ``monitor_trajectories`` of them.
-    ``held_out`` takes that many trajectories out of the training set, its last ones, or below 1
-    that share of them (at least one); ``monitor="held_out"`` watches them, so that a stopping rule
-    costs no data beyond ``n_traj``. With ``velocities="estimated"`` those of the training data are
-    central differences of the configurations, noise included, whatever was measured.
+    Args:
+        n_traj: Number of training trajectories, the first ones.
+        noise_std: Standard deviation of the noise that is added to the training data.
+        input_noise_std: That of the noise added to its inputs.
+        noise_test: Whether noise is added to the test data, too; validation data stay clean.
+        batch_size: Samples in a batch; ``None``: ``4 n_traj``.
+        shuffle: Whether every epoch has a new order.
+        seed: Decides the order.
+        noise_seed: Decides the noise.
+        dtype: Precision of the windows.
+        monitor: Trajectories whose windows are watched during training. With ``"held_out"`` a
+            stopping rule needs no data beyond ``n_traj``.
+        monitor_trajectories: Only the first so many of them; ``None``: all.
+        held_out: Number of trajectories taken out of the training set, its last ones; below 1,
+            their share (at least one).
+        velocities: ``"estimated"`` replaces the velocities of the training data by central
+            differences of the configurations, noise included.
     """
 
     recorded: ClassVar[bool] = False
-    """Whether somebody measured these motions."""
+    """Whether the motions were measured."""
     time_step: float
-    """Between two nodes [s]."""
+    """Distance of the nodes [s]."""
 
     def __init__(
         self,
@@ -71,14 +79,16 @@ class DataModule(lightning.LightningDataModule, ABC):
     ) -> None:
         super().__init__()
         self.velocities = one_of("data.velocities", velocities, ("given", "estimated"))
-        self.n_traj = whole("data.n_traj", n_traj, low=1, high=self.counts["train"])
+        self.n_traj = whole_number("data.n_traj", n_traj, low=1, high=self.counts["train"])
         self.noise_std = real("data.noise_std", noise_std, low=0)
         self.input_noise_std = real("data.input_noise_std", input_noise_std, low=0)
         self.noise_test = noise_test
-        self.batch_size = whole("data.batch_size", 4 * n_traj if batch_size is None else batch_size)
+        self.batch_size = whole_number(
+            "data.batch_size", 4 * n_traj if batch_size is None else batch_size
+        )
         self.shuffle = shuffle
-        self.seed = whole("data.seed", seed, low=0, high=2**32 - 1)
-        self.noise_seed = whole("data.noise_seed", noise_seed, low=0, high=2**32 - 1)
+        self.seed = whole_number("data.seed", seed, low=0, high=2**32 - 1)
+        self.noise_seed = whole_number("data.noise_seed", noise_seed, low=0, high=2**32 - 1)
         name = one_of("data.dtype", str(dtype).removeprefix("torch."), ("float32", "float64"))
         self.dtype: torch.dtype = getattr(torch, name)
         one_of("data.monitor", monitor, ("val", "test", "held_out"))
@@ -86,23 +96,23 @@ class DataModule(lightning.LightningDataModule, ABC):
         if 0.0 < held_out < 1.0:
             held_out = max(1, round(held_out * n_traj))
         low = 1 if monitor == "held_out" else 0
-        self.held_out = whole("data.held_out", held_out, low=low, high=n_traj - 1)
+        self.held_out = whole_number("data.held_out", held_out, low=low, high=n_traj - 1)
         there = self.held_out if monitor == "held_out" else self.counts[monitor]
         watched = there if monitor_trajectories is None else monitor_trajectories
-        self.monitor_trajectories = whole("data.monitor_trajectories", watched, high=there)
+        self.monitor_trajectories = whole_number("data.monitor_trajectories", watched, high=there)
         self._on_device: dict[str, tuple[torch.device, Windows]] = {}
 
     @property
     @abstractmethod
     def counts(self) -> dict[str, int]:
-        """How many trajectories each of the ``Splits`` has; asked for by the constructor."""
+        """Number of trajectories in each of the ``Splits``; the constructor needs it."""
 
     @abstractmethod
     def load(self) -> Splits:
-        """All trajectories, with the whole training set; the same at every call."""
+        """Return all trajectories, with the whole training set, the same at every call."""
 
     def setup(self, stage: str | None = None) -> None:
-        """Noise, precision and windows; what is there already is kept."""
+        """Add noise and cut windows, unless that is done."""
         if hasattr(self, "train"):
             return
         splits = self.load()
@@ -124,10 +134,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         self.test = self._windows(self.test_trajectories)
 
     def trajectories(self, part: Literal["train", "held_out", "val", "test"]) -> list[Trajectory]:
-        """The trajectories of a part, of any lengths, float64: what was cut into its windows.
-
-        "train" goes without those that are "held_out".
-        """
+        """Return the trajectories of a part, in float64; "train" excludes "held_out"."""
         kept = self.n_traj - self.held_out
         return {
             "train": self.train_trajectories[:kept],
@@ -137,7 +144,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         }[part]
 
     def batches(self, epoch: int) -> list[Windows]:
-        """The mini-batches of an epoch: a permutation that follows from the seed and the epoch."""
+        """Return the mini-batches of an epoch, permuted by the seed and the epoch."""
         samples = self._placed("train", lambda: self.train)
         if self.shuffle:
             generator = torch.Generator().manual_seed(self.seed * 1_000_003 + epoch)
@@ -148,30 +155,30 @@ class DataModule(lightning.LightningDataModule, ABC):
         return [Windows(*fields) for fields in zip(*parts, strict=True)]
 
     def train_dataloader(self) -> Once[list[Windows]]:
-        """One item an epoch: all its mini-batches."""
+        """Return a loader of one item an epoch: all its mini-batches."""
         alone = itertools.count()
         return Once(
             lambda: self.batches(self.trainer.current_epoch if self.trainer else next(alone))
         )
 
     def val_dataloader(self) -> Once[Windows]:
-        """One item: the windows that are watched during training."""
+        """Return a loader of one item: the windows that are watched during training."""
         return Once(lambda: self._placed("watched", self._watched))
 
     def transfer_batch_to_device(
         self, batch: Any, device: torch.device, dataloader_idx: int
     ) -> Any:
-        """Nothing to do: the loaders gather on the device."""
+        """Return the batch: loaders gather on the device."""
         return batch
 
     def _watched(self) -> Windows:
         return self._windows(self.trajectories(self.monitor)[: self.monitor_trajectories])
 
     def _windows(self, trajectories: Sequence[Trajectory]) -> Windows:
-        return Windows(*(field.to(self.dtype) for field in windows(trajectories)))
+        return Windows(*(field.to(self.dtype) for field in cut_windows(trajectories)))
 
     def _placed(self, name: str, make: Callable[[], Windows]) -> Windows:
-        """Samples on the trainer's device, moved there once."""
+        """Return samples on the trainer's device, moved there once."""
         device = self.trainer.strategy.root_device if self.trainer else torch.device("cpu")
         where, samples = self._on_device.get(name, (None, None))
         if samples is None or where != device:
@@ -181,12 +188,12 @@ class DataModule(lightning.LightningDataModule, ABC):
 
 
 def central_differences(q: Tensor, h: float) -> Tensor:
-    """``(q_{k+1} − q_{k−1}) / 2h``, and one-sided of second order at both ends."""
+    """Return ``(q_{k+1} − q_{k−1}) / 2h``, one-sided of second order at both ends."""
     return torch.gradient(q, spacing=h, dim=0, edge_order=2)[0]
 
 
 class Once(Generic[Item]):
-    """A loader of one item, made when it is asked for."""
+    """A loader of one item, which is made on iteration."""
 
     def __init__(self, make: Callable[[], Item]) -> None:
         self._make = make

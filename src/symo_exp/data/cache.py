@@ -1,4 +1,4 @@
-"""Arrays on disk under a key of everything that decides their bytes."""
+"""Arrays on disk, under a key of everything that their bytes depend on."""
 
 from __future__ import annotations
 
@@ -27,18 +27,24 @@ Arrays = Mapping[str, np.ndarray]
 class Cache:
     """A folder of ``<name>-<key>.npz`` files, each with its recipe inside and beside it as JSON.
 
-    Files appear whole or not at all, and processes that want the same one wait for the first.
+    Files are written atomically. Processes that need the same one wait for the first.
+
+    Args:
+        directory: The folder, made when the first file is written.
+
+    Raises:
+        ConfigError: If it cannot be a folder.
     """
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
         self.directory = Path(directory).expanduser()
         if not str(directory):
-            raise self._refusal("that is no name")
+            raise self._refusal("the name is empty")
         if not self._existing.is_dir():
             raise self._refusal(f"{self._existing} is not a directory")
 
     def check(self, name: str, recipe: Mapping[str, Any]) -> None:
-        """Refuse a place where the arrays of ``recipe`` neither are nor could be kept."""
+        """Raise ``ConfigError`` if arrays are neither stored nor can be."""
         writable = os.access(self._existing, os.W_OK | os.X_OK)
         if not writable and _read(self.path(name, recipe), recipe) is None:
             raise self._refusal(f"{self._existing} is not writable")
@@ -49,13 +55,13 @@ class Cache:
         return next(folder for folder in folders if folder.exists())
 
     def path(self, name: str, recipe: Mapping[str, Any]) -> Path:
-        """Where the arrays of this recipe live."""
+        """Return the file of a recipe."""
         return self.directory / f"{name}-{key(recipe)}.npz"
 
     def get(
         self, name: str, recipe: Mapping[str, Any], make: Callable[[], Arrays]
     ) -> dict[str, np.ndarray]:
-        """The arrays of ``recipe``: read, or made by ``make()`` and kept."""
+        """Return the arrays of a recipe, read or else made by ``make()`` and stored."""
         path = self.path(name, recipe)
         found = _read(path, recipe)
         if found is not None:
@@ -82,7 +88,7 @@ class Cache:
 
 
 def key(recipe: Mapping[str, Any]) -> str:
-    """A short hash of the recipe's canonical JSON."""
+    """Return a short hash of the recipe's canonical JSON."""
     return hashlib.sha256(_canonical(recipe).encode()).hexdigest()[:16]
 
 
@@ -93,7 +99,7 @@ def _canonical(recipe: Mapping[str, Any]) -> str:
 def _read(
     path: Path, recipe: Mapping[str, Any], report: bool = False
 ) -> dict[str, np.ndarray] | None:
-    """The arrays of a sound file; ``None``, and on request a word in the log, for any other."""
+    """Arrays of a valid file, ``None`` for any other, which is reported on request."""
     if not path.exists():
         return None
     try:
@@ -119,10 +125,10 @@ def _save(file: Path, recipe: Mapping[str, Any], arrays: Arrays) -> None:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Alone among the processes that use this lock file.
+    """Exclude other processes that use this lock file.
 
-    Where there are no such locks (some network file systems) two processes may both make the same
-    data; the last whole file wins, with the same bytes.
+    Where locks are not supported (some network file systems), two processes may make the same
+    data; the last file replaces the other, with the same bytes.
     """
     with ExitStack() as stack:
         with suppress(NotImplementedError):

@@ -1,4 +1,4 @@
-"""Where trajectories start and how they are driven: draws from the box of a system."""
+"""Random starts and inputs of trajectories from the box of a system."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ class Starts(NamedTuple):
 
 @runtime_checkable
 class Draws(Protocol):
-    """The starts of every set of trajectories, from the box of a system and a seed.
+    """Starts of every set of trajectories, from the box of a system and a seed.
 
-    ``counts`` says how many each set has. The fields of an instance and its class decide the
-    starts: they are part of the key under which trajectories are kept.
+    ``counts`` maps the name of a set to its size. The class and the fields of an instance are part
+    of the key of cached trajectories.
     """
 
     @property
     def lead(self) -> int:
-        """Steps from the state that is drawn to the first node."""
+        """Steps between the drawn state and the first node."""
 
-    def __call__(
-        self, box: SamplingBox, counts: Mapping[str, int], seed: int
-    ) -> dict[str, Starts]: ...
+    def __call__(self, box: SamplingBox, counts: Mapping[str, int], seed: int) -> dict[str, Starts]:
+        """Return the starts of each set."""
 
 
 @dataclass(frozen=True)
 class Independent:
-    """A sequence of draws for each set, so that changing one size leaves the others."""
+    """A random sequence for each set, so that the size of one does not change the others."""
 
     lead = 0
 
     def __call__(self, box: SamplingBox, counts: Mapping[str, int], seed: int) -> dict[str, Starts]:
+        """Return the starts of each set."""
         return {
             name: uniform(box, count, (seed, stream))
             for stream, (name, count) in enumerate(counts.items())
@@ -53,7 +53,7 @@ class Independent:
 
 
 def uniform(box: SamplingBox, count: int, seed: int | tuple[int, ...]) -> Starts:
-    """Uniform draws of the box; the first are always the same."""
+    """Return uniform draws from a box; the first are the same for any count."""
     low, high = bounds(box.q, box.v, box.u)
     draws = np.random.default_rng(seed).uniform(low, high, size=(count, len(low)))
     n = len(box.q)
@@ -61,6 +61,6 @@ def uniform(box: SamplingBox, count: int, seed: int | tuple[int, ...]) -> Starts
 
 
 def bounds(*ranges: tuple[Range, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest and the highest values of ranges, one after another."""
+    """Return the lowest and the highest values of ranges, concatenated."""
     low, high = np.array([pair for part in ranges for pair in part]).reshape(-1, 2).T
     return low, high

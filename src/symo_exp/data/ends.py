@@ -12,12 +12,21 @@ from symo_exp.mechanics.types import Trajectories, Trajectory
 from symo_exp.systems.box import Range
 
 FEWEST = 3
-"""Nodes of a sample."""
+"""Nodes of a sample, the least of a trajectory."""
 
 
 def ended(splits: Splits, ends: Sequence[Range]) -> tuple[Splits, str]:
-    """The trajectories up to the first node beyond the range of a coordinate, and how many of them
-    that cut. Unforced ones are cut to the common length that keeps the most nodes."""
+    """Return trajectories up to the first node beyond a range, and a line with how many were cut.
+
+    Unforced ones are cut to the common length that keeps the most nodes.
+
+    Args:
+        splits: The trajectories.
+        ends: Range of each coordinate.
+
+    Raises:
+        ConfigError: If no trajectory of a part keeps three nodes.
+    """
     parts = {
         name: [_ended(one, ends) for one in getattr(splits, name)]
         for name in ("train", "val", "test")

@@ -204,7 +204,7 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _rows(x: np.ndarray, count: int, nodes: int) -> np.ndarray | None:
-    """An array as (rows, columns) of the table, ``None`` where it does not fit."""
+    """Return an array as (rows, columns), ``None`` where it does not fit."""
     if count:
         if x.ndim == 3 and x.shape[:2] == (count, nodes):
             return x.reshape(count * nodes, -1)
@@ -221,7 +221,7 @@ def _rows(x: np.ndarray, count: int, nodes: int) -> np.ndarray | None:
 
 
 def _matlab(file: Path) -> dict[str, Any]:
-    """Variables of a MATLAB file; those in structures by their own names."""
+    """Return variables of a MATLAB file, those in structures by their own names."""
     try:
         found = scipy.io.loadmat(file, simplify_cells=True)
     except NotImplementedError:
@@ -242,7 +242,7 @@ def _matlab(file: Path) -> dict[str, Any]:
 
 
 def _bag(file: Path) -> pd.DataFrame:
-    """The joint states of a ROS bag: position as ``q_``, velocity ``v_``, effort ``u_``."""
+    """Return the joint states of a ROS bag: position ``q_``, velocity ``v_``, effort ``u_``."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

@@ -110,7 +110,7 @@ def renamed(
 
 
 def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None) -> dict[str, str]:
-    """What the user maps, by the names in the file."""
+    """Return the user's mapping by the names in the file."""
     if columns is None:
         return {}
     if not isinstance(columns, Mapping):

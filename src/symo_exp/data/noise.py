@@ -16,11 +16,16 @@ def add_noise(
     seed: int | Sequence[int],
     input_std: float = 0.0,
 ) -> list[Trajectory]:
-    """``q + σ z``, ``v + σ z'`` and ``u + σ_u z''``, all z independent and standard normal.
+    """Return ``q + σ z``, ``v + σ z'`` and ``u + σ_u z''``, all z independent standard normal.
 
-    σ has the unit of what it is added to. Inputs are clean where they are commanded; ``input_std``
-    is for those that are measured. The draws of a trajectory depend on the seed and on those before
-    it only, so they are the same in smaller sets and scale with σ.
+    The draws of a trajectory depend on the seed and on those before it only, so that they are the
+    same in smaller sets and scale with σ.
+
+    Args:
+        trajectories: The clean trajectories.
+        std: σ, in the units of configurations and of velocities.
+        seed: Seed of the noise.
+        input_std: σ_u, for measured inputs; commanded ones are clean.
     """
     if std == 0 and input_std == 0:
         return list(trajectories)

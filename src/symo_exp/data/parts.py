@@ -9,7 +9,7 @@ from symo_exp.data.formats import few
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
-from symo_exp.systems.checks import whole
+from symo_exp.systems.checks import whole_number
 
 PARTS = ("train", "val", "test")
 PATTERN = ("train", "train", "val", "train", "test")
@@ -53,8 +53,8 @@ def divided(
     elif not counted and any(r.part for r in recordings):
         parts = {part: [r for r in recordings if r.part == part] for part in PARTS}
     else:
-        n_val = whole("data.n_val", 1 if n_val is None else n_val)
-        n_test = whole("data.n_test", 1 if n_test is None else n_test)
+        n_val = whole_number("data.n_val", 1 if n_val is None else n_val)
+        n_test = whole_number("data.n_test", 1 if n_test is None else n_test)
         return _last(where, recordings, n_val, n_test)
     for part, chosen in parts.items():
         if not chosen:
@@ -151,7 +151,7 @@ def split_in_time(
 
 
 def _stretches(parts: Sequence[str]) -> Iterator[tuple[str, int, int]]:
-    """Runs of equal parts: the part, its first block and the block after its last."""
+    """Yield runs of equal parts: the part, its first block and the block after its last."""
     at = 0
     for part, group in itertools.groupby(parts):
         size = len(list(group))

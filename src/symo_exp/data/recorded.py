@@ -10,6 +10,7 @@ from typing import Any, final
 
 import numpy as np
 import torch
+from typing_extensions import override
 
 from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
@@ -22,7 +23,7 @@ from symo_exp.data.table import Recording, RecordingTable, read_recordings, writ
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.systems.base import System
-from symo_exp.systems.checks import one_of, real, whole
+from symo_exp.systems.checks import one_of, real, whole_number
 
 __all__ = ["RecordedData", "central_differences", "write_recordings"]
 
@@ -113,7 +114,7 @@ class RecordedData(DataModule):
         batch_size: int | None = None,
         **base: Any,
     ) -> None:
-        whole("data.n_integration", n_integration)
+        whole_number("data.n_integration", n_integration)
         if time_unit is not None:
             one_of("data.time_unit", time_unit, tuple(UNITS))
         where = shown(path)
@@ -131,7 +132,9 @@ class RecordedData(DataModule):
                 parts["train"], real("data.seconds", seconds, low=system.time_step)
             )
         available = len(parts["train"])
-        n_traj = whole("data.n_traj", available if n_traj is None else n_traj, high=available)
+        n_traj = whole_number(
+            "data.n_traj", available if n_traj is None else n_traj, high=available
+        )
         parts["train"] = parts["train"][:n_traj]
         nodes = Nodes(where, system.coordinates, system.time_step, wrapped, degrees, input_delay)
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
@@ -146,6 +149,7 @@ class RecordedData(DataModule):
         super().__init__(n_traj=n_traj, batch_size=batch_size, **base)
 
     @property
+    @override
     def counts(self) -> dict[str, int]:
         train, val, test, integration = self._splits
         return {
@@ -153,9 +157,11 @@ class RecordedData(DataModule):
             "integration": len(integration.q),
         }  # fmt: skip
 
+    @override
     def load(self) -> Splits:
         return self._splits
 
+    @override
     def setup(self, stage: str | None = None) -> None:
         if not hasattr(self, "train"):
             for line in (*self._report, *self.diagnosis().lines()):
@@ -163,7 +169,7 @@ class RecordedData(DataModule):
         super().setup(stage)
 
     def diagnosis(self) -> Diagnosis:
-        """What the training trajectories can teach."""
+        """Return the diagnosis of the training trajectories."""
         h, sampled = self._system.time_step, self._sampled
         motions = [(q.numpy(), u.numpy()) for q, _, u in self._splits.train]
         gap = float(np.median(np.concatenate([np.diff(samples.t) for samples in sampled])))
@@ -289,7 +295,7 @@ def _shortest(trajectories: Sequence[Trajectory]) -> Trajectories:
 def _report(
     where: str, table: RecordingTable, parts: Mapping[str, Sequence[Recording]], h: float
 ) -> Iterator[str]:
-    """What was read, what was not, and how times were resampled; a line each."""
+    """Yield what was read, what was not, and how times were resampled; a line each."""
     used = [r for part in parts.values() for r in part]
     text = ", ".join(f"{len(part)} {name}" for name, part in parts.items())
     others = Counter(r.part for r in table.recordings) - Counter(r.part for r in used)
@@ -310,7 +316,7 @@ def _report(
 
 
 def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[str]:
-    """Signs of wrong units, a line each."""
+    """Yield signs of wrong units, a line each."""
     for i, (name, angular) in enumerate(zip(*coordinates, strict=True)):
         sweeps = np.concatenate([_sweeps(one.q[:, i]) for one in sampled])
         if angular and len(sweeps) >= SWINGS and np.median(sweeps) > 2 * np.pi:

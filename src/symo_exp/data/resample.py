@@ -1,4 +1,4 @@
-"""Recorded times onto equal steps."""
+"""Resampling of recordings to equal time steps."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 DENSE = 1 / 3
-"""Samples closer than this share of a step are fitted by polynomials, others interpolated."""
+"""Share of a step below which the distance of samples allows polynomial fits."""
 ENOUGH = 5
-"""Samples that a cubic polynomial is fitted to, at least."""
+"""Least number of samples that a cubic polynomial is fitted to."""
 
 
 class Samples(NamedTuple):
-    """``t`` (T,), ``q`` (T, n), ``u`` (T, m), and ``v`` (T, n) where it was measured."""
+    """Times (T,), configurations (T, n), velocities (T, n) if measured, and inputs (T, m)."""
 
     t: np.ndarray
     q: np.ndarray
@@ -23,7 +23,7 @@ class Samples(NamedTuple):
 
 
 def resample(samples: Samples, h: float) -> Samples:
-    """The motion at nodes ``h`` apart, estimated from samples at rising times.
+    """Return the motion at nodes ``h`` apart, estimated from samples at rising times.
 
     Configurations and measured velocities are those of cubic polynomials fitted by least squares
     to the samples within ``h / 2`` of a node, or ``h`` where these are too few or all on one side,
@@ -44,7 +44,7 @@ def resample(samples: Samples, h: float) -> Samples:
 def fitted(
     t: np.ndarray, x: np.ndarray, nodes: np.ndarray, h: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values and slopes (K, n) at the nodes of local cubic polynomials through ``x`` (T, n)."""
+    """Return values and slopes (K, n) at the nodes of local cubic fits to ``x`` (T, n)."""
     spline = CubicSpline(t, x)
     value, slope = spline(nodes), spline(nodes, 1)
     for reach in (h, h / 2):  # the closer fit, where there is one, has the last word
@@ -65,7 +65,7 @@ def fitted(
 
 
 def averaged(t: np.ndarray, u: np.ndarray, nodes: np.ndarray, h: float) -> np.ndarray:
-    """Means (K, m) over ``h`` around the nodes of ``u`` (T, m), linear between the samples."""
+    """Return means (K, m) over ``h`` around the nodes of ``u`` (T, m), linear between samples."""
     edges = np.clip(np.stack([nodes - h / 2, nodes + h / 2]), t[0], t[-1])
     k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 2)
     steps, rises = np.diff(t)[:, None], np.diff(u, axis=0)

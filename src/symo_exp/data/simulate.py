@@ -19,9 +19,9 @@ def generate(
     solver: Solver,
     lead: int = 0,
 ) -> Trajectories:
-    """Trajectories of ``steps + 1`` nodes, the first of them ``lead`` steps after the start.
+    """Return trajectories of ``steps + 1`` nodes, the first one ``lead`` steps after the start.
 
-    An unforced trajectory has ``u = 0``.
+    Unforced trajectories have ``u = 0``.
     """
     u = starts.u if forced else torch.zeros_like(starts.u)
     path = simulate(system, starts.q, starts.v, u, lead + steps, solver)

@@ -1,4 +1,4 @@
-"""Trajectories cut into the samples that the methods learn from."""
+"""Windows of three nodes, the samples that the methods learn from."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import torch
 from symo_exp.mechanics.types import Trajectory, Windows
 
 
-def windows(trajectories: Sequence[Trajectory]) -> Windows:
-    """All windows of three consecutive nodes: T nodes give T − 2, one trajectory after another."""
+def cut_windows(trajectories: Sequence[Trajectory]) -> Windows:
+    """Return all windows of three consecutive nodes, T − 2 of a trajectory of T nodes."""
     return Windows(*(torch.cat(fields) for fields in zip(*map(_cut, trajectories), strict=True)))
 
 

@@ -1,7 +1,7 @@
-"""The measures of every run: one-step errors, long rollouts, energy, inertia; a function each.
+"""Measures of every run: one-step errors, long rollouts, energy and inertia, a function each.
 
-A measure that needs the true Lagrangian is absent where the system has none. Further measures
-need no change here: what a study finds (``evaluation.study``) is a measure of the run, too.
+Measures that need the true Lagrangian are absent where the system has none. A measure of one's own
+is a study (``evaluation.study``).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import System
 
 SHORT = 100
-"""Steps over which a rollout is measured as well: a chaotic motion is lost in the long one."""
+"""Steps of a short rollout, which a model can follow even where the motion is chaotic."""
 
 
 class Case(NamedTuple):
-    """What is measured: a model in float64, and its rollouts along ``data.integration``."""
+    """A model in float64 and its rollouts along ``data.integration``."""
 
     model: DynamicsModel
     truth: Lagrangian | None
@@ -38,9 +38,12 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The measures by name (docs/metrics.md) and the rollouts behind them.
+    """Measures of a run, and the predictions that they were computed from.
 
-    ``recorded`` are the windows of recorded trajectories, ``None`` of simulated ones.
+    Attributes:
+        measures: Values by name (docs/metrics.md).
+        rollouts: Long rollouts.
+        recorded: Windows of recordings, ``None`` for simulated data.
     """
 
     measures: dict[str, float]
@@ -52,12 +55,16 @@ class Evaluation:
 def evaluate(
     model: DynamicsModel, system: System, data: DataModule, reference: Reference | None = None
 ) -> Evaluation:
-    """Measure a trained model on its data and against what is known of the true ``system``.
+    """Return the measures of a trained model.
 
-    Recordings are predicted window by window, too (``horizon``), by the ``reference`` as well.
+    They are computed in float64 with converged roots, so that they do not depend on tolerances of
+    the training. Divergence gives infinite measures.
 
-    In float64 with converged roots, whatever the model was trained with, so that the measures
-    tell the learned model and not the tolerance. Divergence gives infinite measures.
+    Args:
+        model: The trained model.
+        system: The system, whose true Lagrangian is used where it is known.
+        data: Its data; recordings are predicted in windows, too (``horizon``).
+        reference: A model to compare with on recordings.
     """
     model = model.for_evaluation()
     rollouts = roll_out(model, system.lagrangian, data.integration)
@@ -72,7 +79,7 @@ def evaluate(
 
 
 def one_step(case: Case) -> dict[str, float]:
-    """Errors of the next configuration and state, and the fraction of roots not found."""
+    """Return errors of the next configuration and state, and the fraction of roots not found."""
     train, _, _ = _one_step(case.model, case.data.train)
     test, state, failed = _one_step(case.model, case.data.test)
     moved = (case.data.test.q_next - case.data.test.q).double().square().mean().item()
@@ -82,7 +89,7 @@ def one_step(case: Case) -> dict[str, float]:
 
 
 def rollout(case: Case) -> dict[str, float]:
-    """Errors along the rollouts, means over the predicted nodes, the start left out."""
+    """Return errors along the rollouts, means over the predicted nodes."""
     motion = case.rollouts
     q, q_true = motion.q[:, 1:], motion.q_true[:, 1:]
     configuration = measures.rollout_mse(q, q_true)
@@ -101,8 +108,11 @@ def rollout(case: Case) -> dict[str, float]:
 
 
 def energy(case: Case) -> dict[str, float]:
-    """Distance of the true energy from the start's, or where friction takes it from that of the
-    true motion; under an input nothing is conserved."""
+    """Return errors of the true energy along the rollouts.
+
+    Expected is the energy of the start, or with friction that of the true motion. Driven rollouts
+    have none.
+    """
     motion = case.rollouts
     driven = case.data.integration.u.any()
     if case.truth is None or motion.energy is None or motion.energy_true is None or driven:
@@ -121,7 +131,7 @@ def energy(case: Case) -> dict[str, float]:
 
 
 def inertia(case: Case) -> dict[str, float]:
-    """Errors of the learned inertia, along the predicted motion and along the true one."""
+    """Return errors of the learned inertia, along the predicted and the true motion."""
     if case.model.lagrangian is None or case.truth is None:
         return {}
     learned, place = case.model.lagrangian.mass_matrix, case.model.input_matrix.device

@@ -234,7 +234,7 @@ def _starts(steps: int, lead: int, length: int, time_step: float) -> range:
 
 
 def _run_in(trajectories: Sequence[Trajectory], time_step: float) -> int:
-    """Steps of a run-in."""
+    """Return the steps of a run-in."""
     longest = max(len(one.q) for one in trajectories) - 1
     return max(2, min(round(RUN_IN / time_step) - 1, longest // 4))
 

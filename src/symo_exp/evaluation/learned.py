@@ -1,4 +1,4 @@
-"""A study of what was learned: energies and inertia along true motions, beside the true ones."""
+"""A study that compares learned and true energies and inertia along true motions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,13 @@ class LearnedQuantities:
     """Kinetic and potential energy and the inertia, learned and true, along unforced true motions.
 
     A potential is known up to a constant: the learned one is shifted by its mean distance from
-    the true one along each motion. A method or a system without a Lagrangian gives nothing.
+    the true one along each motion. Without a learned or a true Lagrangian the finding is empty.
+
+    Args:
+        name: Prefix of the measures.
+        steps: Length of the motions.
+        count: Number of motions.
+        seed: Seed of their starts.
     """
 
     name: str
@@ -37,6 +43,7 @@ class LearnedQuantities:
     def __call__(
         self, model: DynamicsModel, system: System, data: DataModule, *, remember: Remember = afresh
     ) -> Finding:
+        """Return the finding; ``remember`` keeps true motions between runs."""
         model = model.for_evaluation()
         if model.lagrangian is None or not isinstance(system, LagrangianSystem):
             return Finding()
@@ -53,7 +60,7 @@ def beside_true(
     q_true: Float[Tensor, "trajectories nodes n"],
     v_true: Float[Tensor, "trajectories nodes n"],
 ) -> Finding:
-    """What a model with a Lagrangian has learned, at every node of true motions, beside the truth.
+    """Return learned and true quantities at every node of true motions.
 
     Each potential is shifted by its mean distance from the true one along the motion.
     """

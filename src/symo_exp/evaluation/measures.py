@@ -1,7 +1,7 @@
-"""The measures that compare methods: mean squared errors, each a pure function of tensors.
+"""Mean squared errors and other measures, as functions of tensors.
 
-``q̂`` is predicted and ``q`` true. A prediction that has left the finite numbers has an infinite
-error: it is never skipped, and never turns a mean into something that looks like a number.
+``q̂`` is predicted and ``q`` true. A prediction that is not finite has an infinite error, which
+makes every mean over it infinite.
 """
 
 import math
@@ -15,14 +15,14 @@ VALID_ERROR = 0.1
 
 
 def squared_error(predicted: Tensor, true: Tensor) -> Tensor:
-    """``(x̂ − x)²`` element by element; infinite where the prediction is not finite."""
+    """Return ``(x̂ − x)²`` by elements, infinite where the prediction is not finite."""
     return (predicted - true).square().nan_to_num(nan=math.inf, posinf=math.inf)
 
 
 def one_step_mse(
     predicted: Float[Tensor, "samples n"], true: Float[Tensor, "samples n"]
 ) -> Float[Tensor, ""]:
-    """One-step error, ``mean (q̂_{k+1} − q_{k+1})²`` over samples and coordinates.
+    """Return the one-step error, ``mean (q̂_{k+1} − q_{k+1})²`` over samples and coordinates.
 
     Angles [rad] are not wrapped, lengths [m] weigh as much as angles (thesis section 6.2).
     """
@@ -32,16 +32,16 @@ def one_step_mse(
 def rollout_mse(
     predicted: Float[Tensor, "trajectories steps n"], true: Float[Tensor, "trajectories steps n"]
 ) -> Float[Tensor, " trajectories"]:
-    """``mean_{t,i} (q̂_{t,i} − q_{t,i})²`` of each trajectory."""
+    """Return ``mean_{t,i} (q̂_{t,i} − q_{t,i})²`` of each trajectory."""
     return squared_error(predicted, true).mean((1, 2))
 
 
 def valid_steps(
     predicted: Float[Tensor, "trajectories steps n"], true: Float[Tensor, "trajectories steps n"]
 ) -> Float[Tensor, " trajectories"]:
-    """Steps until the error, root mean square over coordinates, first exceeds 0.1 [rad, m].
+    """Return the steps until the error, RMS over coordinates, first exceeds 0.1 [rad, m].
 
-    A rollout that stays within it has all its steps.
+    A rollout that stays within it counts with all its steps.
     """
     left = squared_error(predicted, true).mean(2).sqrt() > VALID_ERROR
     return (left.cumsum(1) == 0).sum(1).double()
@@ -50,7 +50,7 @@ def valid_steps(
 def rollout_energy_mse(
     energy: Float[Tensor, "trajectories steps"], expected: Float[Tensor, "trajectories steps"]
 ) -> Float[Tensor, " trajectories"]:
-    """``mean_t (E(q̂_t, v̂_t) − E_t)²`` [J²] of each trajectory, ``E`` of the true system.
+    """Return ``mean_t (E(q̂_t, v̂_t) − E_t)²`` [J²] of each trajectory, ``E`` of the true system.
 
     ``E_t`` is the energy at the start, which is kept, or that of the true motion under friction.
     """
@@ -60,14 +60,14 @@ def rollout_energy_mse(
 def rollout_inertia_mse(
     learned: Float[Tensor, "trajectories steps n n"], true: Float[Tensor, "trajectories steps n n"]
 ) -> Float[Tensor, " trajectories"]:
-    """``mean_{t,i,j} (Ĥ_{ij} − H_{ij})²`` of each trajectory, mean over the n² entries."""
+    """Return ``mean_{t,i,j} (Ĥ_{ij} − H_{ij})²`` of each trajectory, mean over the n² entries."""
     return squared_error(learned, true).mean((1, 2, 3))
 
 
 def finite_difference_velocity(
     q: Float[Tensor, "trajectories nodes n"], time_step: float
 ) -> Float[Tensor, "trajectories nodes-1 n"]:
-    """``(q_{k+1} − q_k) / h``, which the thesis pairs with ``q_{k+1}``.
+    """Return ``(q_{k+1} − q_k) / h``, which the thesis pairs with ``q_{k+1}``.
 
     It is the velocity at ``k + ½``: paired with ``q_{k+1}`` it belongs to a time half a step
     earlier, and the energy error it gives is almost wholly that mismatch.
@@ -76,7 +76,7 @@ def finite_difference_velocity(
 
 
 def mean_and_std(name: str, per_trajectory: Float[Tensor, " trajectories"]) -> dict[str, float]:
-    """``<name>_mse`` and ``<name>_std``, mean and population deviation over trajectories.
+    """Return ``<name>_mse`` and ``<name>_std``, mean and population deviation over trajectories.
 
     One infinite error makes the mean infinite and leaves the deviation undefined (NaN).
     """

@@ -1,4 +1,4 @@
-"""A study of motions: some long ones from fixed starts, with or without a sinusoidal input."""
+"""A study of long motions from fixed starts, with or without a sinusoidal input."""
 
 from __future__ import annotations
 
@@ -23,13 +23,20 @@ from symo_exp.systems.simulation import Solver, simulate_driven
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """``count`` motions of ``steps`` time steps under ``u = amplitude sin(2π t / period)``.
+    """Motions under the input ``u = amplitude sin(2π t / period)``.
 
-    ``amplitude`` [N or N m] is that of every input, ``period`` in seconds. Starts are drawn by
-    ``seed`` from the system's box, the same for every model; without a box there are none.
-    Without ``truth``, or where the system has none, nothing is simulated to compare with. What is
-    left is the true energy, if it is known and nothing drives the motion, and the volume of phase
-    space, if a Lagrangian is known or learned.
+    They are compared with the true motions. Where these are not known, the true energy of unforced
+    motions is measured, if it is known; the volume of phase space, if a Lagrangian is known or
+    learned. A system without a box gives an empty finding.
+
+    Args:
+        name: Prefix of the measures.
+        steps: Length of the motions.
+        count: Number of motions.
+        seed: Seed of their starts, which are drawn from the system's box.
+        amplitude: Of every input [N or N m].
+        period: Of every input [s].
+        truth: Whether true motions are simulated.
     """
 
     name: str
@@ -52,6 +59,7 @@ class Motion:
     def __call__(
         self, model: DynamicsModel, system: System, data: DataModule, *, remember: Remember = afresh
     ) -> Finding:
+        """Return the finding; ``remember`` keeps true motions between runs."""
         if system.box is None:
             return Finding()
         model = model.for_evaluation()
@@ -89,8 +97,10 @@ class Motion:
         return Finding(columns, values), motion.q, motion.v
 
     def _true(self, system: LagrangianSystem, remember: Remember) -> Trajectories:
-        """The true motions, from a step before the first node: where a rollout starts, a
-        variational method asks for the configuration before."""
+        """Return true motions, from a step before the first node.
+
+        A variational method needs the configuration before the start of a rollout.
+        """
         h, solver = system.time_step, Solver()
         q0, v0, _ = system.box.points(self.count, self.seed)
 

@@ -1,4 +1,4 @@
-"""What a motion does to the volume of phase space, which a symplectic map keeps."""
+"""Change of phase space volume along motions; symplectic maps conserve it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ def log_volume(
     v: Float[Tensor, "trajectories nodes n"],
     u: Float[Tensor, "trajectories nodes m"],
 ) -> Float[Tensor, "trajectories nodes"]:
-    """``log det ∂(q_k, p_k)/∂(q_0, p_0)`` along motions of the model, with its ``p = H(q) v``.
+    """Return ``log det ∂(q_k, p_k)/∂(q_0, p_0)`` along motions of the model.
 
-    It is the logarithm of how a small volume around the start, an area for one degree of freedom,
-    has grown until node ``k``: the sum over the steps of ``log |det|`` of their derivatives.
+    ``p = H(q) v`` is the model's. The result is the logarithm of how a small volume around the
+    start, an area for one degree of freedom, has grown until node ``k``: the sum over the steps of
+    ``log |det|`` of their derivatives.
     """
     place = model.input_matrix
     rows = [x.to(place) for x in (q[:, :-1], v[:, :-1], u[:, :-1], u[:, 1:])]

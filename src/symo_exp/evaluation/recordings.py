@@ -70,6 +70,7 @@ class HeldOutErrors:
     """
 
     def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
+        """Return the score of a model on held-out trajectories."""
         windows = cut(trajectories, model.time_step, run_in=True)
         if windows is None:
             return math.inf

@@ -1,4 +1,4 @@
-"""Rollouts of a model beside the trajectories they are held against."""
+"""Rollouts of a model beside true trajectories."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
 from symo_exp.models.base import DynamicsModel
 
 CHUNK = 1024
-"""Rows evaluated at once: more cost memory and, beyond the cache, time."""
+"""Rows evaluated at once; more need more memory and, beyond the cache, more time."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,12 @@ class Rollouts:
     converged: Bool[Tensor, "trajectories steps"]
 
     def columns(self) -> dict[str, Tensor]:
-        """A table with a row for each node: those of ``state_columns`` with ``q``, ``v``,
-        ``q_true``, ``v_true``, then ``energy``, ``energy_true`` [J] where known, and ``converged``
-        (whether the step that led to this node found its root)."""
+        """Return a table with a row for each node.
+
+        Its columns are those of ``state_columns`` with ``q``, ``v``, ``q_true``, ``v_true``, then
+        ``energy``, ``energy_true`` [J] where known, and ``converged`` (whether the step that led
+        to this node found its root).
+        """
         table = state_columns(
             self.coordinates, self.time_step,
             q=self.q, v=self.v, q_true=self.q_true, v_true=self.v_true,
@@ -54,7 +57,7 @@ class Rollouts:
 def state_columns(
     coordinates: Coordinates, time_step: float, **fields: Float[Tensor, "trajectories nodes n"]
 ) -> dict[str, Tensor]:
-    """``trajectory``, ``step``, ``t`` [s] and ``<field>_<coordinate>``, a row for each node."""
+    """Return ``trajectory``, ``step``, ``t`` [s] and ``<field>_<coordinate>`` for each node."""
     trajectories, nodes, _ = next(iter(fields.values())).shape
     step = torch.arange(nodes).repeat(trajectories)
     table = {
@@ -70,9 +73,13 @@ def state_columns(
 
 @torch.no_grad()
 def roll_out(model: DynamicsModel, truth: Lagrangian | None, true: Trajectories) -> Rollouts:
-    """All trajectories at once from their node 1, the first that has a predecessor."""
+    """Return rollouts from node 1, the first with a predecessor, of all trajectories."""
     true = Trajectories(*(field.to(model.input_matrix) for field in true))
-    path = model.rollout(true.q[:, 1], model.initial_velocity(_first_window(true)), true.u[:, 1:])
+    v0 = model.initial_velocity(_first_window(true))
+    lost = ~v0.isfinite().all(1)
+    path = model.rollout(true.q[:, 1], v0.masked_fill(lost[:, None], 0.0), true.u[:, 1:])
+    if lost.any():  # no velocity was found to start with
+        path.q[lost, 1:], path.v[lost], path.converged[lost] = torch.nan, torch.nan, False
     q_true, v_true = true.q[:, 1:], true.v[:, 1:]
     return Rollouts(
         coordinates=model.coordinates,
@@ -88,7 +95,7 @@ def roll_out(model: DynamicsModel, truth: Lagrangian | None, true: Trajectories)
 
 
 def _first_window(trajectories: Trajectories) -> Windows:
-    """The sample at nodes 0, 1, 2 of every trajectory."""
+    """Windows at nodes 0, 1, 2 of every trajectory."""
     q, v, u = trajectories
     return Windows(
         q_prev=q[:, 0], q=q[:, 1], q_next=q[:, 2], v=v[:, 1], v_next=v[:, 2],
@@ -97,7 +104,7 @@ def _first_window(trajectories: Trajectories) -> Windows:
 
 
 def along(function: Callable[..., Tensor], *paths: Float[Tensor, "b t n"]) -> Tensor:
-    """A function of batched states at every node of every trajectory."""
+    """Return a function of batched states at every node of every trajectory."""
     batch, nodes = paths[0].shape[:2]
     rows = [torch.split(path.flatten(0, 1), CHUNK) for path in paths]
     values = torch.cat([function(*chunk) for chunk in zip(*rows, strict=True)])

@@ -1,8 +1,8 @@
-"""Studies: what a trained model does beyond the measures of every run.
+"""Studies: measures of a trained model beyond those of every run.
 
-A measure of one's own is a study: a callable with its settings in one file, its name and values in
-``conf/study``. It is handed the model, the system and the data, and gives numbers to draw and
-measures, which are logged beside those of every run::
+A study is a callable with its settings, whose values are in ``conf/study``. It is called with the
+model, the system and the data and returns columns to draw and measures, which are logged beside
+those of every run::
 
     @dataclass(frozen=True, kw_only=True)
     class Worst:
@@ -28,9 +28,11 @@ from symo_exp.errors import ConfigError
 
 @dataclass(frozen=True)
 class Finding:
-    """``columns`` of equal length make a table; ``measures`` are named as the run's others.
+    """The result of a study; empty where it does not apply to a method or a system.
 
-    Both are empty where the study has nothing to say of a method or of a system.
+    Attributes:
+        columns: Columns of a table, of equal length.
+        measures: Values by name.
     """
 
     columns: dict[str, Tensor] = field(default_factory=dict)
@@ -40,16 +42,16 @@ class Finding:
 Arrays = Mapping[str, np.ndarray]
 Make = Callable[[], Arrays]
 Remember: TypeAlias = Callable[[str, Mapping[str, Any], Make], Arrays]
-"""Gives the arrays that a name and a recipe (everything that decides what ``make`` gives) stand
-for: made now, or when another run asked for them."""
+"""Maps a name, a recipe (everything that the arrays depend on) and ``make`` to the arrays, made now
+or by an earlier run."""
 
 
 def afresh(name: str, recipe: Mapping[str, Any], make: Make) -> Arrays:
-    """Remembers nothing."""
+    """Return the arrays made now."""
     return make()
 
 
 def check_size(name: str, steps: int, count: int) -> None:
-    """Refuse a study of no motions, or of motions without a step."""
+    """Raise ``ConfigError`` for a study without motions or without steps."""
     if steps < 1 or count < 1:
         raise ConfigError(f"study.{name}: steps={steps} and count={count} must be at least 1")

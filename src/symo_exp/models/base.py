@@ -23,8 +23,9 @@ class DynamicsModel(nn.Module):
 
     Methods take a batch, ``q`` and ``v`` (B, n), ``u`` (B, m), and give one back; or a single
     state, ``q`` and ``v`` (n,), ``u`` (m,), and give back a single result. Arguments are tensors,
-    NumPy arrays or lists in SI units, of any precision; results are tensors in the precision and
-    on the device of the model.
+    NumPy arrays, DataFrames or lists in SI units, of any precision; results are tensors in the
+    precision and on the device of the model. They carry a gradient only if an argument is a tensor
+    that requires one; otherwise they convert to NumPy as they are.
     """
 
     def __init__(
@@ -78,7 +79,8 @@ class DynamicsModel(nn.Module):
         given = Inputs(self.input_matrix, q)
         v, u = given.state("v", v), given.control("u", u)
         u_next = u if u_next is None else given.control("u_next", u_next)
-        step = self.flow.step(given.q, v, u, u_next)
+        with given.gradients():
+            step = self.flow.step(given.q, v, u, u_next)
         return Step(*(x[0] for x in step)) if given.single else step
 
     def rollout(
@@ -88,11 +90,14 @@ class DynamicsModel(nn.Module):
 
         ``u`` (B, T+1, m) holds the control at every node, first to last; without it the motion is
         unforced and ``steps`` is T. From a single state it is (T+1, m) and so on. A trajectory
-        that diverges ends in non-finite numbers. Nothing is differentiated.
+        that diverges ends in non-finite numbers. Nothing is differentiated. A start that is not
+        finite raises ``ConfigError``.
         """
         given = Inputs(self.input_matrix, q0)
-        v, controls = given.state("v0", v0), given.controls(u, steps)
-        rollout = self.flow.rollout(given.q, v, controls, self.compiled.get("rollout"))
+        v, controls = given.finite("v0", given.state("v0", v0)), given.controls(u, steps)
+        rollout = self.flow.rollout(
+            given.finite("q0", given.q), v, controls, self.compiled.get("rollout")
+        )
         return Rollout(*(x[0] for x in rollout)) if given.single else rollout
 
     def linearize(self, q: Array, v: Array, u: Array = None) -> Linear:
@@ -148,7 +153,9 @@ class DynamicsModel(nn.Module):
         if self.lagrangian is None:
             raise AttributeError(f"{type(self).__name__} learns no Lagrangian")
         given = Inputs(self.input_matrix, q)
-        value = getattr(self.lagrangian, quantity)(given.q, *(given.state("v", x) for x in v))
+        velocity = [given.state("v", x) for x in v]
+        with given.gradients():
+            value = getattr(self.lagrangian, quantity)(given.q, *velocity)
         return value[0] if given.single else value
 
     def for_evaluation(self) -> DynamicsModel:

@@ -8,6 +8,7 @@ from typing import Annotated, final
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
@@ -42,6 +43,7 @@ class Acrobot(LagrangianSystem):
     coordinates = Coordinates(names=("theta_1", "theta_2"), angular=(True, True))
     input_matrix = torch.tensor([[0.0], [1.0]], dtype=torch.float64)
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, "batch 2 2"]:
         alpha = self.inertia_1 + self.mass_1 * self.centre_1**2 + self.mass_2 * self.length_1**2
         beta = self.inertia_2 + self.mass_2 * self.centre_2**2
@@ -52,12 +54,14 @@ class Acrobot(LagrangianSystem):
             -1,
         ).unflatten(-1, (2, 2))
 
+    @override
     def potential(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, " batch"]:
         shoulder = self.mass_1 * self.centre_1 + self.mass_2 * self.length_1
         elbow = self.mass_2 * self.centre_2
         return -self.gravity * (shoulder * q[:, 0].cos() + elbow * q.sum(-1).cos())
 
     @property
+    @override
     def linkage(self) -> Linkage:
         far, near, next_ = (float(x) for x in (self.length_1, self.centre_1, self.centre_2))
         first = link("theta_1", float(self.mass_1), (0.0, 0.0, -near), (float(self.inertia_1),) * 3)
@@ -71,6 +75,7 @@ class Acrobot(LagrangianSystem):
         )
         return Linkage((first, second), (0.0, 0.0, -float(self.gravity)), torch.eye(2).double())
 
+    @override
     def skeleton(self, q: Float[Tensor, " 2"]) -> Skeleton:
         first, second = q[0], q[0] + q[1]
         elbow = self.length_1 * torch.stack([first.sin(), -first.cos()])

@@ -1,4 +1,4 @@
-"""What is known of a system: coordinates, inputs and time step always, its Lagrangian perhaps."""
+"""Mechanical systems: coordinates, inputs, time step and, where known, the Lagrangian."""
 
 # Annotations are not postponed here: fields are inherited by classes of other modules, which need
 # not know the names of their types.
@@ -98,7 +98,7 @@ class System(ABC):
 
     @property
     def inputs(self) -> Sequence[str]:
-        """The names of the controls."""
+        """Names of the inputs."""
         return tuple(map(str, range(self.input_matrix.shape[1])))
 
     @property
@@ -108,26 +108,25 @@ class System(ABC):
 
     @property
     def ends(self) -> Sequence[Range] | None:
-        """Between which values of each coordinate a motion is one of this system."""
+        """Range of each coordinate beyond which a motion ends, ``None`` for no limits."""
         return None
 
     @property
     def notes(self) -> Sequence[str]:
-        """What to say of it before a training, a line each."""
+        """Lines to log before a training."""
         return ()
 
     def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton | None:
-        """Forward kinematics of one configuration, as a figure to draw."""
+        """Return the forward kinematics of a configuration as a figure, ``None`` if unknown."""
         return None
 
     def picture(self, q: Float[Tensor, " n"], size: int) -> np.ndarray | None:
-        """One configuration as a picture (size, size, 3), uint8, of a system that has a better one
-        than its skeleton."""
+        """Return a picture (size, size, 3), uint8, ``None`` where the skeleton is drawn."""
         return None
 
     @classmethod
     def units(cls) -> dict[str, str]:
-        """The physical parameters by name, with their units."""
+        """Return the units of the physical parameters by name."""
         hints = get_type_hints(cls, include_extras=True)
         names = [f.name for f in fields(cls) if get_origin(hints[f.name]) is Annotated]
         return {name: hints[name].__metadata__[0] for name in names}
@@ -168,7 +167,22 @@ class LagrangianSystem(System, Lagrangian):
     @cached_property
     def lagrangian(self) -> Lagrangian:
         """The true Lagrangian, with the friction where there is any."""
+        self._check_shapes()
         return DissipativeLagrangian(self, self.dissipation) if self.dissipation else self
+
+    def _check_shapes(self) -> None:
+        """Refuse a mass matrix or a potential of a wrong shape."""
+        n = self.coordinates.n
+        batch = n + 2  # no size of one state
+        q, _, _ = self.box.points(batch, seed=0)
+        with torch.no_grad():
+            found = {"mass_matrix": self.mass_matrix(q), "potential": self.potential(q)}
+        for name, wanted in (("mass_matrix", (batch, n, n)), ("potential", (batch,))):
+            if tuple(found[name].shape) != wanted:
+                raise ConfigError(
+                    f"{type(self).__name__}.{name}(q) has shape {tuple(found[name].shape)} for q "
+                    f"of shape {tuple(q.shape)}: expected {wanted}"
+                )
 
     @cached_property
     def dissipation(self) -> Dissipation | None:
@@ -221,7 +235,7 @@ class LagrangianSystem(System, Lagrangian):
         return acceleration(self.lagrangian, q, v, generalised_force(self.input_matrix.to(u), u))
 
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
-        """The terms of the equations of motion; without a graph where none is wanted."""
+        """Return the terms of the equations of motion, without a graph unless one is needed."""
         tracked = torch.is_grad_enabled() and (q.requires_grad or v.requires_grad)
         if tracked or not self._analytic:
             return super().rates(q, v)

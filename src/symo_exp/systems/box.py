@@ -1,4 +1,4 @@
-"""Where trajectories start and how they are driven."""
+"""Ranges of initial states and inputs."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ Range = tuple[float, float]
 
 
 class SamplingBox(NamedTuple):
-    """Where trajectories start and how they are driven: ``(low, high)`` of uniform draws.
+    """Ranges ``(low, high)`` of uniform initial states and constant inputs.
 
-    One range for each coordinate of ``q`` [m or rad], of ``v`` [m/s or rad/s] and for each
-    control of ``u`` [N or N m], which is constant along a trajectory.
+    Attributes:
+        q: Range of each coordinate [m or rad].
+        v: Range of each velocity [m/s or rad/s].
+        u: Range of each input [N or N m].
     """
 
     q: tuple[Range, ...]
@@ -26,7 +28,7 @@ class SamplingBox(NamedTuple):
     u: tuple[Range, ...]
 
     def points(self, count: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
-        """``count`` draws of ``(q, v, u)`` in float64, always the same for a seed."""
+        """Return ``count`` draws of ``(q, v, u)`` in float64, the same for the same seed."""
         generator = torch.Generator().manual_seed(seed)
         points = []
         for ranges in self:
@@ -37,13 +39,17 @@ class SamplingBox(NamedTuple):
 
 
 def completed(given: Any, own: SamplingBox) -> dict[str, Any]:
-    """``given``, a box, parts of one or nothing, with what it leaves out from ``own``."""
+    """Return the parts of a box, those that ``given`` lacks from ``own``."""
     parts = given._asdict() if isinstance(given, SamplingBox) else dict(given or {})
     return own._asdict() | {name: part for name, part in parts.items() if part is not None}
 
 
 def checked(given: SamplingBox | Mapping[str, Sequence[Range]], n: int, m: int) -> SamplingBox:
-    """Ranges of plain numbers, one for each of ``n`` coordinates and ``m`` controls."""
+    """Return a box of plain numbers for ``n`` coordinates and ``m`` inputs.
+
+    Raises:
+        ConfigError: If a range is missing or not ordered.
+    """
     parts = given._asdict() if isinstance(given, SamplingBox) else dict(given)
     if set(parts) != set(SamplingBox._fields):
         raise ConfigError(f"system.box={parts}: expected ranges of q, v and u")

@@ -8,6 +8,7 @@ from typing import Annotated, final
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
@@ -17,7 +18,9 @@ from symo_exp.systems.base import LagrangianSystem, Linkage, Skeleton
 @final
 @dataclass(frozen=True, kw_only=True)
 class Cartpole(LagrangianSystem):
-    """Uniform rod of length ``2 L`` hinged on a cart, ``θ = 0`` upright, force ``u`` on the cart::
+    """A uniform rod of length ``2 L`` hinged on a cart, ``θ = 0`` upright, force ``u`` on the cart.
+
+    ::
 
         H = [[m_c + m_p, m_p L cos θ], [m_p L cos θ, 4/3 m_p L²]],    V = m_p g L cos θ
 
@@ -34,6 +37,7 @@ class Cartpole(LagrangianSystem):
     coordinates = Coordinates(names=("x", "theta"), angular=(False, True))
     input_matrix = torch.tensor([[1.0], [0.0]], dtype=torch.float64)
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, "batch 2 2"]:
         coupling = self.mass_pole * self.half_length * q[:, 1].cos()
         one = torch.ones_like(coupling)
@@ -41,10 +45,12 @@ class Cartpole(LagrangianSystem):
         pole = 4 / 3 * self.mass_pole * self.half_length**2 * one
         return torch.stack([total, coupling, coupling, pole], -1).unflatten(-1, (2, 2))
 
+    @override
     def potential(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, " batch"]:
         return self.mass_pole * self.gravity * self.half_length * q[:, 1].cos()
 
     @property
+    @override
     def linkage(self) -> Linkage:
         mass, half = float(self.mass_pole), float(self.half_length)
         inertia = mass * half**2 / 3
@@ -54,6 +60,7 @@ class Cartpole(LagrangianSystem):
         )
         return Linkage((cart, pole), (0.0, 0.0, -float(self.gravity)), torch.eye(2).double())
 
+    @override
     def skeleton(self, q: Float[Tensor, " 2"]) -> Skeleton:
         cart = torch.stack([q[0], torch.zeros_like(q[0])])
         tip = cart + 2 * self.half_length * torch.stack([q[1].sin(), q[1].cos()])

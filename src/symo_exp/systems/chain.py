@@ -10,12 +10,13 @@ from typing import Annotated, Any, final
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import SamplingBox, completed
-from symo_exp.systems.checks import whole
+from symo_exp.systems.checks import whole_number
 
 
 @final
@@ -40,18 +41,20 @@ class ChainPendulum(LagrangianSystem):
     box: Any = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        whole("system.links", self.links)
+        whole_number("system.links", self.links)
         sides = {"q": (-pi / 2, pi / 2), "v": (-1.0, 1.0), "u": (-1.0, 1.0)}
         box = SamplingBox(**{name: (side,) * self.links for name, side in sides.items()})
         vars(self)["box"] = completed(self.box, box)
         super().__post_init__()
 
     @property
+    @override
     def coordinates(self) -> Coordinates:
         names = tuple(f"theta_{i + 1}" for i in range(self.links))
         return Coordinates(names=names, angular=(True,) * self.links)
 
     @cached_property
+    @override
     def input_matrix(self) -> Tensor:
         eye = torch.eye(self.links, dtype=torch.float64)
         return eye - torch.diag(torch.ones(self.links - 1, dtype=torch.float64), 1)
@@ -61,10 +64,12 @@ class ChainPendulum(LagrangianSystem):
         index = torch.arange(self.links, dtype=torch.float64)
         return self.mass * (self.links - torch.maximum(index[:, None], index[None, :]))
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         angle = q.unsqueeze(-1) - q.unsqueeze(-2)
         return self._carried.to(q) * self.length**2 * angle.cos()
 
+    @override
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         weight = self._carried.diagonal().to(q) * self.gravity * self.length
         return -(weight * q.cos()).sum(-1)
@@ -86,6 +91,7 @@ class ChainPendulum(LagrangianSystem):
         apart = torch.eye(self.links) - torch.diag(torch.ones(self.links - 1), -1)
         return Linkage(links, (0.0, 0.0, -float(self.gravity)), apart.double())
 
+    @override
     def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton:
         rods = self.length * torch.stack([q.sin(), -q.cos()], -1)
         points = torch.cat([torch.zeros_like(rods[:1]), rods.cumsum(0)])

@@ -1,4 +1,4 @@
-"""Values that a user may set, checked in one line each."""
+"""Checks of values that a user sets."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from symo_exp.errors import ConfigError
 
 
-def whole(key: str, value: object, *, low: int = 1, high: int | None = None) -> int:
-    """``value`` if it is a whole number from ``low`` to ``high``."""
+def whole_number(key: str, value: object, *, low: int = 1, high: int | None = None) -> int:
+    """Return ``value``; raise ``ConfigError`` unless it is an integer from ``low`` to ``high``."""
     plain = isinstance(value, int) and not isinstance(value, bool)
     if isinstance(value, int) and plain and low <= value and (high is None or value <= high):
         return value
@@ -25,7 +25,11 @@ def real(
     high: float | None = None,
     above: float | None = None,
 ) -> float:
-    """``value`` if it is a finite number from ``low`` to ``high`` and greater than ``above``."""
+    """Return ``value`` as a float.
+
+    Raises:
+        ConfigError: If it is not a finite number from ``low`` to ``high`` and above ``above``.
+    """
     if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
         inside = (low is None or value >= low) and (high is None or value <= high)
         if inside and (above is None or value > above):
@@ -36,7 +40,7 @@ def real(
 
 
 def one_of(key: str, value: object, choices: Sequence[str]) -> str:
-    """``value`` if it is one of ``choices``."""
+    """Return ``value``; raise ``ConfigError`` unless it is one of ``choices``."""
     if value not in choices:
         raise ConfigError(f"{key}={value!r}: expected one of {', '.join(choices)}")
     return str(value)

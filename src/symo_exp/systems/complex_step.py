@@ -16,7 +16,7 @@ _STEP = 1e-20  # Nothing is subtracted, so the step only has to vanish beside 1.
 def rates(
     lagrangian: Lagrangian, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
 ) -> Rates:
-    """``H``, ``Ḣ v`` and ``∂ℒ/∂q`` from ``f'(q; d) = Im f(q + i ε d) / ε``.
+    """Return ``H``, ``Ḣ v`` and ``∂ℒ/∂q`` from ``f'(q; d) = Im f(q + i ε d) / ε``.
 
     The directions d are the n axes, which give ``∂ℒ/∂q``, and v, which gives ``Ḣ``. All are rows of
     one batch, so one evaluation of ``H`` and ``V`` does for all: about five times as fast on small
@@ -45,7 +45,7 @@ def _imaginary_axes(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
 def applies(
     lagrangian: Lagrangian, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
 ) -> bool:
-    """Whether the complex step agrees with automatic differentiation at some points (float64).
+    """Return whether the complex step agrees with automatic differentiation at points (float64).
 
     It does not where a function is not analytic (``abs``, ``norm``, ``clamp``): those either refuse
     complex numbers or silently drop the imaginary part.

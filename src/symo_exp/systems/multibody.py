@@ -1,4 +1,4 @@
-"""Rigid bodies on hinges and slides: the Lagrangian of any tree of them."""
+"""Trees of rigid bodies on hinges and slides."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from typing_extensions import Self
+from typing_extensions import Self, override
 
 from symo_exp.mechanics.bodies import (
     Drag,
@@ -75,27 +75,33 @@ class Multibody(LagrangianSystem):
 
     @cached_property
     def joints(self) -> tuple[Joint, ...]:
+        """The joints, parents first."""
         return tuple(Joint(**joint) for joint in self.mechanism["joints"])
 
     @cached_property
+    @override
     def coordinates(self) -> Coordinates:
         names = tuple(joint.name for joint in self.joints)
         return Coordinates(names, tuple(not joint.slides for joint in self.joints))
 
     @property
+    @override
     def inputs(self) -> Sequence[str]:
         return tuple(self.mechanism["inputs"]["names"])
 
     @cached_property
+    @override
     def input_matrix(self) -> Tensor:
         rows = self.mechanism["inputs"]["matrix"]
         return torch.tensor(rows, dtype=torch.float64).reshape(len(self.joints), -1)
 
     @property
+    @override
     def notes(self) -> Sequence[str]:
         return tuple(self.mechanism.get("notes", ()))
 
     @property
+    @override
     def ends(self) -> tuple[Range, ...] | None:
         if self.limits == "off" or not any(joint.limits for joint in self.joints):
             return None
@@ -112,6 +118,7 @@ class Multibody(LagrangianSystem):
         return (*(column(self.joints, name) for name in names), gravity)
 
     @property
+    @override
     def linkage(self) -> Linkage:
         names = ("mass", "centre", "inertia", "armature", "stiffness")
         rows = zip(*(x.tolist() for x in self._numbers[:5]), strict=True)
@@ -143,6 +150,7 @@ class Multibody(LagrangianSystem):
                 found[f"{joint.name}.stiffness"] = Constant(stiffness[i], unit)
         return found
 
+    @override
     def with_constants(self, values: Mapping[str, Tensor]) -> Self:
         twin = super().with_constants({})
         rows: list[list[Tensor]] = [[], [], [], [], []]
@@ -158,12 +166,15 @@ class Multibody(LagrangianSystem):
         vars(twin).update(_numbers=numbers, _tree=self._tree, joints=self.joints)
         return twin
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         return self._mass_matrix(self._tree.poses(q))
 
+    @override
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         return self._potential(q, self._tree.poses(q))
 
+    @override
     def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
         at = self._tree.poses(q)
         return self._mass_matrix(at), self._potential(q, at)
@@ -190,7 +201,7 @@ class Multibody(LagrangianSystem):
         return Drag(self._tree, hulls, fluid["density"], fluid["viscosity"], friction)
 
     def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton:
-        """The joints, and the far ends of the last bodies, seen along the first hinge."""
+        """Return the joints and the far ends of the last bodies, seen along the first hinge."""
         view, anchors = self._view, column(self.joints, "anchor")
         at = self._tree.poses(q.double().unsqueeze(0))
         ends = [i for i in range(len(q)) if i not in {joint.parent for joint in self.joints}]
@@ -204,13 +215,13 @@ class Multibody(LagrangianSystem):
         return Skeleton(points, tuple(links), (0,) if rail else (), max(reach, 1e-3))
 
     def picture(self, q: Float[Tensor, " n"], size: int) -> np.ndarray | None:
-        """By MuJoCo, where it, the model and a way to draw are there."""
+        """Return MuJoCo's picture, ``None`` where it cannot draw."""
         drawn = scene(self.model, self.id, size)
         return None if drawn is None else drawn.draw(q.detach().cpu().double().numpy())
 
     @cached_property
     def _view(self) -> Tensor:
-        """The directions (2, 3) that are right and up in a picture."""
+        """Directions (2, 3) that are right and up in a picture."""
         gravity = torch.tensor(self.mechanism["gravity"], dtype=torch.float64)
         up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
         if gravity.norm() > 0:
@@ -229,7 +240,7 @@ def _about(joint: Joint) -> Range:
 
 
 def _plain(value: Any) -> Any:
-    """Mappings and lists of any kind as those of Python, numbers as floats."""
+    """Return mappings and lists of any kind as plain ones."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):

@@ -8,6 +8,7 @@ from typing import Annotated, final
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
@@ -30,20 +31,24 @@ class Pendulum(LagrangianSystem):
     coordinates = Coordinates(names=("theta",), angular=(True,))
     input_matrix = torch.tensor([[1.0]], dtype=torch.float64)
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch 1"]) -> Float[Tensor, "batch 1 1"]:
         inertia = self.mass * self.length**2 / 3
         return (inertia * torch.ones_like(q)).unsqueeze(-1)
 
+    @override
     def potential(self, q: Float[Tensor, "batch 1"]) -> Float[Tensor, " batch"]:
         return 0.5 * self.mass * self.gravity * self.length * (1 + q[:, 0].cos())
 
     @property
+    @override
     def linkage(self) -> Linkage:
         mass, length = float(self.mass), float(self.length)
         inertia = mass * length**2 / 12
         rod = link("theta", mass, (0.0, 0.0, length / 2), (inertia, inertia, 0.0))
         return Linkage((rod,), (0.0, 0.0, -float(self.gravity)), torch.eye(1).double())
 
+    @override
     def skeleton(self, q: Float[Tensor, " 1"]) -> Skeleton:
         tip = self.length * torch.stack([-q[0].sin(), q[0].cos()])
         points = torch.stack([torch.zeros_like(tip), tip])

@@ -1,4 +1,4 @@
-"""A machine of which nothing is known but recordings."""
+"""Machines that are known by their recordings only."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import torch
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
@@ -16,11 +17,14 @@ from symo_exp.systems.base import System
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recorded(System):
-    """Coordinates ``names`` and inputs ``inputs``, as the columns of a recording name them.
+    """A machine whose coordinates and inputs are those of a recording.
 
-    ``angular`` says which coordinates are angles [rad]: ``"all"``, ``"none"`` or their names.
-    ``input_matrix`` is ``B`` (n, m) of the generalised force ``B u``; ``None`` is the identity,
-    which there has to be an input for each coordinate for. Without inputs it is (n, 0).
+    Args:
+        names: Names of the coordinates.
+        angular: Coordinates that are angles [rad]: ``"all"``, ``"none"`` or their names.
+        inputs: Names of the inputs.
+        input_matrix: ``B`` (n, m) of the generalised force ``B u``. ``None``: the identity, with
+            an input for each coordinate; (n, 0) without inputs.
     """
 
     names: Sequence[str]
@@ -41,6 +45,7 @@ class Recorded(System):
         super().__post_init__()
 
     @property
+    @override
     def coordinates(self) -> Coordinates:
         assert self.angular is not None
         return Coordinates(tuple(self.names), tuple(name in self.angular for name in self.names))

@@ -73,7 +73,7 @@ def notes(model: Any) -> Iterator[str]:
 
 
 def _touching(model: Any) -> int:
-    """Number of pairs of geoms that could touch, of bodies that move relative to each other."""
+    """Count pairs of geoms that could touch, of bodies that move relative to each other."""
     if disabled(model, "CONTACT") or disabled(model, "CONSTRAINT"):
         return 0
     body = model.body_weldid[model.geom_bodyid]

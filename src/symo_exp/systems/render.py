@@ -1,4 +1,4 @@
-"""Skeletons drawn by Pillow: one painter for animations and the environment; and its window."""
+"""Stick figures drawn by Pillow, for animations and environments, and the window of these."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIZE = 480
 MARGIN = 1.25
 """Half the picture's width in units of the skeleton's reach."""
 FINE = 3
-"""Drawn this much larger and scaled down: Pillow's lines have no soft edges."""
+"""Factor by which figures are drawn larger and scaled down, for soft edges."""
 PAPER, RAIL, LINK, JOINT = "#ffffff", "#c8c8c8", "#285aa0", "#333333"
 
 
@@ -58,12 +58,12 @@ def paint(
 
 
 def points_of(skeleton: Skeleton) -> np.ndarray:
-    """Its points (points, 2) in metres."""
+    """Return the points (points, 2) of a skeleton [m]."""
     return np.asarray(skeleton.points.detach().cpu().double().numpy())
 
 
 def draw_skeleton(skeleton: Skeleton) -> np.ndarray:
-    """A skeleton, its first point in the middle, as a picture (SIZE, SIZE, 3), uint8."""
+    """Return a picture (SIZE, SIZE, 3), uint8, of a skeleton, its first point in the middle."""
     image = Image.new("RGB", (SIZE * FINE, SIZE * FINE), PAPER)
     box = (0.0, 0.0, float(SIZE * FINE))
     paint(ImageDraw.Draw(image), box, skeleton, points_of(skeleton)[0])
@@ -71,8 +71,15 @@ def draw_skeleton(skeleton: Skeleton) -> np.ndarray:
 
 
 class Renderer:
-    """Pictures in a window of pygame (``human``) or as arrays (``rgb_array``), which need neither
-    pygame nor a display."""
+    """Pictures in a window of pygame (``human``) or as arrays (``rgb_array``).
+
+    Arrays need neither pygame nor a display.
+
+    Args:
+        mode: ``human`` or ``rgb_array``.
+        frames_per_second: Of the window.
+        title: Of the window.
+    """
 
     def __init__(self, mode: str, frames_per_second: float, title: str) -> None:
         self._fps = frames_per_second
@@ -82,7 +89,7 @@ class Renderer:
             self._open(title)
 
     def show(self, picture: np.ndarray) -> np.ndarray | None:
-        """The picture (SIZE, SIZE, 3), uint8; ``None`` where it went to the window."""
+        """Return the picture (SIZE, SIZE, 3), uint8, ``None`` after showing it in the window."""
         if self._window is None:
             return picture
         image = self._pygame.image.frombuffer(picture.tobytes(), (SIZE, SIZE), "RGB")

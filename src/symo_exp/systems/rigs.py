@@ -1,4 +1,4 @@
-"""Models that makers of machines identified: what learned models of their recordings are held to.
+"""Reference models of machines, as identified by their makers.
 
 A machine's Lagrangian with its friction, all parameters given; angles [rad] are zero hanging down.
 ``acceleration`` is what a reference needs (``symo_exp.evaluation.references``).
@@ -14,6 +14,7 @@ from functools import cached_property
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Lagrangian, solve
@@ -110,12 +111,15 @@ class FreeChain(Rig):
         joints = torch.eye(len(friction), dtype=friction.dtype) - below
         return joints.T @ torch.diag(friction) @ joints
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         return self._coupling.to(q) * (q.unsqueeze(-1) - q.unsqueeze(-2)).cos()
 
+    @override
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         return -self.gravity * (self._moment.to(q) * q.cos()).sum(-1)
 
+    @override
     def force(self, v: Tensor, u: Tensor) -> Tensor:
         return -v @ self._damping.to(v)
 
@@ -134,12 +138,15 @@ class MotorPendulum(Rig):
     dry: float
     offset: float
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch 1"]) -> Float[Tensor, "batch 1 1"]:
         return torch.full_like(q, self.inertia).unsqueeze(-1)
 
+    @override
     def potential(self, q: Float[Tensor, "batch 1"]) -> Float[Tensor, " batch"]:
         return -self.gravity * self.moment * q.cos().sum(-1)
 
+    @override
     def force(self, v: Tensor, u: Tensor) -> Tensor:
         return u - self.viscous * v - self.dry * (SHARP * v).atan() - self.offset
 
@@ -174,6 +181,7 @@ class MotorDoublePendulum(Rig):
             if len(getattr(self, name)) != 2:
                 raise ConfigError(f"reference.{name}={getattr(self, name)}: expected two values")
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, "batch 2 2"]:
         coupling = self.mass[1] * self.length * self.centre[1] * q[:, 1].cos()
         rotor, geared = self.rotor, self.gear**2 * self.rotor
@@ -183,11 +191,13 @@ class MotorDoublePendulum(Rig):
         second = torch.full_like(both, self.inertia[1] + geared)
         return torch.stack([first, both, both, second], -1).unflatten(-1, (2, 2))
 
+    @override
     def potential(self, q: Float[Tensor, "batch 2"]) -> Float[Tensor, " batch"]:
         shoulder = self.mass[0] * self.centre[0] + self.mass[1] * self.length
         elbow = self.mass[1] * self.centre[1]
         return -self.gravity * (shoulder * q[:, 0].cos() + elbow * q.sum(-1).cos())
 
+    @override
     def force(self, v: Tensor, u: Tensor) -> Tensor:
         viscous, dry = (_numbers(x).to(v) for x in (self.viscous, self.dry))
         return u - viscous * v - dry * (SHARP * v).atan()

@@ -48,7 +48,7 @@ class Scene:
         return picture if self._sky else self._on_paper(picture)
 
     def _on_paper(self, picture: np.ndarray) -> np.ndarray:
-        """A picture whose background, black without a sky, is white."""
+        """Return a picture whose background, black without a sky, is white."""
         self._renderer.enable_segmentation_rendering()
         empty = self._renderer.render()[..., 0] < 0
         self._renderer.disable_segmentation_rendering()

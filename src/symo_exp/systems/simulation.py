@@ -24,7 +24,7 @@ Slope = Callable[[int, float, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Solver:
-    """How SciPy integrates, with its names: all trajectories together.
+    """Settings of SciPy's integrators, which integrate all trajectories together.
 
     Its error norm is a root mean square over all B·2n states; tolerances divided by √B make it
     bound every single trajectory as its tolerances would. The integrator stops at every node, which
@@ -43,7 +43,7 @@ class Solver:
     def integrate(
         self, slope: Slope, start: Float[np.ndarray, "batch states"], nodes: int, h: float
     ) -> Float[np.ndarray, "nodes batch states"]:
-        """The states at every node; ``ConfigError`` where the integrator fails."""
+        """Return the states at every node; raise ``ConfigError`` if the integrator fails."""
         states = np.empty((nodes, *start.shape))
         states[0], step = start, None
         for k in range(nodes - 1):
@@ -53,7 +53,7 @@ class Solver:
     def _advance(
         self, slope: Slope, k: int, x: np.ndarray, h: float, first_step: float | None
     ) -> tuple[np.ndarray, float]:
-        """The states at node ``k + 1``, and the step size to begin the next with."""
+        """Return the states at node ``k + 1`` and the step size to begin the next with."""
         scale = 1 / math.sqrt(max(len(x), 1))
         stepper = METHODS[self.method](
             lambda t, y: slope(k, t, y.reshape(x.shape)).ravel(), 0.0, x.ravel(), h,
@@ -67,7 +67,7 @@ class Solver:
         return stepper.y.reshape(x.shape), min(stepper.h_abs, h)
 
     def failed(self, k: int, reason: str) -> ConfigError:
-        """What to say where there is no way from node ``k`` to the next."""
+        """Return the error of a step from node ``k`` that failed."""
         return ConfigError(
             f"data.solver={self.method} with rtol={self.rtol:g}, atol={self.atol:g} failed between "
             f"nodes {k} and {k + 1}: {reason}; try larger tolerances or milder parameters"
@@ -100,7 +100,7 @@ def simulate_driven(
     steps: int,
     solver: Solver,
 ) -> Trajectories:
-    """The same under an input that is a function of time [s], the first node being at zero.
+    """Integrate under an input that is a function of time [s], 0 at the first node.
 
     The trajectories hold its values at the nodes.
     """

@@ -1,4 +1,4 @@
-"""The systems of ``conf/system`` that their files state whole: that folder is the table."""
+"""Systems whose files in ``conf/system`` are complete."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from symo_exp.systems.base import LagrangianSystem
 
 
 def systems() -> dict[str, type[LagrangianSystem]]:
-    """The class of each, by the name of its file."""
+    """Return the class of each by the name of its file."""
     files = sorted((CONF / "system").glob("*.yaml"))
     names = [file.stem for file in files if "${mechanism:" not in file.read_text("utf-8")]
     kinds = {name: pkgutil.resolve_name(_settings(name)["_target_"]) for name in names}
@@ -20,7 +20,7 @@ def systems() -> dict[str, type[LagrangianSystem]]:
 
 
 def system(name: str, **changes: Any) -> LagrangianSystem:
-    """The system as its file states it, but for the fields given here."""
+    """Return the system of a file, with some fields changed."""
     settings = _settings(name) | changes
     made: LagrangianSystem = pkgutil.resolve_name(settings.pop("_target_"))(**settings)
     return made

@@ -33,11 +33,12 @@ import torch
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import System
-from symo_exp.systems.checks import whole
+from symo_exp.systems.checks import whole_number
 from symo_exp.systems.render import SIZE, Renderer, draw_skeleton
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
@@ -84,6 +85,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         self._state: np.ndarray | None = None
         self._renderer: Renderer | None = None
 
+    @override
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -91,15 +93,18 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         self._age = 0
         return self._arrive(self._copies.draw(self.np_random, 1, options)), {}
 
+    @override
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         states, rewards, lost = self._copies.move(self._now(), np.asarray(action)[None])
         self._age += 1
         truncated = self._last is not None and self._age >= self._last
         return self._arrive(states), float(rewards[0]), bool(lost[0]), truncated, {}
 
+    @override
     def render(self) -> Any:
         return self._draw() if self.render_mode == "rgb_array" else None
 
+    @override
     def close(self) -> None:
         if self._renderer is not None:
             self._renderer.close()
@@ -162,7 +167,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
     ) -> None:
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
-        self.num_envs, self.system = whole("copies", num_envs), system
+        self.num_envs, self.system = whole_number("copies", num_envs), system
         self._copies = Copies(system, motion or exact(system, solver), reward)
         self.single_action_space = self._copies.actions
         self.single_observation_space = self._copies.observations
@@ -172,6 +177,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
         self._state: np.ndarray | None = None
         self._age, self._over = np.zeros(num_envs), np.zeros(num_envs, dtype=bool)
 
+    @override
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
@@ -180,6 +186,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
         self._state = self._copies.draw(self.np_random, self.num_envs, options)
         return self._state.copy(), {}
 
+    @override
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib.util
 import logging
 import os
@@ -26,17 +27,23 @@ RESULTS = ("q_next", "v_next", "converged")
 
 
 class FixedStep(nn.Module):
-    """A step as a fixed sequence of operations: ``iterations`` undamped steps of Newton's method,
-    and row by row whether they found the root."""
+    """A step as a fixed sequence of operations, which tells for each row if its root was found.
+
+    Args:
+        flow: The flow of a model.
+        iterations: Undamped steps of Newton's method, of a variational flow.
+    """
 
     def __init__(self, flow: Flow, iterations: int) -> None:
         super().__init__()
-        self.flow, self.iterations = flow, iterations
+        self.flow, self.iterations = copy.deepcopy(flow).requires_grad_(False), iterations
 
     def forward(
         self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return ``(q_next, v_next, converged)``."""
         flow = self.flow
+        q, v, u, u_next = (x.to(flow.input_matrix.dtype) for x in (q, v, u, u_next))
         if not isinstance(flow, VariationalFlow):
             return flow.step(q, v, u, u_next)[:3]
         forces, h = flow.forces(u, u_next), flow.time_step
@@ -53,17 +60,28 @@ class FixedStep(nn.Module):
 def export(
     run: DynamicsModel | str | os.PathLike[str], path: str | Path, *, iterations: int = 5
 ) -> Path:
-    """Write ``(q, v, u, u_next) → (q_next, v_next, converged)`` of a model to ``path``.
+    """Write the step of a model to a file that runs without this package.
 
-    ``q``, ``v`` are (batch, n), ``u``, ``u_next`` (batch, m), in SI units and the precision of the
-    model, the batch of any size; ``converged`` is (batch,). The control goes linearly from ``u`` to
-    ``u_next``. A variational step takes so many ``iterations`` of Newton's method.
+    ``*.pt2`` and ``*.onnx`` map ``(q, v, u, u_next)`` to ``(q_next, v_next, converged)``, in SI
+    units: ``q``, ``v`` are (batch, n), ``u``, ``u_next`` (batch, m), ``converged`` (batch,). The
+    batch has any size; a single state is a batch of one. Arguments of a ``*.pt2`` may be float32
+    or float64, those of a ``*.onnx`` have the precision of the model; results have it in both. The
+    control goes linearly from ``u`` to ``u_next``. ``*.pt2`` is read by
+    ``torch.export.load(path).module()``, ``*.onnx`` by any ONNX runtime.
 
     ``*.xml`` is the model itself as MJCF, ``*.urdf`` as URDF, where it consists of rigid bodies
     (``symo_exp.use.mjcf.write_bodies``).
 
-    ``run`` is a model, a run, its folder or the id of an MLflow run. ``*.pt2`` is read by
-    ``torch.export.load(path).module()``, ``*.onnx`` by any ONNX runtime.
+    Args:
+        run: A model, a run, its folder or the id of an MLflow run.
+        path: The file to write.
+        iterations: Newton iterations of a variational step.
+
+    Returns:
+        The path.
+
+    Raises:
+        ConfigError: If the suffix is unknown, or the step has operations that the format lacks.
     """
     model = run if isinstance(run, DynamicsModel) else load(os.fspath(run))
     path = Path(path)
@@ -79,7 +97,7 @@ def export(
         )
     step = FixedStep(model.flow, iterations).eval()
     try:
-        program = _program(step, model)
+        program = _program(step, model, exact=path.suffix == ".onnx")
         (_onnx if path.suffix == ".onnx" else _pt2)(program, path, model)
     except Exception as error:  # PyTorch has many
         if isinstance(error, ConfigError):
@@ -92,19 +110,31 @@ def export(
 ONNX = ("onnx", "onnxscript")
 
 
-def _program(step: FixedStep, model: DynamicsModel) -> Any:
-    n, m = model.input_matrix.shape
-    example = [model.input_matrix.new_full((3, size), 0.1) for size in (n, n, m, m)]
+def _program(step: FixedStep, model: DynamicsModel, *, exact: bool) -> Any:
+    """Return the step as a graph, which converts arguments to its precision unless ``exact``."""
+    (n, m), like = model.input_matrix.shape, model.input_matrix
+    if not exact:  # a conversion is part of the graph if there is one to do
+        like = like.to(torch.float32 if like.dtype == torch.float64 else torch.float64)
+    example = [like.new_full((3, size), 0.1) for size in (n, n, m, m)]
     batch = torch.export.Dim("batch", min=1)
     with torch.no_grad():
-        return torch.export.export(
+        program = torch.export.export(
             step, tuple(example), dynamic_shapes=({0: batch},) * 4, strict=False
         )
+    graph = program.graph_module.graph
+    for node in list(graph.nodes):  # conversions do not insist on the precision of the example
+        if node.target is torch.ops.aten._assert_tensor_metadata.default:
+            graph.erase_node(node)
+    program.graph_module.recompile()
+    return program
 
 
 def _pt2(program: Any, path: Path, model: DynamicsModel) -> None:
     names = ", ".join(model.coordinates.names)
-    about = f"{ARGUMENTS} -> {RESULTS}; coordinates {names}; time step {model.time_step} s\n"
+    about = (
+        f"{ARGUMENTS} -> {RESULTS}; arguments (batch, n) and (batch, m), a single state is a batch "
+        f"of one; coordinates {names}; time step {model.time_step} s\n"
+    )
     torch.export.save(program, path, extra_files={"symo_exp.txt": about})
 
 

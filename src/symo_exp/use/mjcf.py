@@ -171,7 +171,7 @@ def _smooth() -> str:
 
 
 def _with_friction(joints: Any, along: Coupled) -> list[Joint]:
-    """The joints with the dry friction that acts on one of them alone."""
+    """Return the joints with the dry friction that acts on one of them alone."""
     own = {int(torch.tensor(a).nonzero()[0]): c for c, a in along if sum(x != 0.0 for x in a) == 1}
     return [joint._replace(friction=own.get(i, 0.0)) for i, joint in enumerate(joints)]
 
