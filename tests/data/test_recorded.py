@@ -163,7 +163,7 @@ def test_malformed_tables_are_refused_in_one_line(
     ("name", "content", "message"),
     [
         ("absent.csv", None, "No such file"),
-        ("data.txt", b"x", r"ends in \.parquet or \.csv"),
+        ("data.txt", b"x", r"ends in \.parquet, \.csv, "),
         ("broken.parquet", b"PAR1 nonsense", "cannot be read"),
         ("empty.csv", b"", "cannot be read"),
         ("bytes.csv", b"\xff\xfe\x00\x81,\n\x9d", "data.path"),
