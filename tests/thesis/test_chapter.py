@@ -39,7 +39,7 @@ def test_the_published_is_drawn_beside_ours():
     told = thesis_report(tidy(repeated(SIZES)), "it")
     figures = {f.key: f for s in told.sections for f in s.figures}
     for key in ("data_size_cartpole_errors", "noise_cartpole"):
-        assert figures[key].title.endswith(f"(thesis, figure {published.figures()[key]})")
+        assert figures[key].title.endswith(f"(thesis, figure {published.thesis_figures()[key]})")
         for panel in figures[key].panels:
             ours, theirs = (panel.rows[panel.rows.source == s] for s in ("ours", "published"))
             assert not ours.empty

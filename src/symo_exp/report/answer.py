@@ -10,7 +10,7 @@ import pandas as pd
 
 from symo_exp.report.cells import DEFAULTS, Compared
 from symo_exp.report.looks import in_order, letters, look, measure_name, number, pair_name, short
-from symo_exp.report.ranking import Interval, between, logarithms, resampled
+from symo_exp.report.ranking import MarginInterval, between, logarithms, resampled
 from symo_exp.report.tables import ResultTable
 
 ROOTS = "test_newton_failed"
@@ -54,7 +54,7 @@ QUESTIONS = (
 )
 
 
-class Finding(NamedTuple):
+class Ranked(NamedTuple):
     """Values of one measure: a row for each system and seed, a column for each contestant."""
 
     question: Question
@@ -137,7 +137,7 @@ def contestants(runs: pd.DataFrame, compared: Compared) -> pd.DataFrame:
     return mine.assign(who=pd.Series(who, index=mine.index, dtype=order))
 
 
-def _ask(rows: pd.DataFrame, question: Question) -> Finding | None:
+def _ask(rows: pd.DataFrame, question: Question) -> Ranked | None:
     """Return the values at one noise and one size of the training set.
 
     The size is the smallest that more than half of the contestants have if the question asks for
@@ -160,10 +160,10 @@ def _ask(rows: pd.DataFrame, question: Question) -> Finding | None:
     values = here.pivot_table("value", ["system", "seed"], "who", aggfunc="last", observed=True)
     values.columns = list(map(str, values.columns))
     asks = "One step ahead" if question.smallest and not few else question.asks
-    return Finding(question, asks, there[0], noise, size, values)
+    return Ranked(question, asks, there[0], noise, size, values)
 
 
-def sentence(found: Finding) -> str:
+def sentence(found: Ranked) -> str:
     """Return the best contestant, its margin with an interval, and the systems with another."""
     question, medians = found.question, found.medians()
     where = [f"noise {number(found.noise)}"] if found.noise else []
@@ -195,7 +195,7 @@ def sentence(found: Finding) -> str:
     return f"{start}: {says} ({sure})" + f"; {but}" * bool(but) + "."
 
 
-def _interval(found: Finding, best: str, second: str) -> Interval:
+def _interval(found: Ranked, best: str, second: str) -> MarginInterval:
     """Return the interval of the margin in powers of ten, by resampling the seeds of a system."""
     apart = []
     for stream, (_, rows) in enumerate(found.values[[best, second]].groupby("system")):
@@ -205,7 +205,7 @@ def _interval(found: Finding, best: str, second: str) -> Interval:
     return between(np.mean(apart, axis=0))
 
 
-def heat_map(system: str, found: Iterable[Finding]) -> ResultTable:
+def heat_map(system: str, found: Iterable[Ranked]) -> ResultTable:
     """Return a table with a row for each contestant and a column for each measure."""
     texts, shades = {}, {}
     for one in found:

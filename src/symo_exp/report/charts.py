@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import altair as alt
+import matplotlib
 import numpy as np
 import pandas as pd
 import vl_convert
@@ -87,12 +88,13 @@ def config(theme: str) -> dict[str, Any]:
     ink, soft, grid = INK[theme], SOFT[theme], GRID[theme]
     return {
         "background": "white" if theme == "light" else "transparent",
+        "font": "DejaVu Sans, Verdana, sans-serif",
         "view": {"stroke": None},
         "title": {"anchor": "start", "color": ink, "subtitleColor": soft, "fontSize": 12,
                   "fontWeight": "normal", "subtitleFontSize": 10.5},
         "axis": {"labelColor": soft, "titleColor": ink, "gridColor": grid, "domainColor": soft,
                  "tickColor": soft, "titleFontWeight": "normal", "labelFontSize": 10.5,
-                 "titleFontSize": 11.5, "labelOverlap": "greedy"},
+                 "titleFontSize": 11, "labelOverlap": "greedy"},
         "axisY": {"minExtent": 44},
         "legend": {"orient": "top", "direction": "horizontal", "title": None, "labelColor": ink,
                    "labelFontSize": 11.5, "labelLimit": 260, "columns": 6, "symbolOpacity": 1,
@@ -105,6 +107,8 @@ def config(theme: str) -> dict[str, Any]:
 def draw_charts(figure: Figure, folder: Path, formats: Iterable[str]) -> list[Path]:
     """Write ``<key>.<format>`` for each of ``png``, ``pdf`` and ``svg`` asked for."""
     folder.mkdir(parents=True, exist_ok=True)
+    # Matplotlib ships a font that has the symbols of coordinates
+    vl_convert.register_font_directory(f"{matplotlib.get_data_path()}/fonts/ttf")
     spec = json.dumps(declare(figure, interactive=False))
     paths = []
     for form in formats:

@@ -87,7 +87,7 @@ def data_size(found: pd.DataFrame) -> list[Figure]:
     ]  # fmt: skip
 
 
-def noise(found: pd.DataFrame) -> list[Figure]:
+def noise_figures(found: pd.DataFrame) -> list[Figure]:
     """Return errors over the noise of the training data, for systems with several noises."""
     rows = _with_floors(found[(found.n_traj == AT) | (found.source == "floor")], NOISE)
     ours = rows[rows.source == "ours"].groupby("system").noise_std.unique()

@@ -53,7 +53,7 @@ TRUE = {
 """True systems, which are drawn as floors below learned models."""
 BASELINES = {
     "constant_velocity": Look("constant velocity", "#8a8a8a", "v"),
-    "reference": Look("reference", "#56B4E9", "P"),
+    "reference": Look("reference model", "#CC79A7", "P"),
     "noise": Look("noise of the measurement", "#222222", "."),
 }
 """Baselines of models of recordings."""

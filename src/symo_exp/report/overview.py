@@ -54,7 +54,7 @@ def sections(
         *recording_sections(recorded),
         Section("sizes", "Errors over the size of the training set",
                 figures=curves.data_size(drawn)),
-        Section("noise", "Errors over noise", figures=curves.noise(drawn)),
+        Section("noise", "Errors over noise", figures=curves.noise_figures(drawn)),
         Section("time", "Accuracy against time", figures=curves.speed(runs)),
         Section("motions", "Motions, and what was learned",
                 figures=motions.motion_figures(at_32, floors, store)),

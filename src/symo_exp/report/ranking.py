@@ -20,7 +20,7 @@ DRAWS = 2000
 LEVEL = 0.95
 
 
-class Interval(NamedTuple):
+class MarginInterval(NamedTuple):
     """Bounds of an interval."""
 
     low: float
@@ -36,7 +36,7 @@ def wide(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
 
 def margin(
     table: pd.DataFrame, lower: list[Pair], higher: list[Pair], higher_in: pd.DataFrame
-) -> tuple[float, Interval, int]:
+) -> tuple[float, MarginInterval, int]:
     """Return by how much the worst of ``lower`` lies below the best of ``higher``.
 
     Medians are taken over the seeds that all pairs have.
@@ -51,7 +51,7 @@ def margin(
         The margin in powers of ten, its interval from resampled seeds, and the number of seeds;
         NaN and 0 where a pair has not been run.
     """
-    nothing = math.nan, Interval(math.nan, math.nan), 0
+    nothing = math.nan, MarginInterval(math.nan, math.nan), 0
     if not set(lower) <= set(table.columns) or not set(higher) <= set(higher_in.columns):
         return nothing
     small, large = table[lower].dropna(), higher_in[higher].dropna()
@@ -74,11 +74,11 @@ def resampled(count: int, stream: int = 0) -> np.ndarray:
     return np.random.default_rng(stream).integers(0, count, (DRAWS, count))
 
 
-def between(values: np.ndarray) -> Interval:
+def between(values: np.ndarray) -> MarginInterval:
     """Return the central interval that has a share ``LEVEL`` of the values."""
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(values, [tail, 1 - tail])
-    return Interval(float(low), float(high))
+    return MarginInterval(float(low), float(high))
 
 
 def logarithms(values: pd.DataFrame | pd.Series) -> np.ndarray:

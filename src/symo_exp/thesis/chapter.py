@@ -1,4 +1,4 @@
-"""The tables of chapter 6, ours beside the published; what of it has been run, and holds."""
+"""Tables of chapter 6: results beside the published ones, statements, and what has been run."""
 
 from __future__ import annotations
 
@@ -28,25 +28,31 @@ from symo_exp.thesis.published import TIME_STEPS
 
 NUMBERS = {"pendulum": "6.2", "acrobot": "6.3", "cartpole": "6.4"}
 TOLERATED = 3.0
-"""The factor within which a repeated cell counts as the published one."""
+"""Factor within which a repeated cell agrees with the published one."""
 SIZES, NOISES = (8, 16, 32, 64, 128), (0.0, 1e-4, 5e-4, 1e-3, 5e-3, 1e-2)
 
 
 def chapter_tables(found: pd.DataFrame, compared: pd.DataFrame) -> Iterable[ResultTable]:
-    """Tables 6.2 to 6.4 of each variant, from cells at the chapter's time steps."""
+    """Yield tables 6.2 to 6.4 for each variant, from cells at the time steps of the chapter."""
     learned = _at_32(found[found.source == "ours"])
+    main = main_variant(learned)
     theirs = _at_32(compared[compared.time_step == compared.system.map(TIME_STEPS)])
     for variant in sorted(set(learned.variant)):
         mine = learned[learned.variant == variant]
         of = theirs[(theirs.variant == variant) | theirs.variant.isna()]
         for system in in_thesis_order(mine.system):
-            yield _table(mine[mine.system == system], of[of.system == system], system, variant)
+            here = mine[mine.system == system]
+            # other variants were run for some methods only
+            pairs = _pairs(here) if variant == main else _run(here)
+            yield _table(here, of[of.system == system], system, variant, pairs)
 
 
-def _table(mine: pd.DataFrame, theirs: pd.DataFrame, system: str, variant: str) -> ResultTable:
-    """Three lines for each method: ours, the published, and the factor."""
+def _table(
+    mine: pd.DataFrame, theirs: pd.DataFrame, system: str, variant: str, pairs: Iterable[Pair]
+) -> ResultTable:
+    """Return three lines for each method: ours, the published values, and the factor."""
     rows = []
-    for pair in _pairs(mine):
+    for pair in pairs:
         ours, published = _of(mine, pair), _of(theirs, pair)
         count = int(ours.seeds.max()) if len(ours) else 0
         rows += [
@@ -70,7 +76,7 @@ def _table(mine: pd.DataFrame, theirs: pd.DataFrame, system: str, variant: str) 
 
 
 def agreement(compared: pd.DataFrame) -> ResultTable:
-    """In how many cells ours are within a factor of three of the published."""
+    """Return the numbers of cells within a factor of three of the published ones."""
     metrics = {"test_mse": "test", "integration_mse": "integration"}
     done = compared[(compared.seeds > 0) & compared.metric.isin(metrics)].dropna(subset="factor")
     x = done.factor
@@ -90,15 +96,15 @@ def agreement(compared: pd.DataFrame) -> ResultTable:
     header = ["settings", "system", "method"]
     header += [f"{m}: {w}" for m in metrics.values() for w in ("within 3", "÷3", "×3")]
     note = (
-        "Every published cell that has been run, whatever its size and noise; averaged over the "
-        "same where there is a measure for it."
+        "Every published cell that has been run, of all sizes and noises, compared by the same "
+        "average where there is a measure for it."
     )
     title = "Cells within a factor of three of the published, better by more, worse by more"
     return ResultTable("agreement", title, pd.DataFrame(rows, columns=header), [note], words=3)
 
 
 def claims(measures: pd.DataFrame) -> ResultTable:
-    """Which statements of the thesis hold."""
+    """Return a table of the statements of the thesis, and which of them hold."""
     rows = []
     for claim, published, ours in judge(measures):
         several = ours.seeds > 1
@@ -115,14 +121,14 @@ def claims(measures: pd.DataFrame) -> ResultTable:
         "resampled for the interval: undecided where that has 1 in it.",
         "By its own numbers: the published ones, which are not all averaged over the same.",
     ]
-    title = "What the thesis says, and whether it holds"
+    title = "Statements of the thesis"
     return ResultTable("claims", title, pd.DataFrame(rows), notes, words=6)
 
 
 def progress(runs: pd.DataFrame) -> Iterable[ResultTable]:
-    """Which cells of the chapter have been run, with how many seeds.
+    """Yield tables of the number of seeds in each cell of the chapter.
 
-    What has not been run is told of the main variant alone: others were tried here and there.
+    Cells that have not been run are listed for the main variant only.
     """
     done = runs[(runs.source == "ours") & (runs.metric != "")].drop_duplicates("run_id")
     main = main_variant(done)
@@ -150,12 +156,13 @@ def progress(runs: pd.DataFrame) -> Iterable[ResultTable]:
 
 
 def in_thesis_order(systems: Iterable[str]) -> list[str]:
+    """Return the systems in the order of the thesis, others last."""
     places = list(TIME_STEPS)
     return sorted(set(systems), key=lambda s: (places.index(s) if s in places else len(places), s))
 
 
 def factor(x: float) -> str:
-    """How many times: ``×2.1``, ``÷830``."""
+    """Return a factor as tables print it: ``×2.1``, ``÷830``."""
     if pd.isna(x):
         return "–"
     if x == 0 or x == float("inf"):
@@ -176,8 +183,13 @@ def _of(rows: pd.DataFrame, pair: Pair) -> pd.DataFrame:
 
 
 def _pairs(rows: pd.DataFrame) -> list[Pair]:
-    """Those of the chapter, and what else has been run."""
-    return sorted({*PAIRS, *zip(rows.method, rows.integrator, strict=True)}, key=in_order)
+    """Return the methods of the chapter and others that have been run."""
+    return sorted({*PAIRS, *_run(rows)}, key=in_order)
+
+
+def _run(rows: pd.DataFrame) -> list[Pair]:
+    """Return the methods that have been run."""
+    return sorted({*zip(rows.method, rows.integrator, strict=True)}, key=in_order)
 
 
 def _each(rows: pd.DataFrame, say: Callable[[Mapping[Any, Any]], str]) -> list[str]:
@@ -196,7 +208,7 @@ def _plus_minus(row: Mapping[Any, Any]) -> str:
 
 
 def _what_over(overs: pd.DataFrame) -> Iterable[str]:
-    """For each measure whose published values average over something of their own."""
+    """Yield a note for each measure whose published values are other averages."""
     for metric in TABLE:
         told = []
         for note, rows in overs[overs.metric == metric].groupby("note", sort=False):

@@ -1,4 +1,4 @@
-"""What the thesis says of its methods, as comparisons that runs can decide.
+"""Statements of the thesis on its methods, as comparisons that runs decide.
 
 Each row of ``claims.csv`` states that every pair of ``lower`` has a smaller ``metric`` than every
 pair of ``higher`` has of ``higher_metric``, by the factor ``times`` at least.
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from symo_exp.report.looks import Pair
-from symo_exp.report.ranking import BLOCK, Interval, margin, wide
+from symo_exp.report.ranking import BLOCK, MarginInterval, margin, wide
 from symo_exp.thesis import published
 
 PAIRS: list[Pair] = [
@@ -29,18 +29,26 @@ CLAIMS = pd.read_csv(published.FOLDER / "claims.csv", dtype={"section": str})
 
 
 class Verdict(NamedTuple):
-    """``margin`` and ``interval`` are factors beyond the claimed one: above 1 the claim holds."""
+    """What runs say of a statement.
+
+    Args:
+        said: ``holds``, ``does not hold``, ``undecided`` or ``not run``.
+        margin: The factor found over the claimed one; above 1 the statement holds.
+        interval: The interval of the margin.
+        seeds: Number of seeds.
+    """
 
     said: str
     margin: float
-    interval: Interval
+    interval: MarginInterval
     seeds: int
 
 
 def judge(measures: pd.DataFrame) -> list[tuple[Mapping[Any, Any], Verdict, Verdict]]:
-    """Each claim with the verdict of the published numbers and that of our runs.
+    """Return each statement with its verdict by the published numbers and by runs.
 
-    ``measures`` are the runs of one variant at the step of the thesis.
+    Args:
+        measures: Runs of one variant at the time step of the thesis.
     """
     theirs = published.published().assign(seed=0)
     theirs = theirs[theirs.time_step == theirs.system.map(published.TIME_STEPS)]
@@ -57,7 +65,7 @@ def _decide(claim: Mapping[Any, Any], tables: Mapping[str, pd.DataFrame]) -> Ver
     size, interval, seeds = margin(small, _pairs(claim["lower"]), _pairs(claim["higher"]), large)
     factor, low, high = (10.0**x / claim["times"] for x in (size, *interval))
     said = "holds" if low > 1 else "does not hold" if high <= 1 else "undecided"
-    return Verdict(said if seeds else "not run", factor, Interval(low, high), seeds)
+    return Verdict(said if seeds else "not run", factor, MarginInterval(low, high), seeds)
 
 
 def _pairs(words: str) -> list[Pair]:
@@ -66,7 +74,7 @@ def _pairs(words: str) -> list[Pair]:
 
 
 def _cell(claim: Mapping[Any, Any], table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of the claim's cell, one for each seed."""
+    """Return the rows of the cell of a statement, one for each seed."""
     block = [level for level in BLOCK if level != "seed"]
     wanted = tuple(claim[level] for level in block)
     at = [tuple(values) == wanted for values in table.index.droplevel("seed")]

@@ -1,4 +1,4 @@
-"""The published draws: the very initial states and inputs of the thesis, at ``seed=0``."""
+"""The published draws: the initial states and inputs of the thesis at ``seed=0``."""
 
 from __future__ import annotations
 
@@ -15,19 +15,22 @@ from symo_exp.systems.base import SamplingBox
 
 @dataclass(frozen=True)
 class Published:
-    """The draws of the published experiments.
+    """Draws of the published experiments.
 
-    The states of the training trajectories and, after them, of the test trajectories are one
-    sequence of Gym's generator of that time, and their inputs one of NumPy's ``RandomState``, both
-    of this seed; the states of the rollouts belong to ``seed + 1``. Those of the validation
-    trajectories, of which the thesis has none, belong to ``seed + 2``. With ``interleaved`` a
-    state was drawn as ``q₁, v₁, q₂, v₂, …``, else as ``q, v``.
+    The states of the training and then of the test trajectories are one sequence of the generator
+    of Gym before 0.22, their inputs one of NumPy's ``RandomState``, both with the given seed. The
+    states of the rollouts have ``seed + 1``, those of the validation trajectories, which the thesis
+    does not have, ``seed + 2``.
+
+    Args:
+        interleaved: Whether a state is drawn as ``q₁, v₁, q₂, v₂, …`` or as ``q, v``.
     """
 
     interleaved: bool = False
     lead = 1
 
     def __call__(self, box: SamplingBox, counts: Mapping[str, int], seed: int) -> dict[str, Starts]:
+        """Return the initial states and inputs of each split."""
         sizes = [counts["train"], counts["test"]]
         fields = (x.split(sizes) for x in self._drawn(box, sum(sizes), seed))
         train, test = zip(*fields, strict=True)
@@ -51,6 +54,6 @@ class Published:
 
 
 def gym_generator(seed: int) -> np.random.RandomState:
-    """The generator of Gym before 0.22: seeded with 64 bits of a hash of the seed's digits."""
+    """Return the generator of Gym before 0.22, seeded with 64 bits of a hash of the seed."""
     digest = hashlib.sha512(str(seed).encode()).digest()
     return np.random.RandomState(np.frombuffer(digest[:8], dtype="<u4"))

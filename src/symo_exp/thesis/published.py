@@ -1,15 +1,15 @@
-"""The published numbers of the thesis, as data, and beside ours.
+"""The published numbers of the thesis, as data and beside results.
 
-``published.csv`` has a row for each number of each of its 198 runs:
+``published.csv`` has a row for each number of each of the 198 runs of the thesis:
 
 * ``system``, ``time_step`` [s], ``method``, ``integrator``, ``n_traj``, ``noise_std``: the cell;
-* ``learning_rate``: with noise the thesis trains with another one;
-* ``metric``, ``value``, ``std``: the measure by our name and, where it is one over trajectories,
-  its standard deviation over them. One run a cell: there is no spread over seeds;
-* ``over``: what the value is a mean over. The thesis defines its errors over the configuration;
-  what it prints is in places over the whole state, or over the configuration and one velocity.
+* ``learning_rate``: the thesis trains with another one on noisy data;
+* ``metric``, ``value``, ``std``: the measure by its name here and, of a mean over trajectories, the
+  standard deviation. There is one run in each cell;
+* ``over``: what the value averages over. The thesis defines its errors over the configuration; some
+  printed values average over the state, or over the configuration and one velocity.
 
-``over.csv`` says, for each measure and ``over``, which measure of ours is ``like`` it, and a note.
+``over.csv`` has for each measure and ``over`` the measure here that is ``like`` it, and a note.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from symo_exp.report.cells import SUMMARY, at_step
 FOLDER = Path(__file__).parent
 CELL = ["system", "time_step", "method", "integrator", "n_traj", "noise_std"]
 TIME_STEPS = {"pendulum": 0.1, "acrobot": 0.05, "cartpole": 0.05}
-"""Of the chapter's tables and figures [s]; the file has runs with smaller steps, too."""
+"""Time steps [s] of the tables and figures; the file also has runs with smaller ones."""
 NOISY = "; the published test data are noisy, ours are not"
 
 
 @functools.cache
 def published() -> pd.DataFrame:
-    """The numbers, with what they are averages over."""
+    """Return the numbers and what they average over."""
     table = pd.read_csv(FOLDER / "published.csv")
     return table.merge(pd.read_csv(FOLDER / "over.csv"), on=["metric", "over"], how="left")
 
 
-def figures() -> dict[str, str]:
-    """The figures of the thesis that ours repeat, by the names of ours."""
+def thesis_figures() -> dict[str, str]:
+    """Return the numbers of the figures of the thesis by the keys of the figures here."""
     return dict(pd.read_csv(FOLDER / "figures.csv", dtype=str).to_numpy().tolist())
 
 
 def as_cells(variant: str) -> pd.DataFrame:
-    """The published numbers as cells to draw beside ours, at the chapter's time steps."""
+    """Return the published numbers as cells at the time steps of the chapter."""
     table = at_step(published(), TIME_STEPS)
     nothing = dict.fromkeys(("low", "high", "seconds"), float("nan"))
     return table.rename(columns={"value": "median"}).assign(
@@ -50,10 +50,13 @@ def as_cells(variant: str) -> pd.DataFrame:
 
 
 def with_ours(found: pd.DataFrame) -> pd.DataFrame:
-    """A row for each published number: with ours, where that cell has been run.
+    """Return a row for each published number, with the result of the cell if it has been run.
 
-    ``like`` names our measure that averages over the same, ``alike`` is its median and ``factor``
-    is ``alike`` over the published value.
+    ``like`` is the measure here with the same average, ``alike`` its median and ``factor`` the
+    ratio of ``alike`` to the published value.
+
+    Args:
+        found: Cells of runs (``report.cells``).
     """
     theirs = published().rename(columns={"value": "published", "std": "published_std"})
     noisy = (theirs.metric == "test_mse") & (theirs.noise_std > 0)

@@ -1,4 +1,4 @@
-"""The solver of the published data: a ``solve_ivp`` of SciPy's for each trajectory and node."""
+"""The solver of the published data: SciPy's ``solve_ivp`` from node to node."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 from scipy.integrate import RK45
+from typing_extensions import override
 
 from symo_exp.systems.checks import one_of
 from symo_exp.systems.simulation import Slope, Solver
 
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0
-"""Of SciPy's control of the step size."""
+"""Constants of SciPy's control of the step size."""
 Rate = Callable[[np.ndarray], np.ndarray]
 Rows = Float[np.ndarray, " batch"]
 States = Float[np.ndarray, "batch states"]
@@ -22,12 +23,16 @@ States = Float[np.ndarray, "batch states"]
 
 @dataclass(frozen=True)
 class SolveIvp(Solver):
-    """``solve_ivp(rate, (0, h), x)`` from each node to the next, each trajectory by itself.
+    """``solve_ivp(rate, (0, h), x)`` from each node to the next, for each trajectory by itself.
 
-    At its loose defaults the steps decide the result: pendulums that share theirs come out 5e-4
-    apart. Here all trajectories take a stage at once, but each finds its first step (Hairer,
-    Nørsett and Wanner, section II.4) and repeats or lengthens steps by its own error, as there.
-    The input is held from node to node.
+    With the default tolerances the result depends on the steps: with common steps, pendulums differ
+    by 5e-4. All trajectories take a stage at once, but each has its own first step (Hairer, Nørsett
+    and Wanner, section II.4) and step sizes, as in SciPy. The input is held from node to node.
+
+    Args:
+        method: The method of ``solve_ivp``: ``RK45``.
+        rtol: The relative tolerance.
+        atol: The absolute tolerance.
     """
 
     method: str = "RK45"
@@ -38,6 +43,7 @@ class SolveIvp(Solver):
         super().__post_init__()
         one_of("data.solver.method", self.method, ("RK45",))
 
+    @override
     def integrate(
         self, slope: Slope, start: States, nodes: int, h: float
     ) -> Float[np.ndarray, "nodes batch states"]:
@@ -51,7 +57,7 @@ class SolveIvp(Solver):
         return states
 
     def _to_next(self, rate: Rate, x: States, h: float) -> States:
-        """The states ``h`` later; ``nan`` where steps shrink to nothing."""
+        """Return the states ``h`` later, ``nan`` if steps become too small."""
         f = rate(x)
         step, left = self._first_steps(rate, x, f, h), np.full(len(x), h)
         rejected = np.zeros(len(x), dtype=bool)
@@ -70,7 +76,7 @@ class SolveIvp(Solver):
         return x
 
     def _stages(self, rate: Rate, x: States, f: States, step: Rows) -> tuple[States, States, Rows]:
-        """A step of Dormand and Prince's pair: states, their rates, and errors over tolerance."""
+        """Return states, their rates, and errors over tolerance of a step of Dormand-Prince."""
         slopes, h = [f], step[:, None]
         for weights in (*(row[:i] for i, row in enumerate(RK45.A) if i), RK45.B):
             after = x + h * _combined(slopes, weights)

@@ -50,6 +50,8 @@ def thesis_report(
 
 def _numbered(section: Section) -> Section:
     """Return the section with the numbers of the thesis' figures in its titles."""
-    told = {key: f" (thesis, figure {number})" for key, number in published.figures().items()}
+    told = {
+        key: f" (thesis, figure {number})" for key, number in published.thesis_figures().items()
+    }
     titled = [replace(one, title=one.title + told.get(one.key, "")) for one in section.figures]
     return replace(section, figures=titled)
