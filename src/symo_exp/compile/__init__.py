@@ -1,7 +1,7 @@
-"""Compiled training and rollouts: what ``models`` computes, by generated kernels.
+"""Compiled training and rollouts.
 
-Where the compiler fails, a line says so and everything goes on uncompiled. A fault of ours is
-raised.
+If the compiler fails, a line is logged and computation continues uncompiled. Errors of the
+functions that are compiled are raised.
 """
 
 from __future__ import annotations
@@ -39,7 +39,12 @@ def trains_compiled(learner: Trainable) -> bool:
 
 
 def compile_training(learner: Trainable, *, validation: bool = False) -> None:
-    """Compile the training step of a learner at its next call, and the validation loss if asked."""
+    """Compile the training step of a learner at its next call.
+
+    Args:
+        learner: The learner.
+        validation: Whether to compile the validation loss, too.
+    """
     step, loss = _loss(learner, gradients=True), _loss(learner, gradients=False)
     assert step is not None
     assert loss is not None
@@ -49,11 +54,11 @@ def compile_training(learner: Trainable, *, validation: bool = False) -> None:
 
 
 def compile_rollout(model: DynamicsModel) -> None:
-    """Compile the steps of ``model.rollout`` at its next call: for those who need many.
+    """Compile the steps of ``model.rollout`` at its next call.
 
-    That takes up to a minute for each new number of trajectories and precision, in later
-    processes some seconds; then steps take a fraction of their time. The motion is the same to
-    the tolerance of the roots. Where it is not possible a line says so and nothing changes.
+    Compilation takes up to a minute for each new number of trajectories and precision, some seconds
+    in later processes; steps then take a fraction of their time. The motion is the same to the
+    tolerance of the roots. If a step cannot be compiled, a line is logged and nothing changes.
     """
     flow = model.flow
     advance: Callable[..., Any] | None = None
@@ -79,7 +84,7 @@ def _install(
     compiled: Callable[..., Any],
     other: Callable[..., Any],
 ) -> None:
-    """Put a compiled function in place, which for good is the other if the compiler fails."""
+    """Put a compiled function in place, or the other one for good if the compiler fails."""
 
     def call(*arguments: Any) -> Any:
         nonlocal compiled
@@ -96,8 +101,10 @@ def _install(
 def _loss(
     learner: Trainable, *, gradients: bool
 ) -> Callable[[Windows], tuple[Tensor, Statistics]] | None:
-    """``windows → loss, statistics``; nothing where it cannot be compiled. ``gradients`` are left
-    in the parameters."""
+    """Return the compiled map from windows to loss and statistics, ``None`` if there is none.
+
+    With ``gradients`` a call leaves them in the parameters.
+    """
     model, objective = learner.model, learner.objective
     flow = model.flow
     if isinstance(objective, RootError) and isinstance(flow, VariationalFlow):

@@ -1,4 +1,4 @@
-"""What is private of PyTorch's compiler: nothing else here knows more than this file offers."""
+"""The only uses of PyTorch's compiler that go beyond its public interface."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ OPTIONS = {
         "pattern_matcher": False,
     }
 }
-"""What calls the kernels is compiled, too: with few rows a fifth of a step was Python doing that;
-apart from them and optimised less, which g++ is done with sooner and a step does not notice.
-Sums are not put back into products of matrices (``addmm``)."""
+"""The code that calls the kernels is compiled, too: with few rows Python took a fifth of a step for
+it. It is built separately and optimised less, which shortens compilation and not the step. Sums are
+not merged into products of matrices (``addmm``)."""
 logging.getLogger("torch._inductor.ir").setLevel(logging.ERROR)  # which solver is called how
 
 flatten, unflatten = pytree.tree_flatten, pytree.tree_unflatten
@@ -32,38 +32,41 @@ flatten, unflatten = pytree.tree_flatten, pytree.tree_unflatten
 
 
 class CompilerError(RuntimeError):
-    """The compiler, or the machine that it runs on, has failed; not what it was to compile."""
+    """Raised if the compiler fails, and not the function that it compiles."""
 
 
 def compiler_available() -> bool:
-    """Whether the machine has the C++ compiler that the generated kernels need."""
+    """Return whether the machine has the C++ compiler that the generated kernels need."""
     return any(shutil.which(name) for name in ("c++", "g++", "clang++"))
 
 
 def kernel_cache() -> Path:
-    """Where kernels are kept."""
+    """Return the folder of compiled kernels."""
     own = os.environ.get("TORCHINDUCTOR_CACHE_DIR")
     return Path(own) if own else Path.home() / ".cache" / "symo_exp" / "kernels"
 
 
 def trace(function: Callable[..., list[Tensor]], example: Sequence[Tensor]) -> torch.fx.GraphModule:
-    """The operations of a function of tensors, with the cheaper kernels in place."""
+    """Return the operations of a function of tensors, with the cheaper kernels in place."""
     from torch.fx.experimental.proxy_tensor import make_fx
 
     return make_fx(function, decomposition_table=CHEAPER)(*example)
 
 
 def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..., list[Tensor]]:
-    """The graph as kernels for the shapes and layouts of ``example``, kept in the user's cache.
+    """Return a graph as kernels for the shapes and layouts of ``example``.
 
-    Its only inputs are tensors of fixed shapes, so nothing has to be checked at every call. The
-    next process that comes with the same graph, another job of a sweep say, finds its kernels on
-    disk and spends seconds here instead of a minute.
+    Kernels are cached on disk: a later process with the same graph, such as another job of a sweep,
+    spends seconds here instead of a minute. All inputs are tensors of fixed shapes, so that nothing
+    is checked at a call.
+
+    Raises:
+        CompilerError: If the compiler fails.
     """
     os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(kernel_cache())
     os.environ.setdefault("TORCHINDUCTOR_COMPILE_THREADS", "1")
-    # The graph is traced and sound, so whatever goes wrong here is the compiler's, be it a missing
-    # lowering, a broken g++ or a full disk: there is no common class of all that.
+    # The graph is sound, so every error here is the compiler's: a missing lowering, a broken g++ or
+    # a full disk. They have no common class.
     try:
         from torch._inductor import standalone_compile
 
@@ -76,7 +79,7 @@ def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..
 
 
 def carry(kind: type, *constants: str) -> None:
-    """Let ``flatten`` take objects of a class apart; attributes named ``constants`` are kept."""
+    """Register a class with ``flatten``; attributes named in ``constants`` are kept as they are."""
 
     def take_apart(x: Any) -> tuple[list[Any], Any]:
         given = dict(vars(x))

@@ -1,4 +1,4 @@
-"""Cheaper kernels of some operations, as the networks here have them."""
+"""Cheaper kernels of operations at the sizes of the networks here."""
 
 from __future__ import annotations
 
@@ -10,24 +10,28 @@ from torch import Tensor
 
 
 def mm(a: Tensor, b: Tensor) -> Tensor:
-    """``A B``; a tall and narrow product as ``(Bᵀ Aᵀ)ᵀ``, which the library does in a fifth of the
-    time, if only ``Bᵀ`` lies row by row in memory: else it takes seven times as long as ``A B``. A
-    network has such products wherever a layer has few inputs or outputs."""
+    """Return ``A B``, a tall and narrow product as ``(Bᵀ Aᵀ)ᵀ``.
+
+    That takes the library a fifth of the time if ``Bᵀ`` is contiguous, and seven times as long if
+    it is not. Layers with few inputs or outputs have such products.
+    """
     if not 8 * b.shape[1] <= min(a.shape):
-        return NotImplemented  # to the tracer: leave it as it is
+        return NotImplemented  # the tracer keeps the operation
     return (b.T.contiguous() @ a.T).T
 
 
 def addmm(x: Tensor, a: Tensor, b: Tensor, *, beta: float = 1.0, alpha: float = 1.0) -> Tensor:
-    """``X + A B`` as two: the sum is compiled into what follows, where the library copies ``X`` to
-    its place first."""
+    """Return ``X + A B`` as two operations.
+
+    The sum is compiled into the operations that follow; the library would copy ``X`` first.
+    """
     if beta != 1 or alpha != 1:
         return NotImplemented
     return x + a @ b
 
 
 def bmm(a: Tensor, b: Tensor) -> Tensor:
-    """``A x``, ``xᵀ A`` and ``x yᵀ`` for a batch as sums, compiled into their neighbours."""
+    """Return ``A x``, ``xᵀ A`` and ``x yᵀ`` for a batch as sums, compiled into their neighbours."""
     if a.shape[2] == 1:
         return a * b
     if b.shape[2] == 1:
@@ -40,7 +44,7 @@ def bmm(a: Tensor, b: Tensor) -> Tensor:
 def column_sums(
     x: Tensor, dim: list[int], keepdim: bool = False, *, dtype: torch.dtype | None = None
 ) -> Tensor:
-    """``Σᵢ xᵢⱼ`` as ``1ᵀ X``, which goes along the rows; the compiler would go down the columns."""
+    """Return ``Σᵢ xᵢⱼ`` as ``1ᵀ X``, along the rows; the compiler would sum down the columns."""
     if x.ndim != 2 or dim != [0] or dtype is not None or not x.is_floating_point():
         return NotImplemented
     total = x.new_ones(1, len(x)) @ x
@@ -48,11 +52,10 @@ def column_sums(
 
 
 def tanh(x: Tensor) -> Tensor:
-    """``tanh x ≈ x P(x²) / Q(x²)`` in single precision, to a few units in the last place.
+    """Return ``tanh x ≈ x P(x²) / Q(x²)`` in single precision, to a few units in the last place.
 
-    The minimax approximation of degree 13 over 6 that Eigen and XLA use. Compiled into its
-    neighbours it costs a tenth of the library's function, which takes 3 ns a number: a fifth of
-    the step of a network whose products of matrices are as fast as the machine.
+    The minimax approximation of degree 13 over 6 of Eigen and XLA. Compiled into its neighbours it
+    costs a tenth of the library's function, whose 3 ns a number are a fifth of a step.
     """
     if x.dtype != torch.float32:
         return NotImplemented
@@ -62,7 +65,7 @@ def tanh(x: Tensor) -> Tensor:
 
 
 def _polynomial(x: Tensor, coefficients: Sequence[float]) -> Tensor:
-    """By Horner's rule, the highest power first."""
+    """Evaluate a polynomial by Horner's rule, the highest power first."""
     value = x * coefficients[0] + coefficients[1]
     for coefficient in coefficients[2:]:
         value = value * x + coefficient

@@ -1,8 +1,8 @@
 """Functions over a model's parameters as compiled graphs.
 
-At these sizes a training step is a few hundred small operations, and most of its time is spent
-between them. Tracing the loss together with its gradient and handing both to the compiler
-removes that. Results agree with the uncompiled step to rounding.
+A training step consists of a few hundred small operations, and most of its time is spent between
+them. The loss is traced together with its gradient, and the compiler gets both. Results agree with
+the uncompiled step to rounding.
 """
 
 from __future__ import annotations
@@ -18,23 +18,30 @@ from symo_exp.compile.inductor import flatten, lower, trace, unflatten
 
 
 class Packed(NamedTuple):
-    """An object made of tensors on its way from one compiled piece to another, taken apart: it is
-    put together only while a piece is traced, which takes long."""
+    """The tensors of an object that one compiled piece passes to another.
+
+    The object is rebuilt only while a piece is traced, since that takes long.
+    """
 
     tensors: list[Tensor]
     structure: Any
 
     def open(self) -> Any:
-        """The object itself."""
+        """Return the object itself."""
         return unflatten(self.tensors, self.structure)
 
 
 class Program:
     """A function of tensors over a model's parameters, compiled once for each set of shapes.
 
-    Arguments are tensors, named tuples of them, or ``Packed``, which the function gets opened. It
-    returns a tuple; a call returns one in which all but tensors are ``Packed``. With ``gradients``
-    the first is a loss, whose gradients a call leaves in the parameters.
+    Arguments are tensors, named tuples of them, or ``Packed`` objects, which the function receives
+    opened. It returns a tuple; a call returns a tuple with everything but tensors ``Packed``.
+
+    Args:
+        model: Owner of the parameters.
+        function: The function.
+        gradients: Whether the first result is a loss whose gradients a call leaves in the
+            parameters.
     """
 
     def __init__(
@@ -46,7 +53,8 @@ class Program:
         self._compiled: dict[tuple[Any, ...], Callable[..., tuple[Any, ...]]] = {}
 
     def __call__(self, *arguments: Any) -> tuple[Any, ...]:
-        # The first argument is the batch; shapes of what travels follow from its shapes.
+        """Call the function; it is compiled at the first call with such shapes."""
+        # The first argument is the batch; all other shapes follow from its shapes.
         key = tuple([(x.shape, x.dtype, x.device) for x in _tensors(arguments[0])])
         if key not in self._compiled:
             self._compiled[key] = self._compile([_packed(x) for x in arguments])
@@ -107,7 +115,7 @@ def _packed(x: Any) -> Packed:
 
 
 class _Call(nn.Module):
-    """A function as the forward pass of a module, so that its parameters can be replaced."""
+    """Module whose forward pass is a function, so that its parameters can be replaced."""
 
     def __init__(self, model: nn.Module, function: Callable[..., Any]) -> None:
         super().__init__()

@@ -1,7 +1,8 @@
-"""Rigid bodies in a tree of hinges and slides: where they are, how they move, and what drags them.
+"""Rigid bodies in a tree of hinges and slides: poses, Jacobians and fluid drag.
 
-A joint moves all that hangs on it by a turn about its axis or a shift along it; the composition of
-these motions, from the root on, takes every body from the reference configuration to its place.
+A joint moves the bodies after it by a rotation about its axis or a translation along it; the
+composition of these motions from the root takes a body from the reference configuration to its
+pose.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.mechanics.dissipation import Dissipation
 
@@ -22,10 +24,24 @@ Vector = tuple[float, float, float]
 class Joint(NamedTuple):
     """A hinge or a slide and the rigid body that it moves.
 
-    Vectors are in axes of the world and taken where all coordinates have their ``reference``
-    values. ``inertia`` [kg m²] is about the centre of mass. ``parent`` is the joint before, −1 for
-    none. Of the coordinate itself are ``armature`` (inertia of a rotor), ``stiffness`` of a spring
-    that is at rest at ``rest``, ``damping``, dry ``friction`` and the ``limits``.
+    Vectors are in world axes, with all coordinates at their ``reference`` values.
+
+    Attributes:
+        name: Name of the joint.
+        slides: Whether it is a slide.
+        parent: Index of the previous joint, −1 for none.
+        axis: Unit vector of the joint.
+        anchor: A point of the axis [m].
+        reference: Reference value of the coordinate [rad, m].
+        mass: Mass of the body [kg].
+        centre: Its centre of mass [m].
+        inertia: Its inertia about the centre of mass [kg m²].
+        armature: Inertia of a rotor that turns with the coordinate.
+        stiffness: Stiffness of a spring.
+        rest: Coordinate at which the spring is at rest.
+        damping: Viscous friction.
+        friction: Dry friction.
+        limits: Range of the coordinate.
     """
 
     name: str
@@ -63,7 +79,7 @@ def link(
 
 
 class Hull(NamedTuple):
-    """A box that a fluid drags at: the joint that moves it, and its middle, axes and sides."""
+    """A box with fluid drag: the joint that moves it, its centre, axes and sides."""
 
     joint: int
     centre: Vector
@@ -72,7 +88,7 @@ class Hull(NamedTuple):
 
 
 class Poses(NamedTuple):
-    """Where bodies are: a point ``x`` at the reference has come to ``R_i x + t_i``."""
+    """Poses of bodies: a point ``x`` of the reference configuration is at ``R_i x + t_i``."""
 
     turn: Float[Tensor, "batch n 3 3"]
     """``R_i``."""
@@ -80,12 +96,12 @@ class Poses(NamedTuple):
     """``t_i``."""
 
     def of(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "batch n 3"]:
-        """Where a point of each body is."""
+        """Return the positions of a point of each body."""
         return (self.turn @ points.unsqueeze(-1)).squeeze(-1) + self.shift
 
 
 class Tree:
-    """Where the bodies of joints are, and how they move with the coordinates."""
+    """Kinematics of the bodies of a tree of joints."""
 
     def __init__(self, joints: Sequence[Joint]) -> None:
         self._joints = joints
@@ -108,6 +124,7 @@ class Tree:
         return self._converted[key]
 
     def poses(self, q: Float[Tensor, "batch n"]) -> Poses:
+        """Return the poses of all bodies."""
         axis, anchor, reference, cross, square, *_ = self._as(q)
         theta = q - reference
         sin, cos = theta.sin()[..., None, None], theta.cos()[..., None, None]
@@ -130,8 +147,13 @@ class Tree:
     def jacobians(
         self, at: Poses, of: Sequence[int], points: Float[Tensor, "points 3"]
     ) -> tuple[Float[Tensor, "batch points n 3"], Float[Tensor, "batch points n 3"]]:
-        """``∂ċ/∂q̇`` of points of the bodies ``of``, in the world, and ``∂ω/∂q̇`` of the bodies, in
-        their own axes."""
+        """Return ``∂ċ/∂q̇`` of points in world axes, and ``∂ω/∂q̇`` of their bodies in body axes.
+
+        Args:
+            at: Poses of all bodies.
+            of: The body of each point.
+            points: The points in the reference configuration.
+        """
         axis, anchor, _, _, _, hinge, moves = self._as(at.shift)
         about = (at.turn @ axis.unsqueeze(-1)).squeeze(-1).unsqueeze(1)
         own = Poses(at.turn[:, of], at.shift[:, of])
@@ -143,7 +165,7 @@ class Tree:
 
 
 class Drag(Dissipation):
-    """The drag of a still fluid on boxes, and the friction of the joints.
+    """Drag of a fluid at rest on boxes, and friction of the joints.
 
     With sides s, mean side d and velocity w and angular velocity ω in a box's own axes, density ρ
     and viscosity β (MuJoCo's inertia model)::
@@ -166,6 +188,7 @@ class Drag(Dissipation):
             0.5 * density * next_ * last, density * sides * (next_**4 + last**4) / 64
         )  # fmt: skip
 
+    @override
     def force(self, q: Tensor, v: Tensor) -> Tensor:
         at, axes = self._tree.poses(q), self._axes.to(q)
         linear, turning = self._tree.jacobians(at, self._of, self._centre.to(q))
@@ -179,7 +202,7 @@ class Drag(Dissipation):
 
 
 def column(rows: Sequence[Any], name: str) -> Tensor:
-    """A field of all rows, float64."""
+    """Return a field of all rows as a float64 tensor."""
     return torch.tensor([getattr(row, name) for row in rows], dtype=torch.float64)
 
 

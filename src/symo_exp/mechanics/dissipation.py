@@ -1,11 +1,11 @@
-"""Dissipation: generalised forces that only ever take energy out of a system.
+"""Dissipation: generalised forces that never add energy to a system.
 
 With a force ``F_d(q, v)``, ``v · F_d ≤ 0``, the equations of motion are those of d'Alembert,
 
     d/dt ∂ℒ/∂v − ∂ℒ/∂q = F_d(q, v) + B u
 
-and whatever reads ``∂ℒ/∂q`` of a Lagrangian finds ``∂ℒ/∂q + F_d`` there: the acceleration, and at
-every Gauss point the discrete Euler-Lagrange equations.
+A ``DissipativeLagrangian`` returns ``∂ℒ/∂q + F_d`` for ``∂ℒ/∂q``, which accelerations and discrete
+Euler-Lagrange equations then contain.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from typing_extensions import override
 
 from symo_exp.mechanics.lagrangian import (
     Curvature,
@@ -34,12 +35,12 @@ class Dissipation(ABC):
     def force(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
-        """``F_d(q, v)`` [N or N m], differentiable in both."""
+        """Return ``F_d(q, v)`` [N or N m], differentiable in both."""
 
     def derivatives(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
-        """``∂F_d/∂q`` and ``∂F_d/∂v`` without a graph, by automatic differentiation."""
+        """Return ``∂F_d/∂q`` and ``∂F_d/∂v`` without a graph, by automatic differentiation."""
         with torch.enable_grad():
             q, v = (x.detach().clone().requires_grad_() for x in (q, v))
             force = self.force(q, v)
@@ -48,12 +49,18 @@ class Dissipation(ABC):
     def damping(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
-        """``∂F_d/∂v`` without a graph, or what of it may be stiff."""
+        """Return ``∂F_d/∂v``, or its stiff part, without a graph."""
         return self.derivatives(q, v)[1]
 
 
 class Friction(Dissipation):
-    """``F_d = −D v − c ∘ tanh(v / ε_v)``: viscous friction, and dry friction smoothed at rest."""
+    """``F_d = −D v − c ∘ tanh(v / ε_v)``: viscous friction, and dry friction smoothed at rest.
+
+    Args:
+        viscous: ``D`` [N m s, N s], positive semidefinite.
+        coulomb: ``c ≥ 0`` [N m, N].
+        rest_velocity: ``ε_v > 0`` [rad/s, m/s].
+    """
 
     def __init__(
         self,
@@ -61,44 +68,47 @@ class Friction(Dissipation):
         coulomb: Float[Tensor, " n"],
         rest_velocity: float,
     ) -> None:
-        """``D`` [N m s] is positive semidefinite, ``c ≥ 0`` [N m], ``ε_v`` [rad/s] positive."""
         self.viscous, self.coulomb, self.rest_velocity = viscous, coulomb, rest_velocity
 
+    @override
     def force(self, q: Tensor, v: Tensor) -> Tensor:
         dry = self.coulomb.to(v) * torch.tanh(v / self.rest_velocity)
         return -matvec(self.viscous.to(v), v) - dry
 
 
 class DissipativeLagrangian(nn.Module, Lagrangian):
-    """A Lagrangian with a dissipation; energy and inertia are those of the Lagrangian."""
+    """A Lagrangian with a dissipation; energy and inertia are those of the Lagrangian alone."""
 
     def __init__(self, conservative: Lagrangian, dissipation: Dissipation) -> None:
         super().__init__()
         self.conservative, self.dissipation = conservative, dissipation
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         return self.conservative.mass_matrix(q)
 
+    @override
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         return self.conservative.potential(q)
 
     def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
-        """``∂ℒ/∂q + F_d`` and ``∂ℒ/∂v``."""
+        """Return ``∂ℒ/∂q + F_d`` and ``∂ℒ/∂v``."""
         dq, p = self.conservative.gradients(q, v)
         return Gradients(dq + self.dissipation.force(q, v), p)
 
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
-        """``H``, ``Ḣ v`` and ``∂ℒ/∂q + F_d``."""
+        """Return ``H``, ``Ḣ v`` and ``∂ℒ/∂q + F_d``."""
         rates = self.conservative.rates(q, v)
         return rates._replace(q=rates.q + self.dissipation.force(q, v))
 
+    @override
     def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:
         q, v = q.detach(), v.detach()
         return DissipativeExpansion(self.conservative.expand(q, v), self.dissipation, q, v)
 
 
 class DissipativeExpansion(Expansion):
-    """A Lagrangian around ``(q, v)``, with the force there."""
+    """A Lagrangian and a dissipative force around ``(q, v)``."""
 
     dissipates = True
     parts = ("_at", "_dissipation", "_q", "_v")
@@ -109,17 +119,21 @@ class DissipativeExpansion(Expansion):
             force = dissipation.force(q, v)
         self.values = Gradients(at.values.q + force, at.values.v)
 
+    @override
     def mass(self) -> Tensor:
         return self._at.mass()
 
+    @override
     def curvature(self) -> Curvature:
         force_q, force_v = self._dissipation.derivatives(self._q, self._v)
         qq, vq, qv = self._at.curvature()
         return Curvature(qq + force_q, vq, qv + force_v)
 
+    @override
     def damping(self) -> Tensor:
         return self._dissipation.damping(self._q, self._v)
 
+    @override
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         dq, p = self._at.gradients(q, v)
         return Gradients(dq + self._dissipation.force(q, v), p)

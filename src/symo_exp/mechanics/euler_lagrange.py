@@ -12,7 +12,7 @@ def acceleration(
     v: Float[Tensor, "batch n"],
     force: Float[Tensor, "batch n"],
 ) -> Float[Tensor, "batch n"]:
-    """Acceleration ``v̇ = H⁻¹ (F − Ḣ v + ∂ℒ/∂q)`` (thesis (3.13), (3.14) with ``∂/∂q`` throughout).
+    """Return ``v̇ = H⁻¹ (F − Ḣ v + ∂ℒ/∂q)`` (thesis (3.13), (3.14) with ``∂/∂q`` throughout).
 
     ``force`` is the generalised force ``F = B u``. A singular inertia gives non-finite rows.
     """
@@ -23,5 +23,5 @@ def acceleration(
 def generalised_force(
     input_matrix: Float[Tensor, "n m"], u: Float[Tensor, "batch m"]
 ) -> Float[Tensor, "batch n"]:
-    """``F = B u``: what the controls do on the coordinates."""
+    """Return the generalised force ``F = B u`` of controls."""
     return u @ input_matrix.T

@@ -14,7 +14,14 @@ class RungeKutta:
 
     With ``x = (q, v)`` and ``f = (v, a(q, v, u))`` it takes the step
     ``k_i = f(x + h Σ_j A_ij k_j, u(t + c_i h))``, ``x⁺ = x + h Σ_i b_i k_i``.
-    The control is a first-order hold between the two nodes.
+    The control is linear between the two nodes.
+
+    Args:
+        name: Name of the method.
+        order: Its order.
+        a: Rows of ``A``, strictly lower triangular.
+        b: Weights.
+        c: Nodes.
     """
 
     def __init__(
@@ -38,7 +45,7 @@ class RungeKutta:
         u_next: Float[Tensor, "batch m"],
         h: float,
     ) -> tuple[Float[Tensor, "batch n"], Float[Tensor, "batch n"]]:
-        """The state one time step ``h`` later."""
+        """Return the state one time step ``h`` later."""
         velocities: list[Tensor] = []
         accelerations: list[Tensor] = []
         for weights, node in zip(self._a, self._c, strict=True):
@@ -65,7 +72,7 @@ class Midpoint(RungeKutta):
 
 
 class RK4(RungeKutta):
-    """Kutta's 3/8 rule, order 4: what torchdiffeq calls ``rk4`` and the thesis trained with."""
+    """Kutta's 3/8 rule, order 4, ``rk4`` in torchdiffeq: the method of the thesis' training."""
 
     def __init__(self) -> None:
         super().__init__(

@@ -5,16 +5,16 @@ and ``s − 1`` bubbles, the integrals ``φⱼ`` of the Legendre polynomials ``P
 
     q(τ) = (1 − τ) q₀ + τ q₁ + Σⱼ cⱼ φⱼ(τ)        v(τ) = (q₁ − q₀ + Σⱼ cⱼ Pⱼ(τ)) / h
 
-The action is taken by ``s`` Gauss points ``τᵢ`` with weights ``bᵢ``, ``Σ bᵢ = 1``, and the discrete
-Lagrangian is its stationary value in the inner coefficients,
+The action is integrated by ``s`` Gauss points ``τᵢ`` with weights ``bᵢ``, ``Σ bᵢ = 1``. The
+discrete Lagrangian is its stationary value in the inner coefficients,
 
     L_d(q₀, q₁) = ext_c  h Σᵢ bᵢ ℒ(q(τᵢ), v(τᵢ))
 
 With forces it is d'Alembert's principle: ``∂L_d/∂cⱼ + h Σᵢ bᵢ φⱼ(τᵢ) F(τᵢ) = 0``. The order is 2s
 (Ober-Blöbaum and Saake 2015); ``s = 1`` is the midpoint rule.
 
-In what follows ``z = (q₀, c₁, …, c_{s−1}, q₁)`` are the variables of an interval and ``α_a(τ)``,
-``β_a(τ)`` what each contributes to ``q`` and to ``h v``, so that one formula serves them all:
+With ``z = (q₀, c₁, …, c_{s−1}, q₁)`` the variables of an interval and ``α_a(τ)``, ``β_a(τ)`` their
+coefficients in ``q`` and ``h v``, one formula serves them all:
 
     D_a L_d = Σᵢ bᵢ (h α_a ℒ_q + β_a ℒ_v)
     D_b D_a L_d = Σᵢ bᵢ (h α_a α_b ℒ_qq + α_a β_b ℒ_qv + β_a α_b ℒ_vq + β_a β_b H / h)
@@ -47,10 +47,14 @@ class Galerkin(VariationalIntegrator):
     A step solves for ``(q₁, c)`` at once. Between two given configurations the inner coefficients
     start at zero and are improved by Newton's method with the inertia's part of the Hessian,
     ``Σᵢ bᵢ Pⱼ Pₗ Hᵢ / h``, which is nearly diagonal and always regular, and with that of friction,
-    until the last update is below ``tolerance`` of the displacement or ``max_iterations`` are done.
-    Each update gains two to three digits at usual step sizes. A row that an update makes worse
-    keeps its coefficients (a network without training may have such rows) and with friction tries
-    a part of it.
+    until the last update is below ``tolerance`` of the displacement. Each update gains two to three
+    digits at usual step sizes. A row that an update would make worse keeps its coefficients
+    (untrained networks have such rows); with friction it tries a part of the update.
+
+    Args:
+        stages: Number of Gauss points.
+        tolerance: Bound on the last update, relative to the displacement.
+        max_iterations: Bound on the number of updates.
     """
 
     def __init__(self, *, stages: int, tolerance: float = 1e-12, max_iterations: int = 12) -> None:
@@ -102,9 +106,10 @@ class Galerkin(VariationalIntegrator):
         return iterate(problem, start, rule, self.max_iterations)[1].expansion
 
     def unknowns(self, q1: Tensor) -> Tensor:
-        """``(q₁, c₁, …, c_{s−1})``, the coefficients zero."""
+        """Return ``(q₁, c₁, …, c_{s−1})``, the coefficients zero."""
         return torch.cat((q1, q1.new_zeros(q1.shape[0], (self.stages - 1) * q1.shape[1])), dim=1)
 
+    @override
     @torch.no_grad()
     def expand_at(
         self, lagrangian: Lagrangian, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
@@ -112,11 +117,12 @@ class Galerkin(VariationalIntegrator):
         q1, c = x[:, : q0.shape[1]], _blocks(x[:, q0.shape[1] :], *q0.shape)
         return GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
 
+    @override
     def converged(self) -> Galerkin:
         return Galerkin(stages=self.stages)
 
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
-        """``h Σᵢ bᵢ (1 − τᵢ) F(τᵢ)`` and ``h Σᵢ bᵢ τᵢ F(τᵢ)``, exact for ``s ≥ 2``."""
+        """Return ``h Σᵢ bᵢ (1 − τᵢ) F(τᵢ)`` and ``h Σᵢ bᵢ τᵢ F(τᵢ)``, exact for ``s ≥ 2``."""
         first, *_, last = self._basis.impulses(Forces(force0, force1), h).unbind(0)
         return first, last
 
@@ -232,7 +238,7 @@ class InnerSteps(Rule[InnerPoint, Inner]):
 
 
 class Basis:
-    """``bᵢ``, ``α_a(τᵢ)`` and ``β_a(τᵢ)`` at the Gauss points: rows are variables."""
+    """``bᵢ``, ``α_a(τᵢ)`` and ``β_a(τᵢ)`` at the Gauss points; rows are variables."""
 
     def __init__(self, stages: int) -> None:
         tau, self.b = _gauss(stages)
@@ -253,11 +259,11 @@ class Basis:
             (x.unsqueeze(1) * y.unsqueeze(0)).flatten(0, 1)
             for x, y in ((ba, self.alpha), (ba, self.beta), (bb, self.alpha), (bb, self.beta))
         )
-        # What a force that is linear in time does on each variable.
+        # The impulse of a force linear in time on each variable.
         self._hold = ba @ torch.stack((1.0 - tau, tau), dim=1)
 
     def path(self, q0: Tensor, q1: Tensor, c: Tensor, h: float) -> tuple[Tensor, Tensor]:
-        """``q`` and ``v`` at the Gauss points, ``(s B, n)`` with the points outermost."""
+        """Return ``q`` and ``v`` at the Gauss points, ``(s B, n)`` with the points outermost."""
         alpha, beta = self.alpha.to(q0), self.beta.to(q0)
         middle, slope = 0.5 * (q0 + q1), q1 - q0  # as sums of small differences, for rounding
         shape = (-1, 1, 1)
@@ -269,19 +275,19 @@ class Basis:
         return q.flatten(0, 1), (v / h).flatten(0, 1)
 
     def slopes(self, gradients: Gradients, h: float) -> Float[Tensor, "variables batch n"]:
-        """``D_a L_d``."""
+        """Return ``D_a L_d``."""
         dq, p = (x.unflatten(0, (len(self.b), -1)) for x in (gradients.q, gradients.v))
         return torch.tensordot(h * self._ba.to(dq), dq, 1) + torch.tensordot(self._bb.to(p), p, 1)
 
     def impulses(self, forces: Forces, h: float) -> Float[Tensor, "variables batch n"]:
-        """``h Σᵢ bᵢ α_a(τᵢ) F(τᵢ)``."""
+        """Return ``h Σᵢ bᵢ α_a(τᵢ) F(τᵢ)``."""
         hold = h * self._hold.to(forces.start)
         return torch.tensordot(hold, torch.stack((forces.start, forces.end)), 1)
 
     def hessian(
         self, curvature: Curvature, mass: Tensor, h: float
     ) -> Float[Tensor, "variables variables batch n n"]:
-        """``D_b D_a L_d``."""
+        """Return ``D_b D_a L_d``."""
         aa, ab, ba, _ = (product.to(mass) for product in self._products)
         qq, vq, qv = (x.unflatten(0, (len(self.b), -1)) for x in curvature)
         sums = h * torch.tensordot(aa, qq, 1)
@@ -289,12 +295,12 @@ class Basis:
         return self._square(sums) + self.inertia(mass, h)
 
     def inertia(self, mass: Tensor, h: float) -> Float[Tensor, "variables variables batch n n"]:
-        """The inertia's part of the Hessian, ``Σᵢ bᵢ β_a β_b Hᵢ / h``."""
+        """Return the inertia's part of the Hessian, ``Σᵢ bᵢ β_a β_b Hᵢ / h``."""
         bb = self._products[3].to(mass) / h
         return self._square(torch.tensordot(bb, mass.unflatten(0, (len(self.b), -1)), 1))
 
     def damping(self, rate: Tensor) -> Float[Tensor, "variables variables batch n n"]:
-        """The part of a force with ``∂F/∂v``, ``Σᵢ bᵢ α_a β_b (∂F/∂v)ᵢ``."""
+        """Return the part of a force with derivative ``∂F/∂v``, ``Σᵢ bᵢ α_a β_b (∂F/∂v)ᵢ``."""
         ab = self._products[1].to(rate)
         return self._square(torch.tensordot(ab, rate.unflatten(0, (len(self.b), -1)), 1))
 
@@ -306,12 +312,20 @@ class GalerkinExpansion(DiscreteExpansion):
     """The discrete Lagrangian around ``(q₀, q₁)`` at inner coefficients ``c``.
 
     At stationary ``c`` the slot derivatives are the partial ones (envelope theorem). Their own
-    derivatives see ``c`` move: with ``W`` the Hessian in all variables, ``e`` the ends,
+    derivatives include the motion of ``c``: with ``W`` the Hessian in all variables and ``e`` the
+    ends,
 
         d(D_e L_d) = ∂(D_e L_d) − W_ec W_cc⁻¹ ∂(D_c L_d)
 
     which gives ``D₂D₁L_d = W_01 − W_0c W_cc⁻¹ W_c1``, exact, and with ``W`` held fixed the
-    derivatives in parameters, configurations and forces too.
+    derivatives in parameters, configurations and forces.
+
+    Args:
+        basis: The polynomials.
+        at: ``ℒ`` around the Gauss points.
+        inner: ``c``.
+        pull: Impulse of the force on the inner coefficients.
+        h: Time step [s].
     """
 
     def __init__(
@@ -322,7 +336,6 @@ class GalerkinExpansion(DiscreteExpansion):
         pull: Float[Tensor, "inner batch n"],
         h: float,
     ) -> None:
-        """``pull`` is what the force does on the inner coefficients."""
         self._basis, self._at, self._h = basis, at, h
         self.inner, self._pull = inner, pull
         slopes = basis.slopes(at.values, h)
@@ -341,6 +354,7 @@ class GalerkinExpansion(DiscreteExpansion):
         h: float,
         forces: Forces | None,
     ) -> GalerkinExpansion:
+        """Return the discrete Lagrangian of an interval at inner coefficients ``c``."""
         pull = torch.zeros_like(c) if forces is None else basis.impulses(forces, h)[1:-1]
         return GalerkinExpansion(basis, lagrangian.expand(*basis.path(q0, q1, c, h)), c, pull, h)
 
@@ -356,23 +370,27 @@ class GalerkinExpansion(DiscreteExpansion):
 
     @property
     def dissipates(self) -> bool:
-        """Whether a force bends within a step, as dry friction does: updates may go too far."""
+        """Whether there is friction, which bends within a step: updates may go too far."""
         return self._at.dissipates
 
     def imbalance(self) -> Float[Tensor, " batch"]:
-        """The largest entry of ``stationarity`` of a row."""
+        """Return the largest entry of ``stationarity`` of a row."""
         return self.stationarity.abs().amax((0, -1))
 
+    @override
     def d2d1(self) -> Tensor:
         return self._condense()[0]
 
+    @override
     def mismatch(self, impulse: Tensor) -> Tensor:
         return torch.cat((impulse + self.values.d1, _row(self.stationarity)), dim=1)
 
+    @override
     def mismatch_jacobian(self) -> Tensor:
         w = self._hessian()
         return _matrix(torch.cat((w[:-1, -1:], w[:-1, 1:-1]), dim=1))
 
+    @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         basis, h = self._basis, self._h
         slopes = basis.slopes(self._at.gradients(*basis.path(q0, q1, self.inner, h)), h)
@@ -417,13 +435,13 @@ class GalerkinExpansion(DiscreteExpansion):
         return self._basis.hessian(self._at.curvature(), self._at.mass(), self._h)
 
     def condensed(self) -> GalerkinExpansion:
-        """This expansion, with what its rows would otherwise compute by themselves."""
+        """Return this expansion with ``d2d1`` computed, which its rows then share."""
         self._condense()
         return self
 
     @torch.no_grad()
     def _condense(self) -> tuple[Tensor, Tensor]:
-        """``D₂D₁L_d`` and ``W_ec W_cc⁻¹``."""
+        """Return ``D₂D₁L_d`` and ``W_ec W_cc⁻¹``."""
         if self._condensed is None:
             w = self._hessian()
             ends = w[[0, -1]][:, 1:-1]

@@ -11,11 +11,11 @@ def attach_root(
     residual: Float[Tensor, "batch n"],
     jacobian: Float[Tensor, "batch n n"],
 ) -> Float[Tensor, "batch n"]:
-    """The root ``x`` of ``g(x; θ) = 0`` as a differentiable function of all that ``g`` depends on.
+    """Return the root ``x`` of ``g(x; θ) = 0`` as a differentiable function of ``θ``.
 
     ``x`` and ``jacobian = ∂g/∂x`` are numbers; ``residual`` is ``g(x; θ)`` with a graph in
     ``θ``, ``x`` itself held fixed. The result, ``x − J⁻¹ g(x; θ)``, has the value of the root
     (one Newton correction further) and the derivative ``∂x/∂θ = −J⁻¹ ∂g/∂θ``; its backward pass
-    solves with ``Jᵀ``, as (5.24) should read. It works for any residual and any root finder.
+    solves with ``Jᵀ``, the corrected (5.24).
     """
     return x.detach() - solve(jacobian.detach(), residual)

@@ -41,7 +41,7 @@ class RootPoint(Point, Protocol):
         ...
 
     def jacobian(self) -> Tensor:
-        """``∂g/∂x``, (batch, n, n), or an approximation of it."""
+        """Return ``∂g/∂x``, (batch, n, n), or an approximation of it."""
         ...
 
 
@@ -291,7 +291,7 @@ class JointNewton(Rule[R, Joint]):
 
     @override
     def start(self, x: Tensor, at: R) -> Joint:
-        """The first step is always taken, as in the thesis."""
+        """Return an infinite norm: the first step is always taken, as in the thesis."""
         counts = torch.zeros(len(x), dtype=torch.int64, device=x.device)
         return Joint(x.new_full((len(x),), torch.inf), counts)
 

@@ -1,4 +1,4 @@
-"""The named fields that the packages exchange."""
+"""Named tuples that the packages exchange."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Windows(NamedTuple):
     u_next: Float[Tensor, "samples m"]
 
     def rows(self, index: Tensor | slice) -> Windows:
-        """These samples alone."""
+        """Return the given samples."""
         return Windows(*(field[index] for field in self))
 
 
@@ -49,7 +49,7 @@ class Trajectories(NamedTuple):
     u: Float[Tensor, "trajectories nodes m"]
 
     def each(self) -> list[Trajectory]:
-        """One by one."""
+        """Return the trajectories one by one."""
         return [Trajectory(*fields) for fields in zip(*self, strict=True)]
 
 

@@ -374,10 +374,10 @@ def differentiable_root(
 
 
 def distinct(rows: Float[Tensor, "batch k"]) -> tuple[Tensor, Tensor]:
-    """Return ``chosen`` and ``place`` such that ``rows[chosen]`` are all different and
-    ``rows[chosen][place]`` are the given rows.
+    """Return the indices of distinct rows, and the place of each row among them.
 
-    Sorts column after column: ``torch.unique`` compares whole rows and takes three times as long.
+    ``rows[chosen]`` are all different, and ``rows[chosen][place]`` are the given rows. Sorts column
+    after column: ``torch.unique`` compares whole rows and takes three times as long.
     """
     order = torch.arange(len(rows), device=rows.device)
     for column in rows.T.flip(0):

@@ -1,8 +1,8 @@
-"""Affine maps whose parameter gradients can be had for each sample instead of summed.
+"""Affine maps with parameter gradients for each sample.
 
-The gradient of a weight is a sum of outer products over the rows of a batch, ``Σ_r ḡ_r x_rᵀ``. Code
-that uses a weight goes through this module: usually it gets that sum, and inside
-``parameter_jacobian`` the factors ``ḡ_r``, ``x_r`` are kept and put together sample by sample.
+The gradient of a weight is a sum of outer products over the rows of a batch, ``Σ_r ḡ_r x_rᵀ``.
+Networks use their weights through this module: usually gradients are that sum; inside
+``parameter_jacobian`` the factors ``ḡ_r``, ``x_r`` are kept and combined sample by sample.
 
 Convention: the sample is the innermost part of a row index, so that of ``R N`` rows for ``N``
 samples row ``r`` belongs to sample ``r mod N``.
@@ -23,7 +23,7 @@ Pair = tuple[Tensor, Tensor]
 
 
 def linear(x: Float[Tensor, "rows into"], weight: Tensor, bias: Tensor | None = None) -> Tensor:
-    """``W x + b`` in each row."""
+    """Return ``W x + b`` in each row."""
     if _record is None:
         return nn.functional.linear(x, weight, bias)
     y = _Linear.apply(x, weight)
@@ -31,7 +31,7 @@ def linear(x: Float[Tensor, "rows into"], weight: Tensor, bias: Tensor | None = 
 
 
 def shift(x: Float[Tensor, "rows out"], bias: Tensor) -> Tensor:
-    """``x + b`` in each row."""
+    """Return ``x + b`` in each row."""
     return x + bias if _record is None else _Shift.apply(x, bias)
 
 
@@ -40,13 +40,13 @@ def by_sample() -> bool:
     return _record is not None
 
 
-def rows(parameter: Tensor, batch: int) -> Float[Tensor, "batch k"]:
-    """A vector of parameters in each row."""
+def repeated(parameter: Tensor, batch: int) -> Float[Tensor, "batch k"]:
+    """Return a vector of parameters, repeated in each row of a batch."""
     return shift(parameter.new_zeros(batch, len(parameter)), parameter)
 
 
 def weight_gradient(weight: Tensor, *pairs: Pair) -> Tensor | None:
-    """``Σ ḡ xᵀ`` over all pairs and rows, for a backward pass in closed form."""
+    """Return ``Σ ḡ xᵀ`` over all pairs and rows, for a backward pass in closed form."""
     if _record is not None:
         _record.keep(weight, *pairs)
         return None
@@ -58,7 +58,7 @@ def weight_gradient(weight: Tensor, *pairs: Pair) -> Tensor | None:
 
 
 def bias_gradient(bias: Tensor, cotangent: Float[Tensor, "rows out"]) -> Tensor | None:
-    """``Σ ḡ`` over all rows."""
+    """Return ``Σ ḡ`` over all rows."""
     if _record is None:
         return cotangent.sum(0)
     _record.keep(bias, (cotangent, cotangent))
@@ -91,11 +91,17 @@ def parameter_jacobian(
     parameters: Sequence[Tensor],
     inputs: Sequence[Float[Tensor, "samples size"]] = (),
 ) -> Linearised:
-    """The residuals of independent samples and their derivatives in all parameters, flattened, and
-    in ``inputs``, of which ``function`` makes them row by row.
+    """Return the residuals of independent samples and their derivatives.
 
-    One backward pass for each residual of a sample. ``function`` may use the parameters through
-    this module only; anything else is found out and refused.
+    Takes one backward pass for each residual of a sample.
+
+    Args:
+        function: Computes the residuals. It must use the parameters through this module only.
+        parameters: Parameters to differentiate in; derivatives are flattened.
+        inputs: Tensors to differentiate in; ``function`` maps their rows independently.
+
+    Raises:
+        RuntimeError: If a parameter is used outside of this module, or in a nested call.
     """
     global _record
     if _record is not None:

@@ -7,12 +7,13 @@ import math
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.affine import rows
+from symo_exp.nets.affine import repeated
 from symo_exp.nets.embedding import Embedding
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark
@@ -79,7 +80,7 @@ class LearnedDissipation(nn.Module, Dissipation):
     def damping(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
-        """``∂F_d/∂v`` of the coefficients: the network is not stiff."""
+        """Return ``∂F_d/∂v`` of the coefficients: the network is not stiff."""
         found = torch.zeros(v.shape[0], *self.joints.shape).to(v)
         if self.viscous is not None:
             unit, d = self._factors(self.viscous.unsqueeze(0))
@@ -94,7 +95,7 @@ class LearnedDissipation(nn.Module, Dissipation):
     def derivatives(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
-        """``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
+        """Return ``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
         by_v = self.damping(q, v)
         if self.net is None:
             return torch.zeros_like(by_v), by_v
@@ -122,24 +123,25 @@ class LearnedDissipation(nn.Module, Dissipation):
         return matrix, dry
 
     def _factors(self, viscous: Tensor) -> tuple[Tensor, Tensor]:
-        """``U`` and ``d``."""
+        """Return ``U`` and ``d``."""
         square = self._triangle.square(viscous)
         d = nn.functional.softplus(square.diagonal(dim1=-2, dim2=-1))
         return torch.tril(square, -1) + torch.eye(d.shape[-1]).to(d), d
 
     def _dry(self, coulomb: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
-        """``c`` and ``ε_v``."""
+        """Return ``c`` and ``ε_v``."""
         return nn.functional.softplus(coulomb), self._rest_velocity * (0.2 + 0.8 * rest.exp())
 
+    @override
     def force(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         rate, found = matvec(self.joints, v), torch.zeros_like(v)
         if self.viscous is not None:
-            unit, d = self._factors(rows(self.viscous, v.shape[0]))
+            unit, d = self._factors(repeated(self.viscous, v.shape[0]))
             found = found - matvec(unit, d * vecmat(rate, unit))
         if self.coulomb is not None and self.rest is not None:
-            c, rest = self._dry(*(rows(x, v.shape[0]) for x in (self.coulomb, self.rest)))
+            c, rest = self._dry(*(repeated(x, v.shape[0]) for x in (self.coulomb, self.rest)))
             found = found - c * torch.tanh(rate / rest)
         found = vecmat(found, self.joints)
         if self.net is not None:
@@ -163,10 +165,10 @@ class _Triangle(nn.Module):
         self.register_buffer("place", place, persistent=False)
 
     def square(self, flat: Float[Tensor, "batch entries"]) -> Float[Tensor, "batch n n"]:
-        """The matrices of such vectors."""
+        """Return the matrices of such vectors."""
         padded = torch.cat((flat, torch.zeros_like(flat[:, :1])), dim=1)
         return padded[:, self.place]
 
     def flat(self, matrix: Float[Tensor, "n n"]) -> Float[Tensor, " entries"]:
-        """The vector of a matrix."""
+        """Return the vector of a matrix."""
         return matrix[tuple(torch.tril_indices(*matrix.shape))]

@@ -1,16 +1,17 @@
-"""Learned drag: the resistance of a fluid to links that move in a plane."""
+"""Learned drag of a fluid on links that move in a plane."""
 
 from __future__ import annotations
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.affine import linear, rows
+from symo_exp.nets.affine import linear, repeated
 from symo_exp.nets.embedding import Features
 from symo_exp.nets.harmonics import Harmonics
 from symo_exp.nets.roles import mark
@@ -19,13 +20,16 @@ from symo_exp.nets.roles import mark
 class LearnedDrag(nn.Module, Dissipation):
     """``F_d = −Σ_k (ν_k + |s_k|) s_k a_k(q)`` with the speeds ``s_k = a_k(q) · v``, ``ν_k ≥ 0``.
 
-    A body that moves through a fluid at rest feels, along each of its axes and about them, a force
-    linear and one quadratic in its own speed there. Seen from its axes, speeds of the points of
-    links in a plane are sums of ``cos`` and ``sin`` of directions and of their differences, times
-    velocities: ``a_k`` is affine in the harmonics of at most two directions, which are the angles
-    or, if ``relative``, their sums ``φ₁ + … + φᵢ``. Coefficients are within ``a_k``: a speed
-    ``s_k`` is in ∛N m^⅓ s^-⅓, which does not matter to what comes out. ``speeds`` is how many
-    there are, ``2n`` if null: three a link are enough.
+    A body in a fluid at rest is subject to forces linear and quadratic in its speeds along and
+    about its axes. In body axes, speeds of points of links in a plane are sums of ``cos`` and
+    ``sin`` of directions and of their differences, times velocities: ``a_k`` is affine in the
+    harmonics of at most two directions. Coefficients are part of ``a_k``, and a speed ``s_k`` has
+    the unit ∛N m^⅓ s^-⅓.
+
+    Args:
+        coordinates: The coordinates.
+        speeds: Number of speeds, ``2n`` if null; three for each link are enough.
+        relative: Whether each angle is relative to the one before.
     """
 
     def __init__(
@@ -43,19 +47,20 @@ class LearnedDrag(nn.Module, Dissipation):
         self._shape = (count, n)
         mark((self.weight, self.bias, self.viscous), "late")
 
+    @override
     def force(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         along = self._along(self.harmonics(q))
         speed = matvec(along, v)
-        rate = nn.functional.softplus(rows(self.viscous, len(v))) + speed.abs()
+        rate = nn.functional.softplus(repeated(self.viscous, len(v))) + speed.abs()
         return -vecmat(rate * speed, along)
 
     @torch.no_grad()
     def damping(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
-        """``∂F_d/∂v``."""
+        """Return ``∂F_d/∂v``."""
         along = self._along(self.harmonics(q))
         slope = nn.functional.softplus(self.viscous) + 2.0 * matvec(along, v).abs()
         return -(along.mT * slope.unsqueeze(1)) @ along
@@ -64,7 +69,7 @@ class LearnedDrag(nn.Module, Dissipation):
     def derivatives(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
-        """``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
+        """Return ``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
         features = self.harmonics(q)
         along = self._along(features)
         turned = self.harmonics.basis_tangents(features) @ self.weight.T
@@ -77,5 +82,5 @@ class LearnedDrag(nn.Module, Dissipation):
         return -(bent + moved @ along).mT, by_v
 
     def _along(self, features: Features) -> Float[Tensor, "batch speeds n"]:
-        """``a_k``."""
+        """Return ``a_k``."""
         return linear(features.x, self.weight, self.bias).unflatten(1, self._shape)

@@ -7,11 +7,14 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from typing_extensions import override
 
 
 class Features(NamedTuple):
-    """``s(q)`` with its derivatives: every feature depends on one coordinate, its owner, or, where
-    angles are relative, on one sum of them."""
+    """``s(q)`` with its derivatives.
+
+    A feature depends on one coordinate, its owner, or on one sum of relative angles.
+    """
 
     x: Float[Tensor, "batch features"]
     dx: Float[Tensor, "batch features"]
@@ -19,10 +22,14 @@ class Features(NamedTuple):
 
 
 class Embedding(nn.Module):
-    """Angles enter a network as cosine and sine, so that it is periodic and smooth in them.
+    """Features of a configuration with each angle as cosine and sine, periodic and smooth in it.
 
-    Features are ordered: translational coordinates, cosines, sines. With ``relative`` the angles
-    count from one to the next and their sums ``φ₁ + … + φᵢ`` take their place.
+    Features are ordered: translational coordinates, cosines, sines.
+
+    Args:
+        angular: Which coordinates are angles.
+        relative: Whether each angle is relative to the one before; features are then those of the
+            sums ``φ₁ + … + φᵢ``.
     """
 
     owner: Tensor
@@ -39,7 +46,7 @@ class Embedding(nn.Module):
         self.register_buffer("owner", owner, persistent=False)
         turn = directions(angular) if relative else torch.eye(len(angular))
         self.register_buffer("turn", turn if relative else None, persistent=False)
-        # selection[f, i] = 1 where coordinate i is in what owns feature f.
+        # selection[f, i] = 1 if coordinate i is in the owner of feature f.
         self.register_buffer("selection", turn[owner], persistent=False)
         bend = torch.cat((torch.zeros(len(straight)), -torch.ones(2 * len(angles))))
         self.register_buffer("bend", bend, persistent=False)
@@ -49,6 +56,7 @@ class Embedding(nn.Module):
         """Number of features."""
         return self._straight + 2 * self._angles
 
+    @override
     def forward(self, q: Float[Tensor, "batch n"]) -> Features:
         owned = self.spread(q)
         r = owned[:, : self._straight]
@@ -59,28 +67,28 @@ class Embedding(nn.Module):
         )
 
     def second(self, features: Features) -> Float[Tensor, "batch features"]:
-        """``∂²s_f/∂q²`` with respect to the owner: ``−s_f`` for an angle, else zero."""
+        """Return ``∂²s_f/∂q²`` with respect to the owner: ``−s_f`` for an angle, else zero."""
         return features.x * self.bend
 
     def spread(self, direction: Float[Tensor, "batch n"]) -> Float[Tensor, "batch features"]:
-        """The entry of its owner for each feature; ``dx`` times it is the features' rate."""
+        """Return the owner's entry for each feature; times ``dx`` it is the features' rate."""
         turned = direction if self.turn is None else direction @ self.turn.T
         return turned.index_select(1, self.owner)
 
     def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
-        """``s_q eᵢ`` for every coordinate ``i``."""
+        """Return ``s_q eᵢ`` for every coordinate ``i``."""
         return features.dx.unsqueeze(1) * self.selection.T
 
     def to_coordinates(
         self, cotangent: Float[Tensor, "batch features"]
     ) -> Float[Tensor, "batch n"]:
-        """Sum of what belongs to each coordinate."""
+        """Return the sums of a cotangent over the features of each coordinate."""
         return cotangent @ self.selection
 
     def curvature(
         self, features: Features, cotangent: Float[Tensor, "batch features"]
     ) -> Float[Tensor, "batch n n"]:
-        """Second derivatives in ``q`` of ``cotangent · s(q)``."""
+        """Return the second derivatives in ``q`` of ``cotangent · s(q)``."""
         own = self.second(features) * cotangent
         if self.turn is None:
             return torch.diag_embed(self.to_coordinates(own))
@@ -88,7 +96,7 @@ class Embedding(nn.Module):
 
 
 def directions(angular: tuple[bool, ...]) -> Float[Tensor, "n n"]:
-    """The sums ``φ₁ + … + φᵢ`` of the angles, and the other coordinates as they are."""
+    """Return the sums ``φ₁ + … + φᵢ`` of the angles, and the other coordinates as they are."""
     turn = torch.eye(len(angular))
     angles = [i for i, is_angle in enumerate(angular) if is_angle]
     for k, i in enumerate(angles):

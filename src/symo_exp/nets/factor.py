@@ -5,8 +5,8 @@ its strictly lower part row by row (n(n−1)/2), and the potential V (1):
 
     H = L Lᵀ + ε I,   ℒ = ½ |y|² + ½ ε |v|² − V,   y = Lᵀ v.
 
-Or ``L`` (n, 3n) has ``2n`` columns of any entries and a diagonal, row by row: the kinetic energy
-is a sum of squared speeds ``y``, each linear in the velocities, as that of rigid bodies is.
+Alternatively ``L`` (n, 3n) has ``2n`` unrestricted columns and a diagonal, row by row: the kinetic
+energy is a sum of squared speeds ``y``, each linear in the velocities, as that of rigid bodies.
 
 The closed forms below are those of ``ℒ`` as a function of ``o`` and ``v``.
 """
@@ -43,7 +43,10 @@ class HeadPoint(NamedTuple):
 class FactorHead(nn.Module):
     """The map ``o → (L, V)`` for ``n`` coordinates, and the derivatives of ``ℒ`` through it.
 
-    Without ``squares`` ``L`` is a Cholesky factor.
+    Args:
+        n: Number of coordinates.
+        squares: Whether the kinetic energy is a sum of squared speeds; else ``L`` is a Cholesky
+            factor.
     """
 
     place: Tensor
@@ -54,7 +57,7 @@ class FactorHead(nn.Module):
         super().__init__()
         self.n, self.columns = n, 3 * n if squares else n
         self.soft = 0 if squares else n
-        """How many outputs, the first ones, are a diagonal before its softplus."""
+        """Number of outputs, the first ones, that are a diagonal before its softplus."""
         own, full = torch.eye(n), torch.ones(n, n)
         filled = torch.cat((full, full, own), dim=1) if squares else full.tril(-1)
         row, column = filled.nonzero(as_tuple=True)
@@ -74,14 +77,14 @@ class FactorHead(nn.Module):
         return self.soft + len(self.lower_row) + 1
 
     def outputs_of(self, diagonal: float) -> Float[Tensor, " outputs"]:
-        """The outputs of ``L = diagonal · I`` and ``V = 0``."""
+        """Return the outputs of ``L = diagonal · I`` and ``V = 0``."""
         outputs = torch.zeros(self.outputs)
         own = self.place.view(self.n, -1).diagonal()
         outputs[own] = math.log(math.expm1(diagonal)) if self.soft else diagonal
         return outputs
 
     def factor(self, outputs: Float[Tensor, "*batch outputs"]) -> Float[Tensor, "*batch n r"]:
-        """``L``."""
+        """Return ``L``."""
         diagonal = nn.functional.softplus(outputs[..., : self.soft])
         return self._fill(diagonal, outputs)
 
@@ -90,32 +93,32 @@ class FactorHead(nn.Module):
         slope: Float[Tensor, "*#batch soft"],
         rates: Float[Tensor, "*batch outputs"],
     ) -> Float[Tensor, "*batch n r"]:
-        """``L'`` when the outputs change at ``rates``; linear in them."""
+        """Return ``L'`` when the outputs change at ``rates``; linear in them."""
         return self._fill(slope * rates[..., : self.soft], rates)
 
     def slope(self, outputs: Float[Tensor, "*batch outputs"]) -> Float[Tensor, "*batch soft"]:
-        """``σ(o)`` of the diagonal."""
+        """Return ``σ(o)`` of the diagonal."""
         return torch.sigmoid(outputs[..., : self.soft])
 
     def mass(self, factor: Float[Tensor, "*batch n r"]) -> Float[Tensor, "*batch n n"]:
-        """``H = L Lᵀ + ε I``."""
+        """Return ``H = L Lᵀ + ε I``."""
         identity = torch.eye(self.n, dtype=factor.dtype, device=factor.device)
         return factor @ factor.mT + EPSILON * identity
 
     def point(
         self, outputs: Float[Tensor, "batch outputs"], v: Float[Tensor, "batch n"]
     ) -> HeadPoint:
-        """``ℒ`` at ``(o, v)``."""
+        """Return ``ℒ`` at ``(o, v)``."""
         factor, slope = self.factor(outputs), self.slope(outputs)
         y = vecmat(v, factor)
         return HeadPoint(v, factor, slope, y, self._own(v, y) * slope)
 
     def momentum(self, at: HeadPoint) -> Float[Tensor, "batch n"]:
-        """``∂ℒ/∂v = L y + ε v``."""
+        """Return ``∂ℒ/∂v = L y + ε v``."""
         return matvec(at.factor, at.y) + EPSILON * at.v
 
     def cotangent(self, at: HeadPoint) -> Float[Tensor, "batch outputs"]:
-        """``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
+        """Return ``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
         lower = self._entries(at.v, at.y)
         return torch.cat((at.diagonal, lower, -torch.ones_like(at.v[:, :1])), dim=1)
 
@@ -125,7 +128,7 @@ class FactorHead(nn.Module):
         rates: Float[Tensor, "batch outputs"],
         b: Float[Tensor, "batch n"],
     ) -> tuple[Float[Tensor, "batch outputs"], Float[Tensor, "batch n"]]:
-        """Gradients in ``o`` and ``v`` of ``φ = ∂ℒ/∂o · o' + ∂ℒ/∂v · b``, ``o'`` held fixed.
+        """Return the gradients in ``o``, ``v`` of ``φ = ∂ℒ/∂o · o' + ∂ℒ/∂v · b`` with ``o'`` fixed.
 
         ``φ = y · y' − V' + ε v · b`` with ``y' = L'ᵀ v + Lᵀ b``.
         """
@@ -142,9 +145,9 @@ class FactorHead(nn.Module):
     def curvature(
         self, at: HeadPoint, rates: Float[Tensor, "batch k outputs"]
     ) -> tuple[Float[Tensor, "batch k k"], Float[Tensor, "batch n k"]]:
-        """``o_iᵀ (∂²ℒ/∂o²) o_j`` and ``∂ℒ_v/∂o · o_j`` for ``k`` directions ``o_i``.
+        """Return ``o_iᵀ (∂²ℒ/∂o²) o_j`` and ``∂ℒ_v/∂o · o_j`` for ``k`` directions ``o_i``.
 
-        With ``y_i = L_iᵀ v``: the first is ``y_i · y_j`` and what the softplus bends, the second
+        With ``y_i = L_iᵀ v`` the first is ``y_i · y_j`` and a term of the softplus, the second
         ``L_j y + L y_j``.
         """
         factors = self.factor_tangent(at.slope.unsqueeze(1), rates)  # L_i: (B, k, n, n)
@@ -166,7 +169,7 @@ class FactorHead(nn.Module):
         return flat.unflatten(-1, (self.n, self.columns))
 
     def _entries(self, v: Tensor, y: Tensor) -> Tensor:
-        """``vᵢ yⱼ`` for the entries ``L_ij`` that are not under a softplus."""
+        """Return ``vᵢ yⱼ`` for the entries ``L_ij`` that are not under a softplus."""
         if self.soft == 0:
             shared = y[:, None, : 2 * self.n].expand(-1, self.n, -1)
             rows = torch.cat((shared, y[:, 2 * self.n :].unsqueeze(-1)), dim=-1)
@@ -174,5 +177,5 @@ class FactorHead(nn.Module):
         return v.index_select(1, self.lower_row) * y.index_select(1, self.lower_column)
 
     def _own(self, v: Tensor, y: Tensor) -> Tensor:
-        """``v y`` of the diagonal under a softplus."""
+        """Return ``v y`` of the diagonal under a softplus."""
         return v[:, : self.soft] * y[:, : self.soft]

@@ -1,4 +1,4 @@
-"""The first harmonics of the angles, in which chains of rigid links are exact."""
+"""First harmonics of the angles, which represent chains of rigid links exactly."""
 
 from __future__ import annotations
 
@@ -14,9 +14,14 @@ from symo_exp.nets.embedding import Features, directions
 class Harmonics(nn.Module):
     """``cos(k·q)`` and ``sin(k·q)`` for ``k`` in {−1, 0, 1} of at most ``order`` angles.
 
-    They span the products of ``(1, cos, sin)`` of so many angles, of which inertia and potential of
-    a chain of rigid links are made. One of ``k`` and ``−k`` is enough. With ``relative`` the angles
-    count from one to the next and ``k`` is of their sums ``φ₁ + … + φᵢ``.
+    They span the products of ``(1, cos, sin)`` of these angles, which inertia and potential of a
+    chain of rigid links consist of. One of ``k`` and ``−k`` is enough.
+
+    Args:
+        angular: Which coordinates are angles.
+        order: Largest number of angles in a harmonic.
+        relative: Whether each angle is relative to the one before; ``k`` then multiplies the sums
+            ``φ₁ + … + φᵢ``.
     """
 
     waves: Tensor
@@ -42,27 +47,27 @@ class Harmonics(nn.Module):
         return len(self.waves)
 
     def forward(self, q: Float[Tensor, "batch n"]) -> Features:
-        """Features with their derivatives in the phase ``k·q``."""
+        """Return the features with their derivatives in the phase ``k·q``."""
         phase = q @ self.waves[: self.size // 2].T
         cos, sin = torch.cos(phase), torch.sin(phase)
         return Features(torch.cat((cos, sin), dim=1), torch.cat((-sin, cos), dim=1))
 
     def spread(self, direction: Float[Tensor, "batch n"]) -> Float[Tensor, "batch features"]:
-        """The rate of each phase; ``dx`` times it are the features' rates."""
+        """Return the rate of each phase; times ``dx`` they are the features' rates."""
         return direction @ self.waves.T
 
     def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
-        """The features' rates along every coordinate."""
+        """Return the features' rates along every coordinate."""
         return features.dx.unsqueeze(1) * self.waves.T
 
     def to_coordinates(
         self, cotangent: Float[Tensor, "batch features"]
     ) -> Float[Tensor, "batch n"]:
-        """``Σ k`` of what belongs to each phase."""
+        """Return the cotangent in ``q`` of a cotangent in the phases."""
         return cotangent @ self.waves
 
     def curvature(
         self, features: Features, cotangent: Float[Tensor, "batch features"]
     ) -> Float[Tensor, "batch n n"]:
-        """Second derivatives in ``q`` of ``cotangent · features``."""
+        """Return the second derivatives in ``q`` of ``cotangent · features``."""
         return -(self.waves.T * (cotangent * features.x).unsqueeze(1)) @ self.waves

@@ -1,4 +1,4 @@
-"""A tanh layer on a jet: a value and its derivatives along some directions, together."""
+"""A tanh layer on a jet, a value with its derivatives along some directions."""
 
 from typing import Any
 
@@ -15,21 +15,24 @@ def tanh_jet_layer(
     weight: Float[Tensor, "out into"],
     bias: Float[Tensor, " out"],
 ) -> Float[Tensor, "jet batch out"]:
-    """``h = tanh(W x + b)`` in row 0 and ``h_i = (1 − h²) W x_i`` in row ``i`` of the jet."""
+    """Return ``h = tanh(W x + b)`` in row 0, ``h_i = (1 − h²) W x_i`` in row ``i`` of the jet."""
     if not torch.is_grad_enabled():
         return _value(x, weight, bias)[0]
     return _TanhJetLayer.apply(x, weight, bias)
 
 
 def _value(x: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The layer, and what its derivative needs: ``z`` without the bias, and ``h``."""
+    """Return the layer's jet, ``z`` without the bias, and ``h``, for the derivative."""
     z = (x.flatten(0, 1) @ weight.T).view(*x.shape[:2], -1)
     h = torch.tanh(z[0] + bias)
     return torch.cat((h.unsqueeze(0), z[1:] * (1.0 - h * h))), z, h
 
 
 class _TanhJetLayer(torch.autograd.Function):
-    """With cotangents ``G``: ``Z_i = (1 − h²) G_i``, ``Z₀ = (1 − h²) (G₀ − 2 h Σ_i G_i z_i)``."""
+    """The layer with its derivative.
+
+    With cotangents ``G``: ``Z_i = (1 − h²) G_i``, ``Z₀ = (1 − h²) (G₀ − 2 h Σ_i G_i z_i)``.
+    """
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:

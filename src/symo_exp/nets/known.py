@@ -9,12 +9,13 @@ from typing import Any, Protocol
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Gradients, Lagrangian, Rates, matvec
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.affine import by_sample, rows
+from symo_exp.nets.affine import by_sample, repeated
 from symo_exp.nets.roles import mark
 
 TRIANGLE = 10
@@ -27,19 +28,32 @@ class KnownConstant(Protocol):
     """A constant of a system: a positive number or a positive definite 4 x 4 matrix."""
 
     @property
-    def value(self) -> Tensor: ...
+    def value(self) -> Tensor:
+        """The given value."""
+        ...
+
     @property
-    def unit(self) -> str: ...
+    def unit(self) -> str:
+        """Its unit."""
+        ...
+
     @property
-    def origin(self) -> tuple[float, float, float]: ...
+    def origin(self) -> tuple[float, float, float]:
+        """Origin of the frame of a pseudo-inertia [m]."""
+        ...
 
 
 class KnownSystem(Protocol):
     """A system whose equations of motion are known (``symo_exp.systems.base.LagrangianSystem``)."""
 
     @property
-    def constants(self) -> Mapping[str, Any]: ...
-    def with_constants(self, values: Mapping[str, Tensor]) -> Any: ...
+    def constants(self) -> Mapping[str, Any]:
+        """Its constants by name."""
+        ...
+
+    def with_constants(self, values: Mapping[str, Tensor]) -> Any:
+        """Return the system with other values of its constants."""
+        ...
 
 
 class KnownLagrangian(nn.Module, Lagrangian):
@@ -91,19 +105,23 @@ class KnownLagrangian(nn.Module, Lagrangian):
         """Return the present values by name, differentiable in the parameters."""
         return self._values(self.logarithms, self.factors)
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         return self.terms(q)[0]
 
+    @override
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         return self.terms(q)[1]
 
+    @override
     def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
         if not by_sample():
             found: tuple[Tensor, Tensor] = self.system.with_constants(self.constants()).terms(q)
             return found
-        parameters = rows(self.logarithms, len(q)), rows(self.factors, len(q))
+        parameters = repeated(self.logarithms, len(q)), repeated(self.factors, len(q))
         return torch.func.vmap(self._of_one)(*parameters, q)
 
+    @override
     def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
         tracked = torch.is_grad_enabled()
         with torch.enable_grad():
@@ -114,6 +132,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
             (dq,) = torch.autograd.grad(total, q_, create_graph=tracked)
         return Gradients(dq, p) if tracked else Gradients(dq, p.detach())
 
+    @override
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
         tracked = torch.is_grad_enabled()
         with torch.enable_grad():
@@ -127,7 +146,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
         return found if tracked else Rates(*(x.detach() for x in found))
 
     def _of_one(self, logarithms: Tensor, factors: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
-        """``H`` and ``V`` of one sample with constants of its own."""
+        """Return ``H`` and ``V`` of one sample with constants of its own."""
         twin = self.system.with_constants(self._values(logarithms, factors))
         mass, potential = twin.terms(q.unsqueeze(0))
         return mass.squeeze(0), potential.squeeze(0)
@@ -216,12 +235,13 @@ class KnownFriction(nn.Module, Dissipation):
 
     def coefficients(self, batch: int = 1) -> tuple[Tensor, Tensor]:
         """Return ``d`` and ``c``, (batch, n) each."""
-        own = rows(self.logarithms, batch)
+        own = repeated(self.logarithms, batch)
         padded = torch.cat((own, torch.zeros_like(self.given[:1]).expand(batch, 1)), dim=1)
         found = self.given * padded[:, self.index].exp()
         viscous, coulomb = found.chunk(2, dim=1)
         return viscous, coulomb
 
+    @override
     def force(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
@@ -231,7 +251,7 @@ class KnownFriction(nn.Module, Dissipation):
 
 
 def _derivative_along(y: Tensor, x: Tensor, direction: Tensor, tracked: bool) -> Tensor:
-    """``(∂y/∂x) direction`` of a function that acts row by row, by a backward pass for each row."""
+    """Return ``(∂y/∂x) direction`` of a row-wise function, by a backward pass for each column."""
     found = []
     for i in range(y.shape[1]):
         gradient = torch.zeros_like(x)
@@ -245,5 +265,5 @@ def _derivative_along(y: Tensor, x: Tensor, direction: Tensor, tracked: bool) ->
 
 
 def _upper(matrix: Float[Tensor, "k k"]) -> Float[Tensor, "k k"]:
-    """The upper triangular ``U`` with ``U Uᵀ`` the matrix."""
+    """Return the upper triangular ``U`` with ``U Uᵀ`` the matrix."""
     return torch.linalg.cholesky(matrix.flip(0, 1)).flip(0, 1)

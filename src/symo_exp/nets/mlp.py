@@ -1,4 +1,4 @@
-"""The multilayer perceptron that every method uses (thesis section 6.3)."""
+"""The multilayer perceptron of all methods (thesis section 6.3)."""
 
 from itertools import pairwise
 from typing import Any
@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from typing_extensions import override
 
 from symo_exp.nets.affine import linear
 
@@ -14,12 +15,18 @@ class MLP(nn.Module):
     """``depth`` hidden tanh layers of ``width`` units and a linear output.
 
     Weights are Xavier-uniform with the gain of tanh, biases zero.
+
+    Args:
+        inputs: Number of inputs.
+        outputs: Number of outputs.
+        width: Units of a hidden layer.
+        depth: Number of hidden layers.
+        affine: Leave out the hidden layers.
     """
 
     def __init__(
         self, *, inputs: int, outputs: int, width: int, depth: int, affine: bool = False
     ) -> None:
-        """``affine``: no hidden layers, whatever ``width`` and ``depth`` say."""
         super().__init__()
         for name, value in (("width", width), ("depth", depth)):
             if value < 1:
@@ -32,12 +39,13 @@ class MLP(nn.Module):
             nn.init.xavier_uniform_(weight, gain=nn.init.calculate_gain("tanh"))
 
     def layers(self) -> tuple[tuple[Tensor, Tensor], ...]:
-        """Weight and bias of every layer, the linear output last."""
+        """Return weight and bias of every layer, the linear output last."""
         # `_parameters`: iterating over the lists themselves takes five times as long
         weights: Any = self.weights._parameters.values()
         biases: Any = self.biases._parameters.values()
         return tuple(zip(weights, biases, strict=True))
 
+    @override
     def forward(self, x: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch outputs"]:
         *hidden, (weight, bias) = self.layers()
         for w, b in hidden:

@@ -1,4 +1,4 @@
-"""The learned Lagrangian of a chain of rigid bodies, each on a joint of the one before."""
+"""The learned Lagrangian of a chain of rigid bodies, each on a joint of the previous one."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import (
@@ -20,32 +21,32 @@ from symo_exp.mechanics.lagrangian import (
     matvec,
 )
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.affine import rows
+from symo_exp.nets.affine import repeated
 
 PLACE = 0.1
 """Distances of joints at the start of training [m]."""
 
 
 class _Chain(NamedTuple):
-    """A chain at a configuration, in the world's axes."""
+    """A chain at a configuration, in world axes."""
 
     twists: Float[Tensor, "batch n 3 4"]
-    """``Ξᵢ = ∂X/∂qᵢ X⁻¹``, without its last row, zero: how joint ``i`` moves what it carries."""
+    """``Ξᵢ = ∂X/∂qᵢ X⁻¹``, without its last row, zero."""
     bodies: Float[Tensor, "batch n 4 4"]
     """``Π_b = X_b Λ_b Λ_bᵀ X_bᵀ``."""
     pushed: Float[Tensor, "batch n 3 4"]
-    """``Ξᵢ Cᵢ``, of all that joint ``i`` carries: ``Cᵢ = Σ_{b ≥ i} Π_b``."""
+    """``Ξᵢ Cᵢ`` of the bodies that joint ``i`` carries, ``Cᵢ = Σ_{b ≥ i} Π_b``."""
     rotors: Float[Tensor, "batch n"]
     """``aᵢ²``."""
     gravity: Float[Tensor, "batch 3"]
 
     def mass(self) -> Float[Tensor, "batch n n"]:
-        """``H_ij = ⟨Ξᵢ, Ξⱼ Cⱼ⟩`` for ``i ≤ j``, and rotors."""
+        """Return ``H``, ``H_ij = ⟨Ξᵢ, Ξⱼ Cⱼ⟩`` for ``i ≤ j``, with the rotors."""
         upper = torch.triu(self.twists.flatten(2) @ self.pushed.flatten(2).mT)
         return upper + torch.triu(upper, 1).mT + torch.diag_embed(self.rotors)
 
     def potential(self) -> Float[Tensor, " batch"]:
-        """``−Σ_b m_b γ · c_b``."""
+        """Return ``−Σ_b m_b γ · c_b``."""
         return -(self.gravity * self.bodies[..., :3, 3].sum(1)).sum(-1)
 
     def rates(self, v: Float[Tensor, "batch n"]) -> _Rates:
@@ -54,14 +55,14 @@ class _Chain(NamedTuple):
         return _Rates(motion, _bracket(motion, self.twists), momenta, _outwards(momenta))
 
     def gradients(self, v: Float[Tensor, "batch n"], at: _Rates) -> Gradients:
-        """``∂T/∂qᵢ = ⟨Ξ̇ᵢ, Σ_{b ≥ i} V_b Π_b⟩`` and ``pᵢ = ⟨Ξᵢ, Σ_{b ≥ i} V_b Π_b⟩``."""
-        weight = self.pushed[..., 3]  # of what is moved, by each joint
+        """Return ``∂T/∂qᵢ = ⟨Ξ̇ᵢ, Σ_{b ≥ i} V_b Π_b⟩`` and ``pᵢ = ⟨Ξᵢ, Σ_{b ≥ i} V_b Π_b⟩``."""
+        weight = self.pushed[..., 3]  # of the bodies that a joint moves
         dq = (at.twists * at.carried).sum((-2, -1)) + matvec(weight, self.gravity)
         return Gradients(dq, (self.twists * at.carried).sum((-2, -1)) + self.rotors * v)
 
 
 class _Rates(NamedTuple):
-    """What changes where a chain moves."""
+    """Rates of a moving chain."""
 
     motion: Float[Tensor, "batch n 3 4"]
     """``V_b = Ẋ_b X_b⁻¹ = Σ_{i ≤ b} Ξᵢ vᵢ``."""
@@ -79,16 +80,21 @@ class RigidChain(nn.Module, Lagrangian):
     ``X_b(q)``, a rotation and a place, takes body ``b`` to the world,
     ``X_b = X_{b−1} Trans(r_b) exp(ω_b q_b)``: hinges turn about a unit axis and slides go along
     it. ``Λ_b Λ_bᵀ``, 4 x 4, is the body's pseudo-inertia, its second moments, mass times centre
-    and mass (Wensing, Kim and Slotine 2018), so that any ``Λ_b`` is a possible body. ``aᵢ`` are
+    and mass (Wensing, Kim and Slotine 2018), so that every ``Λ_b`` is a possible body. ``aᵢ`` are
     rotors that turn with a joint. Axes, places ``r``, ``Λ``, ``a`` and the gravity ``γ`` are
-    parameters, 17 a joint and 3, which is exact for any open chain without branches, in space or in
-    a plane. Where all configurations are zero frames are parallel.
+    parameters, 17 for each joint and 3, which is exact for every open chain without branches, in
+    space or in a plane. Frames are parallel at the configuration zero.
 
-    Training ends at the truth from most starts if ``axes`` are right to some 15 degrees, from one
-    in three if they are any; else far from it, often with a joint too heavy to move.
+    Training finds the truth from most starts if ``axes`` are correct to about 15 degrees, from one
+    in three if they are random; otherwise it ends far from it, often with an immovable joint.
 
-    ``H`` is made of composites (Featherstone 2008, section 6.2). ``∂T/∂qᵢ`` follows from
-    ``∂Ẋ_b/∂qᵢ = d/dt(Ξᵢ X_b)``: the part ``Ξᵢ V_b`` of that does no work, since ``Ξᵢ`` turns.
+    ``H`` is computed from composites (Featherstone 2008, section 6.2). ``∂T/∂qᵢ`` follows from
+    ``∂Ẋ_b/∂qᵢ = d/dt(Ξᵢ X_b)``, whose part ``Ξᵢ V_b`` does no work.
+
+    Args:
+        coordinates: The coordinates; angles are hinges, others slides.
+        initial_inertia: Inertia at the start of training [kg, kg m²].
+        axes: Initial axes, three numbers for each joint; random if null.
     """
 
     turns: Tensor
@@ -121,22 +127,27 @@ class RigidChain(nn.Module, Lagrangian):
         self.rotors = nn.Parameter(torch.full((n,), 0.5 * root))
         self.gravity = nn.Parameter(torch.tensor([0.0, 0.0, -9.81]))
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         return self._at(q).mass()
 
+    @override
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         return self._at(q).potential()
 
+    @override
     def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
         at = self._at(q)
         return at.gradients(v, at.rates(v))
 
+    @override
     @torch.no_grad()
     def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:
         at = self._at(q.detach())
         values = at.gradients(v, at.rates(v))
         return AutodiffExpansion(self, q.detach(), v.detach(), values, at.mass())
 
+    @override
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
         chain = self._at(q)
         at = chain.rates(v)
@@ -148,10 +159,10 @@ class RigidChain(nn.Module, Lagrangian):
 
     def _at(self, q: Tensor) -> _Chain:
         batch, n = q.shape
-        axes = rows(self.axes, batch).unflatten(1, (n, 3))
+        axes = repeated(self.axes, batch).unflatten(1, (n, 3))
         axes = axes / axes.norm(dim=-1, keepdim=True)
-        places = rows(self.places, batch).unflatten(1, (n, 3))
-        moments = rows(self.moments, batch).unflatten(1, (n, 10))
+        places = repeated(self.places, batch).unflatten(1, (n, 3))
+        moments = repeated(self.moments, batch).unflatten(1, (n, 10))
         moments = torch.cat((moments, torch.zeros_like(moments[..., :1])), dim=-1)
         moments = moments[..., self.place]
         relative = _rotation(axes, q * self.turns)
@@ -173,13 +184,13 @@ class RigidChain(nn.Module, Lagrangian):
         twists = torch.cat((_cross(hinge * axis), about.unsqueeze(-1)), dim=-1)
         above = torch.stack(turns, 1) @ moments
         weighted = torch.cat((above, moments[..., 3:, :]), dim=-2)
-        bodies, own = weighted @ weighted.mT, rows(self.rotors, batch).square()
+        bodies, own = weighted @ weighted.mT, repeated(self.rotors, batch).square()
         pushed = twists @ _outwards(bodies)
-        return _Chain(twists, bodies, pushed, own, rows(self.gravity, batch))
+        return _Chain(twists, bodies, pushed, own, repeated(self.gravity, batch))
 
 
 def _directions(given: Any, n: int) -> Float[Tensor, "n 3"]:
-    """Such axes, or any."""
+    """Return the given axes, or random ones."""
     if given is None:
         return torch.randn(n, 3)
     listed = [list(row) if isinstance(row, Sequence) else [] for row in given]
@@ -194,32 +205,32 @@ def _directions(given: Any, n: int) -> Float[Tensor, "n 3"]:
 
 
 def _outwards(x: Float[Tensor, "batch n a b"]) -> Float[Tensor, "batch n a b"]:
-    """Sums over a body and all that it carries."""
+    """Return the sums over a body and the bodies that it carries."""
     return x.flip(1).cumsum(1).flip(1)
 
 
 def _whole(x: Float[Tensor, "*batch 3 4"]) -> Float[Tensor, "*batch 4 4"]:
-    """With its last row, zero."""
+    """Append the last row, zero."""
     return torch.cat((x, torch.zeros_like(x[..., :1, :])), dim=-2)
 
 
 def _bracket(
     a: Float[Tensor, "*batch 3 4"], b: Float[Tensor, "*batch 3 4"]
 ) -> Float[Tensor, "*batch 3 4"]:
-    """``A B − B A``."""
+    """Return ``A B − B A``."""
     return a[..., :3] @ b - b[..., :3] @ a
 
 
 def _rotation(
     axes: Float[Tensor, "batch n 3"], angles: Float[Tensor, "batch n"]
 ) -> Float[Tensor, "batch n 3 3"]:
-    """Rodrigues' formula."""
+    """Return rotations by Rodrigues' formula."""
     across, angle = _cross(axes), angles[..., None, None]
     return torch.eye(3).to(axes) + angle.sin() * across + (1.0 - angle.cos()) * (across @ across)
 
 
 def _cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """The matrix of ``x ×``."""
+    """Return the matrix of ``x ×``."""
     a, b, c = x.unbind(-1)
     zero = torch.zeros_like(a)
     return torch.stack((zero, -c, b, c, zero, -a, -b, a, zero), dim=-1).unflatten(-1, (3, 3))

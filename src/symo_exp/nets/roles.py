@@ -1,4 +1,4 @@
-"""What a parameter is to an optimiser that treats them by what they are."""
+"""Roles of parameters, by which some optimisers treat them differently."""
 
 from __future__ import annotations
 
@@ -11,24 +11,27 @@ Role = Literal["coefficient", "late"]
 
 
 def mark(parameters: Iterable[Tensor], role: Role) -> None:
-    """Say that parameters are "coefficient"s (physical numbers, not to be drawn to zero) or "late"
-    (best left alone until the others have found their place). Their present values are kept."""
+    """Mark parameters as "coefficient" or "late", and store their present values.
+
+    Coefficients are physical numbers and are not shrunk to zero; late parameters are optimised only
+    after the others.
+    """
     for parameter in parameters:
         vars(parameter)["symo_exp_role"] = role
         vars(parameter)["symo_exp_start"] = parameter.detach().clone()
 
 
 def is_coefficient(parameter: Tensor) -> bool:
-    """Whether a parameter is a physical number."""
+    """Return whether a parameter is a physical number."""
     return vars(parameter).get("symo_exp_role") == "coefficient"
 
 
 def is_late(parameter: Tensor) -> bool:
-    """Whether a parameter joins last."""
+    """Return whether a parameter is optimised after the others."""
     return vars(parameter).get("symo_exp_role") == "late"
 
 
 def start(parameter: Tensor) -> Tensor:
-    """The value that a marked parameter had."""
+    """Return the value of a parameter when it was marked."""
     kept: Tensor = vars(parameter)["symo_exp_start"]
     return kept.to(parameter)

@@ -27,6 +27,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import (
@@ -52,15 +53,19 @@ QUIET = 0.1
 class StructuredLagrangian(nn.Module, Lagrangian):
     """``ℒ`` of ``n`` coordinates by one network; the inertia is positive definite by design.
 
-    With ``initial_inertia`` [kg, kg m²] training starts near ``H = initial_inertia · I`` and a
-    weak potential. Without it the last layer starts uniform in ``±1/√inputs``, PyTorch's default,
-    as in the published code of the thesis, whose text has Xavier weights there too: these would
-    often lead to a nearly singular ``H`` whose accelerations fly off.
-
-    ``harmonics`` is how many angles a harmonic couples at most; 0: none. Their weights ``S`` start
-    at zero. With ``squares`` the kinetic energy is a sum of squared speeds (``FactorHead``); speeds
-    and potential are affine in ``s(q)``, without hidden layers, as those of rigid links in a plane.
-    ``relative`` angles count from one to the next (``Embedding``).
+    Args:
+        angular: Which coordinates are angles.
+        width: Units of a hidden layer.
+        depth: Number of hidden layers.
+        initial_inertia: Training starts near ``H = initial_inertia · I`` [kg, kg m²] and a weak
+            potential. With ``None`` the last layer starts uniform in ``±1/√inputs``, PyTorch's
+            default, as in the published code of the thesis; Xavier weights, as in its text, often
+            lead to a nearly singular ``H`` and diverging accelerations.
+        harmonics: Largest number of angles that a harmonic couples; 0: no harmonics. Their weights
+            ``S`` start at zero.
+        squares: Whether the kinetic energy is a sum of squared speeds (``FactorHead``); speeds and
+            potential are then affine in ``s(q)``, as those of rigid links in a plane.
+        relative: Whether each angle is relative to the one before (``Embedding``).
     """
 
     skip: Any
@@ -104,9 +109,11 @@ class StructuredLagrangian(nn.Module, Lagrangian):
                 last.mul_(QUIET)
                 bias.copy_(self.head.outputs_of(math.sqrt(initial_inertia)))
 
+    @override
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         return self.head.mass(self.head.factor(self._outputs(q)))
 
+    @override
     def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
         return self._outputs(q)[:, -1]
 
@@ -116,10 +123,12 @@ class StructuredLagrangian(nn.Module, Lagrangian):
             return outputs
         return outputs + linear(self.harmonics(q).x, self.skip)
 
+    @override
     def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
         at = self.expand(q, v)
         return at.gradients(q, v) if torch.is_grad_enabled() else at.values
 
+    @override
     @torch.no_grad()
     def expand(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
@@ -156,7 +165,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         return StructuredExpansion(self, passes)
 
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
-        """``H``, ``Ḣ v``, ``ℒ_q`` from a jet: the value and its ``n`` coordinate derivatives.
+        """Return ``H``, ``Ḣ v``, ``ℒ_q`` from a jet, values with their ``n`` derivatives.
 
         ``o_i = ∂o/∂q_i`` give ``L_i``; then ``ℒ_{q_i} = y · L_iᵀ v − V_i`` and
         ``Ḣ v = L̇ y + L L̇ᵀ v`` with ``L̇ = Σ v_i L_i``.
@@ -188,7 +197,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
 
 
 class _Passes(NamedTuple):
-    """What a forward and a transposed pass compute."""
+    """Results of a forward and a transposed pass."""
 
     features: Features
     hidden: tuple[Tensor, ...]
@@ -203,27 +212,29 @@ class _Passes(NamedTuple):
     feature_cotangent: Tensor
     """``x̄ = ∂ℒ/∂s``."""
     waves: tuple[Features, ...]
-    """``φ``, where there is any."""
+    """``φ``, empty without harmonics."""
 
 
 class StructuredExpansion(Expansion):
-    """``ℒ`` around ``(q, v)``: the passes are kept and serve every further derivative."""
+    """``ℒ`` around ``(q, v)``; all derivatives share one forward and one transposed pass."""
 
     parts = ("_lagrangian", "_passes")
 
     def __init__(self, lagrangian: StructuredLagrangian, passes: _Passes) -> None:
         self._lagrangian, self._passes = lagrangian, passes
         self._rates: tuple[Tensor, ...] = ()
-        """``∂z_l/∂q`` and ``∂o/∂q``, (B, n, ·) each, once ``curvature`` has needed them."""
+        """``∂z_l/∂q`` and ``∂o/∂q``, (B, n, ·) each, once ``curvature`` has computed them."""
         dq = lagrangian.embedding.to_coordinates(passes.features.dx * passes.feature_cotangent)
         for waves in passes.waves:
             slopes = waves.dx * (passes.output_cotangent @ lagrangian.skip)
             dq = dq + lagrangian.harmonics.to_coordinates(slopes)
         self.values = Gradients(dq, lagrangian.head.momentum(passes.head))
 
+    @override
     def mass(self) -> Tensor:
         return self._lagrangian.head.mass(self._passes.head.factor)
 
+    @override
     @torch.no_grad()
     def curvature(self) -> Curvature:
         embedding, head = self._lagrangian.embedding, self._lagrangian.head
@@ -248,15 +259,16 @@ class StructuredExpansion(Expansion):
         outputs_qq, vq = head.curvature(at.head, rates[-1])
         return Curvature(qq + outputs_qq, vq, vq.mT)
 
+    @override
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         weights, biases = zip(*self._lagrangian.net.layers(), strict=True)
         skip = self._lagrangian.skip
         return Gradients(*_DifferentiableGradients.apply(self, q, v, skip, *weights, *biases))
 
     def pullback(self, a: Tensor, b: Tensor, *, to_point: bool) -> tuple[Tensor | None, ...]:
-        """Gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩`` in ``q``, ``v``, ``S``, weights and biases.
+        """Return the gradients of ``⟨a, ℒ_q⟩ + ⟨b, ℒ_v⟩`` in ``q``, ``v``, ``S``, weights, biases.
 
-        Those in ``q`` and ``v`` are left out unless asked for by ``to_point``.
+        Those in ``q`` and ``v`` are ``None`` without ``to_point``.
         """
         embedding, at = self._lagrangian.embedding, self._passes
         weights, biases = zip(*self._lagrangian.net.layers(), strict=True)

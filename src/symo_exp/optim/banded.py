@@ -1,4 +1,4 @@
-"""Residuals along trajectories: each reads three consecutive nodes, so that all is banded."""
+"""Residuals along trajectories, banded since each depends on three consecutive nodes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from symo_exp.mechanics.types import Trajectory, Windows
 class Chain(NamedTuple):
     """The nodes of trajectories of any lengths, one after another, and the windows over them.
 
-    ``x`` is what is measured at a node: the configuration, or with ``velocities`` the state, and
-    with ``inputs`` these, last.
+    ``x`` holds the measured values at a node: the configuration or the state, and possibly the
+    inputs, last.
     """
 
     x: Float[Tensor, "nodes d"]
@@ -30,7 +30,13 @@ class Chain(NamedTuple):
 
     @staticmethod
     def of(trajectories: Sequence[Trajectory], *, velocities: bool, inputs: bool = False) -> Chain:
-        """Windows go over every trajectory but not from one to the next."""
+        """Return the chain of some trajectories; no window extends over two of them.
+
+        Args:
+            trajectories: The trajectories.
+            velocities: Whether ``x`` has velocities.
+            inputs: Whether ``x`` has inputs.
+        """
         q, v, u = (torch.cat(fields) for fields in zip(*trajectories, strict=True))
         ends = np.cumsum([len(t.q) for t in trajectories])
         starts = ends - [len(t.q) for t in trajectories]
@@ -44,11 +50,11 @@ class Chain(NamedTuple):
         return self.x.shape[1] - (self.u.shape[1] if self.inputs else 0)
 
     def stencil(self, x: Float[Tensor, "nodes d"]) -> tuple[Tensor, Tensor, Tensor]:
-        """The three nodes of every window, (windows, d) each."""
+        """Return the three nodes of every window, (windows, d) each."""
         return x[self.centre - 1], x[self.centre], x[self.centre + 1]
 
     def windows(self, before: Tensor, at: Tensor, after: Tensor) -> Windows:
-        """Samples whose three nodes are these; without velocities these are zero."""
+        """Return samples of three nodes, with zero velocities if the nodes have none."""
         n, known, nodes = self.n, self.known, (before, at, after)
         none = torch.zeros_like(at[:, :n])
         v, v_next = (x[:, n:known] if known > n else none for x in (at, after))
@@ -58,7 +64,7 @@ class Chain(NamedTuple):
     def spread(
         self, jacobians: Sequence[Float[Tensor, "windows k d"]], y: Float[Tensor, "windows k"]
     ) -> Float[Tensor, "nodes d"]:
-        """``Jᵀ y`` with the derivatives of every window in its three nodes."""
+        """Return ``Jᵀ y`` with the derivatives of every window in its three nodes."""
         total = torch.zeros_like(self.x)
         for shift, jacobian in zip((-1, 0, 1), jacobians, strict=True):
             total.index_add_(0, self.centre + shift, (jacobian * y.unsqueeze(-1)).sum(1))
@@ -67,7 +73,7 @@ class Chain(NamedTuple):
     def apply(
         self, jacobians: Sequence[Float[Tensor, "windows k d"]], x: Float[Tensor, "nodes d"]
     ) -> Float[Tensor, "windows k"]:
-        """``J x``."""
+        """Return ``J x``."""
         parts = zip(jacobians, self.stencil(x), strict=True)
         return sum(((j * y.unsqueeze(1)).sum(-1) for j, y in parts), torch.zeros(()).to(x))
 
@@ -126,7 +132,7 @@ class BandFactor:
 
     @property
     def log_determinant(self) -> float:
-        """``log det S``."""
+        """The logarithm of the determinant of ``S``."""
         return float(2.0 * np.log(self._band[0]).sum())
 
     def whiten(self, x: Float[Tensor, "blocks m *k"]) -> Tensor:

@@ -1,4 +1,4 @@
-"""What an optimiser needs that takes more than one step a mini batch."""
+"""Optimisers that take whole epochs, and the problem that an optimiser sees."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.utils import clip_grads_with_norm_, get_total_norm
 from torch.optim import Optimizer
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
@@ -19,32 +20,48 @@ from symo_exp.optim.direct import direct_step
 
 
 class Problem(Protocol):
-    """What is minimised, as an optimiser sees it: a model and its objective."""
+    """A model with its objective, as an optimiser sees it."""
 
     gradient_clip: float | None
+    """Bound on the norm of the gradient in ``minibatches``."""
 
     @property
-    def reads_velocity(self) -> bool: ...
+    def reads_velocity(self) -> bool:
+        """Whether residuals depend on measured velocities."""
+        ...
 
-    def parameters(self) -> Iterable[Tensor]: ...
+    def parameters(self) -> Iterable[Tensor]:
+        """Return the parameters."""
+        ...
 
-    def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]: ...
+    def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]:
+        """Return the residuals of each sample, differentiable in the parameters."""
+        ...
 
-    def loss(self, windows: Windows) -> Tensor: ...
+    def loss(self, windows: Windows) -> Float[Tensor, ""]:
+        """Return the mean square of the residuals, differentiable in the parameters."""
+        ...
 
-    def loss_and_gradients(self, windows: Windows) -> Tensor: ...
+    def loss_and_gradients(self, windows: Windows) -> Float[Tensor, ""]:
+        """Return the loss without a graph; its gradients are left in the parameters."""
+        ...
 
 
 class EpochOptimizer(Optimizer, ABC):
-    """An optimiser that is given all samples of an epoch and does with them what it wants.
+    """An optimiser that takes all samples of an epoch at once.
 
-    Everything else, gradients and line searches included, is its own business. What it must
-    remember to be resumed goes into ``memory``, which ``state_dict`` carries.
+    It computes its own gradients and line searches. Everything that resuming needs is in
+    ``memory``, which is part of ``state_dict``.
 
-    Losses on held-out samples arrive through ``validated``: the best parameters are kept, later
-    ones also where they are worse by less than ``tolerance``, relatively. After ``patience`` losses
-    in a row that do not improve by a hundredth the training is ``finished``; those do not count
-    during which the training loss ``falls``.
+    Losses on held-out samples arrive through ``validated``: the best parameters are kept. After
+    ``patience`` losses in a row that do not improve by a hundredth the training is ``finished``;
+    losses do not count while the training loss ``falls``.
+
+    Args:
+        params: The parameters.
+        patience: Number of held-out losses without improvement.
+        tolerance: Later parameters are kept although their loss is larger than the best one by up
+            to this share.
     """
 
     reads_trajectories: ClassVar[bool] = False
@@ -63,10 +80,10 @@ class EpochOptimizer(Optimizer, ABC):
 
     @abstractmethod
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
-        """One epoch; returns at least ``train_loss``, here the loss that it began with."""
+        """Run one epoch; return metrics with at least ``train_loss``, the loss at its start."""
 
     def validated(self, loss: Tensor) -> None:
-        """Take note of a loss on held-out samples."""
+        """Record a loss on held-out samples."""
         value, best = float(loss.detach()), self.memory["best"]
         if value < best * (1.0 + self.tolerance):
             self.memory |= {"best": min(value, best), "weights": self.flat()}
@@ -78,32 +95,37 @@ class EpochOptimizer(Optimizer, ABC):
         self.finished = self.finished or self.memory["waited"] >= self.patience
 
     def falls(self) -> bool:
-        """Whether the training loss falls so fast, since this was asked last, that held-out losses
-        may well follow."""
+        """Return whether the training loss still falls.
+
+        It falls if it has decreased so far since the last call that held-out losses may follow.
+        """
         return False
 
     def ended(self) -> None:
-        """The last epoch is over: leave the best parameters in place."""
+        """Put the best parameters in place after the last epoch."""
         if self.memory["weights"] is not None:
             self.place(self.memory["weights"])
 
     def flat(self) -> Tensor:
-        """All parameters as one vector."""
+        """Return all parameters as one vector."""
         return torch.cat([p.detach().flatten() for p in self.parameters])
 
     @torch.no_grad()
     def place(self, flat: Tensor) -> None:
-        """Put such a vector in place."""
+        """Put a vector of all parameters in place."""
         sizes = [p.numel() for p in self.parameters]
         for p, part in zip(self.parameters, flat.split(sizes), strict=True):
             p.copy_(part.view_as(p))
 
+    @override
     def step(self, closure: Any = None) -> None:  # type: ignore[override]
         raise TypeError(f"{type(self).__name__} is driven by epochs, not by steps")
 
+    @override
     def state_dict(self) -> dict[str, Any]:
         return {**super().state_dict(), "memory": dict(self.memory)}
 
+    @override
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         state = dict(state_dict)
         self.memory |= state.pop("memory")
@@ -114,11 +136,11 @@ class EpochOptimizer(Optimizer, ABC):
 def minibatches(
     optimizer: Optimizer, model: Problem, batches: Sequence[Windows]
 ) -> dict[str, Tensor]:
-    """One step of a torch optimiser for each mini batch.
+    """Take one step of a torch optimiser for each mini batch.
 
-    With ``model.gradient_clip`` the norm of the gradient is bounded by it, and a batch whose
-    gradient is not finite is skipped, out of the mean loss too, and counted: a Lagrangian without
-    training has rows with a nearly singular inertia, from which explicit steps fly off.
+    With ``model.gradient_clip`` the norm of the gradient is bounded by it. A batch whose gradient
+    is not finite is then skipped, left out of the mean loss, and counted: untrained Lagrangians
+    have rows with a nearly singular inertia, from which explicit steps diverge.
     """
     losses, finite = [], []
     parameters, step = list(model.parameters()), direct_step(optimizer)
@@ -147,10 +169,16 @@ def step_bounded(
     *,
     wait: bool,
 ) -> None:
-    """A ``step`` with the ``norm`` of the gradient bounded; none where it is not finite.
+    """Take a ``step`` with a bounded gradient, or none if the gradient is not finite.
 
-    Reading the norm makes the host wait for all that a GPU has been told to do. Unless it is to
-    ``wait``, an optimiser that can skip steps by itself, as for scaled gradients, is told when.
+    Args:
+        optimizer: The optimiser.
+        step: Its step.
+        parameters: Its parameters.
+        norm: Norm of the gradient.
+        largest: Bound on the norm.
+        wait: Whether to read the norm, which synchronises with a GPU. Otherwise an optimiser that
+            can skip steps by itself, as for scaled gradients, is told when to do so.
     """
     if not wait and getattr(optimizer, "_step_supports_amp_scaling", False):
         clip_grads_with_norm_(parameters, largest, norm)
@@ -165,5 +193,5 @@ def step_bounded(
 
 
 def concatenated(batches: Sequence[Windows]) -> Windows:
-    """The mini batches of an epoch as one."""
+    """Return the mini batches of an epoch as one batch."""
     return Windows(*(torch.cat(fields) for fields in zip(*batches, strict=True)))

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.optim import Optimizer
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
@@ -15,10 +16,15 @@ from symo_exp.optim.base import EpochOptimizer, Problem, minibatches
 
 
 class Chained(EpochOptimizer):
-    """``first`` on mini batches for ``epochs`` epochs, its rate along a half cosine; then ``then``.
+    """One optimiser on mini batches, then another one on whole epochs.
 
-    ``first`` is a torch optimiser, ``then`` one that takes whole epochs and is told the held-out
-    losses.
+    The rate of the first follows a half cosine. The second receives the held-out losses.
+
+    Args:
+        params: The parameters.
+        first: Makes the first optimiser, one of torch.
+        epochs: Epochs of the first.
+        then: Makes the second optimiser.
     """
 
     def __init__(
@@ -37,6 +43,7 @@ class Chained(EpochOptimizer):
         self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._first, max(epochs, 1))
         self.memory["epoch"] = 0
 
+    @override
     def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
         starting = self.memory["epoch"] < self.epochs
         self.memory["epoch"] += 1
@@ -49,14 +56,17 @@ class Chained(EpochOptimizer):
         self._schedule.step()
         return {**metrics, "lr": torch.tensor(rate)}
 
+    @override
     def validated(self, loss: Tensor) -> None:
         if self.memory["epoch"] > self.epochs:
             self._then.validated(loss)
             self.finished = self._then.finished
 
+    @override
     def ended(self) -> None:
         self._then.ended()
 
+    @override
     def state_dict(self) -> dict[str, Any]:
         self.memory |= {
             "first": self._first.state_dict(),
@@ -65,6 +75,7 @@ class Chained(EpochOptimizer):
         }
         return super().state_dict()
 
+    @override
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         super().load_state_dict(state_dict)
         self._first.load_state_dict(self.memory["first"])

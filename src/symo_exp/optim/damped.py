@@ -1,4 +1,4 @@
-"""Residuals around the present parameters, and damped steps that make them small."""
+"""Residuals linearised at the present parameters, and damped steps that minimise them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ from torch import Tensor
 
 
 class DampedSystem:
-    """``r + J δ``, residuals and derivatives divided by the root of the residuals' number."""
+    """``r + J δ``, both divided by the square root of the number of residuals.
+
+    Args:
+        residuals: ``r``.
+        pieces: Rows of ``J``, in order.
+    """
 
     def __init__(
         self,
         residuals: Float[Tensor, " equations"],
         pieces: Sequence[Float[Tensor, "rows parameters"]],
     ) -> None:
-        """``pieces`` are the rows of the derivatives, in order."""
         self.scale = 1.0 / math.sqrt(len(residuals))
         self.r = self.scale * residuals
         self._pieces = pieces
@@ -29,8 +33,11 @@ class DampedSystem:
         self._size *= self.scale**2
 
     def factor(self, damping: float) -> Tensor | None:
-        """Of ``JᵀJ + λ s I``, or of the same in the space of residuals; ``s`` is the largest entry
-        of the diagonal of ``JᵀJ``. ``None`` where it is not positive definite in floating point."""
+        """Return the Cholesky factor of ``JᵀJ + λ s I``, or of ``J Jᵀ + λ s I`` for wide ``J``.
+
+        ``s`` is the largest entry of the diagonal of ``JᵀJ``. The factor is ``None`` if the matrix
+        is not positive definite in floating point.
+        """
         damped = self._gram.clone()
         damped.diagonal().add_(damping * self._size)
         factor, info = torch.linalg.cholesky_ex(damped)
@@ -39,18 +46,20 @@ class DampedSystem:
     def towards_zero(
         self, factor: Tensor, residuals: Float[Tensor, " equations"]
     ) -> Float[Tensor, " parameters"]:
-        """The damped step that makes such residuals small, ``−(JᵀJ + λ s I)⁻¹ Jᵀ r`` or
-        ``−Jᵀ (J Jᵀ + λ s I)⁻¹ r``."""
+        """Return the damped step ``−(JᵀJ + λ s I)⁻¹ Jᵀ r`` for residuals.
+
+        A wide ``J`` has it as ``−Jᵀ (J Jᵀ + λ s I)⁻¹ r``.
+        """
         if self._wide:
             return -self._transposed(_solve(factor, residuals))
         return -_solve(factor, self._transposed(residuals))
 
     def change(self, step: Float[Tensor, " parameters"]) -> Float[Tensor, " equations"]:
-        """``J δ``."""
+        """Return ``J δ``."""
         return self.scale * torch.cat([j @ step for j in self._pieces])
 
     def _transposed(self, residuals: Tensor) -> Float[Tensor, " parameters"]:
-        """``Jᵀ r``."""
+        """Return ``Jᵀ r``."""
         parts = residuals.split([len(j) for j in self._pieces])
         sums = [r @ j for r, j in zip(parts, self._pieces, strict=True)]
         return self.scale * torch.stack(sums).sum(0)
@@ -60,7 +69,7 @@ class DampedSystem:
         return j @ j.T
 
     def _inner(self) -> Float[Tensor, "parameters parameters"]:
-        """The lower triangle, in blocks: about half of the work of all of it."""
+        """Return the lower triangle, in blocks: about half of the work of the full matrix."""
         size = self._pieces[0].shape[1]
         gram, block = self.r.new_zeros(size, size), max(128, -(-size // 8))
         for j in self._pieces:

@@ -1,4 +1,4 @@
-"""The step of a fused Adam without what surrounds its kernel."""
+"""The step of a fused Adam without the overhead around its kernel."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from torch.optim import Adam, Optimizer
 
 
 def direct_step(optimizer: Optimizer) -> Callable[[], object]:
-    """What does the same as ``optimizer.step``, to the bit.
+    """Return a function with the effect of ``optimizer.step``, to the bit.
 
-    Collecting parameters and moments and sorting them by device takes PyTorch as long as updating
-    these networks. For a fused Adam they are collected here, once, when its first step has made
-    the moments; for all else it is ``optimizer.step``. To be asked for again when the state is
-    replaced.
+    PyTorch collects parameters and moments and sorts them by device in each step, which takes as
+    long as updating these networks. For a fused Adam they are collected once, after its first step;
+    for every other optimiser the function is ``optimizer.step``. It is not valid any more when the
+    optimiser's state is replaced.
     """
     hooked = optimizer._optimizer_step_pre_hooks or optimizer._optimizer_step_post_hooks
     if type(optimizer) is not Adam or len(optimizer.param_groups) != 1 or hooked:

@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 FLAT = 1e-6
-"""Prior precision of coefficients, which are hardly to be drawn to zero."""
+"""Prior precision of coefficients, which hardly shrinks them."""
 LEAST, MOST = 1e-6, 1e6
-"""Prior precisions that the evidence may ask for."""
+"""Range of prior precisions from the evidence."""
 
 
 def evidence(
@@ -21,13 +21,22 @@ def evidence(
     moves: Bool[Tensor, " parameters"],
     flat: Bool[Tensor, " groups"],
 ) -> tuple[Tensor, float] | None:
-    """Prior precisions ``α`` of groups of parameters, and how many parameters the data determine
-    (MacKay 1992, with ``G`` the ``gram`` matrix and ``σ²`` the ``noise``):
+    """Return prior precisions of groups of parameters from the evidence (MacKay 1992).
 
         γ_g = Σ_{i∈g} 1 − α_g (G/σ² + α)⁻¹ᵢᵢ        α_g = γ_g / |θ_g|²
 
-    Groups that are ``flat`` keep their precision, parameters that do not move are not counted.
-    ``None`` where the posterior has no factor.
+    Args:
+        gram: ``G``.
+        noise: ``σ²``.
+        precision: ``α`` of each group.
+        theta: The parameters.
+        group: The group of each parameter.
+        moves: Parameters that count.
+        flat: Groups that keep their precision.
+
+    Returns:
+        New precisions and ``Σ γ``, the number of parameters that the data determine; ``None`` if
+        the posterior precision has no factor.
     """
     own = precision[group]
     factor, info = torch.linalg.cholesky_ex(gram / noise + torch.diag(own))

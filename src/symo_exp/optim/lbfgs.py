@@ -7,13 +7,21 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.mechanics.types import Windows
 from symo_exp.optim.base import EpochOptimizer, Problem, concatenated
 
 
 class LBFGS(EpochOptimizer):
-    """``iterations`` steps of L-BFGS with a strong Wolfe line search in each epoch."""
+    """L-BFGS with a strong Wolfe line search on all samples.
+
+    Args:
+        params: The parameters.
+        iterations: Steps in an epoch.
+        history: Number of updates that are kept.
+        patience: Number of held-out losses without improvement.
+    """
 
     def __init__(
         self,
@@ -29,6 +37,7 @@ class LBFGS(EpochOptimizer):
             tolerance_grad=0.0, tolerance_change=0.0, line_search_fn="strong_wolfe",
         )  # fmt: skip
 
+    @override
     def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
         samples = concatenated(batches)
 
@@ -40,10 +49,12 @@ class LBFGS(EpochOptimizer):
 
         return {"train_loss": self._inner.step(closure).detach()}
 
+    @override
     def state_dict(self) -> dict[str, Any]:
         self.memory["inner"] = self._inner.state_dict()
         return super().state_dict()
 
+    @override
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         super().load_state_dict(state_dict)
         self._inner.load_state_dict(self.memory["inner"])

@@ -19,7 +19,7 @@ from symo_exp.optim.damped import DampedSystem
 from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
 
 FALLS = 0.9
-"""What is left of the training loss, from one held-out loss to the next, of one that falls."""
+"""Ratio of training losses between two held-out losses below which the loss counts as falling."""
 LIMIT = 1e12
 """The damping at which a refused step ends the training."""
 
@@ -29,20 +29,22 @@ class LevenbergMarquardt(EpochOptimizer):
 
     ``r`` are the residuals divided by the root of their number, ``J`` their derivatives in the
     parameters, in float64; ``s`` is the largest entry of the diagonal of ``JᵀJ``. (With that
-    diagonal itself, as Marquardt has it, parameters that hardly matter run away, and trainings end
-    far from the data that they could meet to rounding.) Valleys of the loss are bent, and a
-    straight step is no longer than the bend lets it be; so it is taken to second order, by geodesic
-    acceleration (Transtrum and Sethna 2012): with ``r''`` along ``δ``
-
-        (JᵀJ + λ s I) a = −½ Jᵀ r''        θ⁺ = θ + δ + a
-
-    unless ``a`` is long. ``λ`` is multiplied by ``max(⅓, 1 − (2ρ − 1)³)`` after a step that lowers
+    diagonal itself, as in Marquardt's rule, parameters without influence diverge, and trainings end
+    far from data that they could fit to rounding.) The step is accelerated (see ``descent``). ``λ``
+    is multiplied by ``max(⅓, 1 − (2ρ − 1)³)`` after a step that lowers
     ``‖r‖²`` by ``ρ`` of what was foreseen, and by 2, 4, 8, … after those that do not (Nielsen
-    1999); after ``trials`` of these the epoch ends. Where no step lowers the loss and ``λ`` passes
-    1e12, it is ``finished``.
+    1999); after ``trials`` of these the epoch ends. It is ``finished`` if no step lowers the loss
+    and ``λ`` passes 1e12.
 
-    The system is solved by Cholesky in the smaller of two spaces: that of the parameters, or, for a
-    wide network, that of the residuals. ``J`` is made in pieces of ``chunk`` samples.
+    The system is solved by Cholesky in the space of the parameters or, for a wide network, in that
+    of the residuals, whichever is smaller.
+
+    Args:
+        params: The parameters, float64.
+        damping: Initial ``λ``.
+        trials: Trials of one step.
+        patience: Number of held-out losses without improvement.
+        chunk: Samples in a piece of ``J``.
     """
 
     def __init__(
@@ -101,12 +103,12 @@ class LevenbergMarquardt(EpochOptimizer):
         return DampedSystem(torch.cat(values), jacobians)
 
     def _differentiated(self, model: Problem, samples: Windows) -> tuple[Tensor, Tensor]:
-        """``r`` and ``J``, a row each residual."""
+        """Return ``r`` and ``J``, a row each residual."""
         r, jacobian, _ = parameter_jacobian(lambda: model.residuals(samples), self.parameters)
         return r.flatten(), jacobian.flatten(0, 1)
 
     def _require(self, size: int, equations: int) -> None:
-        """Refuse at once what would not fit into memory."""
+        """Refuse systems that do not fit into memory."""
         if self.parameters[0].device.type != "cpu":
             return
         side = min(size, equations)
@@ -191,7 +193,7 @@ def _chunks(samples: Windows, size: int) -> Iterator[Windows]:
 
 
 def available_bytes() -> int | None:
-    """Physical memory that is free now, or that there is at all; ``None`` where unknown."""
+    """Return the free physical memory, or all of it, in bytes; ``None`` if unknown."""
     try:
         free = "SC_AVPHYS_PAGES" in os.sysconf_names
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf(

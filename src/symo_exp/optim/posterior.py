@@ -123,7 +123,7 @@ class _Linearisation:
     def at(
         self, x: Tensor, *, nodes_only: bool = False
     ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """``r``, ``J_θ`` and ``J_x`` of nodes in units of their noise."""
+        """Return ``r``, ``J_θ`` and ``J_x`` of nodes in units of their noise."""
         stencil = [y.clone().requires_grad_() for y in self._chain.stencil(x)]
 
         def function() -> Tensor:
@@ -136,7 +136,7 @@ class _Linearisation:
         return r, by_theta, tuple(j * self.weight for j in by_x)
 
     def settled(self, epsilon: float) -> Float[Tensor, "nodes d"]:
-        """The nodes that minimise ``|x − y|² + |r|²/ε²``, by Gauss-Newton steps that descend."""
+        """Return the nodes that minimise ``|x − y|² + |r|²/ε²``, by Gauss-Newton steps."""
         chain = self._chain
         best, least = chain.x, torch.inf
         x = chain.x
@@ -163,7 +163,7 @@ class _Linearisation:
 
 
 def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, float]:
-    """``ε̂²`` and ``σ̂²`` of the largest likelihood of ``e``, by golden section in ``log ε̂``."""
+    """Return ``ε̂²``, ``σ̂²`` of the largest likelihood of ``e``, by golden section in ``log ε̂``."""
 
     def of(exponent: float) -> tuple[float, float, float]:
         own = 10.0 ** (2.0 * exponent)
@@ -196,7 +196,7 @@ def _of_estimate(
     alpha: Float[Tensor, " p"],
     mean: Float[Tensor, " p"],
 ) -> Posterior:
-    """The sandwich, along the singular vectors of the weighted derivatives."""
+    """Return the sandwich, along the singular vectors of the weighted derivatives."""
     flat = by_theta.flatten(0, 1)
     white = flat if factor is None else factor.whiten(by_theta)
     prior = torch.diag((variance * alpha).sqrt())

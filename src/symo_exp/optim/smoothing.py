@@ -45,9 +45,17 @@ class Owner(Protocol):
     parameters: list[Tensor]
     memory: dict[str, Any]
 
-    def weight(self, chain: Chain) -> Float[Tensor, " d"]: ...
-    def flat(self) -> Tensor: ...
-    def place(self, flat: Tensor) -> None: ...
+    def weight(self, chain: Chain) -> Float[Tensor, " d"]:
+        """Return the noise of each column of the nodes, relative to that of configurations."""
+        ...
+
+    def flat(self) -> Tensor:
+        """Return all parameters as one vector."""
+        ...
+
+    def place(self, flat: Tensor) -> None:
+        """Put a vector of all parameters in place."""
+        ...
 
 
 class Found(NamedTuple):

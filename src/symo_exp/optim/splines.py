@@ -1,4 +1,4 @@
-"""Smoothing splines through measured trajectories: where total least squares begins."""
+"""Smoothing splines through measured trajectories, the start of total least squares."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from symo_exp.mechanics.types import Trajectory
 
 
 def smoothed(trajectories: Sequence[Trajectory], velocities: bool) -> Float[Tensor, "nodes d"]:
-    """Every coordinate by a smoothing spline, as smooth as generalised cross-validation says."""
+    """Return every coordinate smoothed by a spline, by generalised cross-validation."""
     return torch.cat([_splines(t, velocities) for t in trajectories])
 
 

@@ -1,4 +1,4 @@
-"""Total least squares along noisy trajectories: stages, and what is remembered between epochs."""
+"""Total least squares along noisy trajectories, in stages."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectory
@@ -21,18 +22,18 @@ from symo_exp.optim.splines import smoothed
 log = logging.getLogger(__name__)
 
 RATE = 1e-2
-"""Of Adam, at first: large, since it is to leave a basin, not to settle in one."""
+"""Initial rate of Adam, large enough to leave a basin."""
 
 
 class Stage(NamedTuple):
-    """Some epochs at one ``ε``; ``None``: the nodes are held where smoothing left them."""
+    """Epochs at one ``ε``; with ``None`` the smoothed nodes are held."""
 
     epsilon: float | None
     late: bool = False
     """Whether the late parameters move as well."""
     start: int = 0
-    """Which start it is: 0 from the initial parameters, 1 by way of Adam, others by way of Adam
-    from parameters drawn anew."""
+    """Index of the start: 0 from the initial parameters, 1 after steps of Adam, others after steps
+    of Adam from newly drawn parameters."""
 
     def __str__(self) -> str:
         name = f"start {self.start + 1}" if self.epsilon is None else f"epsilon {self.epsilon}"
@@ -45,16 +46,30 @@ class TotalLeastSquares(EpochOptimizer):
     ``y`` are the measured nodes of all trajectories, ``r(x; θ)`` the residuals of the model on
     three consecutive ones: the noise in the data is estimated with the model instead of being
     learned (errors in variables, a weak constraint). With an ``input_weight`` the inputs are nodes,
-    too: ``Σ|u − u_measured|²/σ_u²`` joins. See ``smoothing`` for a step.
+    too, with the additional term ``Σ|u − u_measured|²/σ_u²``. See ``smoothing`` for a step.
 
-    The nodes are smoothed first, and held for ``start`` epochs from each of ``starts``: the initial
-    parameters, where ``warm_up`` steps of Adam take these, the rate along a half cosine, and
-    where they take others, drawn alike. Now one is in the better basin, now another; what has the
-    smallest residuals goes on. Each ε of ``epsilons`` has ``epochs``. Where a model has late
-    parameters, these are zero so far; they join in a second round, with each ``ε ≤ late_from``. The
-    parameters that are best on held-out data are kept, wherever they come from, or within
-    ``tolerance`` of these the last: a few noisy motions do not tell models apart, and where the
-    equations can be learned exactly the smaller ε is the better one.
+    The nodes are smoothed first and held for ``start`` epochs from each of several starts: the
+    initial parameters, these after steps of Adam, and newly drawn ones after steps of Adam. The
+    start with the smallest residuals continues with each ε of ``epsilons``. Late parameters are
+    zero so far and join in a second round, with each ``ε ≤ late_from``. The parameters that are
+    best on held-out data are kept, or the last ones within ``tolerance`` of them: a few noisy
+    motions do not distinguish models, and if the equations can be learned exactly the smaller ε is
+    the better one.
+
+    Args:
+        params: The parameters, float64.
+        epsilons: Values of ``ε``.
+        starts: Number of starts.
+        start: Epochs of a start.
+        epochs: Epochs of an ``ε``.
+        late_from: Largest ``ε`` with late parameters.
+        warm_up: Steps of Adam, its rate along a half cosine.
+        damping: Initial damping.
+        velocity_weight: Noise of velocities over that of configurations [1/s].
+        input_weight: Noise of inputs over that of configurations [N/m, N m/rad]; 0: inputs are
+            exact.
+        tolerance: See ``EpochOptimizer``.
+        seed: Seed of drawn parameters and mini batches.
     """
 
     reads_trajectories = True
@@ -75,8 +90,6 @@ class TotalLeastSquares(EpochOptimizer):
         tolerance: float = 0.0,
         seed: int = 0,
     ) -> None:
-        """``velocity_weight`` is the noise of velocities over that of configurations [1/s],
-        ``input_weight`` that of inputs [N/m, N m/rad]; 0: inputs are exact."""
         super().__init__(params, patience=10**9, tolerance=tolerance)
         counts = ("starts", starts), ("start", start), ("epochs", epochs)
         sizes = ("damping", damping), ("velocity_weight", velocity_weight)
@@ -111,25 +124,25 @@ class TotalLeastSquares(EpochOptimizer):
 
     @property
     def total_epochs(self) -> int:
-        """How many epochs all stages have."""
+        """Number of epochs of all stages."""
         return self.start * self._starts + self.epochs * (len(self.stages) - self._starts)
 
     def stage(self, epoch: int) -> Stage:
-        """That of an epoch, the first being 0."""
+        """Return the stage of an epoch; the first epoch is 0."""
         beyond = epoch - self.start * self._starts
         return self.stages[
             epoch // self.start if beyond < 0 else self._starts + beyond // self.epochs
         ]
 
     def weight(self, chain: Chain) -> Tensor:
-        """The noise of the columns of the nodes, in that of configurations."""
+        """Return the noise of each column of the nodes, relative to that of configurations."""
         weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
         weight[chain.n : chain.known] = self.velocity_weight
         weight[chain.known :] = self.input_weight
         return weight
 
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
-        """One accepted step; ``batches`` are whole trajectories."""
+        """Take one accepted step; ``batches`` are whole trajectories."""
         trajectories: Sequence[Trajectory] = batches
         memory = self.memory
         chain = Chain.of(
@@ -167,12 +180,13 @@ class TotalLeastSquares(EpochOptimizer):
         self.finished = memory["epoch"] >= self.total_epochs
         return {name: torch.tensor(x, dtype=torch.float64) for name, x in metrics.items()}
 
+    @override
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         super().load_state_dict(state_dict)
         self.finished = self.memory["epoch"] >= self.total_epochs
 
     def _snapshot(self, loss: float) -> dict[str, Any]:
-        """Where the parameters are, and what is believed of them."""
+        """Return the parameters with their damping and priors."""
         kept = {name: self.memory[name] for name in ("damping", "noise", "precision")}
         return {"loss": loss, "parameters": self.flat().clone(), **kept}
 
@@ -182,12 +196,12 @@ class TotalLeastSquares(EpochOptimizer):
 
     @torch.no_grad()
     def _set_late(self, *, to_start: bool) -> None:
-        """Late parameters to where they start, or to zero."""
+        """Set late parameters to their start, or to zero."""
         for p in filter(is_late, self.parameters):
             p.copy_(start(p) if to_start else torch.zeros_like(p))
 
     def _warm(self, model: Problem, chain: Chain, start: int) -> None:
-        """Adam on the smoothed nodes."""
+        """Take steps of Adam on the smoothed nodes."""
         generator = torch.Generator().manual_seed(self.seed + 1000 * (start - 1))
         if start > 1:
             self._draw(generator)
@@ -204,7 +218,7 @@ class TotalLeastSquares(EpochOptimizer):
 
     @torch.no_grad()
     def _draw(self, generator: torch.Generator) -> None:
-        """Weights anew, as large as the initial ones."""
+        """Draw new weights as large as the initial ones."""
         for p in self.parameters:
             if p.ndim > 1 and not is_late(p):
                 p.normal_(0.0, float(p.std(unbiased=False)), generator=generator)
