@@ -4,7 +4,7 @@ import torch
 
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedDrag
 from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
@@ -36,6 +36,24 @@ def learned_dissipation(n: int, *, joints: str = "own") -> LearnedDissipation:
 def dissipative_net(n: int) -> DissipativeLagrangian:
     conservative = learned_lagrangian((True, False, True)[:n], harmonics=2)
     return DissipativeLagrangian(conservative, learned_dissipation(n, joints="neighbours"))
+
+
+def machine_friction(n: int, *, joints: str = "own", constant: bool = True) -> MachineFriction:
+    """All terms together, with random coefficients."""
+    torch.manual_seed(n)
+    found = MachineFriction(
+        coordinates=_coordinates(n), stribeck=True, constant=constant, width=3, joints=joints,
+        rest_velocity=0.4,
+    ).double()  # fmt: skip
+    with torch.no_grad():
+        for p in found.parameters():
+            p += 0.5 * torch.randn_like(p)
+    return found
+
+
+def machine_net(n: int) -> DissipativeLagrangian:
+    conservative = learned_lagrangian((True, False, True)[:n], harmonics=2)
+    return DissipativeLagrangian(conservative, machine_friction(n, joints="neighbours"))
 
 
 def learned_drag(n: int) -> LearnedDrag:

@@ -1,18 +1,30 @@
 """Learned dissipation, as an optimiser sees it."""
 
+from functools import partial
+
 import pytest
 import torch
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.models.objectives import PreconditionedResidual
+from symo_exp.models.symo import SyMo
+from symo_exp.models.true import TrueVariational
+from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedDrag
-from tests.dissipative import dissipative_net, dragged_net
+from symo_exp.nets.lagrangians import NetworkLagrangian
+from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
+from symo_exp.systems.chain import ChainPendulum
+from symo_exp.training.learner import Learner
+from tests.dissipative import dissipative_net, dragged_net, machine_friction, machine_net
 from tests.learned import assert_each_sample_alone
 from tests.systems.models import mjcf, read
 
 
-@pytest.mark.parametrize("make", [dissipative_net, dragged_net])
+@pytest.mark.parametrize("make", [dissipative_net, dragged_net, machine_net])
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(n, make):
     lagrangian = make(n)
@@ -55,3 +67,96 @@ def test_a_drag_can_be_that_of_a_link_in_a_fluid():
         found.viscous.copy_(torch.log(torch.expm1(slow / scale**2)))
     q, v = 2.0 * torch.randn(2, 20, 3, dtype=torch.float64)
     torch.testing.assert_close(found.force(q, v), true.force(q, v), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("joints", ["own", "neighbours"])
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_closed_derivatives_of_machine_friction(n, joints):
+    friction = machine_friction(n, joints=joints)
+    q, v = torch.randn(2, 20, n, dtype=torch.float64)
+    expected = Dissipation.derivatives(friction, q, v)
+    torch.testing.assert_close(friction.derivatives(q, v), expected)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_machine_friction_without_a_constant_force_dissipates(n):
+    friction = machine_friction(n, constant=False)
+    q, v = torch.randn(2, 500, n, dtype=torch.float64)
+    assert ((v * friction.force(q, v)).sum(1) < 0).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"least_rest_velocity": 0.0}, {"least_rest_velocity": 0.2}, {"stribeck_velocity": 0.0}],
+)
+def test_bad_settings_of_machine_friction_are_refused_in_a_line(wrong):
+    with pytest.raises(ConfigError, match=f"dissipation.{next(iter(wrong))}"):
+        MachineFriction(coordinates=Coordinates(("a",), (True,)), **wrong)
+
+
+class Law(Dissipation):
+    """Friction of one coordinate by a formula."""
+
+    def __init__(self, formula):
+        self.formula = formula
+
+    def force(self, q, v):
+        return self.formula(v)
+
+
+LAWS = {
+    "asymmetric viscous": (lambda v: -torch.where(v > 0, 0.3, 0.15) * v, {}),
+    "asymmetric dry": (
+        lambda v: -0.1 * v - (0.45 + 0.15 * torch.tanh(v / 0.1)) * torch.tanh(v / 0.1),
+        {},
+    ),
+    "narrow dry": (lambda v: -0.1 * v - 0.4 * torch.tanh(v / 0.02), {"asymmetric": False}),
+    "Stribeck": (
+        lambda v: -0.1 * v - (0.3 + 0.3 * torch.exp(-((v / 0.8) ** 2))) * torch.tanh(v / 0.1),
+        {"asymmetric": False, "stribeck": True},
+    ),
+    "constant force": (lambda v: 0.5 - 0.2 * v, {"asymmetric": False, "constant": True}),
+}
+
+
+@pytest.mark.parametrize(
+    "law", [pytest.param(x, marks=[pytest.mark.slow] * (x != "asymmetric dry")) for x in LAWS]
+)
+def test_friction_of_a_simulated_machine_is_recovered(law):
+    """A driven pendulum; the force to 5 % of its largest value, from motions without noise."""
+    formula, options = LAWS[law]
+    h, system = 0.02, ChainPendulum(1)
+    truth = TrueVariational(
+        lagrangian=DissipativeLagrangian(system, Law(formula)), coordinates=system.coordinates,
+        input_matrix=system.input_matrix, time_step=h, integrator=Galerkin(stages=2),
+        root=Newton(tolerance=1e-11, max_iterations=30), evaluation_dtype="float64",
+    ).double()  # fmt: skip
+    generator = torch.Generator().manual_seed(7)
+    q, v, phase = torch.randn(3, 4, 1, dtype=torch.float64, generator=generator)
+    time = h * torch.arange(120).double()[:, None]
+    u = 4.0 * torch.sin((1.5 + phase[:, None]) * time + 3.0 * phase[:, None])
+    path = truth.rollout(q, v, u)
+    assert path.converged.all()
+    nodes = [slice(0, -2), slice(1, -1), slice(2, None)]
+    fields = [x[:, s].flatten(0, 1) for x in (path.q, path.v, u) for s in nodes]
+    samples = Windows(*fields[:3], *fields[4:6], *fields[6:])
+    torch.manual_seed(0)
+    torch.set_default_dtype(torch.float64)
+    try:
+        model = SyMo(
+            coordinates=system.coordinates, input_matrix=system.input_matrix, time_step=h,
+            objective=PreconditionedResidual(), integrator=Galerkin(stages=2), root=Newton(),
+            lagrangian=partial(NetworkLagrangian, width=2, depth=1, harmonics=1),
+            dissipation=lambda *, coordinates: MachineFriction(coordinates=coordinates, **options),
+        )  # fmt: skip
+    finally:
+        torch.set_default_dtype(torch.float32)
+    learner, optimizer = Learner(model), LevenbergMarquardt(model.parameters())
+    for _ in range(60):
+        optimizer.epoch(learner, [samples])
+    speed = torch.linspace(0.1, 3.0, 30, dtype=torch.float64)
+    speed = torch.cat((-speed, speed)).unsqueeze(1)
+    with torch.no_grad():
+        found = model.dissipation.force(torch.zeros_like(speed), speed)
+    expected = formula(speed)
+    assert (found - expected).abs().max() < 0.05 * expected.abs().max()

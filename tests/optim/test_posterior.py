@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from symo_exp.mechanics.types import Trajectory
-from symo_exp.nets.affine import rows
+from symo_exp.nets.affine import repeated
 from symo_exp.optim.posterior import posterior
 
 H, NODES = 0.1, 400
@@ -18,7 +18,7 @@ class Falling:
 
     def residuals(self, windows):
         second = windows.q_next - 2.0 * windows.q + windows.q_prev
-        theta = rows(self.theta, len(windows.q))
+        theta = repeated(self.theta, len(windows.q))
         return second - H**2 * (theta[:, :1] * windows.u + theta[:, 1:2])
 
 

@@ -26,13 +26,20 @@ class LearnedDissipation(nn.Module, Dissipation):
     """``F_d = −Aᵀ (D A v + c ∘ tanh(A v / ε_v)) − L_D(q, v) L_D(q, v)ᵀ v``, dissipative by design.
 
     ``D = U diag(d) Uᵀ`` is positive semidefinite, ``U`` unit lower triangular, and ``c, d ≥ 0``, by
-    softplus: unlike a Cholesky factor's, the slope of ``d`` is of its own size where there is
-    hardly any friction. ``L_D`` is a network with one
-    hidden tanh layer of ``width`` units that reads ``s(q)`` and ``v/5``, lower triangular. ``A``
-    takes coordinates to joints: themselves, or with ``joints="neighbours"`` the differences
-    ``v₁, v₂ − v₁, …`` of a chain whose angles are absolute. ``ε_v`` is learned too, beginning at
-    ``rest_velocity`` and never below a fifth of it [rad/s]: a jump no root finder would like.
-    Coefficients begin at ``start`` [N m s, N m]; far larger ones take long to reach.
+    softplus: unlike that of a Cholesky factor, the slope of ``d`` does not vanish with the
+    friction. ``L_D`` is lower triangular, a network with one hidden tanh layer that reads ``s(q)``
+    and ``v/5``. ``A`` maps coordinates to joints.
+
+    Args:
+        coordinates: The coordinates.
+        viscous: Whether there is a ``D``.
+        coulomb: Whether there is a ``c``.
+        width: Hidden units of the network; 0: no network.
+        joints: "own": each coordinate is a joint; "neighbours": joint velocities are the
+            differences ``v₁, v₂ − v₁, …`` of a chain with absolute angles.
+        rest_velocity: Initial ``ε_v`` [rad/s, m/s]. It is learned, but never below a fifth of this:
+            root finders do not converge at jumps.
+        start: Initial coefficients [N m s, N m]; much larger ones take long to learn.
     """
 
     def __init__(
@@ -65,7 +72,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         if coulomb:
             self.coulomb = nn.Parameter(torch.full((n,), begin))
             self.rest = nn.Parameter(torch.zeros(n))
-            self._rest_velocity = rest_velocity
+            self._rest_velocity, self._least_rest = rest_velocity, 0.2
         if width > 0:
             self.embedding = Embedding(angular=coordinates.angular)
             inputs = self.embedding.size + n
@@ -81,15 +88,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
         """Return ``∂F_d/∂v`` of the coefficients: the network is not stiff."""
-        found = torch.zeros(v.shape[0], *self.joints.shape).to(v)
-        if self.viscous is not None:
-            unit, d = self._factors(self.viscous.unsqueeze(0))
-            found = found - unit * d.unsqueeze(-2) @ unit.mT
-        if self.coulomb is not None and self.rest is not None:
-            c, rest = self._dry(self.coulomb, self.rest)
-            slope = 1.0 - torch.tanh(v @ self.joints.T / rest).square()
-            found = found - torch.diag_embed(c / rest * slope)
-        return self.joints.T @ found @ self.joints
+        return self.joints.T @ self._joint_slope(v @ self.joints.T) @ self.joints
 
     @torch.no_grad()
     def derivatives(
@@ -130,25 +129,178 @@ class LearnedDissipation(nn.Module, Dissipation):
 
     def _dry(self, coulomb: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``c`` and ``ε_v``."""
-        return nn.functional.softplus(coulomb), self._rest_velocity * (0.2 + 0.8 * rest.exp())
+        share = self._least_rest + (1.0 - self._least_rest) * rest.exp()
+        return nn.functional.softplus(coulomb), self._rest_velocity * share
+
+    def _joint_force(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n"]:
+        """Return the friction of joint velocities, by the coefficients."""
+        found = torch.zeros_like(rate)
+        if self.viscous is not None:
+            unit, d = self._factors(repeated(self.viscous, rate.shape[0]))
+            found = found - matvec(unit, d * vecmat(rate, unit))
+        if self.coulomb is not None and self.rest is not None:
+            c, rest = self._dry(*(repeated(x, rate.shape[0]) for x in (self.coulomb, self.rest)))
+            found = found - c * torch.tanh(rate / rest)
+        return found
+
+    def _joint_slope(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+        """Return the derivative of ``_joint_force``."""
+        found = torch.zeros(rate.shape[0], *self.joints.shape).to(rate)
+        if self.viscous is not None:
+            unit, d = self._factors(self.viscous.unsqueeze(0))
+            found = found - unit * d.unsqueeze(-2) @ unit.mT
+        if self.coulomb is not None and self.rest is not None:
+            c, rest = self._dry(self.coulomb, self.rest)
+            slope = 1.0 - torch.tanh(rate / rest).square()
+            found = found - torch.diag_embed(c / rest * slope)
+        return found
 
     @override
     def force(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
-        rate, found = matvec(self.joints, v), torch.zeros_like(v)
-        if self.viscous is not None:
-            unit, d = self._factors(repeated(self.viscous, v.shape[0]))
-            found = found - matvec(unit, d * vecmat(rate, unit))
-        if self.coulomb is not None and self.rest is not None:
-            c, rest = self._dry(*(repeated(x, v.shape[0]) for x in (self.coulomb, self.rest)))
-            found = found - c * torch.tanh(rate / rest)
-        found = vecmat(found, self.joints)
+        found = vecmat(self._joint_force(matvec(self.joints, v)), self.joints)
         if self.net is not None:
             entries = self.net(torch.cat((self.embedding(q).x, v / VELOCITY), dim=1))
             factor = self._triangle.square(entries)
             found = found - matvec(factor, vecmat(v, factor))
         return found
+
+
+class MachineFriction(LearnedDissipation):
+    """Friction of machines: viscous and dry, asymmetric, with the Stribeck effect.
+
+    With joint velocities ``w = A v``, ``t = tanh(w / ε_v)``, ``S = diag(1 + a ∘ t)``
+
+        F_d = −Aᵀ (S D S w + (c + b ∘ exp(−(w / v_s)²)) ∘ (1 + e ∘ t) ∘ t) + k − L_D L_Dᵀ v
+
+    ``|a|, |e| < 1`` make viscous friction ``(1 ± a)² D`` and dry friction ``(1 ± e) c`` in the two
+    directions. ``b ≥ 0`` is the excess of breakaway over sliding friction (Stribeck), which fades
+    at ``v_s > 0``. The force is dissipative by design except for the constant force ``k``.
+
+    Args:
+        coordinates: The coordinates.
+        asymmetric: Whether there are ``a`` and ``e``.
+        stribeck: Whether there are ``b`` and ``v_s``.
+        constant: Whether there is a ``k`` [N m, N], on the coordinates.
+        width: See ``LearnedDissipation``.
+        joints: See ``LearnedDissipation``.
+        rest_velocity: Initial ``ε_v`` [rad/s, m/s].
+        least_rest_velocity: Smallest ``ε_v`` [rad/s, m/s], about the velocity that an encoder
+            resolves.
+        stribeck_velocity: Initial ``v_s`` [rad/s, m/s].
+        start: Initial coefficients [N m s, N m].
+    """
+
+    def __init__(
+        self,
+        *,
+        coordinates: Coordinates,
+        asymmetric: bool = True,
+        stribeck: bool = False,
+        constant: bool = False,
+        width: int = 0,
+        joints: str = "own",
+        rest_velocity: float = 0.1,
+        least_rest_velocity: float = 1e-3,
+        stribeck_velocity: float = 0.5,
+        start: float = 0.01,
+    ) -> None:
+        super().__init__(
+            coordinates=coordinates,
+            viscous=True,
+            coulomb=True,
+            width=width,
+            joints=joints,
+            rest_velocity=rest_velocity,
+            start=start,
+        )
+        if not 0.0 < least_rest_velocity <= rest_velocity:
+            raise ConfigError(
+                f"dissipation.least_rest_velocity={least_rest_velocity}: "
+                f"expected above 0, at most rest_velocity={rest_velocity}"
+            )
+        if not stribeck_velocity > 0.0:
+            raise ConfigError(
+                f"dissipation.stribeck_velocity={stribeck_velocity}: expected above 0"
+            )
+        self._least_rest = least_rest_velocity / rest_velocity
+        self._stribeck_velocity = stribeck_velocity
+        n = coordinates.n
+        self.tilts = self.breakaway = self.fading = self.constant = None
+        if asymmetric:
+            self.tilts = nn.Parameter(torch.zeros(2 * n))
+        if stribeck:
+            self.breakaway = nn.Parameter(torch.full((n,), math.log(math.expm1(start))))
+            self.fading = nn.Parameter(torch.zeros(n))
+        if constant:
+            self.constant = nn.Parameter(torch.zeros(n))
+        own = (self.tilts, self.breakaway, self.constant)
+        mark([p for p in own if p is not None], "coefficient")
+
+    @override
+    def force(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n"]:
+        found = super().force(q, v)
+        return found if self.constant is None else found + repeated(self.constant, len(v))
+
+    def asymmetry(self) -> tuple[Tensor, Tensor] | None:
+        """Return ``a`` and ``e``, (n,) each, if friction is asymmetric."""
+        if self.tilts is None:
+            return None
+        a, e = torch.tanh(self.tilts).chunk(2)
+        return a, e
+
+    def stribeck(self) -> tuple[Tensor, Tensor] | None:
+        """Return ``b`` and ``v_s``, (n,) each, if there is a Stribeck effect."""
+        if self.breakaway is None or self.fading is None:
+            return None
+        return self._stribeck(self.breakaway, self.fading)
+
+    def _stribeck(self, breakaway: Tensor, fading: Tensor) -> tuple[Tensor, Tensor]:
+        return nn.functional.softplus(breakaway), self._stribeck_velocity * fading.exp()
+
+    @override
+    def _joint_force(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n"]:
+        assert self.viscous is not None
+        assert self.coulomb is not None
+        assert self.rest is not None
+        batch = len(rate)
+        unit, d = self._factors(repeated(self.viscous, batch))
+        dry, rest = self._dry(repeated(self.coulomb, batch), repeated(self.rest, batch))
+        t = torch.tanh(rate / rest)
+        a = e = torch.zeros_like(t)
+        if self.tilts is not None:
+            a, e = torch.tanh(repeated(self.tilts, batch)).chunk(2, dim=1)
+        if self.breakaway is not None and self.fading is not None:
+            given = repeated(self.breakaway, batch), repeated(self.fading, batch)
+            excess, fading = self._stribeck(*given)
+            dry = dry + excess * (-(rate / fading).square()).exp()
+        s = 1.0 + a * t
+        return -s * matvec(unit, d * vecmat(s * rate, unit)) - dry * (1.0 + e * t) * t
+
+    @override
+    def _joint_slope(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+        assert self.viscous is not None
+        assert self.coulomb is not None
+        assert self.rest is not None
+        unit, d = self._factors(self.viscous.unsqueeze(0))
+        matrix = unit * d.unsqueeze(-2) @ unit.mT
+        dry, rest = self._dry(self.coulomb, self.rest)
+        t = torch.tanh(rate / rest)
+        by_rate = (1.0 - t.square()) / rest
+        a, e = self.asymmetry() or (torch.zeros_like(rest),) * 2
+        along, fall = dry.expand_as(t), torch.zeros_like(t)
+        if (stribeck := self.stribeck()) is not None:
+            excess, fading = stribeck
+            bell = excess * (-(rate / fading).square()).exp()
+            along, fall = along + bell, -2.0 * rate / fading.square() * bell
+        s, bent = 1.0 + a * t, a * by_rate
+        own = bent * matvec(matrix, s * rate)
+        own = own + along * (1.0 + 2.0 * e * t) * by_rate + fall * (1.0 + e * t) * t
+        mixed = s.unsqueeze(-1) * matrix * (s + bent * rate).unsqueeze(-2)
+        return -(mixed + torch.diag_embed(own))
 
 
 class _Triangle(nn.Module):

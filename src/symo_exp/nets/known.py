@@ -39,7 +39,7 @@ class KnownConstant(Protocol):
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        """Origin of the frame of a pseudo-inertia [m]."""
+        """Point that the centre of mass of a pseudo-inertia is relative to [m]."""
         ...
 
 

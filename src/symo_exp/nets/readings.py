@@ -13,7 +13,7 @@ from torch import Tensor
 from symo_exp.mechanics.bodies import of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedDrag
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.rigid_chain import RigidChain
@@ -130,7 +130,29 @@ def _(module: KnownFriction, coordinates: Coordinates) -> list[Reading]:
 
 
 @readings.register
+def _(module: MachineFriction, coordinates: Coordinates) -> list[Reading]:
+    found = _coefficients(module, coordinates)
+    tilts, stribeck = module.asymmetry(), module.stribeck()
+    for i, name in enumerate(coordinates.names):
+        _, force = _units(coordinates.angular[i])
+        rate = "rad/s" if coordinates.angular[i] else "m/s"
+        if tilts is not None:
+            for kind, tilt in zip(("viscous", "dry"), tilts, strict=True):
+                found.append(Reading(f"{name}.{kind}_friction.asymmetry", "1", tilt[i]))
+        if stribeck is not None:
+            found.append(Reading(f"{name}.breakaway_friction", force, stribeck[0][i]))
+            found.append(Reading(f"{name}.stribeck_velocity", rate, stribeck[1][i]))
+        if module.constant is not None:
+            found.append(Reading(f"{name}.constant_force", force, module.constant[i]))
+    return found
+
+
+@readings.register
 def _(module: LearnedDissipation, coordinates: Coordinates) -> list[Reading]:
+    return _coefficients(module, coordinates)
+
+
+def _coefficients(module: LearnedDissipation, coordinates: Coordinates) -> list[Reading]:
     matrix, dry = module.coefficients()
     names, found = coordinates.names, []
     for i, name in enumerate(names):

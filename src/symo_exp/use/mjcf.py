@@ -15,7 +15,7 @@ from symo_exp.files import write_whole
 from symo_exp.mechanics.bodies import Joint, of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.models.base import DynamicsModel
-from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.systems.base import LagrangianSystem, Linkage
@@ -147,6 +147,18 @@ def _(dissipation: LearnedDissipation, n: int) -> tuple[Tensor, Coupled, list[st
     matrix = torch.zeros(n, n).double() if viscous is None else viscous.double()
     along = list(zip(coefficients, joints.tolist(), strict=dry is not None))
     return joints.T @ matrix @ joints, along, missing
+
+
+@passive.register
+def _(dissipation: MachineFriction, n: int) -> tuple[Tensor, Coupled, list[str]]:
+    viscous, along, missing = passive.dispatch(LearnedDissipation)(dissipation, n)
+    terms = {
+        "asymmetric friction": dissipation.asymmetry(),
+        "the Stribeck effect": dissipation.stribeck(),
+        "the constant force": dissipation.constant,
+    }
+    lost = [f"{name} is not in this file" for name, term in terms.items() if term is not None]
+    return viscous, along, missing + lost
 
 
 @passive.register
