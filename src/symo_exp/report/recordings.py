@@ -63,9 +63,10 @@ def dissipation_figure(
     with torch.no_grad():
         values = along(force, *states).cpu().where(finite, torch.nan)
     which, nodes = ranking(found.model.rmse(HORIZONS[-1]))["median"], np.arange(v.shape[1])
-    panels = []
+    driven, panels = bool(found.model.windows.u.any()), []
     for i, (name, angular) in enumerate(zip(*found.coordinates, strict=True)):
-        label = f"F of {symbol(name)} [{'N m' if angular else 'N'}]"
+        unit = ("N m" if angular else "N") if driven else "up to a factor"  # free: no force known
+        label = f"F of {symbol(name)} [{unit}]"
         speed = axis_label(name, velocity=True, angular=angular)
         cloud = points(v[..., i].flatten(), values[..., i].flatten(), pair, 10_000)
         line = points(found.model.time_step * nodes, values[which, :, i], pair)
