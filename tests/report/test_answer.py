@@ -106,10 +106,12 @@ def test_the_best_of_other_settings_is_told_with_the_option_that_compares_them()
     found = pd.DataFrame(
         {"source": "ours", "metric": "test_mse", "noise_std": 0.0, "system": "pendulum",
          "method": "symo", "integrator": "midpoint", "n_traj": 32.0, "variant": variant,
-         "median": value} for variant, value in (("", 1e-4), ("fast", 1e-6), ("slow", 1.0))
+         "median": value} for variant, value in (
+            ("", 1e-4), ("fast", 1e-6), ("slow", 1.0), ("system.gravity=0", 1e-9),
+        )
     )  # fmt: skip
     (line,) = other_settings(found, "")
-    assert "SyMo, midpoint with fast has test MSE 1.00e-6 (pendulum, 32 trajectories), 100" in line
+    assert "SyMo, midpoint has test MSE 1.00e-6 (pendulum, 32 trajectories), 100 times" in line
     assert '--settings "fast"' in line
     assert other_settings(found, "fast") == []
 

@@ -87,7 +87,8 @@ def given(rows: pd.DataFrame) -> list[str]:
     alone, told = (" and ".join(named[finds]) for finds in (True, False))
     if not (alone and told):
         return []
-    return [f"**Inputs**: {told} are given velocities, {alone} configurations alone."]
+    verb = "are" if len(named[False]) > 1 else "is"
+    return [f"**Inputs**: {told} {verb} given velocities, {alone} configurations alone."]
 
 
 def other_settings(found: pd.DataFrame, variant: str) -> list[str]:
@@ -100,7 +101,10 @@ def other_settings(found: pd.DataFrame, variant: str) -> list[str]:
     rows = found[(found.source == "ours") & (found.metric == "test_mse")]
     rows = rows[~(rows.noise_std > 0) & (rows["median"] > 0)]
     best = rows[rows.variant == variant].groupby("system")["median"].min()
-    others = rows[rows.variant != variant].assign(best=lambda t: t.system.map(best).astype(float))
+    alike = [one != variant and _task(one) == _task(variant) for one in rows.variant]
+    others = rows[np.array(alike, dtype=bool)].assign(
+        best=lambda t: t.system.map(best).astype(float)
+    )
     others = others.assign(times=others.best / others["median"])
     if others.empty or not others.times.max() > 10**LEVEL:
         return []
@@ -108,10 +112,15 @@ def other_settings(found: pd.DataFrame, variant: str) -> list[str]:
     settings = one.variant or DEFAULTS
     data = f", {one.n_traj:g} trajectories" if one.n_traj == one.n_traj else ""
     return [
-        f"**Other settings**: {pair_name(one.method, one.integrator)} with {settings} has test MSE "
+        f"**Other settings**: {pair_name(one.method, one.integrator)} has test MSE "
         f"{short(one['median'])} ({one.system}{data}), {short(one.times)} times below the best "
-        f'above; `--settings "{settings}"` compares the runs with these.'
+        f'above; `--settings "{settings}"` compares the runs with these settings.'
     ]
+
+
+def _task(variant: str) -> set[str]:
+    """Return the settings of the system and of the data, with which errors are not comparable."""
+    return {word for word in variant.split(", ") if word.startswith(("system.", "data.", "draws="))}
 
 
 def contestants(runs: pd.DataFrame, compared: Compared) -> pd.DataFrame:
