@@ -1,6 +1,6 @@
-"""The sweeper of symo_exp as Hydra finds it: plugins live in this namespace.
+"""The sweeper of symo_exp, in the namespace where Hydra looks for plugins.
 
-Hydra imports every plugin at each start, so what takes time to import is imported when it is used.
+Hydra imports every plugin at each start, so that slow imports stand where they are used.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from omegaconf import DictConfig
 
 
 class SymoExpSweeper(Sweeper):
-    """Every combination of what is swept: see ``symo_exp.sweep.sweeper``.
+    """Sweeper that runs every combination of what is swept: see ``symo_exp.sweep.sweeper``.
 
-    ``params`` are swept besides what the command line says. With ``check_only`` nothing is run.
+    Args:
+        params: Settings to sweep and their values, besides those of the command line.
+        check_only: Check the jobs and run none.
     """
 
     def __init__(self, params: DictConfig | None = None, check_only: bool = False) -> None:
@@ -24,11 +26,11 @@ class SymoExpSweeper(Sweeper):
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
-        """What Hydra hands over."""
+        """Keep what Hydra hands over."""
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
     def sweep(self, arguments: list[str]) -> Any:
-        """Do all jobs; a command that did not end well ends with its exit code."""
+        """Run all jobs; exit with the code of the command unless all finished."""
         from symo_exp.sweep.sweeper import Sweep
 
         assert self.hydra_context is not None

@@ -24,7 +24,7 @@ __all__ = ["Run", "__version__", "compile_rollout", "environment", "export", "lo
 
 
 def __getattr__(name: str) -> Any:
-    """What needs PyTorch, on demand: importing the package must not import it."""
+    """Import public names on demand: importing the package must not import PyTorch."""
     if name == "__version__":
         from importlib.metadata import version
 

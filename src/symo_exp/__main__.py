@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The command line. Returns the exit code."""
+    """Run the command line and return the exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
     debug = os.environ.get("SYMO_EXP_DEBUG") == "1"
     try:

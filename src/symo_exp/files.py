@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, also after a power cut."""
+"""Files that are written completely or not at all, also at a power failure."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from pathlib import Path
 
 
 def write_whole(path: Path, write: Callable[[Path], object], *, keep: Path | None = None) -> None:
-    """Have ``write`` fill a file beside ``path``, which then takes its place.
+    """Replace a file atomically.
 
-    What was there before is lost, or kept as ``keep``. When ``write`` fails nothing is changed.
+    Args:
+        path: The file.
+        write: Writes the content to the path that it is given, beside ``path``. If it raises,
+            nothing is changed.
+        keep: Where the previous content is kept; ``None``: nowhere.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_name(f".{path.name}.{os.getpid()}")
@@ -27,7 +31,7 @@ def write_whole(path: Path, write: Callable[[Path], object], *, keep: Path | Non
 
 
 def _settle(path: Path) -> None:
-    """Have the system put a file, or the names in a folder, on the disk."""
+    """Flush a file, or the names in a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         with suppress(OSError):  # not every file system can

@@ -1,4 +1,4 @@
-"""Imports of large packages, which cost a command more than anything else before it trains."""
+"""Imports of large packages, the slowest part of a command before training."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from contextlib import contextmanager
 
 @contextmanager
 def first_import(module: str) -> Iterator[None]:
-    """Around the statement that may be the first to import ``module`` and all it brings along.
+    """Suspend garbage collection while ``module`` is imported for the first time.
 
-    What PyTorch, Lightning and MLflow make while they are imported stays until the process ends.
-    To look for garbage in it is in vain: left to itself Python does so during the import, a sixth
-    of its time, in every later collection, and once more at the end, which takes a second or two.
+    What PyTorch, Lightning and MLflow create on import lives until the process ends. Collecting
+    garbage there is pointless and costs a sixth of the import, a part of every later collection,
+    and one to two seconds at exit.
     """
     if module in sys.modules or not gc.isenabled():
         yield

@@ -1,4 +1,4 @@
-"""Where the files lie that ship beside the code: the configuration and the sweeps."""
+"""Folders of the files that ship with the code: the configuration and the sweeps."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def _folder(name: str) -> Path:
-    """At the top of a checkout; a wheel carries it inside the package."""
+    """Return a folder at the top of a checkout, or inside the package of a wheel."""
     inside = _PACKAGE / name
     return inside if inside.is_dir() else _PACKAGE.parents[1] / name
 

@@ -37,7 +37,7 @@ def test_one_signal(signum, tmp_path, database):
     command.signal(signum)
     assert command.wait() == 128 + signum
     assert f"interrupted by {signum.name}" in command.said
-    assert command.said.count("the same command goes on from there") == 1
+    assert command.said.count("stopping after this epoch; rerun the command") == 1
     assert "Traceback" not in command.said
     assert status(tmp_path) == ("KILLED", f"interrupted by {signum.name}")
     (outcome,) = tmp_path.glob("outputs/*/*-*/outcome.json")

@@ -10,7 +10,7 @@ import torch
 import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
-from symo_exp.job.recipe import build, run
+from symo_exp.job.recipe import build, perform
 from symo_exp.runs.folder import About
 from tests.jobs import job_of, refusal
 from tests.tiny import TINY
@@ -49,7 +49,7 @@ def test_one_class_and_one_file_is_all(what, mine):
     job = job_of("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
     folder = job.folder.path
     values = job.values
-    run(build(values, job.folder), values, job.folder, About("a b", {}))
+    perform(build(values, job.folder), values, job.folder, About("a b", {}))
     found = json.loads((folder / "metrics.json").read_text())
     assert found["test_mse"] >= 0.0
     model = symo_exp.load(folder, code="mine_own")

@@ -5,7 +5,7 @@ import functools
 import pytest
 import torch
 
-from symo_exp.job.recipe import build, run
+from symo_exp.job.recipe import build, perform
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.training.learner import Learner
 from tests.jobs import job_of
@@ -31,7 +31,7 @@ def configuration(words):
 def go(words, path):
     """The measures of a run, as text, so that nan is nan."""
     config, folder = configuration(words), RunFolder(path)
-    run(build(config, folder), config, folder, About("a b", {"model": "a"}))
+    perform(build(config, folder), config, folder, About("a b", {"model": "a"}))
     return {name: str(value) for name, value in folder.measures().items()}
 
 

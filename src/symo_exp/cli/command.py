@@ -1,4 +1,4 @@
-"""What is typed: Hydra's options and overrides in any order, and names of several sweeps."""
+"""The words of a command: options of Hydra, overrides in any order, names of several sweeps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,14 @@ class _Parser(argparse.ArgumentParser):
 
 
 class Command:
-    """``options`` are Hydra's (``-m``, ``-cn NAME``), ``overrides`` settings and choices."""
+    """A command line: ``options`` are Hydra's (``-m``), ``overrides`` are settings.
+
+    Args:
+        argv: The words after ``python -m symo_exp``.
+
+    Raises:
+        ConfigError: For a word that is neither an option nor an override.
+    """
 
     def __init__(self, argv: Sequence[str]) -> None:
         parser = _Parser(add_help=False, allow_abbrev=False)
@@ -53,7 +60,7 @@ class Command:
 
     @property
     def folder(self) -> Path | None:
-        """The user's own configuration, which joins ours."""
+        """Return the folder of the user's own configuration, which is added to ours."""
         given = self._given.config_dir
         return None if given is None else Path(given).absolute()
 
@@ -72,18 +79,17 @@ class Command:
 
     @property
     def runs(self) -> bool:
-        """Whether it asks for runs, not for information."""
+        """Return whether the command asks for runs, not for information."""
         given = self._given
         return not (given.cfg or given.info or given.hydra_help or given.shell_completion)
 
     def named(self, name: str) -> Command:
-        """The same for another sweep."""
+        """Return the same command for another sweep."""
         words = [name if word == self.name else word for word in self.options]
         return Command([*words, *self.overrides])
 
     def several(self) -> list[Command]:
-        """The commands that ``-cn NAME`` stands for, if its file lists sweeps: a product cannot
-        say them all."""
+        """Return one command per sweep if ``-cn NAME`` is a file that lists sweeps."""
         file = (self.folder or SWEEPS) / f"{self.name}.yaml"
         if self.name is None or not self.runs or not file.is_file():
             return []
@@ -102,10 +108,10 @@ class Command:
         return [self.named(name) for name in names]
 
     def execute(self, *extra: str) -> int:
-        """Hand it to Hydra, whose sweeper is ours or one of the user's; the exit code.
+        """Run the command by Hydra and return the exit code.
 
-        Raises what Hydra raises: it prints errors itself unless its environment variable says that
-        they are to be raised.
+        Raises:
+            Exception: What Hydra raises, which would otherwise print it and exit.
         """
         if self.runs:
             phases.say("reading the configuration")
@@ -127,8 +133,10 @@ class Command:
         return 0
 
     def _per_job(self) -> list[str]:
-        """The overrides, with each setting of a group that is swept as a sweep of one value: Hydra
-        leaves that to the jobs, and sets others in the choice of the file as well."""
+        """Return the overrides, settings of a swept group as sweeps of one value.
+
+        Hydra applies others when it chooses the file, where the setting may not exist.
+        """
         swept = {w.partition("=")[0] for w in self.overrides if "," in w}
         words = []
         for word in self.overrides:
@@ -139,8 +147,11 @@ class Command:
         return words
 
     def _with_sweeps(self) -> list[str]:
-        """The options, and what lets ``-cn`` find the sweeps that ship: Hydra looks for them in one
-        folder more than ours, which is theirs unless the user's own is needed there."""
+        """Return the options with the folder of the shipped sweeps.
+
+        Hydra takes one folder besides its own. Where the user's is needed there, ours is left out,
+        or the user's becomes an entry of the search path.
+        """
         theirs = ["--config-dir", str(SWEEPS)]
         if self.folder is None:
             return [*self.options, *theirs]

@@ -1,4 +1,4 @@
-"""What Hydra finds wrong, in one line with what may have been meant."""
+"""Errors of Hydra as one line with the closest names."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ EXTRAS = {"submitit": ("submitit_slurm", "cluster"), "optuna": ("optuna", "optun
 
 
 def explained(error: BaseException, overrides: Sequence[str]) -> ConfigError:
-    """The error of a command: of the override that is to blame, where one is."""
+    """Return the error of a command in terms of the override that caused it."""
     if isinstance(error, ConfigError):
         return error
     if isinstance(error, RecursionError):
@@ -45,7 +45,7 @@ def explained(error: BaseException, overrides: Sequence[str]) -> ConfigError:
 
 
 def blamed(error: BaseException, overrides: Sequence[str], loader: ConfigLoader) -> ConfigError:
-    """What is wrong with the first override that names no choice or no setting, else the error."""
+    """Return the error of the first override that names no choice or setting, else ``error``."""
     if isinstance(error, ConfigError):
         return error
     try:
@@ -111,7 +111,7 @@ def _check_key(name: str, known: DictConfig, groups: Sequence[str]) -> None:
 
 
 def _names(config: DictConfig, path: str = "") -> Iterator[str]:
-    """The dotted names of all settings, each where it is written."""
+    """Yield the dotted names of all settings, each where it is written."""
     for key in map(str, config):
         name = f"{path}.{key}" if path else key
         yield name

@@ -85,7 +85,7 @@ def coverage(found: Predictions, interval: Interval) -> dict[str, float]:
 def _variance(
     model: DynamicsModel, posterior: Posterior, found: Predictions
 ) -> Float[Tensor, "windows nodes n"]:
-    """The variance of the windows' rollouts from their starts under the posterior."""
+    """Return the variance of the windows' rollouts from their starts under the posterior."""
     place = model.input_matrix
     q, v = found.q[:, 0].to(place), found.v[:, 0].to(place)
     u = found.windows.u[:, found.windows.lead :].to(place)

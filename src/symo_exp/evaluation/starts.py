@@ -25,15 +25,22 @@ class StateSequence(Protocol):
     """A rollout, initial state included."""
 
     @property
-    def q(self) -> Float[Tensor, "batch nodes n"]: ...
+    def q(self) -> Float[Tensor, "batch nodes n"]:
+        """Configurations."""
+        ...
+
     @property
-    def v(self) -> Float[Tensor, "batch nodes n"]: ...
+    def v(self) -> Float[Tensor, "batch nodes n"]:
+        """Velocities."""
+        ...
 
 
 class RollsOut(Protocol):
     """A model that moves from a state under the controls at the nodes."""
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> StateSequence: ...
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> StateSequence:
+        """Roll out from an initial state."""
+        ...
 
 
 class State(NamedTuple):

@@ -182,7 +182,7 @@ def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[lis
 
 
 def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
-    """Raises ``ConfigError`` where neither name nor range tells."""
+    """Return whether a coordinate is an angle; refuse one whose name and range do not tell."""
     words = re.split(r"[^a-z]+", name.lower())
     if any(re.fullmatch(ANGLE, word) for word in words):
         return True

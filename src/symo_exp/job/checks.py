@@ -35,7 +35,7 @@ _PLAIN = {
 _STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
-def check(settings: Settings, known: Mapping[str, Any]) -> None:
+def check_settings(settings: Settings, known: Mapping[str, Any]) -> None:
     """Refuse settings that do not exist, have no value, or a value of the wrong type.
 
     Args:

@@ -59,7 +59,7 @@ def _references(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def run_folder(*, _root_: DictConfig) -> str:
-    """The name of a run's folder: what was run, and a digest of what shapes its result."""
+    """Return the name of a run's folder: method, system and a digest of its settings."""
     choices = _root_.hydra.runtime.choices
     nodes = {str(key): value for key, value in _root_.items() if key != "hydra"}
     values: Any = {
@@ -70,9 +70,10 @@ def run_folder(*, _root_: DictConfig) -> str:
 
 
 def recorded_columns(kind: str, *, _root_: DictConfig) -> list[str]:
-    """The names of a recording's coordinates ("q") or inputs ("u"), none without a recording.
+    """Return the names of a recording's coordinates ("q") or inputs ("u").
 
-    So the configuration of a run is whole, and a trained model is loaded without its data."""
+    They are part of the configuration, so that a trained model is loaded without its data.
+    """
     from symo_exp.data.header import header, names
 
     data = _root_.data
@@ -82,9 +83,10 @@ def recorded_columns(kind: str, *, _root_: DictConfig) -> list[str]:
 
 
 def mechanism(kind: str, name: str | None) -> dict[str, Any]:
-    """What a MuJoCo model says: that of a file ("model") or of a Gymnasium environment ("id").
+    """Return the description of a MuJoCo file ("model") or Gymnasium environment ("id").
 
-    It is part of the configuration for the same reason: a run needs neither file nor MuJoCo."""
+    It is part of the configuration, so that a run needs neither the file nor MuJoCo.
+    """
     from symo_exp.systems import mujoco
 
     if name is None:

@@ -1,4 +1,4 @@
-"""One job of a command, in whichever process."""
+"""One job of a command, in any process."""
 
 from __future__ import annotations
 
@@ -39,11 +39,17 @@ READS_FOLDERS = "hydra_plugins.symo_exp_"
 
 
 def job(config: DictConfig) -> float | None:
-    """One run; returns its ``optimized_metric``, for sweepers that search.
+    """Do one run: the function that Hydra calls for each job.
 
-    How it ended is left in its folder, where our sweeper looks. Another one waits for a number: a
-    run that has failed has the worst, and only bad input and an interruption are raised. Nothing
-    happens when the command was asked to stop, or when another process has finished the run.
+    The outcome is recorded in the run folder, where our sweeper reads it. Nothing happens if the
+    command was asked to stop, or if another process has finished the run.
+
+    Returns:
+        The ``optimized_metric`` for a sweeper that searches; the worst value for a failed run.
+
+    Raises:
+        ConfigError: For bad input, under another sweeper than ours.
+        Interrupted: If a signal ended the run, under another sweeper than ours.
     """
     hydras = HydraConfig.get()
     folder = RunFolder(hydras.runtime.output_dir)
@@ -76,7 +82,7 @@ def job(config: DictConfig) -> float | None:
 
 
 def optimized(name: str, folder: RunFolder) -> float:
-    """The measure of that name, else the last value of that series."""
+    """Return the measure of that name, else the last value of that series."""
     measures, rows = folder.measures(), read(folder / SERIES)
     values = [row[name] for row in rows if name in row]
     if name not in measures and not values:
@@ -86,7 +92,7 @@ def optimized(name: str, folder: RunFolder) -> float:
 
 
 def is_done(settings: Mapping[str, Any], folder: RunFolder) -> bool:
-    """Whether the run is finished, and nothing that was asked for besides is missing."""
+    """Return whether the run is finished and nothing else that was asked for is missing."""
     if folder.outcome().status != "finished":
         return False
     drawn = not settings["pictures"] or (folder / PICTURES).exists()
@@ -95,13 +101,14 @@ def is_done(settings: Mapping[str, Any], folder: RunFolder) -> bool:
 
 
 def debugging() -> bool:
+    """Return whether errors are shown with their traceback."""
     return os.environ.get("SYMO_EXP_DEBUG") == "1"
 
 
 def _do(
     settings: Mapping[str, Any], folder: RunFolder, about: Callable[[], About]
 ) -> BaseException | None:
-    """Do what is left of the run; what ended it before it was finished, if anything did."""
+    """Do what is left of the run and return what ended it early, if anything did."""
     start = time.perf_counter()
     tracker: Any = None
     time_is_up = False
@@ -114,11 +121,11 @@ def _do(
         try:
             folder.record("running")
             with first_import("symo_exp.job.recipe"):
-                from symo_exp.job.recipe import build, run
+                from symo_exp.job.recipe import build, perform
 
             parts = build(settings, folder)
             tracker = parts.tracker
-            run(parts, settings, folder, about(), trained=trained)
+            perform(parts, settings, folder, about(), trained=trained)
         except stopping.Interrupted as error:
             time_is_up = error.signum == stopping.TIME_IS_UP
             failure, status, reason = error, "interrupted", str(error)
@@ -140,7 +147,7 @@ def _do(
 
 
 def _end(folder: RunFolder, tracker: Any, status: Any, reason: str, seconds: float) -> None:
-    """Keep how the run ended, and tell the store if it can be told."""
+    """Record how the run ended and publish it."""
     try:
         folder.record(status, reason, seconds)
     except OSError as error:  # a full disk
@@ -153,7 +160,7 @@ def _end(folder: RunFolder, tracker: Any, status: Any, reason: str, seconds: flo
 
 
 def publish(tracker: Any, folder: RunFolder) -> str:
-    """Bring the store up to date, now or when the command is given again; where to look."""
+    """Update the store, or leave it for the next command; return the address of the run."""
     try:
         return str(tracker.publish(folder))
     except Exception as error:
@@ -183,8 +190,7 @@ def _compose(overrides: list[str]) -> DictConfig:
 def _about(
     settings: Settings, choices: dict[str, Any], asked: Sequence[str], command: str = ""
 ) -> About:
-    """What the run is; its name says what its sweep varied: ``E2E-SyMo acrobot n=16``."""
-
+    """Describe the run; its name contains what its sweep varied: ``E2E-SyMo acrobot n=16``."""
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
     told = [brief(o) for o in varied if not o.startswith(NAMED)]

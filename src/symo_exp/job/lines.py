@@ -20,7 +20,7 @@ SHORT = "test_mse", "integration_mse", "rmse_2s"
 
 
 def run_line(folder: RunFolder) -> str:
-    """A run that has ended, its folder last."""
+    """Return one line about a run that has ended, its folder last."""
     about, outcome, measures = folder.about(), folder.outcome(), folder.measures()
     told = [f"{MEASURES[name]} {written(measures[name])}" for name in SHORT if name in measures]
     if outcome.status != "finished":

@@ -1,4 +1,4 @@
-"""What the settings of a run are beyond what tables have columns for; kept with the run."""
+"""The settings in which a run differs from the files that ship."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Compose = Callable[[list[str]], DictConfig]
 
 
 class Differences(NamedTuple):
-    """What of a run is not as its preset, system, model and integrator have it."""
+    """How a run differs from its preset, system, model and integrator."""
 
     choices: list[str]
     settings: list[str]

@@ -1,4 +1,4 @@
-"""What a command is at, on a terminal: one line, redrawn, that results take the place of."""
+"""A one-line status on a terminal, which results overwrite."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import sys
 ERASED = "\r\x1b[K"
 
 
-def shown(*, notebook: bool = False) -> bool:
-    """Whether somebody watches: not in a file, a pipe, or a process of a sweep among others."""
+def visible(*, notebook: bool = False) -> bool:
+    """Return whether a person watches: not in a file, a pipe, or a worker of a sweep."""
     alone = multiprocessing.current_process().name == "MainProcess"
     return alone and (sys.stderr.isatty() or (notebook and "ipykernel" in sys.modules))
 
 
 def say(text: str) -> None:
-    """Say what begins now, if it may take a second."""
-    if shown():
+    """Show what begins now, if it may take a second."""
+    if visible():
         sys.stderr.write(f"{ERASED}{text[:78]} …")
         sys.stderr.flush()
 
 
 def clear() -> None:
-    """Make room for a line that stays."""
-    if shown():
+    """Erase the status before a line that stays."""
+    if visible():
         sys.stderr.write(ERASED)
         sys.stderr.flush()

@@ -1,10 +1,10 @@
-"""Being asked to stop, by Ctrl-C (SIGINT) or SIGTERM: once, at the end of the epoch; twice, now.
+"""Stop requests by Ctrl-C (SIGINT) or SIGTERM: once, after the current epoch; twice, immediately.
 
-The command that started the jobs tells them through a file, since a signal reaches one process
-only, or all of a terminal's at different moments.
+A signal reaches one process, or all processes of a terminal at different times. The command that
+started the jobs therefore passes it on through a file.
 
-A cluster tells a job by SIGUSR2 that its time is nearly up. This is obeyed like the others, and
-then the launcher that listens for it has its turn: it puts the job back into the queue.
+A cluster announces the time limit of a job by SIGUSR2. It is treated like the others; afterwards
+the handler of the launcher is called, which queues the job again.
 """
 
 from __future__ import annotations
@@ -24,10 +24,9 @@ TIME_IS_UP = signal.SIGUSR2
 FOLDER = "SYMO_EXP_COMMAND"
 """Environment variable: a folder that the processes of one command share."""
 
-AT_ONCE = b"symo_exp: stopping now; the same command goes on from the last checkpoint\n"
+AT_ONCE = b"symo_exp: stopping now; rerun the command to resume from the last checkpoint\n"
 AFTER_EPOCH = (
-    b"symo_exp: stopping when this epoch is done; the same command goes on from there "
-    b"(once more stops now)\n"
+    b"symo_exp: stopping after this epoch; rerun the command to resume (once more stops now)\n"
 )
 
 _noted: int | None = None
@@ -37,7 +36,10 @@ _requeue: Callable[[int, Any], Any] | None = None
 
 
 class Interrupted(BaseException):
-    """A signal has ended the run. No ``Exception``: nothing may take it for a failure."""
+    """Raised when a signal ends the run.
+
+    It is no ``Exception``, so that nothing handles it as a failure.
+    """
 
     def __init__(self, signum: int) -> None:
         super().__init__(signum)
@@ -48,12 +50,12 @@ class Interrupted(BaseException):
 
 
 def requested() -> int | None:
-    """The signal that asked this process, or the command that it works for, to stop."""
+    """Return the signal that asked this process, or the command that it works for, to stop."""
     return _noted if _noted is not None else _told()
 
 
 def raise_if_requested() -> None:
-    """End here what need not be finished."""
+    """Raise ``Interrupted`` if a stop was requested."""
     signum = requested()
     if signum is not None:
         raise Interrupted(signum)
@@ -61,8 +63,11 @@ def raise_if_requested() -> None:
 
 @contextmanager
 def command() -> Iterator[None]:
-    """Around all jobs of a command: a first signal is noted, told to the jobs, and obeyed by
-    those who look at ``requested``."""
+    """Handle signals for all jobs of a command.
+
+    The first signal is recorded and passed on to the jobs; code that checks ``requested`` obeys
+    it.
+    """
     global _noted, _commands
     folder = tempfile.mkdtemp(prefix="symo_exp-")
     outer, os.environ[FOLDER] = os.environ.get(FOLDER), folder
@@ -83,9 +88,10 @@ def command() -> Iterator[None]:
 
 
 def install() -> None:
-    """Put our handlers in place: in a worker, or where a library has put its own.
+    """Install the signal handlers: in a worker, or after a library has installed its own.
 
-    They stay: between two jobs a signal must not end a worker whose neighbours finish an epoch.
+    They stay installed: between two jobs, a signal must not end a worker while others finish an
+    epoch.
     """
     global _noted, _requeue
     if os.environ.get("SUBMITIT_EXECUTOR") == "slurm":
@@ -102,8 +108,11 @@ def install() -> None:
 
 
 def make_way() -> None:
-    """Have the launcher queue this job again, which ends the process; raises what keeps it from
-    that, as when the job was queued too often."""
+    """Have the launcher queue this job again, which ends the process.
+
+    Raises:
+        Exception: What the launcher raises, for instance if the job was queued too often.
+    """
     if _requeue is not None:
         for signum in SIGNALS:  # the cluster sends them to what leaves the node
             signal.signal(signum, signal.SIG_IGN)
@@ -112,9 +121,9 @@ def make_way() -> None:
 
 @contextmanager
 def urgent(value: bool = True) -> Iterator[None]:
-    """Where nobody looks at ``requested``: the first signal ends the run at once.
+    """Let the first signal raise at once, where nothing checks ``requested``.
 
-    ``urgent(False)`` inside is for an epoch, which is worth finishing.
+    ``urgent(False)`` inside protects an epoch, which is finished first.
     """
     global _urgent
     before, _urgent = _urgent, value
@@ -126,9 +135,9 @@ def urgent(value: bool = True) -> Iterator[None]:
 
 @contextmanager
 def deaf_children() -> Iterator[None]:
-    """Processes that are started meanwhile do not hear Ctrl-C: they are told by the file.
+    """Keep SIGINT from processes started meanwhile, which are told by the file.
 
-    A blocked signal stays blocked in a child. This process still hears it, by any other thread.
+    A blocked signal stays blocked in a child. This process still receives it in another thread.
     """
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

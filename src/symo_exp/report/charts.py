@@ -241,7 +241,7 @@ def _axis(
 
 
 def _rows(panel: Panel) -> pd.DataFrame:
-    """The data of a panel as they are drawn, five digits of each number."""
+    """Return the data of a panel as they are drawn, five digits of each number."""
     numbers = [name for name in ("x", "y", "low", "high") if name in panel.rows]
     parts = []
     for order, trace in enumerate(panel.traces()):

@@ -1,4 +1,4 @@
-"""Which settings change the numbers of a run, and the digest of them that names its folder."""
+"""The settings that change the numbers of a run, and their digest, which names its folder."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ INCIDENTAL = {
 
 
 def digest(settings: Mapping[str, Any]) -> str:
-    """Ten hexadecimal digits that stand for the relevant part of resolved ``settings``.
+    """Return ten hexadecimal digits for the relevant part of resolved settings.
 
     Two commands share a digest exactly if they compute the same: the order of keys and the
-    spelling of numbers (``0``, ``0.0``, ``1e-3``) do not enter.
+    spelling of numbers (``0``, ``0.0``, ``1e-3``) do not matter.
     """
     text = json.dumps(dict(relevant(settings)), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:10]
 
 
 def kernels(settings: Mapping[str, Any]) -> str:
-    """A digest of what a compiled training step depends on, but for the sizes of its batches."""
+    """Return a digest of what a compiled training step depends on, sizes of batches apart."""
     groups = {
         "seed", "data", "draws", "optimizer", "scheduler", "learning_rate", "learner", "trainer",
     }  # fmt: skip
@@ -34,7 +34,7 @@ def kernels(settings: Mapping[str, Any]) -> str:
 
 
 def relevant(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """The settings that change numbers, flat (``data.n_traj``) and in canonical spelling."""
+    """Yield the settings that change numbers, by dotted name and in canonical spelling."""
     for key, value in settings.items():
         name = f"{prefix}{key}"
         if name in INCIDENTAL:
@@ -46,7 +46,7 @@ def relevant(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[st
 
 
 def _canonical(value: Any) -> Any:
-    """Every number as a float: whether a constructor wants a whole one is checked elsewhere."""
+    """Return every number as a float; constructors check elsewhere for whole ones."""
     if isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if isinstance(value, list | tuple):

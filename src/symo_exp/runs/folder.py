@@ -101,21 +101,23 @@ class RunFolder:
     # -- how it ended --------------------------------------------------------------------------
 
     def outcome(self) -> Outcome:
-        """What the run left; one that has left nothing that can be read waits to be started."""
+        """Return the outcome; a folder without a readable one waits to be started."""
         try:
             return Outcome(**self._read(OUTCOME))
         except TypeError:
             return Outcome("waiting", "it did not run")
 
     def record(self, status: Status, reason: str = "", seconds: float = 0.0) -> None:
+        """Keep the status, and for a running one the process."""
         process = this_process() if status == "running" else {}
         self._write(OUTCOME, asdict(Outcome(status, reason, seconds, process)))
 
     def forget_outcome(self) -> None:
+        """Delete the outcome."""
         (self / OUTCOME).unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Forget all that could be continued."""
+        """Delete everything that could be resumed."""
         shutil.rmtree(self / CHECKPOINTS, ignore_errors=True)
         for name in (SERIES, ABOUT, OUTCOME, PUBLISHED):
             (self / name).unlink(missing_ok=True)
@@ -123,13 +125,14 @@ class RunFolder:
     # -- what it is and what came out ------------------------------------------------------------
 
     def about(self) -> About | None:
+        """Return what was asked for, ``None`` in a new folder."""
         try:
             return About(**self._read(ABOUT))
         except TypeError:
             return None
 
     def describe(self, about: About) -> None:
-        """Keep what was asked for; of a run that is continued, who it is and when it began."""
+        """Keep what was asked for; identity and start of an earlier start stay."""
         before = self.about()
         if before is not None:
             kept = {"identity": before.identity, "started": before.started}
@@ -144,16 +147,18 @@ class RunFolder:
         return {name: float(value) for name, value in found.items()}
 
     def write_measures(self, measures: Mapping[str, float]) -> None:
+        """Keep the measures of the run."""
         self._write(MEASURES, _finite(measures))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
+        """Keep the resolved settings."""
         import yaml
 
         text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
         write_whole(self / CONFIG, lambda file: file.write_text(text, encoding="utf-8"))
 
     def reference(self) -> Any:
-        """The settings of what the run was held to; ``None`` without any."""
+        """Return the settings of the reference model, ``None`` without one."""
         import yaml
 
         there = (self / CONFIG).exists()
@@ -176,7 +181,7 @@ class RunFolder:
         )
 
     def missing_studies(self, asked: Mapping[str, Any]) -> list[str]:
-        """The studies that have not been done with these settings."""
+        """Return the names of the studies not yet done with these settings."""
         done = {name: self._read(f"{STUDIES}/{name}.json").get("settings") for name in asked}
         return [name for name, settings in asked.items() if done[name] != settings]
 
@@ -187,23 +192,24 @@ class RunFolder:
         measures: Mapping[str, float],
         columns: Mapping[str, Any],
     ) -> None:
-        """The settings are written last: with them a study is done."""
+        """Keep a study; its settings are written last and mark it as done."""
         if columns:
             self.write_table(f"{STUDIES}/{name}.parquet", columns)
         told = {"settings": dict(settings), "measures": _finite(measures)}
         self._write(f"{STUDIES}/{name}.json", told)
 
     def files(self) -> list[Path]:
-        """Those of ``FILES`` that are there."""
+        """Return the existing ones of ``FILES``."""
         return [self / name for name in FILES if (self / name).exists()]
 
     # -- what a tracker remembers ------------------------------------------------------------------
 
     def published(self) -> dict[str, Any]:
+        """Return the store that has all of this folder."""
         return self._read(PUBLISHED)
 
     def mark_published(self, store: Mapping[str, Any] | None) -> None:
-        """Remember the store that has all of this; ``None``: it has changed since."""
+        """Remember the store that has all of this; ``None``: the folder has changed."""
         if store is None:
             (self / PUBLISHED).unlink(missing_ok=True)
         else:

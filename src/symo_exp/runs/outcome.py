@@ -1,4 +1,4 @@
-"""What was asked of a run, and how far it has come."""
+"""What was asked of a run, and how far it is."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Status = Literal["waiting", "running", "finished", "failed", "refused", "interru
 
 @dataclass(frozen=True)
 class Outcome:
-    """How far a run has come; one that ended otherwise than ``finished`` says why.
+    """How far a run is; one that did not finish has a reason.
 
-    ``process`` names who works on it, for a person to look for: that it lives, only the lock says.
+    ``process`` names the process for a person to find; only the lock says whether it lives.
     """
 
     status: Status
@@ -27,9 +27,11 @@ class Outcome:
 
 @dataclass(frozen=True)
 class About:
-    """What was asked for. ``parameters`` are flat; ``variant`` says in which of them the run
-    differs from the files that ship, beyond what tables have columns for; ``sweep`` is the identity
-    of the sweep that it was part of first."""
+    """What was asked for.
+
+    ``parameters`` are flat. ``variant`` names the settings that differ from the files that ship,
+    beyond those with columns in tables. ``sweep`` is the identity of the first sweep of the run.
+    """
 
     name: str
     parameters: dict[str, Any]
@@ -41,7 +43,7 @@ class About:
 
 
 def this_process() -> dict[str, str]:
-    """Names of this process, by which a person finds it."""
+    """Return names by which a person finds this process."""
     array, number = os.environ.get("SLURM_ARRAY_JOB_ID"), os.environ.get("SLURM_ARRAY_TASK_ID")
     job = f"{array}_{number}" if array else os.environ.get("SLURM_JOB_ID", "")
     named = {"host": socket.gethostname(), "pid": str(os.getpid())}

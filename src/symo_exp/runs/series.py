@@ -1,4 +1,4 @@
-"""The series of a run, ``series.csv``: a row for each epoch, a column for each quantity."""
+"""The series of a run, ``series.csv``: a row per epoch, a column per quantity."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Row = dict[str, float]
 
 
 class Series:
-    """Rows are appended as epochs end; a resumed training first cuts off what it will do again.
+    """Rows appended at the end of epochs; a resumed training first cuts those to be repeated.
 
-    A row that cannot be written, as on a full disk, waits for the next one.
+    A row that cannot be written, for instance on a full disk, waits for the next one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -29,12 +29,16 @@ class Series:
         self._waiting: list[Row] = []
 
     def append(self, epoch: int, values: Mapping[str, float]) -> None:
-        """Raises ``OSError`` where nothing can be written; the row is kept all the same."""
+        """Append a row.
+
+        Raises:
+            OSError: If nothing can be written; the row is kept for the next call.
+        """
         self._waiting.append({EPOCH: epoch, TIME: time.time(), **values})
         self.flush()
 
     def flush(self, *, settle: bool = False) -> None:
-        """Write what waits; with ``settle`` have the system put it on the disk."""
+        """Write waiting rows; with ``settle`` flush them to the disk."""
         new = [name for row in self._waiting for name in row if name not in self._columns]
         if new:  # a quantity that was not there before: seldom, so the file is written anew
             rows = read(self.path) + self._waiting
@@ -71,7 +75,7 @@ class Series:
 
 
 def read(path: Path) -> list[Row]:
-    """All whole rows; quantities that an epoch does not have are left out of its row."""
+    """Return all complete rows; quantities that an epoch lacks are absent from its row."""
     columns = _header(path)
     if not columns:
         return []

@@ -1,4 +1,4 @@
-"""The jobs of a sweep: overrides expanded, and each composed once."""
+"""The jobs of a sweep: overrides expanded, each job composed once."""
 
 from __future__ import annotations
 
@@ -18,8 +18,11 @@ from symo_exp.runs.folder import RunFolder
 
 
 class Job(NamedTuple):
-    """``label`` tells it from the other jobs of its sweep, ``overrides`` make it; ``files`` is the
-    configuration that its choices of files alone would give."""
+    """One job of a sweep.
+
+    ``label`` tells it from the other jobs, ``overrides`` make it, and ``files`` is the
+    configuration that its choices of files alone would give.
+    """
 
     label: str
     overrides: list[str]
@@ -82,14 +85,17 @@ def _agreeing(rows: list[list[str]], typed: list[list[list[str]]]) -> list[list[
 
 
 def labels(combinations: Sequence[Sequence[str]]) -> list[str]:
-    """What each combination has that not all of them have."""
+    """Return the overrides of each combination that not all combinations have."""
     common = set.intersection(*map(set, combinations))
     return [" ".join([o for o in one if o not in common] or one) for one in combinations]
 
 
 class Composer:
-    """Composes by Hydra. What it takes a tenth of a second for, merging files, is done once for all
-    jobs that choose the same files; values are set on copies, as Hydra sets them."""
+    """Composes jobs by Hydra.
+
+    Merging files takes a tenth of a second; it is done once for all jobs that choose the same
+    files.
+    """
 
     def __init__(self, loader: ConfigLoader, master: DictConfig) -> None:
         self.loader, self.master = loader, master
@@ -97,6 +103,7 @@ class Composer:
         self._merged: dict[tuple[str, ...], DictConfig] = {}
 
     def job(self, overrides: list[str], label: str) -> Job:
+        """Return the job of these overrides."""
         parsed = OverridesParser.create().parse_overrides(overrides)
         chosen = [o for o in parsed if self.options(o.key_or_group)]
         files = self._merge([str(o.input_line) for o in chosen])
@@ -113,18 +120,18 @@ class Composer:
         return Job(label, overrides, config, resolve(config), files, choices, folder)
 
     def options(self, group: str) -> list[str]:
-        """The files of a group; none if it is a setting, whose name may have a dot."""
+        """Return the files of a group, none if the name is a setting."""
         if group not in self._options:
             dotted = "." in group
             self._options[group] = [] if dotted else self.loader.get_group_options(group)
         return self._options[group]
 
     def files(self, *choices: str) -> DictConfig:
-        """The configuration with these choices of files."""
+        """Return the configuration with these choices of files."""
         return self._merge(choices)
 
     def check_choices(self, job: Job) -> None:
-        """Refuse a choice that has nothing for this model: SyMo has no Runge-Kutta method."""
+        """Refuse a choice that lacks what the model refers to."""
         for setting, reference in job.settings.references.items():
             if not setting.startswith("model.") or setting.count(".") > 1:
                 continue
@@ -142,7 +149,7 @@ class Composer:
                 )
 
     def _merge(self, overrides: Sequence[str]) -> DictConfig:
-        """Of Hydra's own part only what names a folder is kept: jobs are copies of this."""
+        """Merge files; of Hydra's own part only what names a folder is kept."""
         key = tuple(overrides)
         if key not in self._merged:
             own = self.loader.load_sweep_config(self.master, list(overrides))

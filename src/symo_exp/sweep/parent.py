@@ -1,4 +1,4 @@
-"""A sweep of several runs is itself a run folder: in the store its runs appear beneath it."""
+"""The run folder of a sweep: in the store, the runs of the sweep appear beneath it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from symo_exp.tracking.page import COMMAND, RESULT
 
 @contextmanager
 def parent(jobs: Sequence[Job], name: str, tracker: Any) -> Iterator[None]:
-    """Around the work of a sweep. The same jobs are the same sweep, whenever they are done."""
+    """Keep a run folder for the sweep meanwhile. The same jobs are the same sweep."""
     names = {job.folder.path.name: "" for job in jobs}
     folder = RunFolder(jobs[0].folder.path.parent / ".sweeps" / digest(names))
     with nullcontext() if folder.in_use() else folder.alone():
@@ -58,7 +58,7 @@ def parent(jobs: Sequence[Job], name: str, tracker: Any) -> Iterator[None]:
 
 
 def _result(jobs: Sequence[Job]) -> str:
-    """Which run has the smallest of each measure that a line shows."""
+    """Return the run with the smallest value of each measure."""
     measures = {job.label: job.folder.measures() for job in jobs}
     least = []
     for name in MEASURES:

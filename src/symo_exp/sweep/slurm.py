@@ -1,4 +1,4 @@
-"""The jobs of one command in the queue of SLURM, asked for and stopped by its own commands."""
+"""The jobs of one command in SLURM's queue."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ SECONDS = 5.0
 
 
 class Queue:
-    """All jobs of a command have one name, which no other command's have."""
+    """The jobs of a command, which share a name that no other command's jobs have."""
 
     def __init__(self, name: str) -> None:
         self.name = name
 
     @classmethod
     def of(cls, master: DictConfig) -> Queue | None:
-        """The queue that the launcher hands jobs to, if it hands them to one."""
+        """Return the queue if the launcher uses SLURM."""
         launcher = master.hydra.launcher
         if not str(launcher._target_).endswith(".SlurmLauncher"):
             return None
@@ -44,10 +44,10 @@ class Queue:
         return {**settings, "trainer": {**settings["trainer"], "accelerator": "cpu"}}
 
     def run(self, launch: Callable[[], object]) -> None:
-        """Launch jobs, and come back when none of them runs or waits.
+        """Launch jobs and return when none of them runs or waits.
 
-        The launcher learns from SLURM's accounting that a job was killed, and waits for ever where
-        there is none: it is left to wait in a thread of its own when the queue is empty.
+        The launcher learns from SLURM's accounting that a job was killed, and waits forever
+        without accounting; it is left in a thread of its own when the queue is empty.
         """
         launcher = threading.Thread(target=launch, daemon=True)
         launcher.start()
@@ -63,17 +63,17 @@ class Queue:
         return bool(_ask("squeue", "--me", "--noheader", "--format=%i", f"--name={self.name}"))
 
     def stop(self) -> None:
-        """Have the jobs that run finish their epoch, and the others not begin."""
+        """Ask running jobs to finish their epoch and remove waiting ones."""
         _ask("scancel", "--state=PENDING", f"--name={self.name}")
         _ask("scancel", "--state=RUNNING", "--signal=TERM", f"--name={self.name}")
 
     def cancel(self) -> None:
-        """Take all jobs out of the queue now."""
+        """Remove all jobs from the queue now."""
         _ask("scancel", f"--name={self.name}")
 
 
 def _ask(*words: str) -> str:
-    """What SLURM says; "unknown" where it does not answer."""
+    """Return the output of a command of SLURM, "unknown" if it fails."""
     try:
         done = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60.0)
     except (OSError, subprocess.SubprocessError):

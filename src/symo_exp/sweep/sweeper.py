@@ -1,8 +1,8 @@
-"""A sweep: every combination composed and checked before the first one starts, what is finished
-left alone, the rest launched, what a dead worker took along started again, all summed up.
+"""A sweep: all jobs are composed and checked before the first one starts.
 
-It is Hydra's sweeper by the public plugin interface (``hydra_plugins.symo_exp_sweeper``); a single
-run is a sweep of one.
+Finished jobs are left out, the others launched, jobs lost with a killed worker started again, and
+all are summed up. Hydra finds it through ``hydra_plugins.symo_exp_sweeper``; a single run is a
+sweep of one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from omegaconf.errors import OmegaConfBaseException
 from symo_exp.cli.explain import blamed
 from symo_exp.errors import ConfigError, one_line
 from symo_exp.imports import first_import
-from symo_exp.job.checks import check, check_folder, check_names, check_parts
+from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
 from symo_exp.job.config import unresolved
 from symo_exp.job.job import debugging, is_done, publish
 from symo_exp.process import phases, stopping
@@ -45,7 +45,7 @@ _watching: list[list[RunFolder]] = []
 
 @contextmanager
 def watched() -> Iterator[list[RunFolder]]:
-    """The folders of all runs that commands of this process ask for meanwhile."""
+    """Collect the folders of all runs that commands of this process ask for meanwhile."""
     _watching.append([])
     try:
         yield _watching[-1]
@@ -64,7 +64,11 @@ class Sweep:
     def run(
         self, arguments: Sequence[str], params: Mapping[str, Any], *, check_only: bool = False
     ) -> int:
-        """The exit code. Raises ``ConfigError`` before anything starts."""
+        """Run the sweep and return the exit code.
+
+        Raises:
+            ConfigError: For a job that cannot run, before anything starts.
+        """
         jobs = self._plan(arguments, params)
         for folders in _watching:
             folders += [job.folder for job in jobs]
@@ -147,11 +151,11 @@ class Sweep:
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
         if not is_done(values, job.folder):
             self._composer.check_choices(job)
-            check(job.settings, unresolved(job.files))
+            check_settings(job.settings, unresolved(job.files))
         return job
 
     def _check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
-        """Build all that every job names, so that nothing is found wrong when others have run."""
+        """Build the parts of every job, so that no mistake is found after others have run."""
         if not jobs:
             return  # without the seconds of the import
         phases.say("importing PyTorch and Lightning")
@@ -194,11 +198,11 @@ class Sweep:
                     publish(tracker, job.folder)
 
     def _launch_all(self, jobs: Sequence[Job]) -> None:
-        """Launch, and launch again what a launcher left behind when it broke.
+        """Launch jobs, and launch again those that a broken launcher left.
 
-        When a process of joblib is killed, its neighbours are killed with it and the rest is not
-        started. So the rest is started then, and after it those that died, each alone: whose
-        process is killed a second time has no one else to blame.
+        When a process of joblib is killed, its neighbours are killed too and the rest is not
+        started. The rest is started again, then those that died, each alone: a job whose process
+        is killed twice has failed.
         """
         died: list[Job] = []
         todo = list(jobs)
@@ -207,7 +211,7 @@ class Sweep:
             died += [job for job in todo if job.folder.died()]
             waiting = [job for job in todo if job.folder.outcome().status == "waiting"]
             if len(waiting) == len(todo):
-                break  # nothing has happened: nor will it
+                break  # nothing was started
             if died and stopping.requested() is None:
                 log.error("a worker was killed: %d runs are started again", len(died + waiting))
             todo = waiting
@@ -216,7 +220,7 @@ class Sweep:
                 self._launch([job])
 
     def _launch(self, jobs: Sequence[Job]) -> None:
-        """Have the launcher do these jobs, and wait for those that it left running."""
+        """Launch jobs and wait for those that the launcher left running."""
         launcher = Plugins.instance().instantiate_launcher(
             hydra_context=self._context, task_function=self._task, config=self._master
         )
@@ -245,7 +249,7 @@ class Sweep:
             raise
 
     def _publish(self, job: Job) -> None:
-        """Bring the store up to date where it is not known to be."""
+        """Update the store unless it is known to be up to date."""
         tracker = instantiate(job.values["logger"])
         if not tracker.is_published(job.folder):
             publish(tracker, job.folder)
@@ -280,7 +284,7 @@ def _labelled(error: Exception, label: str) -> ConfigError:
 
 
 def _clear(job: Job) -> None:
-    """Forget how an earlier start ended and, with ``resume=false``, all that could be continued."""
+    """Forget the former outcome and, with ``resume=false``, all that could be resumed."""
     if job.folder.in_use():
         return  # another command is at it
     if not job.values["resume"]:

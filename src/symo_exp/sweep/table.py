@@ -1,4 +1,4 @@
-"""How far a sweep has come and how it ended, as a person reads it: lines of 80 columns."""
+"""Progress and result of a sweep in lines of 80 columns."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECONDS = 0.5
 
 
 def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
-    """A row for each run, the best marked; for those not finished the reason and the log."""
+    """Return a row per run, the best marked; reason and log of those that did not finish."""
     outcomes = [folder.outcome() for folder in folders]
     found = [
         folder.measures() if outcome.status == "finished" else {}
@@ -49,7 +49,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
 
 
 def _verdicts(names: Sequence[str], found: Sequence[Mapping[str, float]]) -> list[str]:
-    """What models of recordings are good for, beside the baseline, a line each."""
+    """Return what models of recordings are good for, beside the baseline, a line each."""
     lines = []
     for name, measures in zip(names, found, strict=True):
         told = [text for text in (verdict(measures), comparison(measures)) if text]
@@ -85,10 +85,12 @@ def _fitted(text: str, room: int) -> str:
 
 
 class Watch:
-    """A line whenever a run of the sweep has ended, whichever process does it.
+    """Print a line whenever a run of the sweep ends, in any process.
 
-    ``apart``: the runs are in other processes, and a terminal is told meanwhile how many.
-    ``on_stop`` is called once, when the command has been asked to stop.
+    Args:
+        folders: The runs.
+        on_stop: Called once when the command is asked to stop.
+        apart: The runs are in other processes; a terminal shows how many are running.
     """
 
     def __init__(
@@ -129,7 +131,7 @@ class Watch:
                 return
 
     def _look(self) -> list[RunFolder]:
-        """Those that have ended since."""
+        """Return the runs that have ended since."""
         status = {folder: folder.outcome().status for folder in self._open}
         ended = [folder for folder in status if status[folder] in ENDED]
         self._counts.update(status[folder] for folder in ended)
@@ -141,7 +143,7 @@ class Watch:
         parts = [f"{self._counts['finished']} of {self._total} runs finished"]
         bad = self._counts.total() - self._counts["finished"]
         if bad:
-            parts.append(f"{bad} not well")
+            parts.append(f"{bad} failed")
         if self._running:
             parts.append(f"{self._running} running")
         ended = self._counts.total() - self._ended_before

@@ -1,4 +1,4 @@
-"""A trained run is a thing one can use: three lines give its model back."""
+"""Trained models from run folders and MLflow runs."""
 
 from __future__ import annotations
 
@@ -28,23 +28,30 @@ def load(
     device: str | torch.device = "cpu",
     code: str | Path | None = None,
 ) -> DynamicsModel:
-    """The trained model of a run folder or of an MLflow run id, in evaluation mode.
-
-    ``tracking_uri`` and ``directory`` say where runs are tracked (see ``conf/logger/mlflow.yaml``)
-    and matter only for a run id. ``dtype`` is that of the training unless given. ``code`` is a
-    folder of yours with the classes of a system or a method, where the run has used one.
+    """Load the trained model of a run, in evaluation mode.
 
     The model predicts batches: configurations ``q`` (B, n), velocities ``v`` (B, n) and inputs
     ``u`` (B, m) in SI units, one time step ``model.time_step`` apart; or single ones, without B:
 
     * ``model.rollout(q0, v0, u)`` with ``u`` (B, T+1, m) at every node, or ``steps=T`` without
       input, gives ``q`` and ``v`` (B, T+1, n) and ``converged`` (B, T);
-    * ``symo_exp.compile_rollout(model)`` makes rollouts three to ten times faster, for a minute of
-      compiling once; worth it where they are needed again and again, as in predictive control;
+    * ``symo_exp.compile_rollout(model)`` makes rollouts three to ten times faster after about a
+      minute of compiling, for instance in predictive control;
     * ``model.step(q, v, u, u_next)`` is one step of it;
     * ``model.energy(q, v)``, ``mass_matrix(q)``, ``potential(q)``, ``momentum(q, v)``, where the
       method learns a Lagrangian;
     * ``model.for_evaluation()`` is a float64 copy with converged roots, which the measures use.
+
+    Args:
+        run: A run folder or the id of an MLflow run.
+        tracking_uri: Where runs are tracked, for an id; see ``conf/logger/mlflow.yaml``.
+        directory: The folder of the default SQLite store, for an id.
+        dtype: The precision; ``None``: that of the training.
+        device: Where the model is kept.
+        code: A folder with the user's own classes of a system or a method.
+
+    Raises:
+        ConfigError: For a run that cannot be found or read.
     """
     own.add(code)
     folder = Path(run)

@@ -1,4 +1,4 @@
-"""No store: the folder of a run has everything."""
+"""A tracker without a store: the run folder has everything."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ class Nowhere:
     flush_seconds = float("inf")
 
     def check(self) -> None:
-        """Nothing can be wrong."""
+        """Do nothing: there is no store to reach."""
 
     def is_away(self, error: BaseException) -> bool:
-        """It never is."""
+        """Return false."""
         return False
 
     def is_published(self, folder: RunFolder) -> bool:
-        """There is nothing to do."""
+        """Return true: there is nothing to publish."""
         return True
 
     def publish(self, folder: RunFolder) -> str:
-        """There is no address either."""
+        """Return no address."""
         return ""
 
     def show(self, varied: Sequence[str]) -> None:
-        """There is no page to set up,"""
+        """Do nothing."""
 
     def page(self) -> str:
-        """nor to open."""
+        """Return no page."""
         return ""
 
     def close_dead(self) -> None:
-        """There are none."""
+        """Do nothing."""

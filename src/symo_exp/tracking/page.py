@@ -1,4 +1,4 @@
-"""What MLflow's pages show of a run besides numbers: description, dataset, and where they are."""
+"""What MLflow shows of a run besides numbers: description, dataset and addresses."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LOCAL = "http://127.0.0.1:5000"
 
 
 def description(about: About, outcome: Outcome, measures: Mapping[str, float]) -> str:
-    """The command, and what came of it."""
+    """Return the command and its result."""
     shown = [f"{name} {measures[name]:.3g}" for name in RESULTS if name in measures]
     result = about.tags.get(RESULT) or (", ".join(shown) + "." if shown else outcome.reason)
     command = f"`{about.tags[COMMAND]}`" if COMMAND in about.tags else ""
@@ -32,7 +32,7 @@ def description(about: About, outcome: Outcome, measures: Mapping[str, float]) -
 
 
 def send_dataset(store: Store, run_id: str, parameters: Mapping[str, Any]) -> None:
-    """What the run was trained on, as MLflow's dataset: the same data have the same digest."""
+    """Send what the run was trained on as MLflow's dataset; the same data have one digest."""
     from mlflow.entities import Dataset, DatasetInput, InputTag
 
     client = connect(store)
@@ -55,11 +55,11 @@ def send_dataset(store: Store, run_id: str, parameters: Mapping[str, Any]) -> No
 
 
 def show(store: Store, experiment: str, varied: Sequence[str]) -> None:
-    """Give the experiment a view of its runs: the smallest test error first, not folded into their
-    sweeps, with columns for what was varied and came out.
+    """Give the experiment a view of its runs, the smallest test error first.
 
-    It is what MLflow's page keeps of a view that is shared, and documented nowhere: where another
-    release reads it otherwise, the runs stand there as MLflow shows them.
+    The runs are not folded into their sweeps, and columns show what was varied and measured.
+    MLflow keeps shared views in this form without documenting it; another release may ignore it
+    and show its own view.
     """
     columns = [f"params.`{name}`" for name in varied]
     columns += [f"metrics.`{name}`" for name in RESULTS[1:]]
@@ -72,7 +72,7 @@ def show(store: Store, experiment: str, varied: Sequence[str]) -> None:
 
 
 def page(store: Store, experiment: str) -> str:
-    """Where a person looks at the runs of an experiment, and what serves it if nobody does."""
+    """Return the address of an experiment's runs, and what serves it."""
     if store.database is None:
         return runs_at(store, store.uri if store.uri.startswith("http") else LOCAL, experiment)
     ours = Path("mlruns/mlflow.db").absolute() == store.database and in_checkout()
@@ -82,13 +82,13 @@ def page(store: Store, experiment: str) -> str:
 
 
 def pages(store: Store, base: str) -> list[str]:
-    """A line for each experiment: its name and the page of its runs."""
+    """Return a line per experiment: its name and the page of its runs."""
     found = connect(store).search_experiments()
     return [f"{one.name}: {runs_at(store, base, one.experiment_id)}" for one in found]
 
 
 def runs_at(store: Store, base: str, experiment: str) -> str:
-    """The runs in MLflow's view for training; its bare address opens another, that of agents."""
+    """Return the address of the runs in MLflow's view for training."""
     shared = VIEW in connect(store).get_experiment(experiment).tags
     view = f"&viewStateShareKey={VIEW.rpartition('.')[2]}" if shared else ""
     return f"{base}/#/experiments/{experiment}/runs?workflowType=machine_learning{view}"

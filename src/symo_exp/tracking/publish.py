@@ -1,10 +1,10 @@
-"""MLflow as a view of run folders: ``publish(folder)`` brings the store up to date.
+"""MLflow as a view of run folders: ``publish(folder)`` updates the store.
 
-It may be called at any time and any number of times: while a run trains, at its end, when the
-command is given again, by another process. What the store has is not sent again, and nothing is
-remembered but what the folder holds. A call to MLflow costs 5 to 30 ms, about as much for one row
-as for fifty, so series are sent in batches; synchronously, since rows that MLflow itself queues
-are lost when the process is killed.
+It can be called at any time, any number of times and from any process: while a run trains, at its
+end, or when the command is repeated. What the store has is not sent again; the folder holds all
+state. A call to MLflow takes 5 to 30 ms, about the same for one row as for fifty, so that series
+are sent in batches; synchronously, because rows that MLflow queues itself are lost when the
+process is killed.
 """
 
 from __future__ import annotations
@@ -67,21 +67,22 @@ class MlflowView:
         self._open: dict[str, _Opened] = {}
 
     def check(self) -> None:
-        """Refuse a store that cannot be reached or written; quick, asked before any training."""
+        """Refuse a store that cannot be reached or written; fast."""
         check(self.store, self._timeout)
 
     def is_away(self, error: BaseException) -> bool:
-        """Whether an error says that the store does not work now."""
+        """Return whether an error says that the store does not work now."""
         return is_away(error)
 
     def is_published(self, folder: RunFolder) -> bool:
-        """Whether this store is known to have all of the run; costs no import of MLflow."""
+        """Return whether this store has all of the run, without importing MLflow."""
         return folder.published().get("store") == str(self.store)
 
     def publish(self, folder: RunFolder) -> str:
-        """Bring the store up to date with the folder; returns where a person finds the run.
+        """Update the store and return the address of the run.
 
-        Raises what MLflow raises, or ``AwayError`` within ``timeout`` where nobody answers.
+        Raises:
+            AwayError: If the store does not answer within ``timeout``.
         """
         about, outcome = folder.about(), folder.outcome()
         if about is None or self.is_published(folder):
@@ -102,7 +103,7 @@ class MlflowView:
         return self._address(run.run_id)
 
     def close_dead(self) -> None:
-        """Runs of this experiment that the store has as RUNNING and whose process has died."""
+        """Mark runs as failed that the store has as RUNNING and whose process has died."""
         client = connect(self.store)
         experiment = experiment_id(self.store, self._experiment)
         for run in client.search_runs([experiment], "attributes.status = 'RUNNING'"):
@@ -113,7 +114,7 @@ class MlflowView:
                 log.warning("%s: marked as failed, its process had ended", path)
 
     def _find(self, about: About, folder: RunFolder) -> str:
-        """The run of the store that belongs to the folder, made if there is none."""
+        """Return the run of the store that belongs to the folder, created if there is none."""
         client = connect(self.store)
         parent = self._search(about.sweep) if about.sweep else None
         found = self._search(about.identity)
@@ -141,13 +142,13 @@ class MlflowView:
         return found[0] if found else None
 
     def _rows(self, folder: RunFolder, *, last: bool) -> list[dict[str, float]]:
-        """The series, thinned; with ``last`` its end, too."""
+        """Return the thinned series; with ``last`` its last row, too."""
         rows = read(folder / SERIES)
         kept = [r for r in rows if r[EPOCH] < DENSE or r[EPOCH] % self._every == 0]
         return kept + rows[-1:] if last and rows and rows[-1] not in kept else kept
 
     def show(self, varied: Sequence[str]) -> None:
-        """Set up the page of the experiment for a sweep; a store that is away does without."""
+        """Set up the page of the experiment for a sweep, unless the store is away."""
         try:
             self.check()
             show(self.store, experiment_id(self.store, self._experiment), varied)
@@ -156,7 +157,7 @@ class MlflowView:
                 raise
 
     def page(self) -> str:
-        """Where a person looks at the experiment; empty while the store is away."""
+        """Return the page of the experiment, empty while the store is away."""
         try:
             self.check()
             return page(self.store, experiment_id(self.store, self._experiment))
@@ -170,7 +171,7 @@ class MlflowView:
 
 
 class _Opened:
-    """A run of the store, with what it is known to have; a cache that one process keeps."""
+    """A run of the store and what it is known to have; a cache of one process."""
 
     def __init__(self, run_id: str, store: Store) -> None:
         self.run_id, self._client = run_id, connect(store)
@@ -183,7 +184,7 @@ class _Opened:
         }
 
     def send_series(self, rows: list[dict[str, float]]) -> None:
-        """Rows after those that the store has."""
+        """Send the rows after those that the store has."""
         from mlflow.entities import Metric
 
         new = [
@@ -198,10 +199,11 @@ class _Opened:
             self._sent |= {metric.key: metric.step for metric in batch}
 
     def send_measures(self, measures: dict[str, float]) -> None:
-        """Final numbers, at step 0."""
+        """Send final numbers, at step 0."""
         self.send_series([{EPOCH: 0, TIME: time.time(), **measures}])
 
     def upload(self, folder: RunFolder) -> None:
+        """Send the files of the folder."""
         for path in folder.files():
             inside = path.relative_to(folder.path)
             if path.is_dir():
@@ -211,13 +213,13 @@ class _Opened:
                 self._client.log_artifact(self.run_id, str(path), artifact_path=parent)
 
     def explain(self, told: str) -> None:
-        """The description that MLflow shows."""
+        """Set the description that MLflow shows."""
         if told and self._tags.get(NOTE) != told:
             self._client.set_tag(self.run_id, NOTE, told)
             self._tags[NOTE] = told
 
     def set_status(self, outcome: Outcome) -> None:
-        """RUNNING, FINISHED, FAILED or KILLED, with the reason where there is one."""
+        """Set RUNNING, FINISHED, FAILED or KILLED, with the reason if there is one."""
         status = STATUS[outcome.status]
         if status == self._status:
             return
@@ -235,7 +237,7 @@ class _Opened:
 
 
 def _send_parameters(store: Store, run_id: str, about: About) -> None:
-    """Those that the store does not have: MLflow lets none be changed."""
+    """Send parameters that the store does not have: MLflow lets none be changed."""
     from mlflow.entities import Param
 
     client = connect(store)

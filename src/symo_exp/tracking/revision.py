@@ -9,11 +9,10 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def revision_tags(package: Path = PACKAGE) -> dict[str, str]:
-    """Commit and whether the package differs from it, new files included; nothing outside a
-    checkout.
+    """Return the commit and whether the package differs from it; nothing outside a checkout.
 
-    An installed package may lie inside somebody else's repository (an environment in a project):
-    only a repository that tracks the package's own file counts.
+    An installed package may lie inside another repository (an environment in a project): only a
+    repository that tracks the package's own file counts.
     """
     if _git(package, "ls-files", "--error-unmatch", "__init__.py") is None:
         return {}

@@ -1,8 +1,8 @@
 """Where runs are kept: an SQLite file by default, any MLflow tracking URI by configuration.
 
-MLflow creates a database, its tables and an experiment without a lock, so that processes that
-start together on a fresh store kill each other ("table experiments already exists"). Here all of
-it happens under a file lock beside the database.
+MLflow creates a database, its tables and an experiment without a lock, so that processes starting
+together on a new store fail ("table experiments already exists"). Here all of it happens under a
+file lock beside the database.
 """
 
 from __future__ import annotations
@@ -36,12 +36,11 @@ UNUSED = "0"
 
 
 class AwayError(ConfigError):
-    """Nobody answers where the store should be: a mistake at the start of a command, and later
-    something to sit out."""
+    """Raised when the store does not answer."""
 
 
 def is_away(error: BaseException) -> bool:
-    """Whether an error says that the store does not work now, not that we ask it for nonsense."""
+    """Return whether an error says that the store does not work now."""
     if isinstance(error, AwayError | ConnectionError):
         return True
     status = getattr(error, "get_http_status_code", None)  # of an MlflowException
@@ -50,7 +49,7 @@ def is_away(error: BaseException) -> bool:
 
 @dataclass(frozen=True)
 class Store:
-    """A tracking store; relative paths have become absolute."""
+    """A tracking store; relative paths have been made absolute."""
 
     uri: str
     artifacts: str | None
@@ -59,7 +58,7 @@ class Store:
     """The file of an SQLite store."""
 
     def __str__(self) -> str:
-        """The URI without a password."""
+        """Return the URI without a password."""
         parts = urlsplit(self.uri)
         if not parts.password:
             return self.uri
@@ -67,7 +66,7 @@ class Store:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep other processes out of an SQLite store while something is created in it."""
+        """Lock an SQLite store while something is created in it."""
         if self.database is None:
             yield
             return
@@ -83,10 +82,7 @@ class Store:
 
 
 def find(tracking_uri: str | None, directory: str | Path) -> Store:
-    """The store meant by the configuration, else by MLFLOW_TRACKING_URI, else SQLite.
-
-    ``directory`` holds the default ``mlflow.db`` and, unless a server decides, the artifacts.
-    """
+    """Return the store of the configuration, else of MLFLOW_TRACKING_URI, else SQLite."""
     folder = Path(directory).expanduser().absolute()
     uri = tracking_uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{folder}/mlflow.db"
     scheme = urlsplit(uri).scheme.partition("+")[0]
@@ -152,7 +148,7 @@ def _check_file(database: Path) -> None:
 
 @functools.lru_cache(maxsize=8)
 def connect(store: Store) -> MlflowClient:
-    """A client of the store; creates and migrates the tables of a fresh database (3 s)."""
+    """Return a client; creates and migrates the tables of a new database (3 s)."""
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
     # MLflow's own patience is minutes per call: training would seem to hang on a dead server.
@@ -183,8 +179,10 @@ def connect(store: Store) -> MlflowClient:
 
 
 def _create(store: Store) -> None:
-    """Make a fresh SQLite database, dozens of tables, aside: whole or not at all, since MLflow can
-    do nothing with the half of one that a killed process would leave."""
+    """Create a new SQLite database atomically.
+
+    MLflow cannot use the half of one that a killed process would leave.
+    """
     if store.database is None or (store.database.exists() and store.database.stat().st_size):
         return
     from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
@@ -196,7 +194,7 @@ def _create(store: Store) -> None:
 
 
 def experiment_id(store: Store, name: str) -> str:
-    """The experiment of that name, created if need be; racing processes get the same one."""
+    """Return the experiment of that name, created if need be, once for racing processes."""
     from mlflow.exceptions import MlflowException
 
     client = connect(store)
@@ -223,7 +221,7 @@ def experiment_id(store: Store, name: str) -> str:
 
 
 def _is_unused(client: MlflowClient, store: Store) -> bool:
-    """Whether MLflow's own first experiment is as it made it here: the first of ours takes it."""
+    """Return whether the experiment that MLflow makes with every store has no runs."""
     found = [one for one in client.search_experiments() if one.experiment_id == UNUSED]
     if not found or found[0].name != "Default":
         return False

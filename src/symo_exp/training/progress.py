@@ -18,7 +18,7 @@ class ProgressBar(lightning.Callback):
     process of a sweep among others."""
 
     def __init__(self) -> None:
-        self.shown = phases.shown(notebook=True)
+        self.shown = phases.visible(notebook=True)
         self._bar: Any = None
         self._start, self._drawn = 0, 0.0
 

@@ -1,4 +1,4 @@
-"""The command from Python: ``symo_exp.run("model=symo", "system=pendulum")``."""
+"""Runs from Python, as the command does them."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ class Run:
 
     @cached_property
     def measures(self) -> dict[str, float]:
-        """By name, those of studies too: docs/metrics.md."""
+        """Measures by name, those of studies included: docs/metrics.md."""
         return RunFolder(self.folder).measures()
 
     @cached_property
     def rollouts(self) -> pd.DataFrame:
-        """Predicted beside true motions, a row for each node."""
+        """Predicted and true motions, a row per node."""
         return pd.read_parquet(self.folder / ROLLOUTS)
 
     def figure(self, name: str) -> Image.Image:
-        """A picture of the run, as a notebook shows it: trajectories, phase_portrait, …"""
+        """Return a picture of the run by name, such as ``trajectories`` or ``phase_portrait``."""
         found = {path.stem: path for path in sorted((self.folder / PICTURES).glob("*"))}
         if name not in found:
             there = ", ".join(found) or "none: the run was made with pictures=false"
