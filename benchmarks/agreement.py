@@ -1,4 +1,4 @@
-"""Do all contenders compute the same numbers? Loss, gradient and prediction beside float64.
+"""Agreement of all contenders in loss, gradient and prediction with a float64 reference.
 
 The reference is baseline (a) in float64. Baseline (a) is timed through the adjoint, whose
 gradient is that of another discretisation (thesis section 4.2.2); the comparison takes the exact
@@ -27,7 +27,7 @@ of configurations by h."""
 
 @dataclass(frozen=True)
 class Difference:
-    """How far a contender is from the reference."""
+    """Errors of a contender relative to the reference."""
 
     system: str
     method: str

@@ -48,7 +48,7 @@ def jacobian(output: Tensor, wrt: Tensor) -> Tensor:
 
 
 class Method(nn.Module):
-    """What the four methods share: the embedding of the coordinates and the input."""
+    """Base of the four methods: the embedding of the coordinates and the input."""
 
     input_matrix: Tensor
 
@@ -70,7 +70,7 @@ class Method(nn.Module):
         return u @ self.input_matrix.T
 
     def residuals(self, windows: Windows) -> Tensor:
-        """What training makes small, (B, k)."""
+        """Return the residuals that training minimises, (B, k)."""
         raise NotImplementedError
 
     def loss(self, windows: Windows) -> Tensor:

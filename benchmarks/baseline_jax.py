@@ -151,7 +151,7 @@ class Method:
         return jax.grad(self.discrete_lagrangian, 1)(parameters, q0, q1)
 
     def known_half(self, parameters: Parameters, s: Samples) -> Array:
-        """What g has that does not depend on q_{k+1}: D2 L_d(q_{k-1}, q_k) and the forces."""
+        """Return the part of g without q_{k+1}: D2 L_d(q_{k-1}, q_k) and the forces."""
         d2 = jax.grad(self.discrete_lagrangian, 2)(parameters, s.q_prev, s.q)
         return d2 + self.h / 4 * self.input_matrix @ (s.u_prev + 2 * s.u + s.u_next)
 

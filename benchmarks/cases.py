@@ -1,4 +1,4 @@
-"""What is measured: systems (only their shape matters), weights and windows, equal for everybody.
+"""Benchmark cases: systems (only their shape matters), weights and windows, equal for all.
 
 Everything is made in float64 from a seed; each implementation casts it to its own precision, so
 that all of them see the same weights and the same data.
@@ -206,7 +206,7 @@ def system_windows(name: str, count: int, seed: int = 0) -> Windows:
 
 
 def plausible_weights(name: str, method: str) -> list[Layer]:
-    """What training passes through early: near the true Lagrangian, but half as heavy again.
+    """Return a Lagrangian near the true one with half as much mass again, as early in training.
 
     The network is fitted to 1.5 H and to V. Its roots exist, and its losses are large enough to
     be compared in float32. NODE keeps its initial weights, which decide nothing about its cost.

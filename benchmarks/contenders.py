@@ -18,7 +18,7 @@ from benchmarks.cases import Case, Layer, Windows
 
 
 class Contender(Protocol):
-    """What a benchmark asks of an implementation; `batch` is what `prepare` returned."""
+    """Interface of an implementation to the benchmarks; `batch` is a result of `prepare`."""
 
     def prepare(self, windows: Windows) -> Any:
         """The windows in this implementation's arrays and precision."""
@@ -127,5 +127,5 @@ class Jax:
 
 
 def jax_is_installed() -> bool:
-    """Whether baseline (b) can run."""
+    """Return whether baseline (b) can run."""
     return importlib.util.find_spec("jax") is not None

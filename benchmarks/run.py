@@ -59,7 +59,7 @@ MEASURES = ("step", "evaluation", "rollout", "fit", "hard")
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured, and how long."""
+    """Selection and duration of the measurements."""
 
     measures: tuple[str, ...]
     systems: tuple[str, ...]
@@ -199,7 +199,7 @@ def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
 
 
 def machine() -> str:
-    """What the numbers were measured on."""
+    """Return a description of the machine."""
     name = platform.processor() or platform.machine()
     path = Path("/proc/cpuinfo")
     if path.exists():

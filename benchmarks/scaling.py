@@ -32,7 +32,7 @@ Point = tuple[int, Case, int]
 
 
 def axes(*, quick: bool) -> dict[str, list[Point]]:
-    """What is varied, everything else held at the acrobot with batch 128 and width 256."""
+    """The varied quantity; all else is the acrobot with batch 128 and width 256."""
     base = CASES["acrobot"]
     batches = (32, 128, 512) if quick else (16, 32, 64, 128, 256, 512, 1024, 2048)
     widths = (64, 256, 512) if quick else (32, 64, 128, 256, 512, 1024)

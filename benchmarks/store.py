@@ -64,7 +64,7 @@ def served(folder: Path) -> Iterator[str | None]:
 
 
 def requests_of_a_run(store: Store, folder: Path) -> None:
-    """What the tracker asks of the server for a run without files, by kind."""
+    """Requests of the tracker to the server for a run without files, by kind."""
     import requests
 
     asked: Counter[str] = Counter()

@@ -85,7 +85,7 @@ def ms(row: Row | None) -> str:
 
 
 def ratio(over: Row | None, under: Row | None) -> str:
-    """How many times one is the other."""
+    """Return a ratio as text."""
     return "–" if over is None or under is None else f"{over.ms / under.ms:.2f}"
 
 
@@ -147,7 +147,7 @@ def comparison(found: dict[Key, Row], measure: str) -> str:
 
 
 def overhead(found: dict[Key, Row]) -> str:
-    """What the framework adds to the steps."""
+    """Return the overhead of the framework over the steps."""
     lines = []
     for key, fit in found.items():
         if key[0] == "fit":

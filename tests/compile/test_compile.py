@@ -1,4 +1,4 @@
-"""What is compiled follows what is not."""
+"""Compiled training and rollouts agree with the uncompiled ones."""
 
 import copy
 import pickle
@@ -23,7 +23,7 @@ from tests.models.methods import flows, learner, make, pairwise, windows
 
 
 def said(caplog):
-    """What the project logs, without what the compiler does."""
+    """Return the messages of the project, without those of the compiler."""
     return [r.getMessage() for r in caplog.records if r.name.startswith("symo_exp")]
 
 
@@ -106,7 +106,7 @@ def traced_only(monkeypatch):
 @pytest.mark.usefixtures("traced_only")
 @pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows()))
 def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator, n):
-    """Whatever the lengths of the rollouts and the layouts of what they start from."""
+    """Rollouts have several lengths and initial states several memory layouts."""
     model, data = make(method, integrator, n), windows(n)
     u = torch.randn(len(data.q), 4, 1, dtype=torch.float64)
     starts = (data.q, data.v, u), (data.q.T.contiguous().T, data.v, u[:, 1:])
@@ -227,7 +227,7 @@ class Counted(Residual):
     ],
 )
 def test_statistics_mean_the_same(method, options):
-    """Rows that are roots from the start among others: means over rows, iterations from none."""
+    """Statistics are means over rows, some of which are roots from the start."""
     model, data = learner(method, "midpoint", 1, **options), windows(1, samples=8)
     if method == "e2e_symo" and model.objective.guess == "datum":
         reached = model.model.predict(data).q.detach()

@@ -114,7 +114,7 @@ def test_order_of_convergence(name, n):
 @pytest.mark.parametrize(("name", "n"), [*zip(METHODS, cycle((1, 2, 3)))])
 @torch.no_grad()
 def test_energy_never_rises_without_input(name, n):
-    """But for the oscillation of a symplectic method, which friction exceeds here."""
+    """Friction exceeds the oscillation of the energy of a symplectic method here."""
     method, lagrangian, h = METHODS[name], dissipative_chain(n, rest_velocity=0.2), 0.02
     q, v = start(n)
     p, zero, energies = lagrangian.momentum(q, v), torch.zeros_like(q), [lagrangian.energy(q, v)]

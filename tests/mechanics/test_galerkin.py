@@ -1,4 +1,4 @@
-"""What the table of integrators does not show of the Galerkin ones: bubbles, forces, rows."""
+"""Galerkin integrators beyond the table of integrators: inner coefficients, forces, rows."""
 
 import pytest
 import torch

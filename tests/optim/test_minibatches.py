@@ -20,7 +20,7 @@ OPTIMIZERS = {
 
 @pytest.fixture(params=[True, False], ids=["on a CPU", "as on a GPU"])
 def waiting(request, monkeypatch):
-    """Whether the host may read the gradient's norm."""
+    """Run with and without reading the norm of the gradient on the host."""
     told = partial(step_bounded, wait=request.param)
     monkeypatch.setattr(base, "step_bounded", lambda *it, wait: told(*it))
 
