@@ -1,1 +1,1 @@
-"""The four methods as LightningModules; none of them sees the true system."""
+"""The four methods as plain modules: a flow, and an objective to train it on."""

@@ -1,4 +1,4 @@
-"""One time step differentiated by the adjoint sensitivity method (thesis section 4.2.2)."""
+"""A time step differentiated by the adjoint sensitivity method (thesis section 4.2.2)."""
 
 from torch import Tensor, nn
 from torchdiffeq import odeint_adjoint
@@ -21,10 +21,10 @@ class _Motion(nn.Module):
 def adjoint_step(
     field: Field, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor, h: float, *, method: str
 ) -> tuple[Tensor, Tensor]:
-    """The state after ``h`` by torchdiffeq's fixed-step ``method`` (Chen et al. 2018).
+    """Return the state after ``h`` by torchdiffeq's fixed-step ``method`` (Chen et al. 2018).
 
-    The gradient solves the adjoint equation with the same method, so it is that of the
-    continuous problem: inexact for the discrete step, but what the thesis trains with.
+    The gradient solves the adjoint equation with the same method. It is that of the continuous
+    problem, inexact for the discrete step; the thesis trains with it.
     """
     motion, times = _Motion(field, u, u_next, h), q.new_tensor([0.0, h])
     trained = tuple(p for p in field.parameters() if p.requires_grad)

@@ -1,4 +1,4 @@
-"""A dynamics model: a flow with a face that takes what a user has."""
+"""The dynamics model: a flow with an interface for states in any form."""
 
 from __future__ import annotations
 
@@ -21,11 +21,17 @@ from symo_exp.models.objectives import Objective
 class DynamicsModel(nn.Module):
     """The motion of a mechanical system with coordinates ``q`` (n) and controls ``u`` (m).
 
-    Methods take a batch, ``q`` and ``v`` (B, n), ``u`` (B, m), and give one back; or a single
-    state, ``q`` and ``v`` (n,), ``u`` (m,), and give back a single result. Arguments are tensors,
-    NumPy arrays, DataFrames or lists in SI units, of any precision; results are tensors in the
-    precision and on the device of the model. They carry a gradient only if an argument is a tensor
-    that requires one; otherwise they convert to NumPy as they are.
+    Methods map a batch, ``q`` and ``v`` (B, n), ``u`` (B, m), to a batch, and a single state,
+    ``q`` and ``v`` (n,), ``u`` (m,), to a single result. Arguments are tensors, NumPy arrays,
+    DataFrames or lists in SI units, of any precision; results are tensors in the precision and on
+    the device of the model. They carry a gradient only if an argument is a tensor that requires
+    one; otherwise they convert to NumPy directly.
+
+    Args:
+        flow: The map of a state over one time step.
+        coordinates: Coordinates of the system.
+        objective: Residuals that training minimises; ``None`` for a model that is not trained.
+        evaluation_dtype: Precision of the copy for evaluation.
     """
 
     def __init__(
@@ -43,7 +49,7 @@ class DynamicsModel(nn.Module):
         self.compiled: dict[str, Callable[..., Any]] = {}
         """Functions that replace uncompiled ones: "rollout" replaces ``flow.advance``."""
         self.system: Any = None
-        """What is known of the system, of a model that was loaded from a run."""
+        """The system of a model that was loaded from a run."""
 
     @property
     def learns(self) -> bool:
@@ -62,19 +68,22 @@ class DynamicsModel(nn.Module):
 
     @property
     def lagrangian(self) -> Lagrangian | None:
-        """The learned Lagrangian, where the method has one."""
+        """The learned Lagrangian, if the method has one."""
         return self.flow.lagrangian
 
     @property
     def dissipation(self) -> Dissipation | None:
-        """The learned dissipation, where there is one."""
+        """The learned dissipation, if there is one."""
         return getattr(self.lagrangian, "dissipation", None)
 
     def step(self, q: Array, v: Array, u: Array = None, u_next: Array = None) -> Step:
-        """The state one time step later, differentiable in all arguments.
+        """Return the state one time step later, differentiable in all arguments.
 
-        The control goes linearly from ``u`` to ``u_next``. Without ``u`` it is zero, without
-        ``u_next`` it is held.
+        Args:
+            q: Configurations (B, n) or (n,).
+            v: Velocities, of the same shape.
+            u: Controls (B, m) or (m,) at the start of the step; zero if left out.
+            u_next: Controls at its end, reached linearly; ``u`` if left out.
         """
         given = Inputs(self.input_matrix, q)
         v, u = given.state("v", v), given.control("u", u)
@@ -86,12 +95,21 @@ class DynamicsModel(nn.Module):
     def rollout(
         self, q0: Array, v0: Array, u: Array = None, *, steps: int | None = None
     ) -> Rollout:
-        """The trajectory from ``(q0, v0)``: ``q`` and ``v`` (B, T+1, n), ``converged`` (B, T).
+        """Return the trajectory from ``(q0, v0)``, without gradients.
 
-        ``u`` (B, T+1, m) holds the control at every node, first to last; without it the motion is
-        unforced and ``steps`` is T. From a single state it is (T+1, m) and so on. A trajectory
-        that diverges ends in non-finite numbers. Nothing is differentiated. A start that is not
-        finite raises ``ConfigError``.
+        A trajectory that diverges ends in non-finite numbers.
+
+        Args:
+            q0: Initial configurations (B, n) or (n,).
+            v0: Initial velocities, of the same shape.
+            u: Controls (B, T+1, m) or (T+1, m) at all nodes, first to last.
+            steps: The number T of steps of an unforced motion, instead of ``u``.
+
+        Returns:
+            ``q`` and ``v`` (B, T+1, n) and ``converged`` (B, T), without B for a single state.
+
+        Raises:
+            ConfigError: If a start is not finite.
         """
         given = Inputs(self.input_matrix, q0)
         v, controls = given.finite("v0", given.state("v0", v0)), given.controls(u, steps)
@@ -101,24 +119,35 @@ class DynamicsModel(nn.Module):
         return Rollout(*(x[0] for x in rollout)) if given.single else rollout
 
     def linearize(self, q: Array, v: Array, u: Array = None) -> Linear:
-        """``A`` (B, 2n, 2n) and ``B`` (B, 2n, m): derivatives of ``(q, v)`` one time step later in
-        ``(q, v)`` and in the control ``u``, held over the step; without ``u`` at zero.
+        """Return the derivatives of ``(q, v)`` one time step later, in the state and the control.
 
-        They are exact, by the implicit function theorem where a root was found, and ``nan`` in
-        rows where none was. Nothing is differentiated further.
+        They are exact, by the implicit function theorem where a root is found, and ``nan`` in rows
+        without a root. They have no gradients themselves.
+
+        Args:
+            q: Configurations (B, n) or (n,).
+            v: Velocities, of the same shape.
+            u: Controls (B, m) or (m,), held over the step; zero if left out.
+
+        Returns:
+            ``A`` (B, 2n, 2n) and ``B`` (B, 2n, m), without B for a single state.
         """
         given = Inputs(self.input_matrix, q)
         found = linearize(self.flow, given.q, given.state("v", v), given.control("u", u))[1]
         return Linear(*(x[0] for x in found)) if given.single else found
 
     def inverse_dynamics(self, q_prev: Array, q: Array, q_next: Array) -> Tensor:
-        """The held control ``u`` (B, m) that takes three configurations, one time step apart.
+        """Return the held control (B, m) behind three configurations, one time step apart.
 
-        Of all motions of the model through ``q_prev`` and ``q`` it is that of the one that comes
-        nearest to ``q_next``: exact where there is a control for each coordinate. With fewer
-        (underactuated) a motion of the model gives its control back, and for any other the
-        distance, root mean square over coordinates, is least; with more ``u`` is the shortest.
-        Rows for which no such motion is found are ``nan``.
+        Of all motions of the model through ``q_prev`` and ``q`` it belongs to the one that comes
+        closest to ``q_next``, which it reaches where there is a control for each coordinate. With
+        fewer controls (underactuated) the root mean square distance is least; with more, ``u`` has
+        the least norm. Rows for which no such motion is found are ``nan``.
+
+        Args:
+            q_prev: Configurations (B, n) or (n,) at the first node.
+            q: Configurations at the second node.
+            q_next: Configurations at the third node.
         """
         given = Inputs(self.input_matrix, q_prev)
         q, q_next = given.state("q", q), given.state("q_next", q_next)
@@ -126,27 +155,27 @@ class DynamicsModel(nn.Module):
         return u[0] if given.single else u
 
     def initial_velocity(self, windows: Windows) -> Tensor:
-        """The velocity at node ``k`` with which a prediction starts."""
+        """Return the velocity (samples, n) at node ``k`` with which a prediction starts."""
         return self.flow.initial_velocity(windows)
 
     def predict(self, windows: Windows) -> Step:
-        """The one-step prediction of node ``k+1`` that every measure uses."""
+        """Return the one-step prediction of node ``k+1``, which all measures use."""
         return self.flow.predict(windows)
 
     def energy(self, q: Array, v: Array) -> Tensor:
-        """Learned total energy (B,) [J, up to a constant]."""
+        """Return the learned total energy (B,) [J, up to a constant]."""
         return self._learned("energy", q, v)
 
     def mass_matrix(self, q: Array) -> Tensor:
-        """Learned inertia ``H(q)`` (B, n, n)."""
+        """Return the learned inertia ``H(q)`` (B, n, n)."""
         return self._learned("mass_matrix", q)
 
     def potential(self, q: Array) -> Tensor:
-        """Learned potential energy (B,) [J, up to a constant]."""
+        """Return the learned potential energy (B,) [J, up to a constant]."""
         return self._learned("potential", q)
 
     def momentum(self, q: Array, v: Array) -> Tensor:
-        """Learned momentum ``p = H(q) v`` (B, n)."""
+        """Return the learned momentum ``p = H(q) v`` (B, n)."""
         return self._learned("momentum", q, v)
 
     def _learned(self, quantity: str, q: Array, *v: Array) -> Tensor:
@@ -159,11 +188,11 @@ class DynamicsModel(nn.Module):
         return value[0] if given.single else value
 
     def for_evaluation(self) -> DynamicsModel:
-        """A copy for measuring: double precision, roots found to convergence."""
+        """Return a copy for evaluation: double precision, roots found to convergence."""
         twin = copy.deepcopy(self)
         twin.flow = twin.flow.converged()
         return twin.to(self._evaluation_dtype).eval().requires_grad_(False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """A copy goes without what was compiled for this model, and can be pickled."""
+        """Leave out compiled functions, which belong to this instance and cannot be pickled."""
         return {**self.__dict__, "compiled": {}}

@@ -1,4 +1,4 @@
-"""What a controller asks of a flow: its derivatives, and the input behind a motion."""
+"""Derivatives of a flow, and the control behind a motion."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Linear(NamedTuple):
 
 
 def linearize(flow: Flow, q: Tensor, v: Tensor, u: Tensor) -> tuple[Step, Linear]:
-    """One step under a held control, and its derivatives in state and control.
+    """Return one step under a held control, and its derivatives in state and control.
 
-    One forward pass, and one backward pass for each of the 2n rows. Where the root was not found
-    there is no derivative: such rows are ``nan``.
+    This takes one forward pass, and one backward pass for each of the 2n rows. Derivatives are
+    ``nan`` where no root was found.
     """
     n, m = q.shape[1], u.shape[1]
-    if isinstance(flow, ExplicitFlow):  # the step itself, whatever it is trained by
+    if isinstance(flow, ExplicitFlow):  # derivatives of the step itself, however it is trained
         flow = copy.copy(flow)
         flow.sensitivity = "direct"
     with torch.enable_grad():
@@ -44,7 +44,7 @@ def linearize(flow: Flow, q: Tensor, v: Tensor, u: Tensor) -> tuple[Step, Linear
 
 @torch.no_grad()
 def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> Tensor:
-    """The control (batch, m), held over both steps, behind three configurations.
+    """Return the control (batch, m), held over both steps, behind three configurations.
 
     A motion from ``q_prev`` has a velocity there and a control: ``v`` is such that it passes
     through ``q``, ``u`` such that it comes as near to ``q_next`` as it can. Both follow by the
@@ -53,7 +53,7 @@ def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> T
 
         dv = −J_v⁻¹ (r + J_u du)        min ‖s + K_v dv + K_u du‖ over du
 
-    Rows that do not settle are ``nan``.
+    Rows that do not converge are ``nan``.
     """
     n, m = q.shape[1], flow.input_matrix.shape[1]
     v, u = (q - q_prev) / flow.time_step, q.new_zeros(len(q), m)
@@ -69,7 +69,7 @@ def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> T
         dv = shift - matvec(slope, du)
         u, v = u + du, v + dv
         still = matvec(by_u[:, :n], du).abs() + (q - first.q).abs()
-        if m >= n:  # it can be reached: nothing is settled before
+        if m >= n:  # q_next can be reached: nothing has converged before
             still = still + to_go.abs()
         if not (still > rounding(q)).any():
             break

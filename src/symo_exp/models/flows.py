@@ -15,6 +15,7 @@ from typing import ClassVar, Literal, NamedTuple
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
+from typing_extensions import override
 
 from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.explicit import RungeKutta
@@ -33,7 +34,7 @@ from symo_exp.models.adjoint import adjoint_step
 from symo_exp.models.fields import Field
 
 Carried = tuple[Tensor, Tensor, Tensor]
-"""What a rollout carries from node to node, ``(q, y)``, and which rows have their root."""
+"""The state ``(q, y)`` of a rollout at a node, and which rows have converged."""
 
 
 class Step(NamedTuple):
@@ -54,16 +55,20 @@ class Rollout(NamedTuple):
 
 
 class Flow(nn.Module, ABC):
-    """``(q_k, v_k, u_k, u_{k+1}) → (q_{k+1}, v_{k+1})``, one ``time_step`` [s] later."""
+    """The map ``(q_k, v_k, u_k, u_{k+1}) → (q_{k+1}, v_{k+1})`` over one time step.
+
+    Args:
+        time_step: Time step [s].
+    """
 
     reads_velocity: ClassVar[bool]
-    """Whether predictions start from measured velocities; else these follow from configurations."""
+    """Whether predictions start from measured velocities, or from configurations alone."""
     branch_free = False
-    """Whether no operation of a step depends on a number, as a search for roots does."""
+    """Whether no operation of a step depends on values, as those of a root finder do."""
     input_matrix: Float[Tensor, "n m"]
     """``B`` of the generalised force ``F = B u``."""
     lagrangian: Lagrangian | None
-    """The Lagrangian that moves the system, where there is one."""
+    """The Lagrangian of the system, if the flow has one."""
 
     def __init__(self, time_step: float) -> None:
         super().__init__()
@@ -71,18 +76,18 @@ class Flow(nn.Module, ABC):
 
     @abstractmethod
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
-        """One time step, differentiable in all arguments and in the parameters."""
+        """Take one time step, differentiable in all arguments and in the parameters."""
 
     @abstractmethod
     def initial_velocity(self, windows: Windows) -> Float[Tensor, "samples n"]:
-        """The velocity at node ``k`` with which a prediction starts."""
+        """Return the velocity at node ``k`` with which a prediction starts."""
 
     def predict(self, windows: Windows) -> Step:
-        """The one-step prediction of node ``k+1`` that every measure uses."""
+        """Return the one-step prediction of node ``k+1``, which all measures use."""
         return self.step(windows.q, self.initial_velocity(windows), windows.u, windows.u_next)
 
     def converged(self) -> Flow:
-        """A copy with everything that is iterated carried to convergence, for measuring."""
+        """Return a copy for evaluation whose iterations run to convergence."""
         return copy.deepcopy(self)
 
     @torch.no_grad()
@@ -93,9 +98,11 @@ class Flow(nn.Module, ABC):
         u: Float[Tensor, "batch nodes m"],
         advance: Callable[..., Carried] | None = None,
     ) -> Rollout:
-        """From ``(q, v)`` under the controls ``u`` at every node; all trajectories at once. It
-        carries ``(q, y)``, ``y`` the velocity or what a flow has instead; ``advance`` does what
-        ``self.advance`` does."""
+        """Return trajectories from ``(q, v)`` under the controls ``u`` at all nodes.
+
+        The state carried from node to node is ``(q, y)``, with ``y`` of ``encode``. ``advance``
+        replaces ``self.advance``, as a compiled one does.
+        """
         y, none = self.encode(q, v), torch.zeros(len(q), dtype=torch.bool, device=q.device)
         nodes: list[Carried] = [(q, y, none)]
         for k in range(u.shape[1] - 1):
@@ -105,23 +112,29 @@ class Flow(nn.Module, ABC):
         return Rollout(q, v, converged[:, 1:])
 
     def encode(self, q: Tensor, v: Tensor) -> Tensor:
-        """``y`` of a state."""
+        """Return ``y`` of a state: the velocity, unless a flow carries something else."""
         return v
 
     def decode(self, q: Tensor, y: Tensor) -> Tensor:
-        """The velocity that belongs to ``(q, y)``."""
+        """Return the velocity of ``(q, y)``."""
         return y
 
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
-        """``(q, y)`` one time step later in a rollout, and which rows have their root."""
+        """Return ``(q, y)`` one time step later in a rollout, and which rows have converged."""
         step = self.step(q, y, u, u_next)
         return step.q, step.v, step.converged
 
 
 class ExplicitFlow(Flow):
-    """``v̇ = a(q, v, u)`` over one step of an explicit Runge-Kutta method (thesis section 3.2), in
-    rollouts of the ``rollout_integrator``. Gradients are those of the step itself, or with
-    ``sensitivity="adjoint"`` those of the continuous problem, by torchdiffeq (section 4.2.2).
+    """A field ``v̇ = a(q, v, u)`` in an explicit Runge-Kutta method (thesis section 3.2).
+
+    Args:
+        field: The acceleration.
+        integrator: Runge-Kutta method of steps.
+        time_step: Time step [s].
+        sensitivity: ``"direct"`` gradients are those of the step itself, ``"adjoint"`` ones those
+            of the continuous problem, by torchdiffeq (section 4.2.2).
+        rollout_integrator: Runge-Kutta method of rollouts; ``integrator`` if left out.
     """
 
     reads_velocity = True
@@ -142,13 +155,16 @@ class ExplicitFlow(Flow):
         self.branch_free = sensitivity == "direct"
 
     @property
+    @override
     def input_matrix(self) -> Tensor:  # type: ignore[override]
         return self.field.input_matrix
 
     @property
+    @override
     def lagrangian(self) -> Lagrangian | None:  # type: ignore[override]
         return self.field.lagrangian
 
+    @override
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
         rule, h = self.integrator, self.time_step
         if self.sensitivity == "adjoint" and torch.is_grad_enabled():
@@ -158,10 +174,12 @@ class ExplicitFlow(Flow):
         converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
         return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
 
+    @override
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
         state = self.rollout_integrator.step(self.field.forward, q, y, u, u_next, self.time_step)
         return *state, torch.ones_like(q[:, 0], dtype=torch.bool)
 
+    @override
     def initial_velocity(self, windows: Windows) -> Tensor:
         return windows.v
 
@@ -169,9 +187,18 @@ class ExplicitFlow(Flow):
 class VariationalFlow(Flow):
     """The discrete Euler-Lagrange equations of a Lagrangian (thesis section 3.3).
 
-    ``q_{k+1}`` is the root of ``p⁻(q_k, q_{k+1}) = p_k``; then ``p_{k+1} = p⁺(q_k, q_{k+1})``. It
-    reads configurations only. The velocity at a node is that of the discrete Legendre transform,
-    ``v_k = H(q_k)⁻¹ p⁺(q_{k−1}, q_k)``, which belongs to the integrator. A rollout carries ``p``.
+    ``q_{k+1}`` is the root of ``p⁻(q_k, q_{k+1}) = p_k``; then ``p_{k+1} = p⁺(q_k, q_{k+1})``.
+    Predictions depend on configurations only: the velocity at a node is that of the discrete
+    Legendre transform, ``v_k = H(q_k)⁻¹ p⁺(q_{k−1}, q_k)``. A rollout carries ``p``.
+
+    Args:
+        lagrangian: The Lagrangian.
+        integrator: Variational integrator.
+        time_step: Time step [s].
+        input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
+        root: Root finder of steps.
+        evaluation_root: That of the copy for evaluation; ``root`` if left out.
+        rollout_root: That of rollouts; ``evaluation_root`` if left out.
     """
 
     reads_velocity = False
@@ -196,14 +223,17 @@ class VariationalFlow(Flow):
             "input_matrix", input_matrix.to(torch.get_default_dtype()), persistent=False
         )
 
+    @override
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
         guess = q + self.time_step * v
         return self._state(self._move(q, self.encode(q, v), u, u_next, guess, self.root))
 
+    @override
     def predict(self, windows: Windows) -> Step:
         q, p, guess = windows.q, self.momentum_before(windows), 2.0 * windows.q - windows.q_prev
         return self._state(self._move(q, p, windows.u, windows.u_next, guess, self.root))
 
+    @override
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
         guess = q + self.time_step * self.decode(q, y)
         step = self._move(q, y, u, u_next, guess, self.rollout_root)
@@ -217,9 +247,11 @@ class VariationalFlow(Flow):
     def _state(self, at: VariationalStep) -> Step:
         return Step(at.q, self.decode(at.q, at.p), at.root.converged, at.root.iterations)
 
+    @override
     def initial_velocity(self, windows: Windows) -> Tensor:
         return self.decode(windows.q, self.momentum_before(windows))
 
+    @override
     def converged(self) -> VariationalFlow:
         twin = copy.deepcopy(self)
         twin.root, twin.integrator = self.evaluation_root, self.integrator.converged()
@@ -230,26 +262,31 @@ class VariationalFlow(Flow):
         """The discrete Lagrangian ``L_d`` of a time step."""
         return DiscreteLagrangian(self.integrator, self.lagrangian, self.time_step)
 
+    @override
     def encode(self, q: Tensor, v: Tensor) -> Tensor:
         return self.lagrangian.momentum(q, v)
 
+    @override
     def decode(self, q: Tensor, y: Tensor) -> Tensor:
         return self.lagrangian.velocity(q, y)
 
     def forces(self, u: Tensor, u_next: Tensor) -> Forces:
-        """The generalised forces ``F = B u`` at the ends of an interval."""
+        """Return the generalised forces ``F = B u`` at the ends of an interval."""
         return Forces(*(generalised_force(self.input_matrix, x) for x in (u, u_next)))
 
     def matching(self, q: Tensor, impulse: Tensor, forces: Forces) -> MomentumMatching:
-        """``g(q_{k+1}) = impulse + D₁L_d(q_k, q_{k+1}) = 0`` with ``impulse = p_k + f⁻``."""
+        """Return the equations of a step, given ``impulse = p_k + f⁻``.
+
+        They are ``g(q_{k+1}) = impulse + D₁L_d(q_k, q_{k+1}) = 0``.
+        """
         return MomentumMatching(self.discrete, q, impulse, forces)
 
     def expand_before(self, windows: Windows) -> DiscreteExpansion:
-        """``L_d`` around ``(q_{k−1}, q_k)``."""
+        """Expand ``L_d`` around ``(q_{k−1}, q_k)``."""
         forces = self.forces(windows.u_prev, windows.u)
         return self.discrete.expand(windows.q_prev, windows.q, forces)
 
     def momentum_before(self, windows: Windows, at: DiscreteExpansion | None = None) -> Tensor:
-        """``p_k = p⁺(q_{k−1}, q_k)``; ``at`` is ``L_d`` around them, where it is known."""
+        """Return ``p_k = p⁺(q_{k−1}, q_k)``; ``at`` is the expansion of ``L_d`` there, if known."""
         forces = self.forces(windows.u_prev, windows.u)
         return self.discrete.momentum(windows.q_prev, windows.q, forces, at)

@@ -77,7 +77,7 @@ class Inputs:
             raise ConfigError(f"{name} is no array of numbers: {reason}") from None
 
     def _read(self, name: str, given: Array, *shape: int | str) -> Tensor:
-        """Numbers of a shape, in which a size with a name is free."""
+        """Return numbers of a shape, in which a size given by a name may be any."""
         x, wanted = self._numbers(name, given), (*self._batch, *shape)
         sizes = [a if isinstance(b, str) else b for a, b in zip(x.shape, wanted, strict=False)]
         if x.ndim != len(wanted) or list(x.shape) != sizes:

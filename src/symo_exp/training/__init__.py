@@ -1,1 +1,1 @@
-"""Fitting a model: the trainer, what watches it, and what is left of it."""
+"""Training: the learner, the trainer with its callbacks, checkpoints and resuming."""

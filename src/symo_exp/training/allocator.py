@@ -1,4 +1,4 @@
-"""How the C library hands out memory."""
+"""Settings of the C library's memory allocator."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ _KEPT = 1 << 30
 
 
 def keep_freed_memory() -> None:
-    """Let freed blocks be used again instead of going back to the system.
+    """Let freed blocks be reused instead of being returned to the system.
 
-    A training step takes and frees the same hundreds of blocks every time. glibc returns those of
-    a megabyte and more at once, and the system hands out zeroed pages anew: at batch 512 thousands
-    of page faults a step. Other C libraries have no such setting and are left alone.
+    Every training step allocates and frees the same hundreds of blocks. glibc returns those of a
+    megabyte and more at once, and the system provides zeroed pages again: thousands of page faults
+    a step at batch 512. Other C libraries have no such setting and are left unchanged.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

@@ -1,4 +1,4 @@
-"""The state of a training, on disk every now and then."""
+"""Periodic checkpoints of a training."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from lightning.pytorch import callbacks
 from lightning.pytorch.plugins.io import TorchCheckpointIO
+from typing_extensions import override
 
 from symo_exp.files import write_whole
 from symo_exp.process import stopping
@@ -24,8 +25,9 @@ LAST, PREVIOUS = "last.ckpt", "previous.ckpt"
 
 
 class WholeFiles(TorchCheckpointIO):
-    """Checkpoints that appear whole or not at all; the one before is kept."""
+    """Writes checkpoints atomically and keeps the previous one."""
 
+    @override
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
     ) -> None:
@@ -35,19 +37,24 @@ class WholeFiles(TorchCheckpointIO):
     def load_checkpoint(
         self, path: str | os.PathLike[str], *args: Any, **kwargs: Any
     ) -> dict[str, Any]:
-        """Only tensors and plain values: a checkpoint is data and must not run anything."""
+        """Load tensors and plain values only: a checkpoint must not execute code."""
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         return state
 
 
 class Checkpoint(callbacks.Checkpoint):
-    """Write ``last.ckpt`` between two epochs when ``seconds`` have passed, and after the training.
+    """Writes ``last.ckpt`` at the end of epochs when ``seconds`` have passed, and after training.
 
-    Between two epochs, when everything about the first has been logged, nothing of it can be lost
-    or told twice. The file also holds the state of the random generators, which Lightning leaves
-    out, and says which ``run`` it belongs to and whether the training is ``complete``.
+    As a checkpoint callback of Lightning it is called after all others, so that everything about
+    the epoch has been logged. The file also contains the state of the random generators, which
+    Lightning leaves out, the ``run`` it belongs to and whether the training is ``complete``.
 
-    A stop that was requested happens here, after writing.
+    A requested stop takes effect here, after writing.
+
+    Args:
+        folder: Folder of the checkpoints.
+        seconds: Least time between two of them [s].
+        run: Digest of the run they belong to.
     """
 
     def __init__(self, folder: Path, seconds: float, run: str = "") -> None:
@@ -58,6 +65,7 @@ class Checkpoint(callbacks.Checkpoint):
         self._written = 0.0
         self._random: dict[str, Any] | None = None
 
+    @override
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         self._written = time.monotonic()
         if self._random is not None:
@@ -67,6 +75,7 @@ class Checkpoint(callbacks.Checkpoint):
             self._random = None
         stopping.raise_if_requested()
 
+    @override
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         if trainer.should_stop or trainer.current_epoch + 1 == trainer.max_epochs:
             return  # the training is over: ``on_fit_end`` follows
@@ -75,26 +84,28 @@ class Checkpoint(callbacks.Checkpoint):
         if signum is not None or due:
             try:
                 self.write(trainer)
-            except OSError as error:  # a full disk, perhaps: there is a good one from before
+            except OSError as error:  # a full disk, for example; the previous one remains
                 log.warning("no checkpoint: %s", error)
             self._written = time.monotonic()
         if signum is not None:
             raise stopping.Interrupted(signum)
 
+    @override
     def on_fit_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        # After ``on_train_end``, where an optimiser may put the best weights in place.
+        # after ``on_train_end``, where an optimiser may restore the best weights
         self._complete = True
         self.write(trainer)
 
     def write(self, trainer: lightning.Trainer, *, resumable: bool = True) -> None:
-        """Write the file now; weights alone, of which a training cannot go on, say so."""
+        """Write the file now; one with weights alone cannot be resumed and is marked so."""
         self._resumable = resumable
         trainer.save_checkpoint(self.last)
 
+    @override
     def on_save_checkpoint(
         self, trainer: lightning.Trainer, pl_module: Any, checkpoint: dict[str, Any]
     ) -> None:
-        # plain lists: a numpy array would need unpickling
+        # plain lists, since loading a NumPy array would need pickle
         numpy = [x.tolist() if isinstance(x, np.ndarray) else x for x in np.random.get_state()]
         checkpoint["random"] = {
             "torch": torch.get_rng_state(),
@@ -104,6 +115,7 @@ class Checkpoint(callbacks.Checkpoint):
         checkpoint["run"] = self.run
         checkpoint["complete"], checkpoint["resumable"] = self._complete, self._resumable
 
+    @override
     def on_load_checkpoint(
         self, trainer: lightning.Trainer, pl_module: Any, checkpoint: dict[str, Any]
     ) -> None:

@@ -1,4 +1,4 @@
-"""Whether a training is compiled."""
+"""The decision whether a training is compiled."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import lightning
 import torch
+from typing_extensions import override
 
 from symo_exp.compile import compile_training, compiler_available, kernel_cache, trains_compiled
 from symo_exp.process import phases
@@ -16,16 +17,22 @@ from symo_exp.process import phases
 log = logging.getLogger(__name__)
 
 COLD, WARM = 7000, 700
-"""Optimiser steps from which compiling pays, where its kernels are made first or are there: that
-takes up to a minute or some seconds, and saves some milliseconds a step."""
+"""Optimiser steps from which compiling saves time, without and with kernels in the cache.
+
+Compiling takes up to a minute without them and some seconds with them, and saves some milliseconds
+a step."""
 
 
 class CompileTraining(lightning.Callback):
-    """``True``, ``False`` or ``"auto"``: compile the training step of a run on a CPU.
+    """Compiles the training step of a run on a CPU.
 
-    ``auto`` decides by whether a C++ compiler is there, by the length of the whole run, and by
-    whether an earlier run has left the kernels for these ``settings`` and batches in the cache:
-    never by a clock. A resumed run goes on the way it began, to the same bits.
+    A resumed run keeps the decision of its start, and so gives the same bits.
+
+    Args:
+        mode: ``True``, ``False`` or ``"auto"``, which depends on the presence of a C++ compiler,
+            the length of the whole run, and whether an earlier run has left the kernels in the
+            cache; never on a clock.
+        settings: Digest of the settings that the kernels depend on.
     """
 
     def __init__(self, mode: bool | str, settings: str = "") -> None:
@@ -33,6 +40,7 @@ class CompileTraining(lightning.Callback):
         self._compiled: bool | None = None
         self._kernels: Path | None = None
 
+    @override
     def on_fit_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         possible, available = trains_compiled(pl_module), compiler_available()
         if self.mode is True and not (possible and available):
@@ -46,20 +54,24 @@ class CompileTraining(lightning.Callback):
         if self._compiled:
             compile_training(pl_module, validation=watches_much(trainer))
 
+    @override
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         if self._compiled:  # it happens in the first epoch
             phases.say("compiling the training step: once for each size, up to a minute")
 
+    @override
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         if self._compiled and self._kernels is not None:
-            with suppress(OSError):  # nothing will be found in a cache that cannot be written to
+            with suppress(OSError):  # a cache that cannot be written to stays empty
                 self._kernels.parent.mkdir(parents=True, exist_ok=True)
                 self._kernels.touch()
-        self._kernels = None  # told once
+        self._kernels = None  # marked once
 
+    @override
     def state_dict(self) -> dict[str, Any]:
         return {"compiled": self._compiled}
 
+    @override
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self._compiled = state_dict["compiled"]
 
@@ -72,7 +84,7 @@ class CompileTraining(lightning.Callback):
         return pl_module.device.type == "cpu" and steps >= enough
 
     def _made(self, trainer: lightning.Trainer) -> Path | None:
-        """The file that says that there are kernels for this training."""
+        """Return the file that marks the kernels of this training as present."""
         datamodule: Any = getattr(trainer, "datamodule", None)
         if datamodule is None:
             return None
@@ -82,7 +94,7 @@ class CompileTraining(lightning.Callback):
 
 
 def watches_much(trainer: lightning.Trainer) -> bool:
-    """Whether validation sees as many samples as training does, as in the thesis' protocol."""
+    """Return whether validation evaluates as many samples as training, as in the thesis."""
     datamodule: Any = getattr(trainer, "datamodule", None)
     if datamodule is None:
         return False

@@ -1,4 +1,4 @@
-"""A loss that is no number ends the run at once, with a sentence."""
+"""The end of a training whose loss is not finite."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import lightning
 import torch
 from torch.nn.utils import get_total_norm
+from typing_extensions import override
 
 from symo_exp.training.checkpoint import Checkpoint
 
@@ -20,15 +21,21 @@ class DivergenceError(RuntimeError):
 
 
 class StopOnDivergence(lightning.Callback):
-    """Looks at ``train_loss`` after every epoch; the last weights that were numbers are kept."""
+    """Ends a training whose ``train_loss`` is not finite and keeps the last finite weights.
+
+    Args:
+        checkpoint: The callback that writes them.
+    """
 
     def __init__(self, checkpoint: Checkpoint) -> None:
         self._checkpoint = checkpoint
         self._good: dict[str, torch.Tensor] | None = None
 
+    @override
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         self._remember(pl_module)
 
+    @override
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         loss = pl_module.epoch_metrics["train_loss"]
         if math.isfinite(loss):
@@ -53,4 +60,4 @@ class StopOnDivergence(lightning.Callback):
         try:
             self._checkpoint.write(trainer, resumable=False)
         except OSError as error:
-            log.warning("the last good weights are not kept: %s", error)
+            log.warning("the last finite weights are not kept: %s", error)

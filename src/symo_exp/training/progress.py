@@ -1,4 +1,4 @@
-"""Epoch, losses and time left, for a person who looks on."""
+"""A progress bar with epoch, losses and remaining time."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import lightning
 from tqdm import tqdm
+from typing_extensions import override
 
 from symo_exp.process import phases
 
@@ -14,18 +15,22 @@ _REFRESH = 0.2  # seconds; reading a loss from a GPU waits for it
 
 
 class ProgressBar(lightning.Callback):
-    """One line that is redrawn, on a terminal or in a notebook; silent in a file, a pipe, or a
-    process of a sweep among others."""
+    """A line that is redrawn on a terminal or in a notebook.
+
+    Nothing is written to files, to pipes, or by one of several processes of a sweep.
+    """
 
     def __init__(self) -> None:
         self.shown = phases.visible(notebook=True)
         self._bar: Any = None
         self._start, self._drawn = 0, 0.0
 
+    @override
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         self._start = trainer.current_epoch
         phases.say("training the first epoch")
 
+    @override
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         if self.shown and self._bar is None:
             phases.clear()
@@ -49,9 +54,11 @@ class ProgressBar(lightning.Callback):
         self._bar.n = trainer.current_epoch + 1
         self._bar.refresh()
 
+    @override
     def on_train_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         self._close()
 
+    @override
     def on_exception(self, trainer: lightning.Trainer, pl_module: Any, exception: Any) -> None:
         self._close()
 

@@ -1,4 +1,4 @@
-"""The numbers of each epoch go to the series of the run, and now and then to its store."""
+"""The series of a run, written during training and published periodically."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import lightning
+from typing_extensions import override
 
 from symo_exp.runs.series import Series
 
@@ -17,22 +18,30 @@ RETRY_SECONDS = 60.0
 
 
 class SeriesRecorder(lightning.Callback):
-    """A row of ``series`` at the end of each epoch; ``publish`` every ``seconds`` at most.
+    """Appends a row to the series at the end of each epoch and publishes it periodically.
 
-    Neither a full disk nor a store that is away stops a training: rows wait for the next epoch.
+    Neither a full disk nor an unreachable store stops a training: rows wait for the next epoch.
+
+    Args:
+        series: Series of the run.
+        publish: Function that updates the tracking store.
+        seconds: Least time between two calls of it [s].
     """
 
     def __init__(self, series: Series, publish: Callable[[], object], seconds: float) -> None:
         self.series, self.publish, self.seconds = series, publish, seconds
         self._due, self._full, self._validated = 0.0, False, False
 
+    @override
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        self.series.cut(trainer.current_epoch)  # what comes after is done again
+        self.series.cut(trainer.current_epoch)  # later epochs are repeated
         self._due = time.monotonic() + self.seconds
 
+    @override
     def on_validation_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         self._validated = True
 
+    @override
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         values = {name: float(value) for name, value in pl_module.epoch_metrics.items()}
         if self._validated:
@@ -47,10 +56,11 @@ class SeriesRecorder(lightning.Callback):
         if time.monotonic() >= self._due:
             self._publish()
 
+    @override
     def on_save_checkpoint(
         self, trainer: lightning.Trainer, pl_module: Any, checkpoint: dict[str, Any]
     ) -> None:
-        self.series.flush(settle=True)  # a checkpoint without its rows would lose them
+        self.series.flush(settle=True)  # rows missing beside a checkpoint would be lost
 
     def _publish(self) -> None:
         try:
@@ -58,4 +68,4 @@ class SeriesRecorder(lightning.Callback):
             self._due = time.monotonic() + self.seconds
         except Exception as error:
             self._due = time.monotonic() + RETRY_SECONDS
-            log.warning("the store is told later: %s", str(error).partition("\n")[0])
+            log.warning("the store is updated later: %s", str(error).partition("\n")[0])

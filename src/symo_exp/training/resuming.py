@@ -1,4 +1,4 @@
-"""Where a training left off: the last checkpoint that is sound and belongs to the run."""
+"""The last intact checkpoint of a run, from which its training resumes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ log = logging.getLogger(__name__)
 
 
 class Saved(NamedTuple):
+    """An intact checkpoint and its content."""
+
     path: Path
     state: dict[str, Any]
 
@@ -26,7 +28,7 @@ class Saved(NamedTuple):
 
 
 def latest(folder: Path, run: str, model: torch.nn.Module) -> Saved | None:
-    """The last checkpoint, else the one before, else nothing; a line in the log says why."""
+    """Return the last checkpoint, else the previous one, else ``None``, and log the reason."""
     for path in (folder / LAST, folder / PREVIOUS):
         if not path.exists():
             continue
@@ -34,7 +36,7 @@ def latest(folder: Path, run: str, model: torch.nn.Module) -> Saved | None:
             return Saved(path, _read(path, run, model))
         except _UnsoundError as error:
             log.warning("checkpoint %s is not used: %s", path, error)
-            with suppress(OSError):  # or it would take the place of the one before
+            with suppress(OSError):  # else it would replace the previous one
                 path.replace(path.with_suffix(".unsound"))
     return None
 
@@ -48,20 +50,20 @@ def _read(path: Path, run: str, model: torch.nn.Module) -> dict[str, Any]:
         if path.stat().st_size == 0:
             raise _UnsoundError("it is empty")
         with zipfile.ZipFile(path) as archive:
-            damaged = archive.testzip()  # the sums of all its parts
+            damaged = archive.testzip()  # checks all its parts
         if damaged is not None:
             raise _UnsoundError(f"{damaged} in it is damaged")
         state = torch.load(path, map_location="cpu", weights_only=True)
     except zipfile.BadZipFile:
-        raise _UnsoundError("it is no whole file") from None
-    except Exception as error:  # damaged in any other way, or not ours
+        raise _UnsoundError("it is not a complete file") from None
+    except Exception as error:  # damaged in another way, or of another program
         if isinstance(error, _UnsoundError):
             raise
         reason = next(iter(str(error).splitlines()), "") or type(error).__name__
         raise _UnsoundError(f"it cannot be read ({reason})") from None
     wanted = {"state_dict", "run", "complete", "resumable", "random", "optimizer_states"}
     if not isinstance(state, dict) or not wanted <= state.keys():
-        raise _UnsoundError("it is no checkpoint of a run")
+        raise _UnsoundError("it is not a checkpoint of a run")
     if state["run"] != run:
         raise _UnsoundError("it belongs to another run")
     if not state["resumable"]:

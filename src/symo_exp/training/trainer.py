@@ -1,4 +1,4 @@
-"""The Lightning trainer, with nothing in it that costs time between optimiser steps."""
+"""The Lightning trainer, without anything that takes time between optimiser steps."""
 
 from __future__ import annotations
 
@@ -37,13 +37,25 @@ def make_trainer(
     time_limit: float | None = None,
     callbacks: Sequence[lightning.Callback] = (),
 ) -> lightning.Trainer:
-    """A trainer whose Lightning batch is a whole epoch (see ``TrajectoryData``).
+    """Return a trainer whose Lightning batch is a whole epoch (see ``TrajectoryData``).
 
-    ``validate_every`` counts epochs, ``checkpoint_every`` seconds. ``threads`` holds for the
-    whole process: two jobs of a sweep on two cores get in each other's way with more than one.
-    ``compile`` and ``kernels``: see ``CompileTraining``. Checkpoints go to ``folder`` and say that
-    they belong to ``run``. The ``callbacks`` of the caller come first. A training that takes more
-    than ``time_limit`` [s] is ended.
+    Args:
+        accelerator: Device of the training.
+        max_epochs: Number of epochs.
+        validate_every: Epochs between two validations.
+        checkpoint_every: Least time between two checkpoints [s].
+        progress: Whether to show a progress bar on a terminal.
+        threads: Threads of the whole process; with more than one, jobs of a sweep that share the
+            cores slow each other down.
+        compile: Whether to compile the training step: see ``CompileTraining``.
+        folder: Folder of the checkpoints.
+        run: Digest of the run that the checkpoints belong to.
+        kernels: Digest of the settings that compiled kernels depend on.
+        time_limit: Processor time after which the training is ended [s]; ``None``: no limit.
+        callbacks: Callbacks that are called before those of the trainer.
+
+    Raises:
+        ConfigError: If an argument is out of range or there is no GPU.
     """
     counts = {"max_epochs": max_epochs, "validate_every": validate_every, "threads": threads}
     for name, value in counts.items():
@@ -68,8 +80,8 @@ def make_trainer(
         inference_mode=False,  # a Lagrangian is differentiated in validation, too
         logger=False,
         callbacks=[*callbacks, *ours, *bar, CompileTraining(compile, kernels)],
-        # on a cluster, too, a run is one process: Lightning's own ways of queueing it again and
-        # of choosing a checkpoint would get in the way of ours
+        # a run is one process on a cluster too; Lightning's own requeueing and its choice of a
+        # checkpoint would interfere with ours
         plugins=[WholeFiles(), LightningEnvironment()],
         enable_progress_bar=False,
         enable_model_summary=False,
@@ -78,12 +90,12 @@ def make_trainer(
 
 
 def _settle(accelerator: str, threads: int) -> None:
-    """What holds for the whole process."""
+    """Apply the settings of the whole process."""
     if accelerator == "gpu" and not torch.cuda.is_available():
         raise ConfigError("trainer.accelerator=gpu, but PyTorch finds no GPU here; use trainer=cpu")
     torch.set_num_threads(threads)
     keep_freed_memory()
-    # advice of Lightning that does not apply: to data in memory, an item an epoch, one process
+    # Lightning's advice does not apply to data in memory, one item an epoch and one process
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
     advice = ("does not have many workers", "number of training batches", "LeafSpec", "`srun`")
