@@ -67,6 +67,17 @@ def test_what_cannot_be_searched_is_refused_in_a_line(words, wanted, workplace, 
     assert not (workplace / "outputs").exists()
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_machine_at_rest_has_no_model_and_a_reason(noise, workplace, capsys):
+    frame = table()
+    frame["q_theta"] = noise * np.random.default_rng(0).normal(size=len(frame))
+    frame.to_csv("rest.csv", index=False)
+    assert main(["-cn", "machine", "data.path=rest.csv"]) == 1
+    said = capsys.readouterr().out
+    assert "verdict: no model" in said
+    assert "nothing moves" in said
+
+
 @pytest.mark.parametrize("delay", [-0.02, 0.0, 0.03])
 def test_the_delay_of_an_input_is_found(delay, workplace):
     rng = np.random.default_rng(0)

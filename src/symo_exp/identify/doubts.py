@@ -8,31 +8,36 @@ from symo_exp.identify.recordings import Machine
 
 EXPLAINED = 0.5
 """Share of the accelerations' power below which something else moves the machine."""
+HORIZONS = ("0.5s", "1s", "2s")
 BETTER = 0.5
-"""Share of constant velocity's error at 1 s above which reasons are given."""
+"""Share of constant velocity's error above which, over all horizons, there is no model."""
 LITTLE = 10.0
 """Length of recordings that is little [s]."""
 
 
-def doubts(measures: Mapping[str, float], machine: Machine) -> Iterator[str]:
-    """Yield reasons for a bad model; none for one that is better than constant velocity.
+def hopeless(measures: Mapping[str, float]) -> bool:
+    """Whether a model is hardly better than constant velocity over any horizon."""
+    pairs = [
+        (measures[f"rmse_{t}"], measures[f"constant_velocity_rmse_{t}"])
+        for t in HORIZONS
+        if f"rmse_{t}" in measures and f"constant_velocity_rmse_{t}" in measures
+    ]
+    return all(not own <= BETTER * other for own, other in pairs)
 
-    Args:
-        measures: Those of the run on its test part.
-        machine: What the recordings say.
-    """
-    own, other = (measures.get(f"{who}rmse_1s") for who in ("", "constant_velocity_"))
-    if own is not None and other is not None and own <= BETTER * other:
-        return
-    if machine.explained is None:
-        yield "why: too few samples, or nothing moves"
+
+def doubts(machine: Machine) -> Iterator[str]:
+    """Yield what the recordings show that keeps a model from being found."""
+    if not machine.moves:
+        yield "nothing moves by more than its noise"
+    elif machine.explained is None:
+        yield "there are too few samples to tell what moves the machine"
     elif machine.explained < EXPLAINED:
         yield (
-            f"why: configurations, friction and inputs explain {100 * machine.explained:.2g} % of "
-            "the accelerations' power; something else moves the machine, a sensor fails, or clocks "
-            "or units differ"
+            f"configurations, friction and inputs explain {100 * machine.explained:.2g} % of the "
+            "accelerations' power: something else moves the machine, a sensor fails, or clocks or "
+            "units differ"
         )
     if machine.seconds < LITTLE:
-        yield f"why: {machine.seconds:.2g} s are little to learn from"
+        yield f"{machine.seconds:.2g} s are little to learn from"
     if machine.delay:
-        yield f"perhaps: inputs seem to act {1e3 * machine.delay:g} ms after they are recorded"
+        yield f"inputs seem to act {1e3 * machine.delay:g} ms after they are recorded"

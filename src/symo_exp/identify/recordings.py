@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import explained_power
+from symo_exp.data.diagnose import explained_power, noise_of
 from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
 from symo_exp.data.parts import divided, split_in_time
@@ -36,6 +36,8 @@ DELAYS = np.arange(-0.04, 0.0601, 0.01)
 """Delays of inputs that are tried [s]."""
 GAIN = 0.05
 """Share of the unexplained power that a delay explains at least to be a candidate."""
+ABOVE_NOISE = 10.0
+"""Range of a coordinate over its noise from which it moves."""
 EXAMINED = 60.0
 """Length of the training part that the delay is estimated from [s]."""
 
@@ -53,6 +55,7 @@ class Machine:
         recordings: How many there are in these parts.
         delay: Of the inputs [s], if one explains the motion better than none; else 0.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
+        moves: Whether any coordinate moves by more than its noise.
         notes: What was inferred, a line each.
     """
 
@@ -65,6 +68,7 @@ class Machine:
     recordings: int
     delay: float
     explained: float | None
+    moves: bool
     notes: tuple[str, ...]
 
     @property
@@ -144,6 +148,7 @@ def examine(
         recordings=len(used),
         delay=delay,
         explained=1.0 - left[delay] if left else None,
+        moves=_moves(used),
         notes=(*notes, line) if driven else tuple(notes),
     )
 
@@ -172,6 +177,14 @@ def _in_radians(recording: Recording, angular: np.ndarray, data: Mapping[str, An
     if data.get("wrapped"):
         q = np.where(angular, np.unwrap(q, axis=0), q)
     return recording._replace(samples=recording.samples._replace(q=q))
+
+
+def _moves(recordings: Sequence[Recording]) -> bool:
+    for column in zip(*(one.samples.q.T for one in recordings), strict=True):
+        noise = np.nan_to_num(noise_of(column))
+        if max(np.ptp(x) for x in column) > max(ABOVE_NOISE * noise, np.finfo(float).tiny):
+            return True
+    return False
 
 
 def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:

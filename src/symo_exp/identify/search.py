@@ -25,7 +25,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
 from symo_exp.identify.candidates import Candidate, ladder, variations
-from symo_exp.identify.doubts import doubts
+from symo_exp.identify.doubts import doubts, hopeless
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.table import candidates_table, write_candidates
@@ -91,6 +91,8 @@ class Search:
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
         for note in machine.notes:
             print(note)
+        if not machine.moves:
+            return self._no_model()
         print(self._told_plan(), flush=True)
         chosen = [c for c in candidates if c.name in plan.names]
         self._screen(chosen)
@@ -303,12 +305,19 @@ class Search:
             return 1
         self._link(folder)
         measures = folder.measures()
-        print(f"verdict on the test part: {verdict(measures) or 'not judged'}")
-        for line in (comparison(measures), *doubts(measures, self._machine)):
-            if line is not None:
-                print(f"  {line}")
+        label = verdict(measures) or "not judged"
+        failed = hopeless(measures)
+        print(f"verdict on the test part: {'no model; ' * failed}{label}")
+        if (beside := comparison(measures)) is not None:
+            print(f"  {beside}")
+        if failed:
+            self._print_doubts()
         print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
         return 0
+
+    def _print_doubts(self) -> None:
+        for line in doubts(self._machine):
+            print(f"  perhaps why: {line}")
 
     def _longest(self, candidate: Candidate) -> str | None:
         """Return the bound of the data of the last fit; ``None`` where there are no more."""
@@ -316,10 +325,10 @@ class Search:
         return f"data.seconds={most:g}" if most < self._machine.seconds else None
 
     def _no_model(self) -> int:
-        self._summary(None)
-        print("verdict: no model; every candidate failed, for the reasons above")
-        for line in doubts({}, self._machine):
-            print(f"  {line}")
+        if self._trials:
+            self._summary(None)
+        print("verdict: no model")
+        self._print_doubts()
         return 1
 
     def _last_epoch(self, best: Trial) -> int:

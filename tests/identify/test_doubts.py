@@ -1,0 +1,42 @@
+"""Reasons for a bad model."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from symo_exp.identify.doubts import doubts, hopeless
+from symo_exp.identify.recordings import Machine
+
+SOUND = Machine(
+    settings=(), angular=(True,), driven=True, time_step=0.02, finest_step=0.01, seconds=60.0,
+    recordings=6, delay=0.0, explained=0.95, moves=True, notes=(),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "wanted"),
+    [
+        ({}, None),
+        ({"moves": False, "explained": None}, "nothing moves"),
+        ({"explained": None}, "too few samples"),
+        ({"explained": 0.2}, "20 %"),
+        ({"seconds": 3.0}, "3 s"),
+        ({"delay": 0.03}, "30 ms"),
+    ],
+)
+def test_each_doubt_is_said(changed, wanted):
+    found = list(doubts(replace(SOUND, **changed)))
+    assert len(found) == (wanted is not None)
+    assert all(wanted in line for line in found)
+
+
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [([0.1, 0.5, 3.0], False), ([0.6, 0.7, 0.8], True), ([math.inf] * 3, True), ([], True)],
+)
+def test_a_model_without_hope_is_hardly_better_than_constant_velocity_anywhere(errors, expected):
+    names = ("0.5s", "1s", "2s")
+    measures = {f"rmse_{t}": x for t, x in zip(names, errors, strict=False)}
+    measures |= {f"constant_velocity_rmse_{t}": 1.0 for t in names}
+    assert hopeless(measures) is expected
