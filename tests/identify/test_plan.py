@@ -1,10 +1,12 @@
 """Plans of a budget."""
 
+import itertools
+
 import pytest
 
 from symo_exp.errors import ConfigError
 from symo_exp.identify import plan as plans
-from symo_exp.identify.candidates import ladder, variations
+from symo_exp.identify.candidates import joined, ladder, variations
 from symo_exp.identify.recordings import Machine
 
 
@@ -82,4 +84,20 @@ def test_candidates_differ_and_variations_change_one_respect(n, angular):
         for other in variations(candidate, one):
             keys = {*candidate.settings, *other.settings}
             differ = [k for k in keys if candidate.settings.get(k) != other.settings.get(k)]
-            assert len(differ) == 1
+            assert len({k.partition(".")[0] for k in differ}) == 1
+
+
+def test_joined_variations_have_what_both_switch_on():
+    one = machine()
+    base = ladder(one)[0]
+    by_name = {c.name.rpartition(", ")[2]: c for c in variations(base, one)}
+    for first, second in itertools.permutations(by_name.values(), 2):
+        if {first.settings["dissipation"], second.settings["dissipation"]} <= {
+            "machine",
+            "friction",
+        }:
+            both = joined(base, first, second)
+            for each in (first, second):
+                on = {k: v for k, v in each.settings.items() if base.settings.get(k) != v}
+                assert all(both.settings[k] == v for k, v in on.items() if v != "false")
+            assert both.rank > max(first.rank, second.rank)

@@ -94,13 +94,21 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed(
             f"delay {1e3 * machine.delay:g} ms", 0.2, data__input_delay=f"{machine.delay:g}"
         )
-    friction = settings["dissipation"]
-    if friction == "friction":
-        yield _with_learned_friction(candidate)
+    if settings["dissipation"] == "friction":
+        yield candidate.changed(
+            "asymmetric friction", 0.2, 1.2,
+            dissipation="machine", dissipation__asymmetric="true",
+        )  # fmt: skip
+        yield candidate.changed(
+            "constant force", 0.1, 1.2,
+            dissipation="machine", dissipation__asymmetric="false", dissipation__constant="true",
+        )  # fmt: skip
         yield candidate.changed("viscous friction only", -0.3, dissipation="viscous")
         yield candidate.changed(
-            "sharp dry friction", 0.1, dissipation__rest_velocity=_sharp(machine)
-        )
+            "Stribeck friction", 0.2, 1.2,
+            dissipation="machine", dissipation__asymmetric="false", dissipation__stribeck="true",
+        )  # fmt: skip
+        yield _with_learned_friction(candidate)
     if machine.driven:
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight="100")
     if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
@@ -109,12 +117,24 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         )
 
 
+def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
+    """Return the candidate that has two variations of another; what either switches on is on."""
+    settings = dict(one.settings)
+    for key, value in other.settings.items():
+        if base.settings.get(key) != value and settings.get(key) != "true":
+            settings[key] = value
+    added = other.name.removeprefix(f"{base.name}, ")
+    return Candidate(
+        name=f"{one.name}, {added}",
+        rank=one.rank + other.rank - base.rank,
+        settings=settings,
+        cost=one.cost * other.cost / base.cost,
+        starts=base.starts,
+    )
+
+
 def _with_learned_friction(candidate: Candidate) -> Candidate:
     return candidate.changed("learned friction", 0.6, 1.5, dissipation="learned")
-
-
-def _sharp(machine: Machine) -> str:
-    return "0.02" if any(machine.angular) else "0.005"
 
 
 def _candidate(

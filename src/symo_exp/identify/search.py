@@ -11,7 +11,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -24,7 +24,7 @@ from symo_exp.data.folds import POOLED
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
-from symo_exp.identify.candidates import Candidate, ladder, variations
+from symo_exp.identify.candidates import Candidate, joined, ladder, variations
 from symo_exp.identify.doubts import doubts, hopeless
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
@@ -185,7 +185,7 @@ class Search:
             c for c in self._ranked(better[: plans.PROMOTED], folds) if self._gains(c, base, folds)
         ]
         if len(gains) > 1 and self._in_time(0.75, "variations are not combined"):
-            self._try([_joined(base.candidate, gains[0], gains[1])], folds)
+            self._try([joined(base.candidate, gains[0], gains[1])], folds)
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
         return beats(self._trials[candidate.name].errors, base.errors, folds)
@@ -436,22 +436,6 @@ def _by_key(overrides: Sequence[str]) -> dict[str, str]:
         assert line is not None
         found[override.get_key_element().lstrip("+~")] = line
     return found
-
-
-def _joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
-    """Return the candidate that has both variations."""
-    added = other.name.removeprefix(f"{base.name}, ")
-    return Candidate(
-        name=f"{one.name}, {added}",
-        rank=one.rank + other.rank - base.rank,
-        settings={**one.settings, **_differing(base.settings, other.settings)},
-        cost=one.cost * other.cost / base.cost,
-        starts=base.starts,
-    )
-
-
-def _differing(base: Mapping[str, str], other: Mapping[str, str]) -> dict[str, str]:
-    return {key: value for key, value in other.items() if base.get(key) != value}
 
 
 def _told(trial: Trial) -> str:
