@@ -1,4 +1,4 @@
-"""The picture of a machine: a window predicted in open loop, and the errors over all windows.
+"""Draw a machine: a window predicted in open loop, and the errors in all windows.
 
     python results/hardware/picture.py RUN FILE.png
 
@@ -8,52 +8,58 @@
 import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.charts import draw_charts
-from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import axis_label
+from symo_exp.report.looks import BASELINES, MEASURED, METHODS, RC, axis_label
 
-SYMO, MAKERS = ("symo", ""), ("reference", "")
-
-
-def points(t, y, source: str, pair=("", ""), **more) -> pd.DataFrame:
-    method, integrator = pair
-    table = {"x": t, "y": y, **more}
-    return pd.DataFrame(table).assign(source=source, method=method, integrator=integrator)
+SINGLE = 10
+"""Number of windows up to which each is drawn."""
+OURS = {"color": METHODS["symo"].colour}
+MAKERS = {"color": BASELINES["reference"].colour, "linestyle": (0, (4, 2))}
 
 
-def motion(one: pd.DataFrame, name: str) -> Panel:
-    parts = [points(one.t, one[f"q_true_{name}"], "measured"),
-             points(one.t, one[f"q_reference_{name}"], "floor", MAKERS),
-             points(one.t, one[f"q_{name}"], "ours", SYMO)]  # fmt: skip
-    label = axis_label(name, angular=True)
-    return Panel("", "time [s]", label, pd.concat(parts), y_log=False, mark="line")
-
-
-def errors(table: pd.DataFrame, names: list[str]) -> Panel:
-    parts = []
-    for source, pair, prefix in (("floor", MAKERS, "q_reference"), ("ours", SYMO, "q")):
-        squares = [(table[f"{prefix}_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names]
-        rms = table.assign(error=np.sqrt(sum(squares) / len(names)))[table.t > 0]
-        by_time = rms.groupby("t").error.quantile([0.1, 0.5, 0.9]).unstack()
-        low, middle, high = (by_time[share].to_numpy() for share in (0.1, 0.5, 0.9))
-        parts.append(points(by_time.index, middle, source, pair, low=low, high=high))
-    title = f"all {table.window.nunique()} windows of the test part: median and 80 %"
-    return Panel(title, "time [s]", "RMS error [rad]", pd.concat(parts), mark="line")
+def error(table: pd.DataFrame, prefix: str, names: list[str]) -> pd.Series:
+    squares = [(table[f"{prefix}_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names]
+    return np.sqrt(sum(squares) / len(names))
 
 
 def draw(run: Path, file: Path) -> None:
     table = pd.read_parquet(run / "windows.parquet")
     names = [c[7:] for c in table if c.startswith("q_true_")]
-    squares = sum((table[f"q_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names)
-    totals = squares.groupby(table.window).mean().sort_values()
+    table["ours"], table["makers"] = error(table, "q", names), error(table, "q_reference", names)
+    totals = table.groupby("window").ours.mean().sort_values()
     one = table[table.window == totals.index[(len(totals) - 1) // 2]]
-    panels = [*(motion(one, name) for name in names), errors(table, names)]
-    title = "A window of median error, predicted in open loop, and the errors"
-    draw_charts(Figure(file.stem, title, "", panels, columns=2), file.parent, ["png"])
+    gaps = np.diff(np.sort(one[[f"q_{n}" for n in names]].to_numpy(), axis=1), axis=1)
+    apart = int(gaps.min(axis=1, initial=np.inf).argmax())  # where labels do not collide
+    figure, (motion, errors) = plt.subplots(1, 2, figsize=(10, 3.2))
+    for i, name in enumerate(names):
+        predicted, measured = one[f"q_{name}"], one[f"q_true_{name}"]
+        motion.plot(one.t, predicted, lw=1.5, label="" if i else "predicted by SyMo", **OURS)
+        motion.plot(
+            one.t, measured, ".", ms=4, color=MEASURED.colour, label="" if i else "measured"
+        )
+        label = axis_label(name, angular=True).partition(" [")[0]
+        where = (one.t.iloc[apart], predicted.iloc[apart])
+        motion.annotate(label, where, (4, -14), textcoords="offset points", fontsize=10)
+    motion.set(xlabel="time [s]", ylabel="angle [rad]", title="Window of median error")
+    motion.legend(frameon=False, fontsize=8)
+    for key, label, look in (("makers", "makers' model", MAKERS), ("ours", "SyMo", OURS)):
+        over = table[table.t > 0].pivot(index="t", columns="window", values=key)
+        if len(totals) <= SINGLE:
+            errors.plot(over.index, over, lw=1.2, label=[label, *[""] * (len(totals) - 1)], **look)
+            continue
+        low, middle, high = (over.quantile(share, axis=1) for share in (0.1, 0.5, 0.9))
+        errors.plot(over.index, middle, lw=1.8, label=f"{label}, median and 80 %", **look)
+        errors.fill_between(over.index, low, high, color=look["color"], alpha=0.25, lw=0)
+    errors.set(yscale="log", xlabel="time [s]", ylabel="RMS error over angles [rad]")
+    errors.set_title(f"All {len(totals)} windows of the test part")
+    errors.legend(frameon=False, fontsize=8)
+    figure.tight_layout()
+    figure.savefig(file, dpi=110)
 
 
 if __name__ == "__main__":
-    draw(Path(sys.argv[1]), Path(sys.argv[2]))
+    with plt.rc_context(RC):
+        draw(Path(sys.argv[1]), Path(sys.argv[2]))
