@@ -48,7 +48,8 @@ RULES = {
     ),
     "job": (
         # the columns of a recording and what a MuJoCo model says are part of a configuration
-        {"process", "runs", "tracking", "training", "evaluation", "report", "data", "systems"},
+        {"process", "runs", "tracking", "training", "evaluation", "report", "data", "systems",
+         "optim"},
         {"hydra", "omegaconf", "pydantic", "pydantic_core", "lightning", "torch"},
     ),
     "cli": ({"process", "job"}, {"hydra", "omegaconf", "yaml"}),

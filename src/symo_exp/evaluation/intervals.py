@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 
 import torch
@@ -89,8 +88,7 @@ def _variance(
     place = model.input_matrix
     q, v = found.q[:, 0].to(place), found.v[:, 0].to(place)
     u = found.windows.u[:, found.windows.lead :].to(place)
-    twin = copy.deepcopy(model)
-    return spread(twin, posterior, q, v, u, found.q.to(place)).double().cpu()
+    return spread(model.flow, posterior, q, v, u, found.q.to(place)).double().cpu()
 
 
 def _share(error: Tensor, variance: Tensor) -> float:

@@ -124,7 +124,7 @@ def _products(
         plain = bool((2.0 * power - doubled).abs().max() < 1e-3 and doubled.abs().max() <= 8)
         if not plain or int((doubled != 0).sum()) < 2:
             continue
-        exact = 0.5 * doubled
+        exact = doubled if (doubled % 2 != 0).any() else 0.5 * doubled
         name = _product(exact, [reading.name for reading in found])
         unit = _product(exact, [f"({reading.unit})" for reading in found])
         value = float((exact * values.log()).sum().exp())

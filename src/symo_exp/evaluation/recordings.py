@@ -20,10 +20,12 @@ from symo_exp.evaluation.horizon import (
     predict_whole,
     tolerance,
 )  # fmt: skip
+from symo_exp.evaluation.intervals import coverage, interval_of
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
 from symo_exp.evaluation.starts import RollsOut
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.models.base import DynamicsModel
+from symo_exp.models.uncertainty import Interval, ModelPosterior
 
 log = logging.getLogger(__name__)
 
@@ -35,13 +37,15 @@ class RecordedPredictions:
     coordinates: Coordinates
     model: Predictions
     reference: Predictions | None
+    interval: Interval | None = None
 
     def columns(self) -> dict[str, Tensor]:
         """Return a table with a row for each node of each window.
 
         Its columns are ``window``, ``trajectory``, ``start`` [s] (of the window, in its
         trajectory), ``t`` [s] (from there), ``q_<name>``, ``v_<name>`` (predicted),
-        ``q_true_<name>``, ``v_true_<name>`` (measured) and, of a reference, ``q_reference_<name>``.
+        ``q_true_<name>``, ``v_true_<name>`` (measured) and, of a reference, ``q_reference_<name>``;
+        of a model with a posterior ``q_lower_<name>`` and ``q_upper_<name>``, its 90 % interval.
         """
         found = self.model
         count, nodes = found.q.shape[:2]
@@ -56,6 +60,8 @@ class RecordedPredictions:
         fields = {"q": found.q, "v": found.v, "q_true": found.q_true, "v_true": found.v_true}
         if self.reference is not None:
             fields["q_reference"] = self.reference.q
+        if self.interval is not None:
+            fields |= {"q_lower": self.interval.lower, "q_upper": self.interval.upper}
         for field, values in fields.items():
             for i, name in enumerate(self.coordinates.names):
                 table[f"{field}_{name}"] = values[..., i]
@@ -107,7 +113,14 @@ def on_recordings(
         for prefix, one in found.items():
             measures |= {f"{prefix}{key}{suffix}": x for key, x in one.measures().items()}
         if run_in:
-            recorded = RecordedPredictions(model.coordinates, found[""], found.get("reference_"))
+            interval = None
+            posterior: ModelPosterior | None = getattr(model, "posterior", None)
+            if posterior is not None:
+                interval = interval_of(model, posterior, found[""])
+                measures |= coverage(found[""], interval)
+            recorded = RecordedPredictions(
+                model.coordinates, found[""], found.get("reference_"), interval
+            )
             usable = tolerance(windows, model.coordinates.angular)
             for prefix, one in found.items():
                 measures[f"{prefix}usable_s"] = median(one.usable_seconds(usable))

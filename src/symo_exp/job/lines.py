@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from symo_exp.report.looks import written
-from symo_exp.runs.folder import RunFolder
+from symo_exp.runs.folder import PARAMETERS, RunFolder
 
 MEASURES = {
     "train_mse": "train", "test_mse": "test", "integration_mse": "integration",
@@ -17,6 +19,8 @@ UNITS = {
 }  # fmt: skip
 SHORT = "test_mse", "integration_mse", "rmse_2s"
 """Those of a line."""
+ROWS = 40
+"""Physical parameters that are shown."""
 
 
 def run_line(folder: RunFolder) -> str:
@@ -27,6 +31,22 @@ def run_line(folder: RunFolder) -> str:
         told = [f"{outcome.status}: {outcome.reason}"]
     name = about.name if about else folder.path.name
     return "  ".join([name, *told, duration(outcome.seconds), str(folder)])
+
+
+def parameter_lines(folder: RunFolder) -> list[str]:
+    """Return the physical parameters of a run, a line each, the first ``ROWS`` of them."""
+    rows = folder.parameters()
+    width = max((len(row["name"]) for row in rows), default=0)
+    lines = []
+    for row in rows[:ROWS]:
+        value, deviation = float(row["value"]), float(row["standard_deviation"])
+        size = "" if math.isnan(deviation) else f" +- {deviation:.2g}"
+        unit = "" if row["unit"] == "1" else f" {row['unit']}"
+        note = f" ({row['note']})" if row["note"] and row["determined"] != "yes" else ""
+        lines.append(f"{row['name']:{width}}  {value:.5g}{size}{unit}{note}")
+    if len(rows) > ROWS:
+        lines.append(f"and {len(rows) - ROWS} more: {folder / PARAMETERS}")
+    return lines
 
 
 def brief(label: str) -> str:

@@ -16,10 +16,13 @@ from hydra.utils import instantiate
 from symo_exp import code
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
+from symo_exp.evaluation.parameters import physical_parameters
 from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.evaluation.study import afresh
+from symo_exp.evaluation.uncertainty import posterior_of
+from symo_exp.optim.base import EpochOptimizer
 from symo_exp.process import phases, stopping
 from symo_exp.runs.digest import digest, kernels
 from symo_exp.runs.folder import (
@@ -80,6 +83,7 @@ def perform(
         drawn = not settings["pictures"] or ((folder / PICTURES).exists() and measured)
         if not measured or not drawn:
             phases.say(f"{about.name}: measuring")
+            _keep_parameters(parts, folder, digest(settings))
             evaluation = evaluate(parts.model.cpu(), parts.system, parts.data, parts.reference)
             _tell(folder, ROLLOUTS, evaluation.rollouts)
             if evaluation.recorded is not None:
@@ -198,6 +202,31 @@ def _train(parts: Parts, folder: Path, run: str) -> None:
     path = None if saved is None else str(saved.path)
     parts.trainer.fit(learner, datamodule=parts.data, ckpt_path=path)
     stopping.raise_if_requested()
+
+
+def _keep_parameters(parts: Parts, folder: RunFolder, run: str) -> None:
+    """Find the posterior of the parameters, and keep it with the physical parameters."""
+    learner, model, data = parts.learner, parts.model.cpu(), parts.data
+    if learner is None:
+        return
+    optimizer = learner.configure_optimizers()[0][0]
+    saved = resuming.latest(folder / CHECKPOINTS, run, learner)
+    if isinstance(optimizer, EpochOptimizer) and saved is not None:
+        optimizer.load_state_dict(saved.state["optimizer_states"][0])
+        held_out = data.trajectories("val") if data.recorded else []
+        model.posterior = posterior_of(
+            model, learner.residuals, optimizer.estimate(), data.trajectories("train"), held_out
+        )
+    found = model.posterior
+    if found is not None:
+        folder.write_posterior(found.state())
+    rows = physical_parameters(
+        model.lagrangian,
+        model.coordinates,
+        list(model.parameters()),
+        None if found is None else found.parameters,
+    )
+    folder.write_parameters([row._asdict() for row in rows])
 
 
 def _tell(folder: RunFolder, name: str, found: Rollouts | RecordedPredictions) -> None:

@@ -5,18 +5,17 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from symo_exp.errors import ConfigError
+from symo_exp.models.flows import Flow
 from symo_exp.optim.posterior import Posterior
 
-if TYPE_CHECKING:
-    from symo_exp.models.base import DynamicsModel
-
+Module = TypeVar("Module", bound=nn.Module)
 MOST_DIRECTIONS = 24
 """Directions of a posterior up to which intervals are by linearisation, beyond by samples."""
 SAMPLES = 48
@@ -55,44 +54,48 @@ class ModelPosterior:
 
 
 @torch.no_grad()
-def place(model: DynamicsModel, flat: Float[Tensor, " p"]) -> DynamicsModel:
+def place(module: Module, flat: Float[Tensor, " p"]) -> Module:
     """Put a vector of parameters in place."""
-    parameters = list(model.parameters())
+    parameters = list(module.parameters())
     for p, part in zip(parameters, flat.split([p.numel() for p in parameters]), strict=True):
         p.copy_(part.view_as(p))
-    return model
+    return module
 
 
-def sample(model: DynamicsModel, count: int, seed: int) -> list[DynamicsModel]:
-    """Return models with parameters drawn from the posterior."""
+def sample(module: Module, posterior: ModelPosterior | None, count: int, seed: int) -> list[Module]:
+    """Return copies of a module with parameters drawn from its posterior."""
     generator = torch.Generator().manual_seed(seed)
-    drawn = known(model).parameters.samples(count, generator)
-    return [place(copy.deepcopy(model), flat) for flat in drawn]
+    drawn = known(posterior).parameters.samples(count, generator)
+    return [place(copy.deepcopy(module), flat) for flat in drawn]
 
 
-def known(model: DynamicsModel) -> ModelPosterior:
-    """Return the posterior of a model; refuse one that has none."""
-    found: ModelPosterior | None = vars(model).get("posterior")
-    if found is None:
+def known(posterior: ModelPosterior | None) -> ModelPosterior:
+    """Return the posterior; refuse a model without one."""
+    if posterior is None:
         raise ConfigError(
-            "this model has no posterior: it is kept of runs with "
+            "this model has no posterior, which a run keeps with "
             "optimizer=levenberg_marquardt or total_least_squares"
         )
-    return found
+    return posterior
 
 
 @torch.no_grad()
 def interval(
-    model: DynamicsModel, q: Tensor, v: Tensor, u: Float[Tensor, "batch nodes m"], level: float
+    flow: Flow,
+    posterior: ModelPosterior | None,
+    q: Tensor,
+    v: Tensor,
+    u: Float[Tensor, "batch nodes m"],
+    level: float,
 ) -> Interval:
     """Return the interval of rollouts, by linearisation or by samples, widened by the error."""
     if not 0.0 < level < 1.0:
         raise ConfigError(f"level={level}: expected a number between 0 and 1")
-    posterior = known(model)
-    middle = model.flow.rollout(q, v, u).q
-    variance = spread(model, posterior.parameters, q, v, u, middle)
-    if posterior.error is not None:
-        variance = variance + extended(posterior.error, u.shape[1]).to(middle).square()
+    found = known(posterior)
+    middle = flow.rollout(q, v, u).q
+    variance = spread(flow, found.parameters, q, v, u, middle)
+    if found.error is not None:
+        variance = variance + extended(found.error, u.shape[1]).to(middle).square()
     width = quantile(level) * variance.sqrt()
     return Interval(middle - width, middle + width)
 
@@ -113,14 +116,14 @@ def extended(error: Float[Tensor, "nodes n"], nodes: int) -> Float[Tensor, "node
 
 @torch.no_grad()
 def spread(
-    model: DynamicsModel, posterior: Posterior, q: Tensor, v: Tensor, u: Tensor, middle: Tensor
+    flow: Flow, posterior: Posterior, q: Tensor, v: Tensor, u: Tensor, middle: Tensor
 ) -> Float[Tensor, "batch nodes n"]:
     """Return the variance of rollouts under the posterior; infinite where they diverge."""
-    twin = copy.deepcopy(model)
+    twin = copy.deepcopy(flow)
     total, count = torch.zeros_like(middle), 0
     linear = posterior.directions.shape[1] <= MOST_DIRECTIONS
     for flat in _placed(posterior, linear):
-        path = place(twin, flat).flow.rollout(q, v, u).q
+        path = place(twin, flat).rollout(q, v, u).q
         total, count = total + (path - middle).square(), count + 1
     total = total / 2.0 if linear else total / max(count, 1)
     return total.nan_to_num(torch.inf, torch.inf)

@@ -101,6 +101,13 @@ class EpochOptimizer(Optimizer, ABC):
         """
         return False
 
+    def estimate(self) -> dict[str, Any] | None:
+        """Return how parameters were estimated: arguments of ``optim.posterior.posterior``.
+
+        ``None`` where they are no least-squares estimate along trajectories.
+        """
+        return None
+
     def ended(self) -> None:
         """Put the best parameters in place after the last epoch."""
         if self.memory["weights"] is not None:

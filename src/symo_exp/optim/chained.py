@@ -63,6 +63,10 @@ class Chained(EpochOptimizer):
             self.finished = self._then.finished
 
     @override
+    def estimate(self) -> dict[str, Any] | None:
+        return self._then.estimate()
+
+    @override
     def ended(self) -> None:
         self._then.ended()
 

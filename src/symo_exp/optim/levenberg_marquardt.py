@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -82,6 +83,10 @@ class LevenbergMarquardt(EpochOptimizer):
         self.memory["loss"] = descent.objective
         squares = descent.system.r @ descent.system.r
         return {"train_loss": squares, "damping": torch.tensor(self.damping)}
+
+    @override
+    def estimate(self) -> dict[str, Any]:
+        return {}
 
     @override
     def falls(self) -> bool:

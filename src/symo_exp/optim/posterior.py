@@ -79,6 +79,7 @@ def posterior(
     velocities: bool = False,
     epsilon: float | None = None,
     velocity_weight: float = 1.0,
+    input_weight: float = 0.0,
     precision: Float[Tensor, " p"] | None = None,
 ) -> Posterior:
     """Return the posterior of parameters at their estimate.
@@ -90,10 +91,14 @@ def posterior(
         velocities: Whether residuals read velocities.
         epsilon: ``ε`` of total least squares; ``None`` for Levenberg-Marquardt.
         velocity_weight: Noise of velocities over that of configurations [1/s].
+        input_weight: Noise of inputs over that of configurations; 0: inputs are exact.
         precision: ``α`` of each parameter; none where it is zero.
     """
-    chain = Chain.of(trajectories, velocities=velocities)
-    problem = _Linearisation(residuals, parameters, chain, velocity_weight)
+    chain = Chain.of(trajectories, velocities=velocities, inputs=input_weight > 0)
+    weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
+    weight[chain.n : chain.known] = velocity_weight
+    weight[chain.known :] = input_weight
+    problem = _Linearisation(residuals, parameters, chain, weight)
     x = chain.x if epsilon is None else problem.settled(epsilon)
     r, by_theta, by_x = problem.at(x)
     e = r + chain.apply(by_x, (chain.x - x) / problem.weight)
@@ -114,11 +119,10 @@ class _Linearisation:
         residuals: Callable[[Windows], Tensor],
         parameters: Sequence[Tensor],
         chain: Chain,
-        velocity_weight: float,
+        weight: Float[Tensor, " d"],
     ) -> None:
         self._residuals, self._parameters, self._chain = residuals, parameters, chain
-        self.weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
-        self.weight[chain.n :] = velocity_weight
+        self.weight = weight
 
     def at(
         self, x: Tensor, *, nodes_only: bool = False

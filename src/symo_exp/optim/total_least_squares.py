@@ -181,6 +181,18 @@ class TotalLeastSquares(EpochOptimizer):
         return {name: torch.tensor(x, dtype=torch.float64) for name, x in metrics.items()}
 
     @override
+    def estimate(self) -> dict[str, Any]:
+        sizes = torch.tensor([p.numel() for p in self.parameters])
+        flat = torch.tensor([is_coefficient(p) for p in self.parameters])
+        precision = torch.where(flat, 0.0, self.memory["precision"])
+        return {
+            "epsilon": self.stages[-1].epsilon,
+            "velocity_weight": self.velocity_weight,
+            "input_weight": self.input_weight,
+            "precision": torch.repeat_interleave(precision, sizes),
+        }
+
+    @override
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         super().load_state_dict(state_dict)
         self.finished = self.memory["epoch"] >= self.total_epochs

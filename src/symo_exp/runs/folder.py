@@ -8,6 +8,8 @@
 | ``series.csv`` | a row for each epoch (``runs.series``) | while it trains |
 | ``checkpoints/`` | the state of the training | while it trains |
 | ``metrics.json`` | the measures | at the end |
+| ``parameters.csv`` | physical parameters: values, standard deviations, units | at the end |
+| ``posterior.pt`` | the posterior of all parameters of the model | at the end |
 | ``*.parquet``, ``pictures/``, ``studies/`` | the numbers behind them | at the end |
 | ``published.json`` | a cache: the store that has all of this already | by the tracker |
 
@@ -17,12 +19,13 @@ the lock is free has died.
 
 from __future__ import annotations
 
+import csv
 import json
 import logging
 import math
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -38,7 +41,11 @@ log = logging.getLogger(__name__)
 CONFIG, CHECKPOINTS, CHECKPOINT = "config.yaml", "checkpoints", "checkpoints/last.ckpt"
 SERIES, MEASURES, ROLLOUTS = "series.csv", "metrics.json", "rollouts.parquet"
 WINDOWS, PICTURES, STUDIES, LOG = "windows.parquet", "pictures", "studies", "symo_exp.log"
-FILES = (CONFIG, SERIES, CHECKPOINT, MEASURES, ROLLOUTS, WINDOWS, PICTURES, STUDIES)
+PARAMETERS, POSTERIOR = "parameters.csv", "posterior.pt"
+FILES = (
+    CONFIG, SERIES, CHECKPOINT, MEASURES, PARAMETERS, POSTERIOR, ROLLOUTS, WINDOWS, PICTURES,
+    STUDIES,
+)  # fmt: skip
 """What a store keeps of a run besides its numbers."""
 ABOUT, OUTCOME, PUBLISHED = "run.json", "outcome.json", "published.json"
 
@@ -149,6 +156,31 @@ class RunFolder:
     def write_measures(self, measures: Mapping[str, float]) -> None:
         """Keep the measures of the run."""
         self._write(MEASURES, _finite(measures))
+
+    def parameters(self) -> list[dict[str, str]]:
+        """Return the rows of ``parameters.csv``; none where there is no such file."""
+        if not (self / PARAMETERS).exists():
+            return []
+        with (self / PARAMETERS).open(encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
+
+    def write_parameters(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Write the physical parameters, if there are any."""
+
+        def write(path: Path) -> None:
+            with path.open("w", encoding="utf-8", newline="") as file:
+                table = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
+                table.writeheader()
+                table.writerows(rows)
+
+        if rows:
+            write_whole(self / PARAMETERS, write)
+
+    def write_posterior(self, state: Mapping[str, Any]) -> None:
+        """Write the posterior of a model's parameters."""
+        import torch
+
+        write_whole(self / POSTERIOR, lambda file: torch.save(dict(state), file))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
         """Keep the resolved settings."""

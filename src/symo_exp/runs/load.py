@@ -13,8 +13,9 @@ import yaml
 from symo_exp import code
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
+from symo_exp.models.uncertainty import ModelPosterior
 from symo_exp.runs import before
-from symo_exp.runs.folder import CHECKPOINT, CONFIG
+from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR
 
 
 def from_folder(
@@ -35,6 +36,7 @@ def from_folder(
         _set_weights(model, folder)
     model.to(device=device, dtype=dtype)
     model.system = system
+    model.posterior = _read_posterior(folder / POSTERIOR)
     model.input_matrix.copy_(system.input_matrix)  # it is not trained: not rounded either
     return model.eval()
 
@@ -62,6 +64,16 @@ def _read_config(path: Path) -> Mapping[str, Any]:
         if not isinstance(config, dict) or not isinstance(config.get(part), dict):
             raise ConfigError(f"{path} is no configuration of a run: it describes no {part}")
     return config
+
+
+def _read_posterior(path: Path) -> ModelPosterior | None:
+    if not path.exists():
+        return None
+    try:
+        return ModelPosterior.of_state(torch.load(path, map_location="cpu", weights_only=True))
+    except Exception as error:  # damaged in any way, or not ours
+        reason = next(iter(str(error).splitlines()), "")
+        raise ConfigError(f"{path} is no readable posterior: {reason}") from None
 
 
 def _read_weights(path: Path) -> dict[str, torch.Tensor]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from symo_exp.evaluation.verdict import comparison, verdict
-from symo_exp.job.lines import MEASURES, UNITS, brief, duration, run_line
+from symo_exp.job.lines import MEASURES, UNITS, brief, duration, parameter_lines, run_line
 from symo_exp.process import phases, stopping
 from symo_exp.report.looks import written
 from symo_exp.runs.folder import LOG, RunFolder
@@ -45,7 +45,9 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
         told = "; ".join([*["* the best"] * (len(folders) > 1), *units])
         lines += textwrap.wrap(told, WIDTH)
     verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
-    return "\n".join([*lines, *verdicts, *_failures(labels, folders, outcomes)])
+    parameters = parameter_lines(folders[0]) if len(folders) == 1 and found[0] else []
+    failures = _failures(labels, folders, outcomes)
+    return "\n".join([*lines, *parameters, *verdicts, *failures])
 
 
 def _verdicts(names: Sequence[str], found: Sequence[Mapping[str, float]]) -> list[str]:

@@ -12,7 +12,7 @@ import torch
 from symo_exp import code as own
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
-from symo_exp.runs.folder import CHECKPOINT, CONFIG
+from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR
 from symo_exp.runs.load import from_folder
 from symo_exp.tracking.store import check, connect, find
 
@@ -73,7 +73,9 @@ def _download(run_id: str, tracking_uri: str | None, directory: str | Path, targ
     try:
         client.get_run(run_id)
         trained = client.list_artifacts(run_id, str(Path(CHECKPOINT).parent))
-        for name in (CONFIG, CHECKPOINT) if trained else (CONFIG,):
+        there = {file.path for file in client.list_artifacts(run_id)}
+        names = [CONFIG, *([CHECKPOINT] if trained else []), *({POSTERIOR} & there)]
+        for name in names:
             (Path(target) / name).parent.mkdir(exist_ok=True)
             copy = client.download_artifacts(run_id, name, target)
             shutil.move(copy, Path(target) / name)  # stores differ in the folders they make

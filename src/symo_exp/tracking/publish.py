@@ -10,6 +10,8 @@ process is killed.
 from __future__ import annotations
 
 import logging
+import math
+import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -93,7 +95,7 @@ class MlflowView:
             run = self._open[about.identity] = _Opened(self._find(about, folder), self.store)
         run.send_series(self._rows(folder, last=outcome.status == "finished"))
         if outcome.status == "finished":
-            run.send_measures(folder.measures())
+            run.send_measures(folder.measures() | _parameters(folder))
             run.upload(folder)
         run.explain(description(about, outcome, folder.measures()))
         run.set_status(outcome)
@@ -168,6 +170,17 @@ class MlflowView:
 
     def _address(self, run_id: str) -> str:
         return f"run {run_id} in {self.store}" if run_id else f"not yet in {self.store}"
+
+
+def _parameters(folder: RunFolder) -> dict[str, float]:
+    """Physical parameters and their standard deviations as metrics."""
+    found = {}
+    for row in folder.parameters():
+        name = re.sub(r"[^\w.\- ]", "_", row["name"])
+        found[f"parameter/{name}"] = float(row["value"])
+        if not math.isnan(deviation := float(row["standard_deviation"])):
+            found[f"parameter_deviation/{name}"] = deviation
+    return found
 
 
 class _Opened:

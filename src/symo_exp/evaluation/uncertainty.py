@@ -1,0 +1,64 @@
+"""The posterior of a trained model."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from symo_exp.evaluation.intervals import widened
+from symo_exp.mechanics.types import Trajectory, Windows
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.uncertainty import ModelPosterior
+from symo_exp.optim.posterior import posterior
+
+log = logging.getLogger(__name__)
+
+LARGEST = 40_000_000
+"""Entries of the derivatives of all residuals in all parameters, 320 MB."""
+
+
+def posterior_of(
+    model: DynamicsModel,
+    residuals: Callable[[Windows], Tensor],
+    estimate: Mapping[str, Any] | None,
+    train: Sequence[Trajectory],
+    held_out: Sequence[Trajectory],
+) -> ModelPosterior | None:
+    """Return the posterior of a model's parameters; ``None`` where it was not estimated so.
+
+    Args:
+        model: The trained model.
+        residuals: Residuals that training made small.
+        estimate: How: ``EpochOptimizer.estimate()``.
+        train: Trajectories that it was trained on.
+        held_out: Recordings that it was not trained on, whose errors widen intervals.
+    """
+    parameters = list(model.parameters())
+    if estimate is None or any(p.dtype != torch.float64 for p in parameters):
+        return None
+    size = sum(p.numel() for p in parameters)
+    entries = size * sum(one.q.numel() for one in train)
+    if entries > LARGEST:
+        log.info(
+            "no posterior: %d parameters and %d configurations are too many", size, entries // size
+        )
+        return None
+    with torch.random.fork_rng(devices=[]):
+        found = posterior(residuals, parameters, train, velocities=model.reads_velocity, **estimate)
+        if not (found.directions.isfinite().all() and found.mean.isfinite().all()):
+            log.info("no posterior: the derivatives of the residuals are not finite")
+            return None
+        whole = widened(model.for_evaluation(), found, held_out)
+    if whole.error is not None:
+        log.info(
+            "intervals are widened by the errors of held-out recordings, to +-%.2g after %.2g s "
+            "(one standard deviation, root mean square over coordinates): the model's error is "
+            "larger than that of its parameters",
+            whole.error[-1].square().mean().sqrt().item(),
+            (len(whole.error) - 1) * model.time_step,
+        )
+    return whole
