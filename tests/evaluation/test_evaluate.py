@@ -188,7 +188,7 @@ def test_without_a_truth_its_measures_are_absent(model: partial, tmp_path: Path)
     )  # fmt: skip
     found = evaluate(learned, system, sets)
     windows = {*found.recorded.model.measures()}
-    windows |= {f"constant_velocity_{name}" for name in windows} | {"windows"}
+    windows |= {f"constant_velocity_{name}" for name in windows} | {"windows", "window_s"}
     windows |= {f"{name}_measured" for name in windows} | {"noise"}
     own = ("usable_s", "open_loop_rmse")
     windows |= {f"{who}{name}" for who in ("", "constant_velocity_") for name in own}

@@ -19,6 +19,8 @@ GOOD = {
     [
         ({}, "good"),
         ({"usable_s": 0.6}, "usable to 0.6 s"),
+        ({"usable_s": 1.3, "window_s": 1.3}, "good over the 1.3 s"),
+        ({"usable_s": 0.6, "window_s": 1.3}, "usable to 0.6 s"),
         ({"usable_s": 0.0}, "not usable"),
         ({"rmse_0.5s": 0.5, "rmse_1s": 1.0, "rmse_2s": 3.0}, "no better than constant velocity"),
         ({"rmse_0.5s": math.inf, "rmse_1s": math.inf, "rmse_2s": math.nan}, "no better"),

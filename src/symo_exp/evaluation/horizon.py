@@ -117,6 +117,10 @@ class Predictions:
         error = (squared_error(self.q[:, 1:], true) / tolerance.square()).mean(2)
         return self._before((error > 1.0) | ~true.isfinite().all(2))
 
+    def measured_seconds(self) -> Float[Tensor, " windows"]:
+        """Return the time that was measured in each window; less than 2 s at the end of one."""
+        return self._before(~self.q_true[:, 1:].isfinite().all(2))
+
     def _before(self, left: Tensor) -> Tensor:
         """Time before the first node that is ``left``."""
         return (left.cumsum(1) == 0).sum(1).double() * self.time_step

@@ -110,6 +110,7 @@ def on_recordings(
             continue
         found = {prefix: predict(one, windows, h, place) for prefix, one in who.items()}
         measures[f"windows{suffix}"] = float(len(windows.q))
+        measures[f"window_s{suffix}"] = median(found[""].measured_seconds())
         for prefix, one in found.items():
             measures |= {f"{prefix}{key}{suffix}": x for key, x in one.measures().items()}
         if run_in:

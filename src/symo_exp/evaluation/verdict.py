@@ -8,16 +8,18 @@ from collections.abc import Mapping
 HORIZONS = ("0.5s", "1s", "2s")
 BETTER = 0.9
 """Share of constant velocity's error below which a model is better."""
-LONG = 1.9
-"""Time for which a good model is usable [s], nearly that of a window."""
+WHOLE, WINDOW = 0.95, 2.0
+"""Share of a window for which a good model is usable, and the length of a window [s] where the
+measures do not say it."""
 
 
 def verdict(measures: Mapping[str, float]) -> str | None:
     """Return what a model of recordings is good for, ``None`` where its measures do not say.
 
-    A model is *good* if its error stays within a tenth of the motion over windows of 2 s (median
-    over windows), *usable* to the time until which it does, and *no better than constant velocity*
-    if its error exceeds 0.9 times that baseline's over 0.5, 1 and 2 s.
+    A model is *good* if its error stays within a tenth of the motion over windows of 2 s, or of
+    what a shorter recording has (median over windows), *usable* to the time until which it does,
+    and *no better than constant velocity* if its error exceeds 0.9 times that baseline's over
+    0.5, 1 and 2 s.
 
     Args:
         measures: Those of a run by name (docs/metrics.md).
@@ -33,9 +35,10 @@ def verdict(measures: Mapping[str, float]) -> str | None:
     ]
     if pairs and all(not own < BETTER * other for own, other in pairs):
         return "no better than constant velocity"
-    seconds = measures["usable_s"]
-    if math.isfinite(seconds) and seconds >= LONG:
-        return "good"
+    seconds, window = measures["usable_s"], measures.get("window_s", WINDOW)
+    if math.isfinite(seconds) and seconds >= WHOLE * window:
+        short = window < WHOLE * WINDOW
+        return f"good over the {window:.2g} s that the test recordings last" if short else "good"
     return f"usable to {seconds:.2g} s" if seconds > 0 else "not usable, off from the start"
 
 
