@@ -14,6 +14,7 @@ from tests.architecture import (
     imported_modules,
     imports,
     modules,
+    public_names,
 )
 
 EVERYBODYS = {"errors", "files", "imports", "shell", "shipped", "code"}
@@ -71,6 +72,14 @@ def test_no_circle_among_files():
         circle = sorted(name for name, needs in left.items() if needs & set(left))
         assert free, f"a circle among some of {circle}"
         left = {name: needs for name, needs in left.items() if name not in free}
+
+
+def test_public_names_are_unique():
+    """All but ``main``, the entrance of every command."""
+    homes: dict[str, list[str]] = {}
+    for name, file in public_names():
+        homes.setdefault(name, []).append(file)
+    assert {name: found for name, found in homes.items() if len(found) > 1}.keys() <= {"main"}
 
 
 PRIVATE = re.compile(r"(?:hydra|submitit|lightning|mlflow|omegaconf|loky|joblib)(?:\.\w+)*\._\w+")

@@ -6,7 +6,7 @@ import logging
 import os
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, final
+from typing import Any, Literal, final
 
 import numpy as np
 import scipy
@@ -52,7 +52,9 @@ class TrajectoryData(DataModule):
         solver: Settings of the integration.
         draws: Distribution of starts and inputs (``conf/draws``); ``None``: ``Independent``.
         cache_dir: Folder that keeps the trajectories; ``None``: none.
-        base: The arguments of ``DataModule``, whose ``seed`` decides the trajectories, too.
+        seed: Seed of the trajectories and of the order of batches.
+
+    The other arguments are those of ``DataModule``.
 
     Raises:
         ConfigError: If a number is invalid or the system's equations are not known.
@@ -62,6 +64,7 @@ class TrajectoryData(DataModule):
         self,
         *,
         system: System,
+        n_traj: int,
         n_train_max: int = 128,
         n_val: int = 128,
         n_test: int = 128,
@@ -71,7 +74,18 @@ class TrajectoryData(DataModule):
         solver: Solver | None = None,
         draws: Draws | None = None,
         cache_dir: str | os.PathLike[str] | None = None,
-        **base: Any,
+        noise_std: float = 0.0,
+        input_noise_std: float = 0.0,
+        noise_test: bool = False,
+        batch_size: int | None = None,
+        shuffle: bool = True,
+        seed: int = 0,
+        noise_seed: int = 0,
+        dtype: str | torch.dtype = "float32",
+        monitor: Literal["val", "test", "held_out"] = "val",
+        monitor_trajectories: int | None = None,
+        held_out: float = 0,
+        velocities: Literal["given", "estimated"] = "given",
     ) -> None:
         if not isinstance(system, LagrangianSystem):
             raise ConfigError(
@@ -91,13 +105,26 @@ class TrajectoryData(DataModule):
         self.draws = Independent() if draws is None else draws
         if not callable(self.draws):
             raise ConfigError(f"data.draws={draws!r}: choose with draws=NAME, a file of conf/draws")
-        n_traj = base.get("n_traj")
-        if isinstance(n_traj, int) and n_traj > n_train_max:
+        if n_traj > n_train_max:
             raise ConfigError(
                 f"data.n_traj={n_traj} is above data.n_train_max={n_train_max}, the number of "
                 f"training trajectories that are simulated; set data.n_train_max={n_traj} as well"
             )
-        super().__init__(**base)
+        super().__init__(
+            n_traj=n_traj,
+            noise_std=noise_std,
+            input_noise_std=input_noise_std,
+            noise_test=noise_test,
+            batch_size=batch_size,
+            shuffle=shuffle,
+            seed=seed,
+            noise_seed=noise_seed,
+            dtype=dtype,
+            monitor=monitor,
+            monitor_trajectories=monitor_trajectories,
+            held_out=held_out,
+            velocities=velocities,
+        )
         self.cache = None if cache_dir is None else Cache(cache_dir)
         self._name = type(system).__name__.lower()
         if self.cache is not None:

@@ -6,7 +6,7 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, final
+from typing import Literal, final
 
 import numpy as np
 import torch
@@ -84,7 +84,8 @@ class RecordedData(DataModule):
         seconds: Length of the training part at most; ``None``: all of it.
         input_delay: From the record of an input to its force [s].
         batch_size: ``None``: an eighth of the samples.
-        base: The other arguments of ``DataModule``.
+
+    The other arguments are those of ``DataModule``.
 
     Raises:
         ConfigError: If the recordings cannot be read, or not as recordings of this system.
@@ -112,7 +113,17 @@ class RecordedData(DataModule):
         seconds: float | None = None,
         input_delay: float = 0.0,
         batch_size: int | None = None,
-        **base: Any,
+        noise_std: float = 0.0,
+        input_noise_std: float = 0.0,
+        noise_test: bool = False,
+        shuffle: bool = True,
+        seed: int = 0,
+        noise_seed: int = 0,
+        dtype: str | torch.dtype = "float32",
+        monitor: Literal["val", "test", "held_out"] = "val",
+        monitor_trajectories: int | None = None,
+        held_out: float = 0,
+        velocities: Literal["given", "estimated"] = "given",
     ) -> None:
         whole_number("data.n_integration", n_integration)
         if time_unit is not None:
@@ -146,7 +157,21 @@ class RecordedData(DataModule):
         self._system, self.time_step = system, system.time_step
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
-        super().__init__(n_traj=n_traj, batch_size=batch_size, **base)
+        super().__init__(
+            n_traj=n_traj,
+            noise_std=noise_std,
+            input_noise_std=input_noise_std,
+            noise_test=noise_test,
+            batch_size=batch_size,
+            shuffle=shuffle,
+            seed=seed,
+            noise_seed=noise_seed,
+            dtype=dtype,
+            monitor=monitor,
+            monitor_trajectories=monitor_trajectories,
+            held_out=held_out,
+            velocities=velocities,
+        )
 
     @property
     @override

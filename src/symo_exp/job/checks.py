@@ -8,7 +8,7 @@ import inspect
 import json
 import os
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -139,31 +139,19 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
 
 
 def _parameters(target: Any, path: str) -> Mapping[str, Any]:
-    """Return the names and type hints of what the constructor takes.
-
-    One that takes ``**base`` hands it to the constructor of the class above.
-    """
+    """Return the names and type annotations of a constructor's arguments."""
     made = code.locate(target, f"{path}._target_" if path else "_target_")
-    calls: list[Callable[..., Any]] = [made]
-    if inspect.isclass(made) and made.__init__ is not object.__init__:
-        calls = [vars(c)["__init__"] for c in made.__mro__ if "__init__" in vars(c)]
-    hints: dict[str, Any] = {}
-    for call in calls:
-        parameters = inspect.signature(call).parameters.values()
-        types_ = _hints(call)
-        for p in parameters:
-            if p.name != "self" and p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY):
-                hints.setdefault(p.name, types_.get(p.name, Any))
-        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
-            break
-    return hints
-
-
-def _hints(call: Callable[..., Any]) -> dict[str, Any]:
     try:
-        return typing.get_type_hints(call)
+        signature = inspect.signature(made, eval_str=True)
     except (NameError, TypeError):  # names that only a type checker imports
-        return {}
+        signature = inspect.signature(made)
+    return {
+        p.name: p.annotation
+        if p.annotation is not p.empty and not isinstance(p.annotation, str)
+        else Any
+        for p in signature.parameters.values()
+        if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
+    }
 
 
 def _free(hint: Any) -> bool:

@@ -271,7 +271,7 @@ class DampedNewton(Rule[R, Damped]):
         return accepted, Damped(norm, alpha, state.settled, state.iterations + active)
 
 
-class Joint(NamedTuple):
+class JointState(NamedTuple):
     """State of ``JointNewton``."""
 
     norm: Float[Tensor, " batch"]
@@ -279,7 +279,7 @@ class Joint(NamedTuple):
     iterations: Int[Tensor, " batch"]
 
 
-class JointNewton(Rule[R, Joint]):
+class JointNewton(Rule[R, JointState]):
     """Undamped Newton steps of all rows until all of them together have converged.
 
     Args:
@@ -290,23 +290,23 @@ class JointNewton(Rule[R, Joint]):
         self._tolerance = tolerance
 
     @override
-    def start(self, x: Tensor, at: R) -> Joint:
+    def start(self, x: Tensor, at: R) -> JointState:
         """Return an infinite norm: the first step is always taken, as in the thesis."""
         counts = torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        return Joint(x.new_full((len(x),), torch.inf), counts)
+        return JointState(x.new_full((len(x),), torch.inf), counts)
 
     @override
-    def active(self, x: Tensor, at: R, state: Joint) -> tuple[Tensor, Joint]:
+    def active(self, x: Tensor, at: R, state: JointState) -> tuple[Tensor, JointState]:
         return ~(state.norm <= self._tolerance), state
 
     @override
-    def trial(self, x: Tensor, at: R, state: Joint) -> tuple[Tensor, Joint]:
+    def trial(self, x: Tensor, at: R, state: JointState) -> tuple[Tensor, JointState]:
         return x + newton_step(at), state
 
     @override
-    def judge(self, active: Tensor, at: R, there: R, state: Joint) -> tuple[None, Joint]:
+    def judge(self, active: Tensor, at: R, there: R, state: JointState) -> tuple[None, JointState]:
         norm = joint_norm(there.residual).expand(len(active))
-        return None, Joint(norm, state.iterations + active)
+        return None, JointState(norm, state.iterations + active)
 
 
 class Broyden(RootFinder):
