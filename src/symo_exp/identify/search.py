@@ -143,10 +143,10 @@ class Search:
 
     def _told_plan(self) -> str:
         plan = self._plan
-        share = plan.seconds / self._machine.seconds
+        share = plan.seconds / self._machine.seconds * plan.folds / (plan.folds - 1)
         return (
             f"plan: {len(plan.names)} candidates and up to {plan.variations} variations over "
-            f"{plan.folds} folds, {plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
+            f"{plan.folds} folds, {plan.seconds:.3g} s of data each ({100 * min(share, 1.0):.0f} %), "
             f"{plan.epochs} epochs a stage, {plan.cores} runs at a time, about "
             f"{plan.budget / 60:.3g} min"
         )
