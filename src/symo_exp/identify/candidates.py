@@ -68,17 +68,17 @@ def ladder(machine: Machine) -> list[Candidate]:
     elif machine.n > 1 and sum(machine.angular) > 1:
         found.append(_candidate("absolute angles", 1.1, "absolute", FRICTION))
     if chain and machine.n > 2:
-        found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=3.0))
-    network = _candidate("network", 4.0, "network", FRICTION, cost=3.0, starts=2)
+        found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=2.0))
+    network = _candidate("network", 4.0, "network", FRICTION, cost=1.5, starts=2)
     found += [
-        _candidate("small network", 3.0, "small network", FRICTION, cost=1.5, starts=2),
+        _candidate("small network", 3.0, "small network", FRICTION, cost=1.2, starts=2),
         network,
         _with_learned_friction(network),
     ]
     if chain:
         found.append(
             _candidate(
-                "network, friction between neighbours", 4.1, "network", NEIGHBOURS, cost=3.0,
+                "network, friction between neighbours", 4.1, "network", NEIGHBOURS, cost=1.5,
                 starts=2,
             )
         )  # fmt: skip
@@ -134,7 +134,7 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
 
 
 def _with_learned_friction(candidate: Candidate) -> Candidate:
-    return candidate.changed("learned friction", 0.6, 1.5, dissipation="learned")
+    return candidate.changed("learned friction", 0.6, 1.7, dissipation="learned")
 
 
 def _candidate(

@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +22,7 @@ from hydra.core.utils import configure_log
 from omegaconf import DictConfig, OmegaConf
 
 from symo_exp.data.folds import POOLED
+from symo_exp.data.formats import files
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
@@ -124,7 +126,7 @@ class Search:
     def _planned(self, candidates: Sequence[Candidate]) -> Plan:
         """Return the plan that this search began with, or a new one."""
         file = self._folder / PLAN
-        key = self._key()
+        key = self._key(candidates)
         found = plans.kept_plan(file, key) if self._master.resume else None
         if found is None:
             phases.say("measuring the speed of this machine")
@@ -134,19 +136,20 @@ class Search:
             plans.keep_plan(file, found)
         return found
 
-    def _key(self) -> str:
+    def _key(self, candidates: Sequence[Candidate]) -> str:
         """Return a digest of what the plan depends on."""
-        path = Path(str(self._master.data.path)).expanduser()
-        size = path.stat().st_size if path.is_file() else 0
-        what = [sorted(self._given.items()), self._budget, size, _cores(self._master)]
+        size = [file.stat().st_size for file in files(_plain(self._master.data.path))]
+        tried = [[c.name, *c.overrides()] for c in candidates]
+        what = [sorted(self._given.items()), self._budget, size, _cores(self._master), tried]
         return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:10]
 
     def _told_plan(self) -> str:
         plan = self._plan
-        share = plan.seconds / self._machine.seconds * plan.folds / (plan.folds - 1)
+        there = self._machine.seconds * (plan.folds - 1) / plan.folds
+        share = min(plan.seconds / there, 1.0)
         return (
             f"plan: {len(plan.names)} candidates and up to {plan.variations} variations over "
-            f"{plan.folds} folds, {plan.seconds:.3g} s of data each ({100 * min(share, 1.0):.0f} %), "
+            f"{plan.folds} folds, {plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
             f"{plan.epochs} epochs a stage, {plan.cores} runs at a time, about "
             f"{plan.budget / 60:.3g} min"
         )
@@ -195,8 +198,8 @@ class Search:
         seconds, folds = self._plan.seconds, range(len(best.errors))
         there = self._plan.most_seconds(best.candidate, self._machine)
         longest = there * (self._plan.folds - 1) / self._plan.folds
-        while 2 * seconds <= longest and self._in_time(0.8, "more data are not tried"):
-            seconds *= 2
+        while 1.2 * seconds < longest and self._in_time(0.8, "more data are not tried"):
+            seconds = min(2 * seconds, longest)
             more = best.candidate.changed(
                 f"{seconds:.3g} s of data", 0.01, 2.0, data__seconds=f"{seconds:g}"
             )
@@ -352,7 +355,9 @@ class Search:
     def _experiment(self) -> str:
         if "experiment" in self._given:
             return str(self._master.experiment)
-        return f"machine_{Path(str(self._master.data.path)).stem}"
+        path = self._master.data.path
+        stem = Path(path).stem if isinstance(path, str) else Path(path[0]).parent.name
+        return f"machine_{re.sub(r'[^0-9A-Za-z_.-]+', '_', stem).lstrip('.')}"
 
     @property
     def _folder(self) -> Path:
