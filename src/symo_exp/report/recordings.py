@@ -45,7 +45,8 @@ def windows_figure(found: RecordedPredictions, method: str, title: str) -> Figur
             label, error = axis_label(name, angular=angular), errors[one.window.iloc[0]]
             said = f"{which} of {len(errors)}: RMSE {error:.2g}"
             panel = over_time({(method, ""): one}, f"q_{name}", f"q_true_{name}", label, said)
-            above.append(_beside(panel, one, f"q_reference_{name}"))
+            banded = _with_interval(panel, one, name)
+            above.append(_beside(banded, one, f"q_reference_{name}"))
     for one in (_with_errors(found, one) for one in chosen.values()):
         said = f"trajectory {one.trajectory.iloc[0]} from {one.start.iloc[0]:.2f} s"
         panel = over_time({(method, ""): one}, "error", None, "RMS error", said, log=True)
@@ -88,6 +89,17 @@ def measured_figure(figure: Figure) -> Figure:
         for panel in figure.panels
     ]  # fmt: skip
     return replace(figure, panels=panels)
+
+
+def _with_interval(panel: Panel, table: pd.DataFrame, name: str) -> Panel:
+    """Return the panel with the 90 % interval of the prediction, if there is one."""
+    if f"q_lower_{name}" not in table:
+        return panel
+    rows = panel.rows.assign(low=panel.rows.y, high=panel.rows.y)
+    own = (rows.source == "ours").to_numpy()
+    for column, side in (("low", "lower"), ("high", "upper")):
+        rows.loc[own, column] = np.interp(rows.x[own], table.t, table[f"q_{side}_{name}"])
+    return replace(panel, rows=rows)
 
 
 def _beside(panel: Panel, table: pd.DataFrame, column: str) -> Panel:
