@@ -17,6 +17,8 @@ from symo_exp.optim.posterior import Posterior
 LEVEL = 0.9
 """Probability of the intervals whose coverage is measured."""
 BISECTIONS = 40
+ROLLOUTS = 12
+"""Number behind the intervals of all windows, whose time is that of evaluations."""
 
 
 def widened(
@@ -88,7 +90,7 @@ def _variance(
     place = model.input_matrix
     q, v = found.q[:, 0].to(place), found.v[:, 0].to(place)
     u = found.windows.u[:, found.windows.lead :].to(place)
-    return spread(model.flow, posterior, q, v, u, found.q.to(place)).double().cpu()
+    return spread(model.flow, posterior, q, v, u, found.q.to(place), ROLLOUTS).double().cpu()
 
 
 def _share(error: Tensor, variance: Tensor) -> float:

@@ -55,9 +55,8 @@ def posterior_of(
         whole = widened(model.for_evaluation(), found, held_out)
     if whole.error is not None:
         log.info(
-            "intervals are widened by the errors of held-out recordings, to +-%.2g after %.2g s "
-            "(one standard deviation, root mean square over coordinates): the model's error is "
-            "larger than that of its parameters",
+            "intervals are widened by %.2g after %.2g s (one standard deviation, root mean square "
+            "over coordinates): held-out recordings deviate more than the posterior explains",
             whole.error[-1].square().mean().sqrt().item(),
             (len(whole.error) - 1) * model.time_step,
         )

@@ -16,9 +16,8 @@ from symo_exp.models.flows import Flow
 from symo_exp.optim.posterior import Posterior
 
 Module = TypeVar("Module", bound=nn.Module)
-MOST_DIRECTIONS = 24
-"""Directions of a posterior up to which intervals are by linearisation, beyond by samples."""
 SAMPLES = 48
+"""Rollouts behind an interval: two for each direction of a posterior, or so many samples."""
 SEED = 0
 
 
@@ -116,22 +115,38 @@ def extended(error: Float[Tensor, "nodes n"], nodes: int) -> Float[Tensor, "node
 
 @torch.no_grad()
 def spread(
-    flow: Flow, posterior: Posterior, q: Tensor, v: Tensor, u: Tensor, middle: Tensor
+    flow: Flow,
+    posterior: Posterior,
+    q: Tensor,
+    v: Tensor,
+    u: Tensor,
+    middle: Tensor,
+    most: int = SAMPLES,
 ) -> Float[Tensor, "batch nodes n"]:
-    """Return the variance of rollouts under the posterior; infinite where they diverge."""
+    """Return the variance of rollouts under the posterior; infinite where they diverge.
+
+    Args:
+        flow: The flow with the parameters of the posterior's mean.
+        posterior: Posterior of its parameters.
+        q: Configurations to start from.
+        v: Velocities to start from.
+        u: Controls at all nodes.
+        middle: The rollouts of ``flow``.
+        most: Number of rollouts, at most: two for each direction, or samples.
+    """
     twin = copy.deepcopy(flow)
     total, count = torch.zeros_like(middle), 0
-    linear = posterior.directions.shape[1] <= MOST_DIRECTIONS
-    for flat in _placed(posterior, linear):
+    linear = 2 * posterior.directions.shape[1] <= most
+    for flat in _placed(posterior, linear, most):
         path = place(twin, flat).rollout(q, v, u).q
         total, count = total + (path - middle).square(), count + 1
     total = total / 2.0 if linear else total / max(count, 1)
     return total.nan_to_num(torch.inf, torch.inf)
 
 
-def _placed(posterior: Posterior, linear: bool) -> Iterator[Tensor]:
+def _placed(posterior: Posterior, linear: bool, count: int) -> Iterator[Tensor]:
     if not linear:
-        yield from posterior.samples(SAMPLES, torch.Generator().manual_seed(SEED))
+        yield from posterior.samples(count, torch.Generator().manual_seed(SEED))
         return
     for direction in posterior.directions.T:
         bounded = direction / direction.norm().clamp_min(1.0)

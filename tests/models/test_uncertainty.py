@@ -1,0 +1,71 @@
+"""Intervals of rollouts follow from the posterior, and from the error beyond it."""
+
+import pytest
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.models.uncertainty import ModelPosterior, extended, quantile
+from symo_exp.optim.posterior import Posterior
+from tests.models.methods import make
+
+STATE = torch.tensor([0.3]).double(), torch.tensor([0.1]).double()
+
+
+def with_posterior(size, *, directions=3, error=None):
+    model = make("symo", "midpoint", 1)
+    mean = torch.cat([p.detach().flatten() for p in model.parameters()])
+    generator = torch.Generator().manual_seed(1)
+    drawn = torch.randn(len(mean), directions, generator=generator, dtype=torch.float64)
+    free = torch.zeros(len(mean), 0, dtype=torch.float64)
+    model.posterior = ModelPosterior(Posterior(mean, size * drawn, free, 1e-3, 1e-4, 100), error)
+    return model
+
+
+def width(model, level=0.9):
+    lower, upper = model.rollout_interval(*STATE, steps=6, level=level)
+    return 0.5 * (upper - lower)
+
+
+def test_half_the_deviation_of_parameters_gives_half_the_interval():
+    wide, narrow = (width(with_posterior(size)) for size in (2e-5, 1e-5))
+    assert (wide[2:] > 0.0).all()
+    torch.testing.assert_close(wide, 2.0 * narrow, rtol=1e-3, atol=1e-12)
+
+
+def test_samples_and_linearisation_agree():
+    """Of a few directions every pair is a rollout; of many there are samples."""
+    few, many = with_posterior(1e-5, directions=3), with_posterior(1e-5, directions=3)
+    posterior = many.posterior.parameters
+    zeros = torch.zeros(len(posterior.mean), 40, dtype=torch.float64)
+    padded = torch.cat((posterior.directions, zeros), dim=1)
+    many.posterior = ModelPosterior(posterior._replace(directions=padded))
+    ratio = width(many)[2:] / width(few)[2:]
+    assert ((ratio > 0.6) & (ratio < 1.5)).all()
+
+
+def test_an_error_beyond_the_parameters_widens_the_interval():
+    error = 0.1 * torch.ones(7, 1, dtype=torch.float64)
+    found = width(with_posterior(1e-9, error=error))
+    torch.testing.assert_close(found, quantile(0.9) * error, rtol=1e-3, atol=1e-6)
+
+
+def test_an_error_goes_on_growing_beyond_its_last_node():
+    error = torch.tensor([[0.0], [1.0], [2.0]]).double()
+    torch.testing.assert_close(extended(error, 5)[:, 0], torch.arange(5.0).double())
+    assert len(extended(error, 2)) == 2
+
+
+def test_a_normal_variable_is_in_its_interval():
+    assert quantile(0.9) == pytest.approx(1.6449, abs=1e-4)
+
+
+def test_a_level_that_is_none_is_refused():
+    with pytest.raises(ConfigError, match="between 0 and 1"):
+        width(with_posterior(1e-5), level=90)
+
+
+def test_a_posterior_comes_back_from_its_state():
+    posterior = with_posterior(1e-5).posterior
+    again = ModelPosterior.of_state(posterior.state())
+    assert again.parameters.noise == posterior.parameters.noise
+    torch.testing.assert_close(again.parameters.directions, posterior.parameters.directions)
