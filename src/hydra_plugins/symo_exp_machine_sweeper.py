@@ -17,11 +17,15 @@ class SymoExpMachineSweeper(Sweeper):
 
     Args:
         budget: Of wall time.
+        clock: Whether stages are left out when the budget is used up; on a busy machine the plan
+            alone may decide.
         check_only: Whether nothing is run.
     """
 
-    def __init__(self, budget: str | float = "10min", check_only: bool = False) -> None:
-        self.budget, self.check_only = budget, check_only
+    def __init__(
+        self, budget: str | float = "10min", clock: bool = True, check_only: bool = False
+    ) -> None:
+        self.budget, self.clock, self.check_only = budget, clock, check_only
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
@@ -37,6 +41,6 @@ class SymoExpMachineSweeper(Sweeper):
         assert self.hydra_context is not None
         assert self.config is not None
         sweep = Sweep(self.hydra_context, self.task_function, self.config)
-        search = Search(sweep, self.config, arguments, self.budget)
+        search = Search(sweep, self.config, arguments, self.budget, clock=self.clock)
         if code := search.run(check_only=self.check_only):
             raise SystemExit(code)
