@@ -67,7 +67,7 @@ def planned(*words: str) -> Iterator[tuple[Sweep, list[Job]]]:
         yield sweep, sweep._plan(settings, params)
     except BAD_INPUT as error:
         GlobalHydra.instance().clear()
-        raise explained(error, command.overrides) from error
+        raise explained(error) from error
     finally:
         GlobalHydra.instance().clear()
 

@@ -80,7 +80,7 @@ def _run(command: Command, *extra: str) -> int:
     try:
         return command.execute(*extra)
     except BAD_INPUT as error:
-        raise explained(error, command.overrides) from error
+        raise explained(error) from error
 
 
 if __name__ == "__main__":

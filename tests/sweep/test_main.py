@@ -45,7 +45,7 @@ BAD = [
     ("model=symoo", "symoo", "e2e_symo, l_node, node, residual, symo"),
     ("system=pendulun", "pendulun", "did you mean pendulum"),
     ("integrator=rk5", "rk5", "galerkin6, midpoint"),
-    ("integrator=null", "null", "galerkin6, midpoint"),
+    ("integrator=null", "integrator=null", "-h lists"),
     ("+model=symo", "model", ""),
     ("hydra/launcher=jobli", "jobli", "joblib"),
     ("dtype=float16", "float16", "float32, float64"),
@@ -57,7 +57,7 @@ BAD = [
     # values
     ("data.n_traj=0", "0", "1 to 128"),
     ("~resume", "resume", "cannot be deleted"),
-    ("pair=l_node_rk4", "pair=l_node_rk4", "model=l_node integrator=rk4"),
+    ("pair=l_node_rk4", "pair", "write model=... integrator=..."),
     ("data.n_traj=129", "129", "data.n_train_max=129"),
     ("data.n_traj=8.5", "8.5", "whole number"),
     ("data.n_traj=null", "null", "whole number"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import os
 import sys
 from collections.abc import Sequence
@@ -54,28 +53,15 @@ class Command:
         for override in self.overrides:
             if "=" not in override and not override.startswith("~"):
                 raise ConfigError(f"{override} is no setting with a value: write {override}=...")
-        if self.folder is not None and not self.folder.is_dir():
-            raise ConfigError(f"--config-dir {self._given.config_dir} is not a folder")
-        self._check_name()
+            group, _, value = override.partition("=")
+            if value == "null" and (CONF / group).is_dir():
+                raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
 
     @property
     def folder(self) -> Path | None:
         """Return the folder of the user's own configuration, which is added to ours."""
         given = self._given.config_dir
         return None if given is None else Path(given).absolute()
-
-    def _check_name(self) -> None:
-        """Refuse a ``-cn NAME`` that no folder has, with the sweeps that there are."""
-        folders = [*([] if self.folder is None else [self.folder]), SWEEPS]
-        if self.name is None or self._given.config_path is not None:
-            return
-        name = self.name.removesuffix(".yaml")
-        if any((folder / f"{name}.yaml").is_file() for folder in [*folders, CONF]):
-            return
-        there = sorted({file.stem for folder in folders for file in folder.glob("*.yaml")})
-        meant = difflib.get_close_matches(name, there, n=1)
-        hint = f"; did you mean {meant[0]}?" if meant else ""
-        raise ConfigError(f"-cn {self.name} names no sweep; there are: {', '.join(there)}{hint}")
 
     @property
     def runs(self) -> bool:

@@ -73,7 +73,7 @@ def _check_node(
         name = f"{path}.{key}" if path else key
         if parameters is None:
             if known is None or key not in known:
-                raise unknown_key(name, known or ())
+                raise unknown_key(name, known or {})
             if isinstance(known[key], bool) and not isinstance(value, bool):
                 raise ConfigError(f"{name}={_spell(value)} has to be true or false")
         elif key not in _INSTANTIATE_KEYS:
@@ -92,22 +92,33 @@ def _check_node(
                 _check_node(item, below if isinstance(below, Mapping) else None, references, name)
 
 
-def unknown_key(name: str, siblings: Iterable[str], everything: Iterable[str] = ()) -> ConfigError:
-    """Return the error for a setting that does not exist, with what may have been meant."""
+def unknown_key(name: str, siblings: Mapping[str, Any]) -> ConfigError:
+    """Return the error for a setting that does not exist, with the closest names.
+
+    Args:
+        name: The dotted name.
+        siblings: The settings that exist beside it.
+    """
     if name in MOVED:
         return ConfigError(f"{name} is not a setting any more; write {MOVED[name]}=...")
     parent, _, leaf = name.rpartition(".")
-    siblings = sorted({s for s in map(str, siblings) if not s.startswith("_")})
-    meant = [f"{parent}.{s}" if parent else s for s in closest(leaf, siblings)]
-    meant += [other for other in everything if other.rpartition(".")[2] == leaf]
-    there = f"{parent or 'there'} has: {', '.join(siblings) or 'nothing that can be set'}"
-    hint = f"did you mean {' or '.join(meant)}?" if meant else there
-    return ConfigError(f"{name} is not a setting; {hint} (--cfg job shows all)")
+    prefix = f"{parent}." if parent else ""
+    there = {s: value for s, value in siblings.items() if not s.startswith("_")}
+    below = [f"{s}.{leaf}" for s, v in there.items() if isinstance(v, Mapping) and leaf in v]
+    listed = f"; {parent or 'there'} has: {', '.join(sorted(there)) or 'nothing that can be set'}"
+    hint = did_you_mean([*closest(leaf, there), *below], prefix) or listed
+    return ConfigError(f"{name} is not a setting{hint} (--cfg job shows all)")
 
 
 def closest(word: str, words: Iterable[str]) -> list[str]:
-    """Return up to two words like the given one."""
+    """Return up to two of the words that are like the given one."""
     return difflib.get_close_matches(word, list(words), n=2, cutoff=0.6)
+
+
+def did_you_mean(names: Iterable[str], prefix: str = "") -> str:
+    """Return the end of a message that suggests names, nothing without any."""
+    meant = [f"{prefix}{name}" for name in names]
+    return f"; did you mean {' or '.join(meant)}?" if meant else ""
 
 
 def mismatch(value: Any, hint: Any) -> str:

@@ -1,6 +1,7 @@
 """Settings that have moved, by their old names."""
 
 MOVED = {
+    "pair": "model=... integrator",
     "structure": "lagrangian",
     "axes": "lagrangian.axes",
     "harmonics": "lagrangian.harmonics",

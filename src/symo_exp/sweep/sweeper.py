@@ -23,7 +23,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from symo_exp.cli.explain import blamed
+from symo_exp.cli.explain import explained
 from symo_exp.errors import ConfigError, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
@@ -110,7 +110,7 @@ class Sweep:
                     todo[job.folder.path] = job
                 found.append(job.folder)
             except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
-                found.append(blamed(error, overrides, self._context.config_loader))
+                found.append(explained(error))
         for folders in _watching:
             folders += [folder for folder in found if isinstance(folder, RunFolder)]
         for job in todo.values():
@@ -135,8 +135,7 @@ class Sweep:
             try:
                 job = self._composed(overrides, label)
             except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
-                blame = blamed(error, overrides, self._context.config_loader)
-                raise _labelled(blame, label) from error
+                raise _labelled(explained(error), label) from error
             if job.folder.path in folders:
                 raise ConfigError(f"{label}: this is the same run as {folders[job.folder.path]}")
             folders[job.folder.path] = label

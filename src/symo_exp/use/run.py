@@ -88,7 +88,7 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
         try:
             codes = [one.execute() for one in command.several() or [command]]
         except BAD_INPUT as error:
-            raise explained(error, command.overrides) from error
+            raise explained(error) from error
     if any(code > 128 for code in codes):
         raise KeyboardInterrupt
     for folder in folders:
