@@ -1,4 +1,4 @@
-"""What every data set does with its trajectories."""
+"""Properties that all data sets share."""
 
 import torch
 

@@ -6,6 +6,7 @@ import json
 import logging
 import multiprocessing
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -51,71 +52,48 @@ def test_another_recipe_is_another_file(tmp_path: Path) -> None:
         cache.get("x", RECIPE | {"more": 1}, refuse)
 
 
-def truncated(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:5000])
-
-
-def empty(path: Path) -> None:
-    path.write_bytes(b"")
-
-
-def flipped(path: Path) -> None:
+def flip(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0xFF
     path.write_bytes(bytes(content))
 
 
-def foreign_text(path: Path) -> None:
-    path.write_text("not an archive")
-
-
-def foreign_array(path: Path) -> None:
+def save(path: Path, write: Callable, *content: object, **named: object) -> None:
     with open(path, "wb") as file:
-        np.save(file, np.ones(3))
+        write(file, *content, **named)
 
 
-def foreign_archive(path: Path) -> None:
-    with open(path, "wb") as file:
-        np.savez(file, a=np.ones(3))
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    "truncated": lambda path: path.write_bytes(path.read_bytes()[:5000]),
+    "empty": lambda path: path.write_bytes(b""),
+    "one bit flipped": flip,
+    "text": lambda path: path.write_text("not an archive"),
+    "an array": lambda path: save(path, np.save, np.ones(3)),
+    "no recipe": lambda path: save(path, np.savez, a=np.ones(3)),
+    "another recipe": lambda path: save(
+        path, np.savez, recipe=np.array('{"what": "else"}'), a=np.ones(3)
+    ),
+    "pickled": lambda path: save(
+        path, np.savez, recipe=np.array({"what": "test"}, dtype=object), allow_pickle=True
+    ),
+}
 
 
-def other_recipe(path: Path) -> None:
-    with open(path, "wb") as file:
-        np.savez(file, recipe=np.array('{"what": "else"}'), a=np.ones(3))
-
-
-def pickled(path: Path) -> None:
-    with open(path, "wb") as file:
-        np.savez(file, recipe=np.array({"what": "test"}, dtype=object), allow_pickle=True)
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        truncated,
-        empty,
-        flipped,
-        foreign_text,
-        foreign_array,
-        foreign_archive,
-        other_recipe,
-        pickled,
-    ],
-)
-def test_a_bad_file_is_noticed_said_and_made_again(
-    spoil, tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_file_is_reported_and_made_again(
+    damage: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     cache = Cache(tmp_path)
     cache.get("x", RECIPE, arrays)
     path = cache.path("x", RECIPE)
-    spoil(path)
+    DAMAGE[damage](path)
     with caplog.at_level(logging.WARNING):
         assert same(cache.get("x", RECIPE, arrays))
     assert [str(path) in r.message and "\n" not in r.message for r in caplog.records] == [True]
     assert same(cache.get("x", RECIPE, refuse))
 
 
-def test_what_fails_leaves_nothing_and_can_be_tried_again(tmp_path: Path) -> None:
+def test_a_failed_generation_leaves_no_file(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     with pytest.raises(AssertionError, match="made again"):
         cache.get("x", RECIPE, refuse)
@@ -136,7 +114,7 @@ def test_a_write_cut_short_leaves_no_file(tmp_path: Path, monkeypatch: pytest.Mo
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_place_that_is_no_directory_is_refused_at_once(tmp_path: Path) -> None:
+def test_a_path_that_is_no_directory_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")
     for place in (file, file / "below"):
@@ -153,7 +131,7 @@ def test_an_unwritable_directory_is_refused(
     assert not (tmp_path / "new").exists()
 
 
-def test_an_unwritable_directory_will_do_where_the_data_are_there(
+def test_an_unwritable_directory_is_accepted_if_the_data_are_cached(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cache = Cache(tmp_path)

@@ -1,4 +1,4 @@
-"""What is said of recordings before training, where the truth is known."""
+"""Diagnosis of recordings before training, tested on motions of known systems."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_noise_is_estimated(std: float) -> None:
     np.testing.assert_allclose(found(2, 5.0, std).noise, std, rtol=0.15)
 
 
-def test_an_encoder_is_seen_and_no_other() -> None:
+def test_only_quantised_signals_have_an_encoder() -> None:
     q = np.sin(np.linspace(0, 20, 4000))
     assert encoder_of([q]) == 0
     assert encoder_of([np.round(q / 0.003) * 0.003]) == pytest.approx(0.003)
@@ -82,7 +82,7 @@ def test_an_encoder_is_seen_and_no_other() -> None:
     assert encoder_of([np.zeros(9)]) == 0
 
 
-def test_whether_the_step_suits() -> None:
+def test_a_time_step_is_judged_by_how_far_angles_turn() -> None:
     good = found(1, 0.0)
     assert "suits" in good.lines()[2]
     assert "is fine" in found(1, 0.0, 3e-2).lines()[2]
@@ -92,10 +92,9 @@ def test_whether_the_step_suits() -> None:
     assert "suits" in slides.lines()[2]
 
 
-def test_too_little_is_said_to_be_too_little() -> None:
+def test_too_few_samples_have_no_diagnosis() -> None:
     tiny = diagnose(
         [(np.zeros((3, 1)), np.zeros((3, 0)))], [np.zeros((3, 1))], Coordinates(("x",), (True,)), H
     )
     assert tiny.explained is None
     assert len(tiny.lines()) == 4
-    assert not any("\n" in line for line in tiny.lines())

@@ -56,6 +56,6 @@ def test_trajectories_begin_at_their_starts_and_inputs_are_constant() -> None:
     assert path.u.any()
 
 
-def test_what_is_no_draws_is_refused() -> None:
+def test_unknown_draws_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"data\.draws='mine': .*draws=NAME"):
         small(draws="mine")

@@ -1,4 +1,4 @@
-"""One motion in files of every kind and with every habit is the same motion."""
+"""Files of recordings: every format and convention gives the same motion."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from symo_exp.data.header import header, names
 from symo_exp.data.recorded import RecordedData
 from symo_exp.errors import ConfigError
 from symo_exp.systems.recorded import Recorded
+from symo_exp.systems.table import system as stated
 
 H = 0.02
 SECONDS = 30.0
@@ -89,7 +90,7 @@ WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_the_motion_is_the_same_however_it_is_written(kind: str, tmp_path: Path) -> None:
+def test_every_format_gives_the_same_motion(kind: str, tmp_path: Path) -> None:
     motion().to_parquet(tmp_path / "plain.parquet", index=False)
     writer, settings = WRITERS[kind]
     expected, found = load(tmp_path / "plain.parquet"), load(writer(tmp_path), **settings)
@@ -98,7 +99,7 @@ def test_the_motion_is_the_same_however_it_is_written(kind: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_several_files_are_a_trajectory_each(suffix: str, tmp_path: Path) -> None:
+def test_each_of_several_files_is_a_trajectory(suffix: str, tmp_path: Path) -> None:
     folder = several(tmp_path, suffix)
     ways = [folder, f"{folder}/*.{suffix}", [folder / f"{k}.{suffix}" for k in range(3)]]
     all_of_them = [load(path) for path in ways]
@@ -161,9 +162,7 @@ def test_a_log_is_not_split_where_parts_are_given(settings: dict, tmp_path: Path
         ),
     ],
 )
-def test_a_mistake_in_a_table_is_answered_by_the_setting_that_mends_it(
-    change, said: str, tmp_path: Path
-) -> None:
+def test_a_refused_table_names_the_setting_that_reads_it(change, said: str, tmp_path: Path) -> None:
     change(motion()).to_csv(tmp_path / "x.csv", index=False)
     with pytest.raises(ConfigError) as error:
         load(tmp_path / "x.csv")
@@ -188,7 +187,7 @@ def test_doubtful_units_are_noted(change, said: str | None, tmp_path: Path, capl
     assert [said in line for line in told] == [True] if said else not told
 
 
-def test_arrays_of_many_trajectories() -> None:
+def test_arrays_may_hold_many_trajectories() -> None:
     q = np.arange(24.0).reshape(2, 4, 3)
     found = from_arrays({"t": np.arange(4.0), "q": q, "mass": np.array([1.0, 2.0]), "note": "x"})
     assert list(found) == ["trajectory", "t", "q_0", "q_1", "q_2", "mass"]
@@ -198,7 +197,7 @@ def test_arrays_of_many_trajectories() -> None:
         from_arrays({"q": q})
 
 
-def test_a_ros_bag(tmp_path: Path) -> None:
+def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     from rosbags.typesys import Stores, get_typestore
 
@@ -226,21 +225,28 @@ def test_a_ros_bag(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("folder", None, "the folder has no"),
-        ("x*.csv", b"", "no file matches"),
-        ("x.txt", b"", "expected a file that ends in"),
+        (".", None, "the folder has no"),
+        ("x*.csv", None, "no file matches"),
+        ("absent.csv", None, "No such file"),
+        ("x.txt", b"", r"expected a file that ends in \.parquet, \.csv, "),
         ("x.npz", b"nonsense", "cannot be read"),
         ("x.mat", b"nonsense", "cannot be read"),
         ("x.db3", b"nonsense", "ROS bag"),
+        ("x.parquet", b"PAR1 nonsense", "cannot be read"),
+        ("empty.csv", b"", "cannot be read"),
+        ("bytes.csv", b"\xff\xfe\x00\x81,\n\x9d", "data.path"),
     ],
 )
-def test_what_cannot_be_read_is_refused(name, content, message, tmp_path: Path) -> None:
-    if content is None:
-        (tmp_path / name).mkdir()
-    elif "*" not in name:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(ConfigError, match=message) as error:
-        load(tmp_path / name)
-    assert "\n" not in str(error.value)
+def test_unreadable_files_are_refused_in_one_line(name, content, message, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    for read in (load, lambda path: RecordedData(system=stated("cartpole"), path=path)):
+        with pytest.raises(ConfigError, match=message) as error:
+            read(path)
+        assert "\n" not in str(error.value)
+
+
+def test_a_data_frame_is_refused_with_the_way_to_write_it() -> None:
     with pytest.raises(ConfigError, match="to_parquet"):
         load(motion())

@@ -1,4 +1,4 @@
-"""Which recording is for what, and which column: what a table and a user say of it."""
+"""Recordings are split into parts, and columns assigned to coordinates and inputs."""
 
 from __future__ import annotations
 
@@ -30,14 +30,19 @@ def table(n: int = 2) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def read(given: pd.DataFrame, folder: Path, columns=None, angular="all", matrix=None, **more):
-    path = folder / "mine.parquet"
+def recorded(given: pd.DataFrame, path: Path, columns=None, angular="all", matrix=None):
+    """Write a table and return the system that its columns describe."""
     given.to_parquet(path, index=False)
     found = header(path, columns)
-    system = Recorded(
+    return Recorded(
         time_step=H, names=names("q", found), inputs=names("u", found), angular=angular,
         input_matrix=matrix,
     )  # fmt: skip
+
+
+def read(given: pd.DataFrame, folder: Path, columns=None, angular="all", matrix=None, **more):
+    path = folder / "mine.parquet"
+    system = recorded(given, path, columns, angular, matrix)
     data = RecordedData(system=system, path=path, columns=columns, dtype="float64", **more)
     data.setup()
     return data
@@ -58,7 +63,7 @@ def first(data: RecordedData, part: str) -> list[float]:
         ({"train": ["a"], "val": "b", "test": ["c", "d"]}, ("a", "b", "cd")),
     ],
 )
-def test_parts(settings: dict, wanted: tuple, tmp_path: Path) -> None:
+def test_trajectories_are_assigned_to_parts(settings: dict, wanted: tuple, tmp_path: Path) -> None:
     data = read(table(), tmp_path, **settings)
     for part, labels in zip(("train", "val", "test"), wanted, strict=True):
         expected = [np.sin("abcde".index(label)) for label in labels]
@@ -81,7 +86,7 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({"split": ["train", "test"] * 20}, {}, "trajectory a is in the splits train, test"),
         ({"q_": 0.0}, {}, "system.input_matrix=null: say how the 2 input(s) (motor0, motor1)"),
         ({"v_leg": 0.0}, {}, "column v_leg is of no coordinate of the system (arm0, arm1)"),
-        ({}, {"angular": None}, "system.angular=null: which of arm0, arm1 are angles?"),
+        ({}, {"angular": None}, "system.angular=null"),
         ({}, {"angular": ["leg"]}, "which of arm0, arm1 are angles?"),
         ({"u_motor2": 0.0}, {}, "such as system.input_matrix=[[0,1,0],[0,0,1]]"),
         ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
@@ -90,7 +95,9 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({}, {"columns": {"v_a": "note", "v_b": "note"}}, "one column cannot be two"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_line(change, settings, message, tmp_path: Path) -> None:
+def test_contradictions_of_table_and_settings_are_refused(
+    change, settings, message, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigError) as error:
         read(table().assign(**change), tmp_path, **settings)
     assert message in str(error.value)
@@ -98,24 +105,24 @@ def test_what_cannot_be_is_refused_in_a_line(change, settings, message, tmp_path
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_coordinates_and_inputs_are_those_of_the_columns(n: int, tmp_path: Path) -> None:
-    data = read(table(n), tmp_path, angular=["arm0"])
-    system = data._system
+    system = recorded(table(n), tmp_path / "x.parquet", angular=["arm0"])
     assert system.coordinates.names == tuple(f"arm{i}" for i in range(n))
     assert system.coordinates.angular == tuple(i == 0 for i in range(n))
     assert torch.equal(system.input_matrix, torch.eye(n, dtype=torch.float64))
-    one = data.trajectories("train")[0].u
+    one = read(table(n), tmp_path, angular=["arm0"]).trajectories("train")[0].u
     torch.testing.assert_close(one[:, 0], torch.cos(H * torch.arange(8).double() + 1))
-    free = read(table(n).drop(columns=[f"u_motor{i}" for i in range(n)]), tmp_path)
-    assert free._system.input_matrix.shape == (n, 0)
-    assert free.train.u.shape == (12, 0)
+    free = table(n).drop(columns=[f"u_motor{i}" for i in range(n)])
+    assert recorded(free, tmp_path / "x.parquet").input_matrix.shape == (n, 0)
+    assert read(free, tmp_path).train.u.shape == (12, 0)
 
 
-def test_fewer_inputs_than_coordinates(tmp_path: Path) -> None:
-    data = read(table().drop(columns="u_motor0"), tmp_path, matrix=[[0], [1]])
-    assert data._system.input_matrix.tolist() == [[0.0], [1.0]]
+def test_fewer_inputs_than_coordinates_need_a_matrix(tmp_path: Path) -> None:
+    given = table().drop(columns="u_motor0")
+    system = recorded(given, tmp_path / "x.parquet", matrix=[[0], [1]])
+    assert system.input_matrix.tolist() == [[0.0], [1.0]]
 
 
-def test_columns_are_mapped(tmp_path: Path) -> None:
+def test_columns_may_have_other_names(tmp_path: Path) -> None:
     theirs = {"t": "time", "trajectory": "run", "q_arm0": "shoulder"}
     other = table().rename(columns=theirs).assign(t="not the time")
     found, plain = read(other, tmp_path, columns=theirs), read(table(), tmp_path)
@@ -123,7 +130,7 @@ def test_columns_are_mapped(tmp_path: Path) -> None:
         assert torch.equal(a, b)
 
 
-def test_wrapped_angles_are_unwrapped_where_they_are_angles(tmp_path: Path) -> None:
+def test_only_angles_are_unwrapped(tmp_path: Path) -> None:
     turning = table().assign(q_arm0=lambda t: 9 * t["t"], q_arm1=lambda t: 9 * t["t"])
     jumping = turning.assign(q_arm0=lambda t: (t["q_arm0"] + np.pi) % (2 * np.pi) - np.pi)
     plain = read(turning, tmp_path, angular=["arm0"])
@@ -133,17 +140,16 @@ def test_wrapped_angles_are_unwrapped_where_they_are_angles(tmp_path: Path) -> N
     torch.testing.assert_close(found.train.q, plain.train.q)
 
 
-def test_the_log_says_what_was_done(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_log_reports_unused_data_and_resampling(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     faster = table()
     faster["t"] /= 2
     with caplog.at_level(logging.INFO):
         read(faster, tmp_path)
     lines = [record.getMessage() for record in caplog.records]
-    assert lines[0].endswith("2 train, 1 val, 1 test; not used: 1 extra")
-    assert lines[1] == "columns that are not read: note"
-    assert lines[2].startswith(
-        "resampled: 4 of 4 trajectories from 0.05 s (the longest gap 0.05 s)"
-    )
+    for line, part in zip(lines, ("not used: 1 extra", "note", "4 of 4"), strict=False):
+        assert part in line
     assert [line.split(":")[0] for line in lines[3:]] == ["inputs", "noise", "time step", "scale"]
 
 

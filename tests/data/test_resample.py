@@ -1,4 +1,4 @@
-"""Recorded times onto equal steps: exact on cubics, of fourth order, unbiased, less noisy."""
+"""Resampling to equal steps: exact on cubics, of fourth order, and averaging the noise."""
 
 from __future__ import annotations
 
