@@ -1,4 +1,4 @@
-"""The report's page in a real browser, on a desk and on a phone."""
+"""The page of the report in a browser, at the widths of a desktop and of a phone."""
 
 import os
 import shutil
@@ -114,7 +114,7 @@ def box_of(browser, css: str) -> dict:
     return browser.execute_script(script, css)
 
 
-def test_charts_draw_when_they_come_near_without_an_error(opened):
+def test_charts_are_drawn_without_an_error(opened):
     assert len(charts(opened)) > 4
     assert lines(opened) > 0
     legend = charts(opened)[0].find_elements("css selector", ".role-legend-label text")
@@ -146,7 +146,7 @@ def test_the_first_screen_has_the_answer_and_nothing_is_wider_than_the_window(
 
 
 @pytest.mark.parametrize("width", [1600, 390])
-def test_what_a_link_leads_to_is_not_under_the_bar(width, browser, address):
+def test_the_target_of_a_link_is_not_under_the_bar(width, browser, address):
     look_at(browser, f"{address}#noise", width)
     bar, section = box_of(browser, "#bar"), box_of(browser, "#noise")
     assert bar["top"] == 0
@@ -165,7 +165,7 @@ def test_the_first_column_stays_when_a_table_scrolls(browser, address):
 
 
 @pytest.mark.parametrize("name", ["NODE", "RK4", "floor"])
-def test_what_is_switched_off_in_the_menu_is_gone_and_comes_back(opened, name):
+def test_the_menu_hides_and_shows_series(opened, name):
     before = lines(opened)
     for wanted in (False, True):
         click(opened, f"#bar input[value='{name}']")
@@ -196,7 +196,7 @@ def test_one_system_is_shown_alone(opened):
     assert not opened.find_element("id", "best_pendulum").is_displayed()
 
 
-def test_pointing_at_a_value_says_it_with_its_unit(opened):
+def test_a_tooltip_shows_the_value_with_its_unit(opened):
     from selenium.webdriver import ActionChains
 
     click(opened, "#bar input[value='NODE']")

@@ -1,4 +1,4 @@
-"""The evaluation against models whose errors are known."""
+"""The evaluation of models whose errors are known."""
 
 import math
 from dataclasses import dataclass, replace
@@ -91,7 +91,7 @@ def test_the_midpoint_rule_keeps_the_energy_of_legendre_but_not_of_finite_differ
     assert found["test_newton_failed"] == found["integration_newton_failed"] == 0.0
 
 
-def test_the_inertia_error_compares_learned_and_true():
+def test_the_inertia_error_compares_learned_and_true_mass_matrices():
     system = oscillator(2)
     wrong = Oscillator(system.mass + torch.tensor([0.2, 0.4]), system.stiffness)
     found = result(Exact(wrong, system, H)).measures
@@ -105,7 +105,7 @@ def test_a_method_without_a_lagrangian_has_no_inertia():
     assert set(result(Exact(None, system, H)).measures) == NAMES
 
 
-def test_divergence_is_infinite_and_counted():
+def test_diverged_rollouts_have_infinite_errors_and_are_counted():
     system = oscillator(2)
     model = Exact(system, system, H, reads_velocity=False, fails_from=20)
     found = result(model).measures
@@ -131,7 +131,7 @@ def test_a_rollout_starts_at_node_one_with_the_model_s_own_velocity():
     assert motion.converged.shape == (3, 30)
 
 
-def test_chunks_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch):
+def test_measures_do_not_depend_on_the_chunk_size(monkeypatch: pytest.MonkeyPatch):
     model = Exact(oscillator(2), oscillator(2), H, bias=1e-2)
     whole = result(model).measures
     assert len(data(model.system, H).test.q) < CHUNK
@@ -149,15 +149,14 @@ def test_float32_samples_are_measured_in_float64():
     assert 0 < found.measures["test_mse"] < 1e-12
 
 
-def test_true_parameters_are_not_read_from_the_model():
-    """The energy is the true system's: a wrong learned Lagrangian cannot hide in it."""
+def test_the_energy_error_uses_the_true_lagrangian():
     system = oscillator(1)
     right = Exact(system, system, H)
     wrong = replace(right, lagrangian=Oscillator(system.mass * 3, system.stiffness))
     assert result(right).measures["energy_mse"] == result(wrong).measures["energy_mse"]
 
 
-def test_a_driven_motion_conserves_nothing_and_is_not_asked_to():
+def test_driven_rollouts_have_no_energy_error():
     model = Midpoint(oscillator(1), oscillator(1), H, reads_velocity=False)
     sets = data(model.system, H)
     driven = sets.integration._replace(u=torch.ones_like(sets.integration.u))
@@ -173,7 +172,7 @@ def test_a_driven_motion_conserves_nothing_and_is_not_asked_to():
         partial(NODE, net=partial(MLP, width=4, depth=2)),
     ],
 )
-def test_without_a_truth_its_measures_are_absent(model: partial, tmp_path: Path):
+def test_unknown_systems_have_no_measures_of_the_truth(model: partial, tmp_path: Path):
     """A recording is enough: nothing but coordinates, inputs and a time step is known."""
     chain, system = ChainPendulum(2), Unknown(time_step=0.05)
     starts = uniform(chain.box, 4, 0)
@@ -207,7 +206,7 @@ def test_without_a_truth_its_measures_are_absent(model: partial, tmp_path: Path)
 
 @dataclass(frozen=True, kw_only=True)
 class Worst:
-    """A measure of one's own."""
+    """A study of a user: the largest error."""
 
     name: str
 
@@ -217,7 +216,7 @@ class Worst:
         return Finding(measures={f"{self.name}_error": worst})
 
 
-def test_a_measure_of_one_s_own_is_a_study():
+def test_a_study_can_be_written_by_a_user():
     model = Exact(oscillator(2), oscillator(2), H, bias=1e-2)
     found = Worst(name="worst")(model, model.system, data(model.system, H)).measures
     expected = result(model).rollouts

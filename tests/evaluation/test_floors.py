@@ -1,4 +1,4 @@
-"""The true Lagrangian in an integrator: what is left is that integrator's own error."""
+"""The error of an integrator with the true Lagrangian."""
 
 import dataclasses
 import functools
@@ -47,7 +47,7 @@ def given(system: System) -> dict:
     "name",
     ["pendulum", *(pytest.param(n, marks=pytest.mark.slow) for n in ("cartpole", "acrobot"))],
 )
-def test_the_one_step_error_of_the_truth_is_the_known_floor_of_the_integrator(name: str):
+def test_the_true_lagrangian_has_the_known_error_of_the_integrator(name: str):
     system = systems()[name]
     sets = data(name)
     symo = TrueVariational(integrator=VariationalMidpoint(), root=ROOT, **given(system))
@@ -60,12 +60,12 @@ def test_the_one_step_error_of_the_truth_is_the_known_floor_of_the_integrator(na
         assert found["inertia_mse_aligned"] == 0.0
         assert found["integration_diverged"] == 0.0
     assert midpoint["test_newton_failed"] == midpoint["integration_newton_failed"] == 0.0
-    # half a step of mismatch, not the motion, is what finite differences measure
+    # finite differences measure a mismatch of half a step, not the motion
     assert midpoint["energy_mse"] < 0.1 * midpoint["energy_mse_fd"]
     assert torch.get_default_dtype() == torch.float32
 
 
-def test_a_true_system_with_friction_has_its_floor_too_and_loses_the_energy_it_should():
+def test_a_true_system_with_friction_has_a_small_error_and_loses_energy():
     system = dataclasses.replace(systems()["cartpole"], viscous=[0.3, 0.01], coulomb=[0.1, 0.0])
     sets = TrajectoryData(
         system=system, n_traj=1, n_val=1, n_test=8, n_train_max=1, n_integration=2,
@@ -84,7 +84,7 @@ def test_a_true_system_with_friction_has_its_floor_too_and_loses_the_energy_it_s
 
 
 @pytest.mark.parametrize("name", FLOORS)
-def test_the_floor_falls_with_the_order(name: str):
+def test_the_error_falls_with_the_order(name: str):
     system = systems()[name]
     model = TrueVariational(integrator=Galerkin(stages=2), root=ROOT, **given(system))
     assert not model.learns

@@ -1,4 +1,4 @@
-"""Errors over horizons: what the protocol says of models whose motions are known."""
+"""Errors over horizons of models whose motions are known."""
 
 import dataclasses
 import math
@@ -105,7 +105,7 @@ def steady(*seconds: float, n: int = 2) -> list[Trajectory]:
 
 
 @BOTH
-def test_constant_velocity_is_right_about_a_steady_motion(run_in):
+def test_constant_velocity_has_no_error_on_a_steady_motion(run_in):
     found = predict(ConstantVelocity(H), cut(steady(3.0), H, run_in=run_in), H, PLACE).measures()
     assert found.pop("valid_s") == HORIZONS[-1]
     assert max(found.values()) < 1e-9
@@ -132,7 +132,7 @@ def test_a_model_that_diverges_has_infinite_errors_from_then_on(run_in):
     assert found["rmse_0.5s"] < 1.0
 
 
-def test_a_model_that_never_moves_finitely_is_no_error_of_the_protocol():
+def test_a_model_without_finite_rollouts_has_infinite_errors():
     found = predict(Off(math.nan), cut(steady(3.0), H, run_in=True), H, PLACE).measures()
     assert found.pop("valid_s") == 0.0
     assert set(found.values()) == {math.inf}
@@ -149,7 +149,7 @@ def test_a_model_that_never_moves_finitely_is_no_error_of_the_protocol():
         ((0.3,), True, [(0, 3)]),
     ],
 )
-def test_where_windows_are(seconds, run_in, expected):
+def test_windows_start_at_regular_nodes(seconds, run_in, expected):
     found = cut([m._replace(q=10 * m.q) for m in steady(*seconds)], H, run_in=run_in)
     there = [] if found is None else [(int(a), int(b)) for a, b in zip(*found[:2], strict=True)]
     assert there == expected
@@ -164,7 +164,7 @@ def test_windows_in_which_nothing_moves_are_left_out():
 
 
 @BOTH
-def test_a_short_trajectory_counts_with_what_it_has(run_in):
+def test_short_trajectories_count_up_to_their_end(run_in):
     """Padding is neither an error nor valid time, and the others are as without it."""
     model, motions = swings(2, 1.0, 3.0)
     bent = Chain(gravity=12.0)
@@ -181,7 +181,7 @@ def test_a_short_trajectory_counts_with_what_it_has(run_in):
 
 
 @BOTH
-def test_one_window_after_the_other_is_predicted_as_all_at_once(run_in, monkeypatch):
+def test_predictions_do_not_depend_on_the_chunk_size(run_in, monkeypatch):
     windows = cut(steady(3.0), H, run_in=run_in)
     expected = predict(ConstantVelocity(H), windows, H, PLACE).q
     monkeypatch.setattr("symo_exp.evaluation.horizon.CHUNK", 1)
@@ -198,7 +198,7 @@ def test_windows_of_a_slide_do_not_depend_on_its_unit(size):
     assert 2.0 - 0.25 - bound < (found.first * H).max() <= 2.0 - bound + 1e-9
 
 
-def test_noise_is_no_motion():
+def test_windows_of_noise_alone_are_left_out():
     generator = torch.Generator().manual_seed(0)
     (motion,) = steady(6.0)
     noise = 1e-4 * torch.randn(motion.q.shape, dtype=torch.float64, generator=generator)

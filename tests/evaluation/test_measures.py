@@ -1,4 +1,4 @@
-"""The measures, by hand on small numbers."""
+"""The measures against small examples computed by hand."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The table of physical parameters says what data determine, and in what combinations."""
+"""The table of physical parameters: which ones, and which products, the data determine."""
 
 import math
 from dataclasses import replace
@@ -92,7 +92,7 @@ def test_an_unforced_pendulum_is_determined_up_to_its_mass_as_well():
     assert "mass^-1" in " ".join(found) or "viscous_friction^-1" in " ".join(found)
 
 
-def test_without_a_posterior_nothing_is_said_to_be_determined():
+def test_without_a_posterior_determination_is_unknown():
     system = SYSTEMS["cartpole"]
     found = KnownLagrangian(system=system)
     rows = physical_parameters(found, system.coordinates, list(found.parameters()), None)

@@ -32,7 +32,7 @@ SHARES = {
     ("makers", "measured"): 1.5,
     ("constant velocity", "measured"): 0.15,
 }
-"""What measures may differ by: velocities are not resampled here as they were there."""
+"""Tolerances: velocities were resampled differently for the published values."""
 EACH = pytest.mark.parametrize("name", SETTINGS)
 
 
@@ -48,8 +48,8 @@ def points(name: str, count: int = 20) -> torch.Tensor:
 
 
 @EACH
-def test_it_obeys_the_equations_of_euler_and_lagrange(name):
-    """Held against automatic differentiation, and against the power balance ``Ė = vᵀ F``."""
+def test_acceleration_obeys_the_euler_lagrange_equations(name):
+    """Compared with automatic differentiation and the power balance ``Ė = vᵀ F``."""
     model, (q, v, u) = rig(name), points(name)
     found, force = model.acceleration(q, v, u), model.force(v, u)
     rates = Lagrangian.rates(model, q, v)
@@ -59,14 +59,14 @@ def test_it_obeys_the_equations_of_euler_and_lagrange(name):
 
 
 @EACH
-def test_its_friction_only_takes_energy(name):
+def test_friction_dissipates(name):
     model, (_, v, u) = rig(name), points(name)
     friction = model.force(v, 0.0 * u) - model.force(0.0 * v, 0.0 * u)
     assert ((v * friction).sum(1) < 0).all()
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
-def test_a_free_chain_of_point_masses_is_the_textbooks(n):
+def test_a_free_chain_of_point_masses_is_the_chain_pendulum(n):
     chain = ChainPendulum(n, mass=0.7, length=0.4)
     model = FreeChain(
         mass=(0.7,) * n, centre=(0.4,) * n, length=(0.4,) * (n - 1), inertia=(0.0,) * n,
@@ -84,7 +84,7 @@ def test_a_free_chain_of_point_masses_is_the_textbooks(n):
         ({"length": []}, r"reference\.length=\[\]: expected 1 value\(s\) for the 2 link"),
     ],
 )
-def test_what_does_not_fit_is_refused(changed, said):
+def test_invalid_parameters_are_refused(changed, said):
     settings = {k: x for k, x in SETTINGS["free_double_pendulum"].items() if k != "_target_"}
     with pytest.raises(ConfigError, match=said):
         FreeChain(**(settings | changed))
@@ -121,8 +121,7 @@ def _means(t: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
 @pytest.mark.skipif(not RECORDINGS.exists(), reason="the recordings are not here")
 @pytest.mark.parametrize("start", ["fitted", "measured"])
 @EACH
-def test_its_errors_are_those_that_were_published(name, start):
-    """And those of constant velocity."""
+def test_errors_are_those_published(name, start):
     published = pd.read_csv(RECORDINGS / "reference.csv").set_index(["recording", "model", "start"])
     windows = cut(resampled(name), H, run_in=start == "fitted")
     rivals = {"makers": Continuous(rig(name), H), "constant velocity": ConstantVelocity(H)}

@@ -1,4 +1,4 @@
-"""Studies of models whose behaviour is known: the true systems in integrators of known kind."""
+"""Studies of the true systems in integrators whose properties are known."""
 
 import math
 from functools import partial
@@ -54,7 +54,7 @@ def test_a_precise_model_follows_the_truth_under_an_input(name):
     torch.testing.assert_close(columns["u_0"][:21], wave)
 
 
-def test_without_an_input_the_energy_is_the_start_s():
+def test_the_reference_conserves_energy_without_input():
     system = SYSTEMS["pendulum"]
     finding = Motion(name="long", steps=30)(variational(system), system, None)
     energy = finding.columns["energy_true"].view(4, 31)
@@ -63,7 +63,7 @@ def test_without_an_input_the_energy_is_the_start_s():
     assert 0 < finding.measures["long_energy_mse"] < 1e-2
 
 
-def test_without_the_truth_what_is_left_agrees():
+def test_a_study_without_the_truth_has_drift_and_volume():
     system = SYSTEMS["cartpole"]
     model = TrueOde(integrator=RK4(), **given(system))
     alone = Motion(name="drift", steps=50, truth=False)(model, system, None)
@@ -99,8 +99,8 @@ def test_the_volume_is_the_determinant_of_the_motion():
     torch.testing.assert_close(found[0], step * torch.arange(8, dtype=torch.float64))
 
 
-def test_the_inertia_counts_in_the_volume():
-    """Momenta, not velocities: the cartpole's inertia varies along the motion."""
+def test_the_volume_is_that_of_momenta():
+    """The cartpole's inertia varies along the motion, so velocities would not do."""
     system = SYSTEMS["cartpole"]
     model = variational(system).for_evaluation()
     q, v, _ = system.box.points(2, 0)
@@ -118,7 +118,7 @@ def test_the_inertia_counts_in_the_volume():
     assert log_volume(model, Constant(), path.q, path.v, u).abs().max() > 1e-3
 
 
-def test_starts_are_the_same_for_all_and_in_the_box():
+def test_starts_are_reproducible_and_in_the_box():
     box = SYSTEMS["acrobot"].box
     points = box.points(50, 3)
     assert all(map(torch.equal, points, box.points(50, 3)))
@@ -128,7 +128,7 @@ def test_starts_are_the_same_for_all_and_in_the_box():
         assert ((low <= values) & (values <= high)).all()
 
 
-def test_the_truth_is_asked_for_once_by_all_that_it_depends_on():
+def test_the_key_of_the_reference_depends_on_its_settings_alone():
     system, recipes = SYSTEMS["pendulum"], []
 
     def remember(name, recipe, make):
@@ -145,7 +145,7 @@ def test_the_truth_is_asked_for_once_by_all_that_it_depends_on():
         assert recipes[-1] != recipes[0]
 
 
-def test_what_was_learned_is_held_against_the_truth():
+def test_learned_quantities_are_compared_with_the_true_ones():
     system = SYSTEMS["acrobot"]
     study = LearnedQuantities(name="learned", steps=20, count=2)
     right = study(variational(system), system, None)
@@ -167,7 +167,7 @@ def test_what_was_learned_is_held_against_the_truth():
     assert {len(x) for x in wrong.columns.values()} == {2 * 21}
 
 
-def test_a_method_without_a_lagrangian_has_learned_none():
+def test_a_method_without_a_lagrangian_has_no_learned_quantities():
     system = SYSTEMS["pendulum"]
     node = NODE(
         net=partial(MLP, width=4, depth=2), integrator=RK4(), coordinates=system.coordinates,
@@ -181,6 +181,6 @@ def test_a_method_without_a_lagrangian_has_learned_none():
 @pytest.mark.parametrize(
     "settings", [{"steps": 0}, {"count": 0}, {"period": 0.0}, {"amplitude": math.inf}]
 )
-def test_settings_that_cannot_be_are_refused(settings):
+def test_invalid_settings_are_refused(settings):
     with pytest.raises(ConfigError, match=r"study\.x"):
         Motion(**{"name": "x", "steps": 3, **settings})

@@ -1,4 +1,4 @@
-"""What is said of a model of recordings."""
+"""The verdict on a model of recordings."""
 
 import math
 
@@ -32,7 +32,7 @@ def test_a_verdict_follows_from_the_measures(changes, said):
     assert verdict(GOOD | changes).startswith(said)
 
 
-def test_other_runs_have_none():
+def test_only_models_of_recordings_have_a_verdict():
     assert verdict({"test_mse": 1.0}) is None
     assert comparison({"test_mse": 1.0}) is None
     assert comparison(GOOD) == "RMSE to 1 s 0.02 (constant velocity 1, noise 0.001)"

@@ -1,5 +1,6 @@
-"""Dissipation: it takes energy and never gives any, and derivatives know of it."""
+"""Dissipation: its power is never positive, and all derivatives include it."""
 
+from functools import partial
 from itertools import cycle
 
 import pytest
@@ -15,6 +16,7 @@ from tests.dissipative import (
     friction,
     learned_dissipation,
     learned_drag,
+    machine_friction,
 )
 from tests.mechanics.motions import force_at, order, reference, refinement, start
 from tests.tables import variational_integrators
@@ -33,7 +35,10 @@ def states(n):
 
 
 @every_n
-@pytest.mark.parametrize("make", [friction, learned_dissipation, learned_drag])
+@pytest.mark.parametrize(
+    "make",
+    [friction, learned_dissipation, learned_drag, partial(machine_friction, constant=False)],
+)
 def test_the_power_of_dissipation_is_never_positive(make, n):
     dissipation, (q, v) = make(n), states(n)
     for scale in (1e-3, 1.0, 30.0):

@@ -1,4 +1,4 @@
-"""Explicit methods: their order, and what they do not conserve."""
+"""Explicit methods: their order of convergence, and that they are not symplectic."""
 
 import pytest
 import torch
@@ -38,7 +38,6 @@ def test_order_of_convergence(name, n, forced):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_explicit_steps_are_not_symplectic(name):
-    """The property that the variational integrators have is not one that every method has."""
     method, chain = METHODS[name], ChainPendulum(1)
     q, v = start(1)
     x = torch.cat((q, chain.momentum(q, v)), dim=1).requires_grad_()

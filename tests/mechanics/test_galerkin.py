@@ -1,4 +1,4 @@
-"""Galerkin integrators beyond the table of integrators: inner coefficients, forces, rows."""
+"""Galerkin integrators: inner coefficients, forces, and rows of an expansion."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""Derivatives of a Lagrangian against finite differences, and what they must balance."""
+"""Derivatives of a Lagrangian against finite differences and the power balance."""
 
 import pytest
 import torch
@@ -98,7 +98,7 @@ def test_rows_of_an_expansion_can_be_taken_and_replaced(case):
         torch.testing.assert_close(got, want)
 
 
-def test_a_free_particle_feels_nothing():
+def test_a_constant_lagrangian_has_no_forces():
     class Free(Lagrangian):
         def mass_matrix(self, q):
             return 2.0 * torch.eye(2, dtype=q.dtype).expand(len(q), 2, 2)

@@ -93,7 +93,7 @@ def test_not_a_number_is_a_failure(name):
     assert not root.converged[1]
 
 
-def test_one_bad_row_costs_one_row():
+def test_a_row_without_a_root_does_not_slow_the_others():
     def function(x, index):
         return torch.where((index == 0).unsqueeze(1), x.square() + 1.0, x.exp() - 2.0)
 
@@ -118,7 +118,7 @@ def test_damping_rescues_a_start_from_which_newton_diverges():
     assert Newton(max_iterations=20).solve(Problem(function), start).converged
 
 
-def test_batch_rule_is_that_of_the_thesis():
+def test_the_batch_stops_by_the_rule_of_the_thesis():
     """All rows go on until ``‖g‖_F ≤ tolerance √(B n)``, converged ones included."""
     start = torch.tensor([[0.0], [5.0]], dtype=torch.float64)
 
@@ -139,12 +139,9 @@ def test_implicit_derivative_of_any_residual_by_any_finder(name, n):
         def function(x, index):
             return x.pow(3) + theta * x - torch.arange(1.0, n + 1, dtype=x.dtype) + 0.1 * x.flip(1)
 
-        problem = Problem(lambda x, index: function(x, index).detach())
-        jacobian_problem = Problem(function)
-        finder = FINDERS[name]
-        problem.at = jacobian_problem.at
         with torch.no_grad():
-            root = finder.solve(jacobian_problem, torch.full((4, n), 0.9, dtype=torch.float64))
+            start = torch.full((4, n), 0.9, dtype=torch.float64)
+            root = FINDERS[name].solve(Problem(function), start)
         assert root.converged.all()
         return attach_root(root.x, function(root.x, None), root.evaluation.jacobian())
 
@@ -158,16 +155,13 @@ def test_implicit_derivative_of_any_residual_by_any_finder(name, n):
 @pytest.mark.parametrize(
     "arguments", [{"tolerance": 0.0}, {"max_iterations": 0}, {"stopping": "x"}]
 )
-def test_nonsense_is_refused(arguments):
+def test_invalid_settings_are_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         Newton(**arguments)
 
 
-def test_newtons_iteration_stands_in_two_places():
-    """Problems are evaluated by the eager loop and by the branch-free step of compiled code.
-
-    The other place is an integrator with nothing to iterate.
-    """
+def test_newtons_iteration_is_written_once_eagerly_and_once_without_branches():
+    """No other function evaluates a problem but an integrator with nothing to iterate."""
     places = set()
     packages = ("mechanics", "models", "compile", "evaluation", "use")
     for file in (path for package in packages for path in files(package)):
@@ -177,6 +171,5 @@ def test_newtons_iteration_stands_in_two_places():
                 for node in ast.walk(function)
             ):
                 places.add(f"{file.stem}.{function.name}")
-    assert places == {"roots.iterate", "roots._iterate", "newton.iterate_branch_free"} | {
-        "galerkin.expand"
-    }
+    eager = {"roots.iterate", "roots._iterate"}
+    assert places == eager | {"newton.iterate_branch_free", "galerkin.expand"}

@@ -119,5 +119,5 @@ def windows(n: int, samples: int = 5) -> Windows:
 
 
 def reads_back(model: Any) -> bool:
-    """Whether the loss of a model reads a number to know how to go on, as a root finder does."""
+    """Return whether the loss of a model branches on values, as a root finder does."""
     return not model.objective.branch_free(model.flow)

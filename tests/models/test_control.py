@@ -1,4 +1,4 @@
-"""What a controller asks of a model: derivatives of a step, and the input behind a motion."""
+"""Models for control: derivatives of a step and inverse dynamics."""
 
 import pytest
 import torch
@@ -43,7 +43,7 @@ def test_derivatives_of_a_step_are_those_of_finite_differences(method, integrato
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize(("method", "integrator"), [("node", "rk4"), ("l_node", "dopri5")])
-def test_without_a_root_they_are_those_of_autograd(method, integrator, n):
+def test_explicit_derivatives_are_those_of_autograd(method, integrator, n):
     model, data = make(method, integrator, n), windows(n)
     x = torch.cat((data.q, data.v, data.u), dim=1)
     summed = torch.autograd.functional.jacobian(lambda x: state_map(model, n)(x).sum(0), x)
@@ -52,8 +52,8 @@ def test_without_a_root_they_are_those_of_autograd(method, integrator, n):
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_through_a_root_they_are_those_of_the_unrolled_search(n):
-    """Newton's method written out and differentiated by autograd, derivatives by autograd too."""
+def test_implicit_derivatives_are_those_of_an_unrolled_newton_iteration(n):
+    """Both the iteration and its derivatives by autograd."""
     model, data = make("symo", "midpoint", n), windows(n)
     lagrangian, h, force = model.lagrangian, model.time_step, model.input_matrix
 
@@ -86,7 +86,7 @@ def test_through_a_root_they_are_those_of_the_unrolled_search(n):
         torch.testing.assert_close(found[row], torch.func.jacrev(step)(x), rtol=1e-7, atol=1e-9)
 
 
-def test_the_adjoint_of_training_does_not_enter():
+def test_derivatives_do_not_depend_on_the_sensitivity_of_training():
     data = windows(2)
     direct, adjoint = (
         make("node", "rk4", 2, sensitivity=s).linearize(data.q, data.v, data.u)
@@ -115,7 +115,7 @@ def motion(model, data):
 
 
 @FLOWS
-def test_a_motion_of_the_model_gives_its_control_back(method, integrator, n):
+def test_inverse_dynamics_recovers_the_control(method, integrator, n):
     """Fully actuated and underactuated."""
     for m in {1, n}:
         model = actuated(method, integrator, n, m)
@@ -127,7 +127,7 @@ def test_a_motion_of_the_model_gives_its_control_back(method, integrator, n):
     ("method", "integrator", "n"),
     [("node", "rk4", 1), ("l_node", "midpoint", 3), ("symo", "galerkin4", 2)],
 )
-def test_of_a_motion_that_it_cannot_do_the_nearest_one_is_taken(method, integrator, n):
+def test_inverse_dynamics_takes_the_nearest_possible_motion(method, integrator, n):
     """No other held control brings a motion through the first two configurations nearer."""
     model = make(method, integrator, n)
     _, (q_prev, q, q_next) = motion(model, windows(n))

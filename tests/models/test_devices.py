@@ -29,7 +29,7 @@ def losses(model, samples, epochs=3):
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=gpu)])
 @pytest.mark.parametrize(("method", "integrator"), combinations())
-def test_it_trains_as_in_double_precision(method, integrator, device):
+def test_training_in_single_precision_follows_double(method, integrator, device):
     samples = windows(N, 12)
     expected = losses(small(method, integrator), samples)
     assert expected[-1] < expected[0]
@@ -40,7 +40,7 @@ def test_it_trains_as_in_double_precision(method, integrator, device):
 
 @pytest.mark.parametrize(("method", "integrator"), combinations())
 def test_a_loss_needs_nothing_from_another_device(method, integrator):
-    """Shown without a GPU by tensors that are nowhere: what lies in memory does not mix."""
+    """Tested without a GPU: tensors of the meta device do not mix with those in memory."""
     model = small(method, integrator)
     if reads_back(model.model):
         pytest.skip("reads a number on its way")

@@ -1,4 +1,4 @@
-"""The Jacobian by samples of every method and integrator, against one backward pass a sample."""
+"""The Jacobian by samples of every method and integrator against one backward pass a sample."""
 
 import pytest
 import torch
@@ -46,7 +46,7 @@ def check(model, data):
             torch.testing.assert_close(jacobian[sample, k], flat, rtol=1e-9, atol=1e-12)
 
 
-def test_a_use_of_a_parameter_behind_its_back_is_refused():
+def test_a_parameter_used_outside_of_tracked_functions_is_refused():
     model, data = learner("node", "rk4", 2), windows(2)
 
     def function():
@@ -54,5 +54,5 @@ def test_a_use_of_a_parameter_behind_its_back_is_refused():
 
     with pytest.raises(RuntimeError, match=r"outside nets\.affine"):
         parameter_jacobian(function, list(model.parameters()))
-    model.loss(data).backward()  # and nothing stays behind
+    model.loss(data).backward()  # no hook is left
     assert all(p.grad is not None for p in model.parameters())

@@ -1,4 +1,4 @@
-"""Learned dissipation, as an optimiser sees it."""
+"""Learned dissipation: derivatives, settings, and what it can represent."""
 
 from functools import partial
 
@@ -32,18 +32,24 @@ def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(n, make):
     assert_each_sample_alone(lagrangian, q, v)
 
 
-@pytest.mark.parametrize("wrong", [{"joints": "chain"}, {"rest_velocity": 0.0}, {"start": 0.0}])
-def test_bad_settings_are_refused_in_a_line(wrong):
+@pytest.mark.parametrize(
+    ("make", "wrong"),
+    [
+        (LearnedDissipation, {"joints": "chain"}),
+        (LearnedDissipation, {"rest_velocity": 0.0}),
+        (LearnedDissipation, {"start": 0.0}),
+        (LearnedDrag, {"speeds": 0}),
+        (MachineFriction, {"least_rest_velocity": 0.0}),
+        (MachineFriction, {"least_rest_velocity": 0.2}),
+        (MachineFriction, {"stribeck_velocity": 0.0}),
+    ],
+)
+def test_invalid_settings_are_refused(make, wrong):
     with pytest.raises(ConfigError, match=f"dissipation.{next(iter(wrong))}"):
-        LearnedDissipation(coordinates=Coordinates(("a",), (True,)), **wrong)
+        make(coordinates=Coordinates(("a",), (True,)), **wrong)
 
 
-def test_a_drag_of_no_speeds_is_refused_in_a_line():
-    with pytest.raises(ConfigError, match=r"dissipation\.speeds=0"):
-        LearnedDrag(coordinates=Coordinates(("a",), (True,)), speeds=0)
-
-
-def test_a_drag_can_be_that_of_a_link_in_a_fluid():
+def test_a_learned_drag_represents_a_link_in_a_fluid():
     """Three speeds suffice: along the link, across it and about its centre."""
     body = '<body><joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" '
     body += 'axis="0 1 0"/><joint name="turn" axis="0 0 1"/><geom type="box" size="0.5 0.1 0.2"/>'
@@ -71,27 +77,11 @@ def test_a_drag_can_be_that_of_a_link_in_a_fluid():
 
 @pytest.mark.parametrize("joints", ["own", "neighbours"])
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_closed_derivatives_of_machine_friction(n, joints):
+def test_closed_derivatives_of_machine_friction_are_those_of_autograd(n, joints):
     friction = machine_friction(n, joints=joints)
     q, v = torch.randn(2, 20, n, dtype=torch.float64)
     expected = Dissipation.derivatives(friction, q, v)
     torch.testing.assert_close(friction.derivatives(q, v), expected)
-
-
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_machine_friction_without_a_constant_force_dissipates(n):
-    friction = machine_friction(n, constant=False)
-    q, v = torch.randn(2, 500, n, dtype=torch.float64)
-    assert ((v * friction.force(q, v)).sum(1) < 0).all()
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"least_rest_velocity": 0.0}, {"least_rest_velocity": 0.2}, {"stribeck_velocity": 0.0}],
-)
-def test_bad_settings_of_machine_friction_are_refused_in_a_line(wrong):
-    with pytest.raises(ConfigError, match=f"dissipation.{next(iter(wrong))}"):
-        MachineFriction(coordinates=Coordinates(("a",), (True,)), **wrong)
 
 
 class Law(Dissipation):

@@ -1,4 +1,4 @@
-"""The harmonics of the angles: which there are, and what they can say."""
+"""Harmonics of angles: their number and the functions that they span."""
 
 import pytest
 import torch
@@ -10,11 +10,11 @@ from symo_exp.systems.chain import ChainPendulum
 @pytest.mark.parametrize(
     ("angles", "order", "size"), [(1, 1, 2), (2, 2, 8), (3, 3, 26), (3, 2, 18)]
 )
-def test_there_are_as_many_as_products_of_cosines_and_sines(angles, order, size):
+def test_the_number_of_harmonics_is_that_of_products_of_cosines_and_sines(angles, order, size):
     assert Harmonics(angular=(True,) * angles, order=order).size == size
 
 
-def test_lengths_have_none():
+def test_lengths_have_no_harmonics():
     assert Harmonics(angular=(False, False), order=2).size == 0
     q = torch.randn(5, 2)
     harmonics = Harmonics(angular=(False, True), order=2)

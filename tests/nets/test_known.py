@@ -1,4 +1,4 @@
-"""Known equations with learnable constants: the given system to begin with, differentiable."""
+"""Known equations with learnable constants: initial values and derivatives."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -33,7 +33,7 @@ def known(system):
     return found
 
 
-def test_it_begins_as_the_given_system(system):
+def test_initial_constants_are_those_of_the_system(system):
     q, *_ = points(system, 16)
     found = KnownLagrangian(system=system).double()
     mass = system.mass_matrix(q)
@@ -57,7 +57,7 @@ def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(system, kno
     assert_each_sample_alone(known, q, v)
 
 
-def test_every_parameter_is_a_possible_machine(system):
+def test_the_inertia_is_positive_definite_for_any_parameters(system):
     found, (q, *_) = KnownLagrangian(system=system).double(), points(system, 32)
     torch.manual_seed(3)
     with torch.no_grad():
@@ -88,7 +88,7 @@ def test_a_system_that_loses_its_derivatives_is_refused():
         KnownLagrangian(system=system)
 
 
-def test_a_constant_that_is_none_is_refused():
+def test_an_unknown_constant_is_refused():
     with pytest.raises(ConfigError, match="no such constant; there are gravity"):
         KnownLagrangian(system=SYSTEMS["pendulum"], fixed=["weight"])
 
@@ -99,7 +99,7 @@ def test_a_fixed_constant_is_no_parameter():
     assert sum(p.numel() for p in found.parameters()) == 2
 
 
-def test_friction_only_takes_energy():
+def test_friction_dissipates():
     torch.manual_seed(4)
     system = replace(SYSTEMS["cartpole"], viscous=(0.3, 0.0), coulomb=(0.0, 0.2))
     friction = KnownFriction(system=system).double()

@@ -1,4 +1,4 @@
-"""Physical numbers are those of the machine that a learned Lagrangian stands for."""
+"""Physical parameters read from a Lagrangian are those of the machine."""
 
 import pytest
 import torch
@@ -37,7 +37,7 @@ def test_bodies_of_a_chain_are_those_of_the_machine(name):
 
 @pytest.mark.parametrize("relative", [False, True])
 def test_coefficients_of_links_are_those_of_the_lagrangian(relative):
-    """An inertia and a potential made of the coefficients are the learned ones, were they rigid."""
+    """Coefficients are compared with averages of inertia and potential over the angles."""
     torch.manual_seed(1)
     coordinates = Coordinates(("x", "a", "b"), (False, True, True))
     module = StructuredLagrangian(
@@ -68,7 +68,7 @@ def test_coefficients_of_links_are_those_of_the_lagrangian(relative):
     assert found["a.gravity_moment"][0] == pytest.approx(float(torch.stack(moment).norm()), **close)
 
 
-def test_a_network_has_no_such_numbers():
+def test_a_network_has_no_physical_parameters():
     system = SYSTEMS["acrobot"]
     module = StructuredLagrangian(angular=system.coordinates.angular, width=4)
     assert readings(module, system.coordinates) == []

@@ -1,4 +1,4 @@
-"""The learned chain of rigid bodies: closed forms against autograd, and what it can be exactly."""
+"""The learned chain of rigid bodies: closed forms against autograd, and exact representation."""
 
 import pytest
 import torch
@@ -88,7 +88,7 @@ def of_truth(system: Multibody) -> RigidChain:
 
 
 @pytest.mark.parametrize("name", TRUTHS)
-def test_it_can_be_any_chain_of_rigid_bodies(name):
+def test_any_chain_of_rigid_bodies_is_represented_exactly(name):
     system = TRUTHS[name]()
     q, _ = points(system.coordinates.n)
     found = of_truth(system)
@@ -97,12 +97,12 @@ def test_it_can_be_any_chain_of_rigid_bodies(name):
     torch.testing.assert_close(height, height[:1].expand_as(height), rtol=1e-9, atol=1e-9)
 
 
-def test_an_inertia_that_is_none_is_refused():
+def test_a_negative_initial_inertia_is_refused():
     with pytest.raises(ConfigError, match=r"lagrangian\.initial_inertia=-1"):
         RigidChain(coordinates=named((True,)), initial_inertia=-1.0)
 
 
 @pytest.mark.parametrize("axes", [[[0, 0, 1]], [[0, 0, 1], [0, 1]], [[0, 0, 0], [0, 1, 0]], [1, 2]])
-def test_axes_that_are_none_are_refused_in_a_line(axes):
+def test_invalid_axes_are_refused(axes):
     with pytest.raises(ConfigError, match="expected 2 rows of three numbers"):
         RigidChain(coordinates=named((True, True)), axes=axes)

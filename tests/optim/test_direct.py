@@ -1,4 +1,4 @@
-"""A step taken directly is the step that PyTorch takes."""
+"""Direct steps equal those of PyTorch's optimisers bit for bit."""
 
 import copy
 
@@ -33,7 +33,7 @@ def give_gradients(parameters, k):
 
 
 @pytest.mark.parametrize("kind", OPTIMIZERS)
-def test_it_does_the_same_to_the_bit(kind):
+def test_direct_steps_equal_those_of_the_optimizer(kind):
     theirs, mine = weights(), weights()
     reference, optimizer = OPTIMIZERS[kind](theirs), OPTIMIZERS[kind](mine)
     for epoch in range(4):
@@ -56,7 +56,7 @@ def test_it_does_the_same_to_the_bit(kind):
     torch.testing.assert_close(*states, rtol=0.0, atol=0.0)
 
 
-def test_whoever_listens_to_steps_is_told_of_all():
+def test_hooks_are_called_at_every_step():
     parameters, heard = weights(), []
     optimizer = OPTIMIZERS["adam"](parameters)
     optimizer.register_step_post_hook(lambda *_: heard.append(1))

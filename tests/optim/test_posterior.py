@@ -1,4 +1,4 @@
-"""The posterior of a linear problem is that of its closed form; noise is found by likelihood."""
+"""The posterior of a linear problem against its closed form, and estimates of the noise."""
 
 import pytest
 import torch
@@ -56,7 +56,7 @@ def test_noise_of_nodes_and_of_the_model_are_told_apart(sigma, tau):
 
 @pytest.mark.parametrize("epsilon", [None, 1.0, 0.1])
 def test_the_covariance_is_that_of_estimates(epsilon):
-    """Estimates from many sets of noise scatter as one posterior says."""
+    """The scatter of estimates from many sets of noise is that of one posterior."""
     sigma, tau, estimates, covariances = 1e-2, 1e-3, [], []
     for seed in range(40):
         data = motions(sigma, tau, count=1, seed=seed)
@@ -89,7 +89,7 @@ def _estimate(problem, data, epsilon):
     return torch.linalg.solve(slopes.T @ weight @ slopes, slopes.T @ weight @ e)
 
 
-def test_what_has_no_effect_is_free():
+def test_parameters_without_effect_are_free_directions():
     problem = Falling(3)
     found = posterior(problem.residuals, [problem.theta], motions(1e-2, 0.0), epsilon=0.1)
     torch.testing.assert_close(found.free.abs(), torch.tensor([[0.0], [0.0], [1.0]]).double())
@@ -97,7 +97,7 @@ def test_what_has_no_effect_is_free():
     assert found.samples(5, torch.Generator().manual_seed(0))[:, 2].abs().max() == 0.0
 
 
-def test_a_prior_bounds_what_data_do_not():
+def test_a_prior_determines_parameters_that_data_do_not():
     problem = Falling(3)
     alpha = torch.tensor([0.0, 0.0, 4.0]).double()
     found = posterior(

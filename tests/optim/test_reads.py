@@ -1,4 +1,4 @@
-"""Training steps leave the numbers where they are: on a GPU the host need not wait for one."""
+"""Training steps read no values back, so on a GPU the host does not wait."""
 
 from functools import partial
 
@@ -46,7 +46,7 @@ def reads(model, steps):
     ("method", "integrator", "clip"),
     [*((*pair, 10.0) for pair in combinations()), *((*pair, None) for pair in ONE.items())],
 )
-def test_a_step_reads_nothing_back_unless_it_finds_roots(method, integrator, clip, monkeypatch):
+def test_a_step_reads_no_values_unless_it_finds_roots(method, integrator, clip, monkeypatch):
     told = partial(step_bounded, wait=False)
     monkeypatch.setattr(base, "step_bounded", lambda *it, wait: told(*it))
     model = learner(method, integrator, 2)

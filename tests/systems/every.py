@@ -1,4 +1,4 @@
-"""The table of systems: each file of conf/system that is whole, chains, and a MuJoCo model."""
+"""The table of systems: each complete file of conf/system, chains, and a MuJoCo model."""
 
 from __future__ import annotations
 

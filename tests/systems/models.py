@@ -1,4 +1,4 @@
-"""MJCF models: our own systems written down once more, and others with all that may be in one."""
+"""MJCF models: our own systems, and models that use every supported element."""
 
 from __future__ import annotations
 

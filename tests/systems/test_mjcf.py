@@ -1,4 +1,4 @@
-"""Mechanisms written as MJCF and URDF are what they were when MuJoCo has read them."""
+"""Mechanisms written as MJCF and URDF have the same dynamics in MuJoCo."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MECHANISMS = {
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
-def test_a_mechanism_comes_back_from_its_file(name):
+def test_a_written_mechanism_is_read_back(name):
     given = MECHANISMS[name]
     system = Multibody(mechanism=given, time_step=0.05)
     model = compiled(mjcf(given))
@@ -82,15 +82,14 @@ def test_a_urdf_of_shifted_references_is_refused():
         urdf(MECHANISMS["crane"])
 
 
-def test_comments_stand_at_the_head():
+def test_comments_are_written():
     text = mjcf(MECHANISMS["pendulums"], comments=["not here: a -- network"])
     assert "<!-- not here: a - - network -->" in text
     compiled(text)
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_the_bodies_of_a_system_are_the_system(name):
-    """Its linkage has its mass matrix and its forces of gravity, in its own coordinates."""
+def test_the_linkage_of_a_system_has_its_inertia_and_potential(name):
     system = SYSTEMS[name]
     found = system.linkage
     joints = [joint._asdict() for joint in found.joints]

@@ -1,4 +1,4 @@
-"""The chapter's report: its tables beside the published, and its statements judged."""
+"""The report of chapter 6: tables beside the published ones, and verdicts on its statements."""
 
 import math
 
@@ -35,7 +35,7 @@ def test_a_repeated_chapter_agrees_with_the_published(tmp_path):
     assert "| not run |" in claims
 
 
-def test_the_published_is_drawn_beside_ours():
+def test_published_values_are_drawn_beside_ours():
     told = thesis_report(tidy(repeated(SIZES)), "it")
     figures = {f.key: f for s in told.sections for f in s.figures}
     for key in ("data_size_cartpole_errors", "noise_cartpole"):
@@ -49,7 +49,7 @@ def test_the_published_is_drawn_beside_ours():
                 assert here[at] == pytest.approx(one.y)
 
 
-def test_what_is_missing_is_told_of_the_main_variant_alone():
+def test_missing_runs_are_listed_for_the_main_variant_alone():
     other = row(noise_std=0.01, variant="learning_rate=0.001")
     found = progress(tidy([row(n_traj=8), row(n_traj=8, seed=4), other]))
     tables = {table.key: table.rows for table in found if len(table.rows)}
@@ -69,7 +69,7 @@ def test_factors_say_larger_or_smaller(number, printed):
 
 
 def test_all_statements_are_borne_out_by_the_published_numbers():
-    """They were made of them: one that is not was put down wrongly."""
+    """A statement that is not was transcribed wrongly."""
     verdicts = judge(published.published().assign(seed=0)[:0])
     assert [claim["text"] for claim, theirs, _ in verdicts if theirs.said != "holds"] == []
     assert {ours.said for _, _, ours in verdicts} == {"not run"}

@@ -1,4 +1,4 @@
-"""The published draws are those that were published."""
+"""The published draws of initial states."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.data.small import ready
 from tests.data.test_draws import BOX, COUNTS
 
 
-def test_the_generator_is_that_of_old_gym() -> None:
+def test_the_generator_is_that_of_gym_before_its_change() -> None:
     """The widely known first observation of CartPole-v0 after ``env.seed(0)``."""
     first = gym_generator(0).uniform(-0.05, 0.05, size=4)
     known = [-0.04456399, 0.04653909, 0.01326909, -0.02099827]

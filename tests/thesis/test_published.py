@@ -1,4 +1,4 @@
-"""The published figures, and what is made of them beside ours."""
+"""The published values, and their comparison with ours."""
 
 from decimal import Decimal
 
@@ -55,7 +55,7 @@ def test_every_run_of_the_thesis_is_there_once():
     assert table.like.notna().all()
 
 
-def test_factors_compare_what_averages_over_the_same():
+def test_factors_compare_averages_over_the_same_quantities():
     cell = {"system": "cartpole", "method": "symo", "integrator": "midpoint"}
     run = row({"integration_mse": 0.1, "integration_mse_state": 0.551668}, **cell)
     compared = published.with_ours(cells(tidy([run])))

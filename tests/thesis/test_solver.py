@@ -1,4 +1,4 @@
-"""The published trajectories: each as ``solve_ivp`` makes it alone, and what they tell."""
+"""The published trajectories: each equals that of ``solve_ivp`` alone."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NODES = 5
 
 @pytest.mark.parametrize("tolerances", [(1e-3, 1e-6), (1e-1, 1e-2)], ids=str)
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_a_trajectory_is_what_solve_ivp_makes_of_it_node_by_node(name, tolerances) -> None:
+def test_a_trajectory_is_that_of_solve_ivp_node_by_node(name, tolerances) -> None:
     system, (rtol, atol) = SYSTEMS[name], tolerances
     q, v, u = points(system, 4)
     path = simulate(system, q, v, u, NODES, SolveIvp(rtol=rtol, atol=atol))
@@ -42,7 +42,7 @@ def test_a_trajectory_is_what_solve_ivp_makes_of_it_node_by_node(name, tolerance
             np.testing.assert_allclose(found, x, rtol=1e-9, atol=1e-9)
 
 
-def test_a_motion_that_steps_do_not_follow_is_refused() -> None:
+def test_a_motion_that_overflows_is_refused() -> None:
     system = dataclasses.replace(SYSTEMS["pendulum"], gravity=1e300)
     one = torch.ones(2, 1)
     with pytest.raises(ConfigError, match="nodes 0 and 1: not finite"), np.errstate(all="ignore"):
@@ -71,7 +71,7 @@ def test_published_trajectories_are_those_of_the_experiments(words, workplace):
 @pytest.mark.slow
 @pytest.mark.parametrize(("rollouts", "error"), [("ClassicalRK4", 0.735), ("RK4", 1.24)])
 def test_the_true_pendulum_along_the_published_rollouts(rollouts, error, workplace):
-    """What L-NODE in RK4 could best have: the rule of its rollouts decides it."""
+    """The smallest error that L-NODE with RK4 can have, which depends on the rollout rule."""
     job = job_of(
         "draws=published", "system=pendulum", "model=true_ode", "integrator=rk4",
         f"integrator.rollout._target_=symo_exp.mechanics.explicit.{rollouts}",

@@ -1,4 +1,4 @@
-"""Runs of no time that are cut in the middle of an epoch."""
+"""Short runs that are interrupted in the middle of an epoch."""
 
 import functools
 
@@ -19,24 +19,24 @@ WORDS = [
 
 
 class Cut(BaseException):
-    """The power is gone."""
+    """Stands for the end of the process."""
 
 
 @functools.cache
 def configuration(words):
-    """Composing it takes longer than the run."""
+    """Return the configuration; composing it takes longer than the run."""
     return job_of(*WORDS, *words.split()).values
 
 
 def go(words, path):
-    """The measures of a run, as text, so that nan is nan."""
+    """Run, and return the measures as text, so that nan equals nan."""
     config, folder = configuration(words), RunFolder(path)
     perform(build(config, folder), config, folder, About("a b", {"model": "a"}))
     return {name: str(value) for name, value in folder.measures().items()}
 
 
 def cut(words, path, epoch, monkeypatch):
-    """The same, ending abruptly at the end of an epoch, before it is over."""
+    """Run until just before the end of an epoch."""
     step = Learner.training_step
 
     def last_step(model, batches, index):
@@ -51,13 +51,13 @@ def cut(words, path, epoch, monkeypatch):
 
 
 def state(folder):
-    """What a training leaves."""
+    """Return the state of a training in its last checkpoint."""
     found = torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)
     return {k: found[k] for k in ("state_dict", "optimizer_states", "lr_schedulers", "random")}
 
 
 def same(a, b):
-    """Whether two such states are equal to the last bit."""
+    """Return whether two states are equal bit for bit."""
     if isinstance(a, torch.Tensor):
         return torch.equal(a, b)
     if isinstance(a, dict):

@@ -1,4 +1,4 @@
-"""What of a training is compiled."""
+"""Decisions about which parts of a training are compiled."""
 
 from types import SimpleNamespace
 
@@ -20,7 +20,7 @@ def test_validation_is_compiled_where_it_sees_as_many_samples_as_training(watche
     assert watches_much(SimpleNamespace(datamodule=data, check_val_every_n_epoch=every)) == much
 
 
-def test_without_data_of_our_own_there_is_nothing_to_compare():
+def test_validation_of_a_foreign_datamodule_is_not_compiled():
     assert not watches_much(SimpleNamespace(check_val_every_n_epoch=1))
 
 
@@ -48,7 +48,7 @@ def trained(monkeypatch, tmp_path):
     return train
 
 
-def test_a_short_training_is_compiled_where_its_kernels_are(trained):
+def test_a_short_training_is_compiled_if_its_kernels_are_cached(trained):
     assert not trained(WARM)[0]
     assert not trained(COLD - 1)[0]
     assert trained(COLD)[0]  # leaves kernels
@@ -58,7 +58,7 @@ def test_a_short_training_is_compiled_where_its_kernels_are(trained):
     assert not trained(COLD, mode=False)[0]
 
 
-def test_a_training_goes_on_the_way_it_began(trained):
+def test_a_resumed_training_stays_eager_or_compiled(trained):
     _, eager = trained(WARM)
     assert trained(1, mode=True)[0]  # another run leaves kernels
     assert trained(WARM)[0]

@@ -1,4 +1,4 @@
-"""What the training loop tells, whatever it trains."""
+"""Metrics of the training loop."""
 
 import copy
 
@@ -18,7 +18,7 @@ class Quiet(Objective):
         return Residuals(values, {"rows": torch.tensor(float(len(windows.q)))})
 
 
-def test_the_numbers_of_an_epoch_are_kept(tmp_path):
+def test_metrics_of_an_epoch_are_those_of_its_steps(tmp_path):
     model = learner(
         "symo", "midpoint", 2, objective=Quiet(), optimizer=lambda p: torch.optim.SGD(p, lr=0.01)
     )

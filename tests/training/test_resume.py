@@ -1,4 +1,4 @@
-"""A training that was cut ends with the bits of one that was not, whatever is left on disk."""
+"""An interrupted training ends with the same bits, whatever is left on disk."""
 
 import os
 import shutil
@@ -41,7 +41,9 @@ def refused(caplog):
 
 
 @pytest.mark.parametrize("words", METHODS, ids=lambda words: words.replace(" ", ","))
-def test_cut_again_and_again_it_ends_with_the_same_bits(words, workplace, monkeypatch, caplog):
+def test_a_training_interrupted_twice_ends_with_the_same_bits(
+    words, workplace, monkeypatch, caplog
+):
     whole = go(words, workplace / "whole")
     for epoch in (1, 4):
         cut(words, workplace / "cut", epoch, monkeypatch)
@@ -69,7 +71,9 @@ def series(folder):
         *(pytest.param(*x, marks=pytest.mark.slow) for x in ((2, 2), (3, 3), (5, 3))),
     ],
 )
-def test_cut_in_any_epoch(validate_every, epoch, whole, folder, monkeypatch):
+def test_a_training_may_be_interrupted_in_any_epoch(
+    validate_every, epoch, whole, folder, monkeypatch
+):
     shutil.rmtree(folder)
     words = f"{SYMO} trainer.validate_every={validate_every}"
     cut(words, folder, epoch, monkeypatch)
@@ -139,7 +143,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_bad_checkpoint_is_named_and_the_one_before_is_used(
+def test_a_damaged_checkpoint_is_reported_and_the_previous_one_used(
     damage, whole, folder, workplace, monkeypatch, caplog
 ):
     DAMAGE[damage](folder / "checkpoints" / "last.ckpt", monkeypatch)
@@ -153,7 +157,7 @@ def test_a_bad_checkpoint_is_named_and_the_one_before_is_used(
     assert not (workplace / "harm").exists()
 
 
-def test_without_a_sound_checkpoint_it_starts_anew(whole, folder, caplog):
+def test_without_a_valid_checkpoint_training_starts_anew(whole, folder, caplog):
     for name in ("last.ckpt", "previous.ckpt"):
         (folder / "checkpoints" / name).write_bytes(b"")
     assert go(SYMO, folder) == whole
@@ -161,7 +165,7 @@ def test_without_a_sound_checkpoint_it_starts_anew(whole, folder, caplog):
     assert resumed(caplog) == []
 
 
-def test_cut_after_the_training_only_the_evaluation_is_done_again(whole, folder, monkeypatch):
+def test_after_training_only_the_evaluation_is_repeated(whole, folder, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("symo_exp.job.recipe.evaluate", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
@@ -170,7 +174,7 @@ def test_cut_after_the_training_only_the_evaluation_is_done_again(whole, folder,
     assert go(SYMO, folder) == whole
 
 
-def test_a_training_that_ended_before_its_time_is_over(workplace, monkeypatch):
+def test_a_training_that_stopped_early_is_not_repeated(workplace, monkeypatch):
     words = METHODS[-1] + " optimizer.patience=1 trainer.max_epochs=500"
     go(words, workplace / "run")
     monkeypatch.setattr("lightning.Trainer.fit", lambda *_, **__: pytest.fail("it trains again"))
@@ -178,7 +182,9 @@ def test_a_training_that_ended_before_its_time_is_over(workplace, monkeypatch):
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_cut_at_every_moment_a_file_takes_its_place(when, whole, folder, monkeypatch, caplog):
+def test_a_training_may_be_interrupted_at_every_replacement_of_a_file(
+    when, whole, folder, monkeypatch, caplog
+):
     shutil.rmtree(folder)
     replace = os.replace
     for moment in range(1000):
@@ -206,7 +212,7 @@ def test_cut_at_every_moment_a_file_takes_its_place(when, whole, folder, monkeyp
     assert refused(caplog) == []
 
 
-def test_a_full_disk_for_a_while_costs_a_checkpoint_not_the_training(
+def test_a_disk_that_is_full_for_a_while_costs_only_checkpoints(
     whole, workplace, monkeypatch, caplog
 ):
     replace, count = os.replace, 0

@@ -1,4 +1,4 @@
-"""A cluster tells a job by a signal that its time is nearly up: it saves and makes way."""
+"""On the signal of a cluster's time limit a job saves and is queued again."""
 
 import json
 import os
@@ -19,8 +19,7 @@ class Requeued(BaseException):
 
 
 @pytest.fixture(autouse=True)
-def _signals(monkeypatch):
-    monkeypatch.setattr(stopping, "_requeue", None)
+def _signals():
     kept = {signum: signal.getsignal(signum) for signum in (*stopping.SIGNALS, signal.SIGUSR2)}
     yield
     for signum, handler in kept.items():
@@ -44,7 +43,7 @@ def left(folder):
     return run, json.loads((run / "outcome.json").read_text())
 
 
-def test_it_saves_before_the_launcher_has_its_turn(workplace, monkeypatch):
+def test_a_job_saves_before_the_launcher_ends_it(workplace, monkeypatch):
     saved = []
 
     def launchers(signum, frame):
@@ -61,13 +60,12 @@ def test_it_saves_before_the_launcher_has_its_turn(workplace, monkeypatch):
     assert main(COMMAND) == 0
     cut = state(left(workplace)[0])
     signal.signal(signal.SIGUSR2, signal.SIG_DFL)
-    monkeypatch.setattr(stopping, "_requeue", None)
     assert main([*COMMAND, "resume=false"]) == 0
     assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL  # where no launcher listens
     assert same(cut, state(left(workplace)[0]))
 
 
-def test_a_job_that_may_not_be_queued_again_says_why(workplace, monkeypatch, capsys):
+def test_a_job_that_cannot_be_queued_again_reports_the_reason(workplace, monkeypatch, capsys):
     def launchers(signum, frame):
         raise RuntimeError("timed out too many times")
 

@@ -1,4 +1,4 @@
-"""Environments of many copies, and of models: the same motion, one at a time or in one batch."""
+"""Vector environments and environments of models: the motion of single ones."""
 
 import warnings
 
@@ -75,7 +75,7 @@ def test_the_environment_of_a_model_is_accepted_and_is_its_step(method, integrat
     assert reward == pytest.approx(float(system.potential(step.q[None])))
 
 
-def test_gymnasium_makes_many():
+def test_vector_environments_are_registered_with_gymnasium():
     envs = gymnasium.make_vec("symo_exp/Cartpole-v0", num_envs=5, max_episode_steps=7)
     assert isinstance(envs, VectorEnvironment)
     assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
@@ -89,7 +89,7 @@ def test_gymnasium_makes_many():
     assert not any(end.any() for k, end in enumerate(ends) if k not in (6, 14))
 
 
-def test_a_copy_whose_episode_is_over_starts_anew_at_the_next_step():
+def test_a_copy_is_reset_at_the_step_after_its_episode_ends():
     system = SYSTEMS["pendulum"]
     lost_at = 100.0
 
@@ -127,7 +127,7 @@ def test_thousands_of_copies_move_in_one_batch():
     assert reward.shape == (4096,)
 
 
-def test_of_recordings_a_box_and_a_reward_are_told():
+def test_models_of_recordings_need_a_box_and_may_have_a_reward():
     system = Recorded(time_step=0.05, names=("a", "b"), angular="all", inputs=("0", "1"))
     model = model_of(system)
     with pytest.raises(ConfigError, match=r"box=dict\(q=") as caught:

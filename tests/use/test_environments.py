@@ -23,7 +23,9 @@ every_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
 @ids
-def test_registered_and_accepted_by_gymnasium(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environments_pass_the_checker_of_gymnasium(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # the checker opens windows
     env = gymnasium.make(f"symo_exp/{name}-v0", disable_env_checker=True)
     with warnings.catch_warnings():
@@ -117,7 +119,7 @@ def test_up_is_up_in_a_picture() -> None:
     assert rod[280:].sum() == 0
 
 
-def test_arrays_need_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rendering_to_arrays_needs_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
     pygame.display.quit()
@@ -127,7 +129,9 @@ def test_arrays_need_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not pygame.display.get_init()
 
 
-def test_without_pygame_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_pygame_is_reported_with_the_install_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
     env = Environment(SYSTEMS["pendulum"], render_mode="human")
     with pytest.raises(ConfigError, match=r"pip install 'symo_exp\[render\]'"):

@@ -1,4 +1,4 @@
-"""A step that is exported moves as the model does, in a process that has no symo_exp."""
+"""An exported step equals that of the model, in a process without symo_exp."""
 
 import subprocess
 import sys
@@ -42,8 +42,8 @@ def states(n):
     return data.q, data.v, data.u, data.u_next
 
 
-def leaves_home(model, n, folder, iterations):
-    """The exported step in a process of its own."""
+def check_alone(model, n, folder, iterations):
+    """Compare the exported step with the model in another process."""
     given = states(n)
     with torch.no_grad():
         expected = tuple(model.step(*given))[:3]
@@ -59,7 +59,7 @@ def leaves_home(model, n, folder, iterations):
 
 
 @pytest.mark.parametrize("method", ["node", "l_node", "symo"])
-def test_a_step_takes_either_precision_and_gives_plain_numbers(method, tmp_path):
+def test_a_step_takes_either_precision_and_returns_plain_tensors(method, tmp_path):
     model = make(method, "midpoint", 2).float()
     step = torch.export.load(symo_exp.export(model, tmp_path / "model.pt2")).module()
     given = [x.float() for x in states(2)]
@@ -71,17 +71,17 @@ def test_a_step_takes_either_precision_and_gives_plain_numbers(method, tmp_path)
 
 
 def test_a_step_runs_without_this_package(tmp_path):
-    leaves_home(make("node", "midpoint", 1), 1, tmp_path, iterations=1)
+    check_alone(make("node", "midpoint", 1), 1, tmp_path, iterations=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [2, 3])
 @pytest.mark.parametrize(("method", "integrator"), combinations())
 def test_every_step_runs_without_this_package(method, integrator, n, tmp_path):
-    leaves_home(make(method, integrator, n), n, tmp_path, iterations=6)
+    check_alone(make(method, integrator, n), n, tmp_path, iterations=6)
 
 
-def test_a_variational_step_is_that_of_the_model_and_tells_a_root_that_was_not_found(tmp_path):
+def test_a_variational_step_reports_roots_that_were_not_found(tmp_path):
     model = make("symo", "midpoint", 1)
     path = symo_exp.export(model, tmp_path / "x.pt2", iterations=2)
     *state, found = torch.export.load(path).module()(*states(1))
@@ -91,7 +91,7 @@ def test_a_variational_step_is_that_of_the_model_and_tells_a_root_that_was_not_f
         torch.testing.assert_close(mine[found], theirs[found])
 
 
-def test_what_cannot_be_written_is_said_in_a_line(tmp_path, monkeypatch):
+def test_impossible_exports_are_refused_in_one_line(tmp_path, monkeypatch):
     model = make("node", "rk4", 1)
     wrong = [
         ({"path": "model.zip"}, r"ends in .pt2, .onnx"),

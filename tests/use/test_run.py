@@ -1,4 +1,4 @@
-"""The Python door: what the command does, and the run in hand."""
+"""Runs from Python: the same as those of the command."""
 
 import sys
 
@@ -14,7 +14,7 @@ from tests.tiny import TINY
 SMALL = ["model=symo", *TINY, "logger=none"]
 
 
-def test_a_run_is_what_the_command_leaves(workplace):
+def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
     run = symo_exp.run(*SMALL, "pictures=false")
     assert [run.folder] == list((workplace / "outputs" / "default").glob("symo-*"))
     assert run.measures == RunFolder(run.folder).measures()
@@ -45,7 +45,7 @@ def test_a_sweep_gives_its_runs_in_order(workplace):
     assert epochs == [2, 1]
 
 
-def test_what_cannot_run_is_raised(workplace, monkeypatch):
+def test_errors_of_a_run_are_raised(workplace, monkeypatch):
     argv = list(sys.argv)
     for words, said in {
         ("modle=symo",): "modle",
@@ -61,7 +61,7 @@ def test_what_cannot_run_is_raised(workplace, monkeypatch):
     assert sys.argv == argv
 
 
-def test_a_notebook_has_a_progress_bar(monkeypatch):
+def test_notebooks_have_a_progress_bar(monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
     monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
     assert not ProgressBar().shown
