@@ -1,13 +1,10 @@
-"""What a sweep says of its runs: within 80 columns, the best marked, what is told on a terminal."""
+"""The table of a sweep: within 80 columns, the best of each column marked."""
 
-import io
 import math
-import sys
 
 import pytest
 
 from symo_exp.job.lines import run_line
-from symo_exp.process import phases
 from symo_exp.report.looks import written
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.sweep.table import table
@@ -73,16 +70,3 @@ def test_a_run_is_a_short_line_its_folder_last(tmp_path, monkeypatch):
 )  # fmt: skip
 def test_numbers_are_short(number, said):
     assert written(number) == said
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_phases_are_said_on_a_terminal_alone_and_make_room(terminal, monkeypatch):
-    said = io.StringIO()
-    said.isatty = lambda: terminal
-    monkeypatch.setattr(sys, "stderr", said)
-    phases.say("measuring " + 100 * "x")
-    phases.clear()
-    *_, last = said.getvalue().split(phases.ERASED)
-    assert last == ""
-    assert ("measuring" in said.getvalue()) == terminal
-    assert all(len(part) <= 80 for part in said.getvalue().split(phases.ERASED))

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import fcntl
 import multiprocessing
+import os
 import sys
 
 ERASED = "\r\x1b[K"
 
+_terminals: dict[str, int] = {}
+"""File descriptors of the terminals that this process has locked, by name."""
+
 
 def visible(*, notebook: bool = False) -> bool:
-    """Return whether a person watches: not in a file, a pipe, or a worker of a sweep."""
-    alone = multiprocessing.current_process().name == "MainProcess"
-    return alone and (sys.stderr.isatty() or (notebook and "ipykernel" in sys.modules))
+    """Return whether to show a status: not in a file, a pipe, or a worker of a sweep.
+
+    Of several commands on one terminal, one shows its status, and none in the background.
+    """
+    if multiprocessing.current_process().name != "MainProcess":
+        return False
+    if sys.stderr.isatty():
+        return _owns_terminal()
+    return notebook and "ipykernel" in sys.modules
 
 
 def say(text: str) -> None:
@@ -26,3 +37,24 @@ def clear() -> None:
     if visible():
         sys.stderr.write(ERASED)
         sys.stderr.flush()
+
+
+def _owns_terminal() -> bool:
+    """Lock the terminal for the status of this process, until the process ends."""
+    try:
+        stream = sys.stderr.fileno()
+        name = os.ttyname(stream)
+        if os.tcgetpgrp(stream) != os.getpgrp():
+            return False
+        if name in _terminals:
+            return True
+        terminal = os.open(name, os.O_RDONLY | os.O_NOCTTY)
+    except OSError:  # not a terminal of a shell, or one of another user
+        return True
+    try:
+        fcntl.flock(terminal, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(terminal)
+        return False
+    _terminals[name] = terminal
+    return True
