@@ -130,7 +130,8 @@ def _products(
         value = float((exact * values.log()).sum().exp())
         slope = value * (exact / values) @ slopes
         deviation = float((slope @ posterior.directions).norm())
-        rows.append(Parameter(name, value, unit, deviation, "yes", "product that is determined"))
+        sure = "yes" if deviation <= value else "weakly"
+        rows.append(Parameter(name, value, unit, deviation, sure, "product that is determined"))
     return rows
 
 

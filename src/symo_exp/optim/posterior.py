@@ -44,7 +44,7 @@ class Posterior(NamedTuple):
     Attributes:
         mean: The parameters.
         directions: Columns ``d_i``, so that the covariance is ``Σ d_i d_iᵀ``.
-        free: Orthonormal columns along which the data have no information.
+        free: Orthonormal columns along which the data have no information, though a prior may.
         noise: ``σ̂``, standard deviation of the nodes [rad, m].
         model_noise: ``ε̂ σ̂``, that of the residuals.
         residuals: Number of residuals.
@@ -190,6 +190,17 @@ def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, 
     return own, variance
 
 
+def _without_information(white: Float[Tensor, "rows p"]) -> Float[Tensor, "p f"]:
+    """Return orthonormal directions that do not change the residuals, whatever the prior says."""
+    upper = torch.linalg.qr(white, mode="r")[1]
+    scale = upper.norm(dim=0)
+    scale = torch.where(scale > 0.0, scale, 1.0)
+    _, values, right = torch.linalg.svd(upper / scale, full_matrices=True)
+    least = SINGULAR * values.amax().clamp_min(1e-300)
+    free = right[int((values > least).sum()) :].T / scale.unsqueeze(1)
+    return torch.linalg.qr(free)[0] if free.shape[1] else free
+
+
 def _of_estimate(
     chain: Chain,
     by_x: Sequence[Tensor],
@@ -210,8 +221,7 @@ def _of_estimate(
     _, values, right = torch.linalg.svd(upper / scale)
     there = values > SINGULAR * values.amax().clamp_min(1e-300)
     basis = right[there].T / values[there] / scale.unsqueeze(1)
-    free = right[~there].T / scale.unsqueeze(1)
-    free = torch.linalg.qr(free)[0] if free.shape[1] else free
+    free = _without_information(white)
     moved = (flat @ basis).T.unflatten(1, by_theta.shape[:2])
     pulled = moved if factor is None else torch.stack([factor.solve(column) for column in moved])
     spread = torch.stack([chain.spread(by_x, column).flatten() for column in pulled])
