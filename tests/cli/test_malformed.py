@@ -1,4 +1,4 @@
-"""Files, folders and places that are not as they should be: one line each.
+"""Invalid files, folders and places are refused in one line each.
 
 Keys and values are in ``test_main``, damaged checkpoints in ``training/test_resume``.
 """
@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from symo_exp.__main__ import main
 from tests.jobs import refusal
 
 TABLE = pd.DataFrame(
@@ -152,18 +151,3 @@ def test_a_place_that_cannot_be(typed, refused, workplace):
     (workplace / "file").write_text("in the way")
     (workplace / "folder").mkdir()
     refused("model=node", *typed.split())
-
-
-def test_the_command_ends_with_the_line(mine, workplace, capsys):
-    """Whoever finds the mistake: Hydra, our checks, the data."""
-    for typed in (
-        "model=open",
-        "model=shell",
-        "experiment=..",
-        "data=recorded data.path=/dev/null",
-    ):
-        assert main(["--config-dir", mine, "logger=none", *typed.split()]) == 2
-        out, err = capsys.readouterr()
-        (line,) = err.strip().splitlines()
-        assert line.startswith("symo_exp: error: ")
-        assert out == ""

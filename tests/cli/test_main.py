@@ -1,4 +1,4 @@
-"""The command line: help, refusals, runs, sweeps, failures, exit codes."""
+"""The command line: help, refusals, single runs, exit codes."""
 
 import contextlib
 import io
@@ -11,13 +11,12 @@ import pytest
 
 from symo_exp.__main__ import main
 from symo_exp.cli.command import CHECK_ONLY
-from symo_exp.job.job import _about
 from symo_exp.job.moved import MOVED
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.sweeper import Sweep, watched
-from tests.jobs import job_of, jobs_of, planned, refusal
-from tests.tiny import TINY, copy_store
+from tests.jobs import jobs_of, refusal
+from tests.tiny import TINY
 
 QUIET = [*TINY, "logger=none", "pictures=false"]
 LIGHT = (
@@ -185,66 +184,6 @@ def test_overrides_may_stand_on_both_sides_of_an_option():
     assert [job.label for job in jobs] == [f"data.n_traj={n}" for n in (8, 16, 32, 64, 128)]
 
 
-def test_values_are_set_as_hydra_sets_them(workplace):
-    """What the composer saves by sharing files changes nothing of what comes out."""
-    words = ["model=node", "system=acrobot", "data.n_traj=8", "net.width=7", "seed=3",
-             "optimizer.lr=1e-3", "data.solver={rtol: 1e-3}"]  # fmt: skip
-    shared = jobs_of(*words, "learner.gradient_clip=1,2")
-    alone = [job_of(*words, f"++learner.gradient_clip={x}") for x in (1, 2)]
-    for one, other in zip(shared, alone, strict=True):
-        assert one.config == other.config
-        assert one.folder.path == other.folder.path
-
-
-def test_a_folder_belongs_to_what_is_computed(workplace):
-    def folder(*words):
-        return job_of(*words).folder.path
-
-    same = ["trainer.progress=false", "logger=none", "pictures=false", "study=forced"]
-    assert folder("seed=1") == folder("seed=1", *same) == folder("-m", "seed=1")
-    assert folder("data.noise_std=0") == folder("data.noise_std=0.0") == folder()
-    names = [folder(), folder("seed=1"), folder("data.n_traj=8"), folder("optimizer.lr=1e-3")]
-    assert len(set(names)) == len(names)
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ([], ""),
-        (["seed=1", "data.n_traj=8", "data.noise_std=1e-3", "model=node", "pictures=false"], ""),
-        (["model=l_node", "integrator=rk4", "system=acrobot"], ""),
-        (["preset=fast"], "fast"),
-        (["preset=thesis", "trainer.max_epochs=3"], "thesis, trainer.max_epochs=3"),
-        (["scheduler=cosine"], "scheduler=cosine"),
-        (["learning_rate=1e-2"], "learning_rate=0.01"),
-        (["net.width=7", "data.n_test=9"], "data.n_test=9, net.width=7"),
-        (
-            ["-cn", "demo", "model=node", "data.n_traj=8", "hydra/launcher=basic"],
-            "trainer.max_epochs=200",
-        ),
-    ],
-)
-def test_a_run_says_how_it_differs_from_what_ships(words, told, workplace):
-    with planned(*words, "logger=none") as (_, (job,)):
-        assert _about(job.settings, job.choices, job.overrides).variant == told
-
-
-@pytest.mark.parametrize(
-    ("varied", "name"),
-    [
-        ("", "SyMo acrobot n=16"),
-        ("model,data.n_traj", "SyMo acrobot n=16"),
-        ("seed,optimizer.lr", "SyMo acrobot n=16 seed=3 lr=1e-3"),
-    ],
-)
-def test_a_run_is_named_by_what_its_sweep_varies(varied, name, workplace, monkeypatch):
-    monkeypatch.setenv("SYMO_EXP_VARIED", varied)
-    words = ["model=symo", "system=acrobot", "data.n_traj=16", "seed=3", "optimizer.lr=1e-3"]
-    with planned(*words, "logger=none") as (_, (job,)):
-        about = _about(job.settings, job.choices, words)
-    assert about.name == name
-
-
 def test_a_model_that_is_not_learned_is_measured_without_training(workplace):
     assert main(["model=true_variational", *QUIET]) == 0
     (folder,) = map(RunFolder, (workplace / "outputs" / "default").glob("*"))
@@ -309,70 +248,3 @@ def test_an_unforeseen_error_is_a_line_and_an_exit_code(workplace, capsys, monke
     out, err = capsys.readouterr()
     assert "ZeroDivisionError: oh" in err
     assert "Traceback" not in out + err
-
-
-SWEPT = [*TINY, "pictures=false", "experiment=study", "model=node", "-m"]
-RATES = "optimizer.lr=1e-3,1e30,1e-4"
-"""A rate of 1e30 overflows in the first steps."""
-
-
-@pytest.fixture(scope="module")
-def swept(tmp_path_factory, database):
-    """Where a sweep was done one of whose runs fails, its exit code and what was said of it."""
-    place, said = tmp_path_factory.mktemp("swept"), io.StringIO()
-    copy_store(database, place)
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
-        patch.chdir(place)
-        code = main([*SWEPT, RATES])
-    return place, code, said.getvalue()
-
-
-def test_a_failing_job_does_not_stop_the_others(swept):
-    place, code, out = swept
-    assert code == 1
-    files = (place / "outputs" / "study").glob("*/outcome.json")
-    outcomes = {file.parent: RunFolder(file.parent).outcome() for file in files}
-    assert sorted(o.status for o in outcomes.values()) == ["failed", "finished", "finished"]
-    ((folder, failed),) = [(f, o) for f, o in outcomes.items() if o.status == "failed"]
-    assert "loss" in failed.reason
-    assert "optimizer.lr" in failed.reason  # what to try
-    (line,) = [line for line in out.splitlines() if line.startswith("failed: ")]
-    assert "optimizer.lr=1e+30" in line
-    log = folder / "symo_exp.log"
-    assert str(log.relative_to(place)) in line
-    assert "Traceback" in log.read_text()
-    assert "Traceback" not in out
-
-
-def test_a_multirun_is_one_parent_with_its_children(swept):
-    from mlflow import MlflowClient
-
-    client = MlflowClient(f"sqlite:///{swept[0]}/mlruns/mlflow.db")
-    experiment = client.get_experiment_by_name("study")
-    runs = client.search_runs([experiment.experiment_id])
-    (parent,) = [r for r in runs if "mlflow.parentRunId" not in r.data.tags]
-    children = {r.data.params["optimizer.lr"]: r for r in runs if r is not parent}
-    assert {r.data.tags["mlflow.parentRunId"] for r in children.values()} == {parent.info.run_id}
-    ended = {rate: r.info.status for rate, r in children.items()}
-    assert ended == {"0.001": "FINISHED", "1e+30": "FAILED", "0.0001": "FINISHED"}
-    assert parent.info.status == "FAILED"
-    assert all(
-        "test_mse" in r.data.metrics for r in children.values() if r.info.status == "FINISHED"
-    )
-
-
-def test_what_is_finished_is_not_done_again(swept, workplace, capsys, monkeypatch):
-    shutil.copytree(swept[0] / "outputs", workplace / "outputs")
-    words = [*SWEPT, "logger=none"]
-    known = {f: f.stat().st_mtime_ns for f in workplace.rglob("metrics.json")}
-    assert main([*words, "optimizer.lr=1e-3,1e-4,1e-2"]) == 0
-    out, _ = capsys.readouterr()
-    assert "2 of 3 runs are finished already" in out
-    assert len([line for line in out.splitlines() if line.startswith("lr=")]) == 3
-    assert "3 of 3: NODE pendulum n=2 lr=0.01  test " in out
-    assert known == {f: f.stat().st_mtime_ns for f in known}
-    assert len([*workplace.rglob("metrics.json")]) == 3
-
-    monkeypatch.setattr(Sweep, "_launch_all", lambda *_: pytest.fail("it started"))
-    assert main([*words, "optimizer.lr=1e-4"]) == 0  # the same run outside of the sweep
-    assert "finished already" in capsys.readouterr().out

@@ -1,0 +1,66 @@
+"""The settings, folder, variant and name of a job."""
+
+import pytest
+
+from symo_exp.job.job import _about
+from tests.jobs import job_of, jobs_of, planned
+
+
+def test_values_are_set_as_hydra_sets_them(workplace):
+    """What the composer saves by sharing files changes nothing of what comes out."""
+    words = ["model=node", "system=acrobot", "data.n_traj=8", "net.width=7", "seed=3",
+             "optimizer.lr=1e-3", "data.solver={rtol: 1e-3}"]  # fmt: skip
+    shared = jobs_of(*words, "learner.gradient_clip=1,2")
+    alone = [job_of(*words, f"++learner.gradient_clip={x}") for x in (1, 2)]
+    for one, other in zip(shared, alone, strict=True):
+        assert one.config == other.config
+        assert one.folder.path == other.folder.path
+
+
+def test_a_folder_belongs_to_what_is_computed(workplace):
+    def folder(*words):
+        return job_of(*words).folder.path
+
+    same = ["trainer.progress=false", "logger=none", "pictures=false", "study=forced"]
+    assert folder("seed=1") == folder("seed=1", *same) == folder("-m", "seed=1")
+    assert folder("data.noise_std=0") == folder("data.noise_std=0.0") == folder()
+    names = [folder(), folder("seed=1"), folder("data.n_traj=8"), folder("optimizer.lr=1e-3")]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], ""),
+        (["seed=1", "data.n_traj=8", "data.noise_std=1e-3", "model=node", "pictures=false"], ""),
+        (["model=l_node", "integrator=rk4", "system=acrobot"], ""),
+        (["preset=fast"], "fast"),
+        (["preset=thesis", "trainer.max_epochs=3"], "thesis, trainer.max_epochs=3"),
+        (["scheduler=cosine"], "scheduler=cosine"),
+        (["learning_rate=1e-2"], "learning_rate=0.01"),
+        (["net.width=7", "data.n_test=9"], "data.n_test=9, net.width=7"),
+        (
+            ["-cn", "demo", "model=node", "data.n_traj=8", "hydra/launcher=basic"],
+            "trainer.max_epochs=200",
+        ),
+    ],
+)
+def test_a_run_says_how_it_differs_from_what_ships(words, told, workplace):
+    with planned(*words, "logger=none") as (_, (job,)):
+        assert _about(job.settings, job.choices, job.overrides).variant == told
+
+
+@pytest.mark.parametrize(
+    ("varied", "name"),
+    [
+        ("", "SyMo acrobot n=16"),
+        ("model,data.n_traj", "SyMo acrobot n=16"),
+        ("seed,optimizer.lr", "SyMo acrobot n=16 seed=3 lr=1e-3"),
+    ],
+)
+def test_a_run_is_named_by_what_its_sweep_varies(varied, name, workplace, monkeypatch):
+    monkeypatch.setenv("SYMO_EXP_VARIED", varied)
+    words = ["model=symo", "system=acrobot", "data.n_traj=16", "seed=3", "optimizer.lr=1e-3"]
+    with planned(*words, "logger=none") as (_, (job,)):
+        about = _about(job.settings, job.choices, words)
+    assert about.name == name

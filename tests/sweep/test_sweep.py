@@ -1,0 +1,78 @@
+"""Sweeps: failed jobs, their parent in the store, and what is not run again."""
+
+import contextlib
+import io
+import shutil
+
+import pytest
+
+from symo_exp.__main__ import main
+from symo_exp.runs.folder import RunFolder
+from symo_exp.sweep.sweeper import Sweep
+from tests.tiny import TINY, copy_store
+
+SWEPT = [*TINY, "pictures=false", "experiment=study", "model=node", "-m"]
+RATES = "optimizer.lr=1e-3,1e30,1e-4"
+"""A rate of 1e30 overflows in the first steps."""
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory, database):
+    """Where a sweep was done one of whose runs fails, its exit code and what was said of it."""
+    place, said = tmp_path_factory.mktemp("swept"), io.StringIO()
+    copy_store(database, place)
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.chdir(place)
+        code = main([*SWEPT, RATES])
+    return place, code, said.getvalue()
+
+
+def test_a_failing_job_does_not_stop_the_others(swept):
+    place, code, out = swept
+    assert code == 1
+    files = (place / "outputs" / "study").glob("*/outcome.json")
+    outcomes = {file.parent: RunFolder(file.parent).outcome() for file in files}
+    assert sorted(o.status for o in outcomes.values()) == ["failed", "finished", "finished"]
+    ((folder, failed),) = [(f, o) for f, o in outcomes.items() if o.status == "failed"]
+    assert "loss" in failed.reason
+    assert "optimizer.lr" in failed.reason  # what to try
+    (line,) = [line for line in out.splitlines() if line.startswith("failed: ")]
+    assert "optimizer.lr=1e+30" in line
+    log = folder / "symo_exp.log"
+    assert str(log.relative_to(place)) in line
+    assert "Traceback" in log.read_text()
+    assert "Traceback" not in out
+
+
+def test_a_multirun_is_one_parent_with_its_children(swept):
+    from mlflow import MlflowClient
+
+    client = MlflowClient(f"sqlite:///{swept[0]}/mlruns/mlflow.db")
+    experiment = client.get_experiment_by_name("study")
+    runs = client.search_runs([experiment.experiment_id])
+    (parent,) = [r for r in runs if "mlflow.parentRunId" not in r.data.tags]
+    children = {r.data.params["optimizer.lr"]: r for r in runs if r is not parent}
+    assert {r.data.tags["mlflow.parentRunId"] for r in children.values()} == {parent.info.run_id}
+    ended = {rate: r.info.status for rate, r in children.items()}
+    assert ended == {"0.001": "FINISHED", "1e+30": "FAILED", "0.0001": "FINISHED"}
+    assert parent.info.status == "FAILED"
+    assert all(
+        "test_mse" in r.data.metrics for r in children.values() if r.info.status == "FINISHED"
+    )
+
+
+def test_what_is_finished_is_not_done_again(swept, workplace, capsys, monkeypatch):
+    shutil.copytree(swept[0] / "outputs", workplace / "outputs")
+    words = [*SWEPT, "logger=none"]
+    known = {f: f.stat().st_mtime_ns for f in workplace.rglob("metrics.json")}
+    assert main([*words, "optimizer.lr=1e-3,1e-4,1e-2"]) == 0
+    out, _ = capsys.readouterr()
+    assert "2 of 3 runs are finished already" in out
+    assert len([line for line in out.splitlines() if line.startswith("lr=")]) == 3
+    assert "3 of 3: NODE pendulum n=2 lr=0.01  test " in out
+    assert known == {f: f.stat().st_mtime_ns for f in known}
+    assert len([*workplace.rglob("metrics.json")]) == 3
+
+    monkeypatch.setattr(Sweep, "_launch_all", lambda *_: pytest.fail("it started"))
+    assert main([*words, "optimizer.lr=1e-4"]) == 0  # the same run outside of the sweep
+    assert "finished already" in capsys.readouterr().out
