@@ -19,6 +19,8 @@ Module = TypeVar("Module", bound=nn.Module)
 SAMPLES = 48
 """Rollouts behind an interval: two for each direction of a posterior, or so many samples."""
 SEED = 0
+SMALL = 0.02
+"""Length of a step in parameters beyond which rollouts are extrapolated from a shorter one."""
 
 
 class Interval(NamedTuple):
@@ -137,18 +139,20 @@ def spread(
     twin = copy.deepcopy(flow)
     total, count = torch.zeros_like(middle), 0
     linear = 2 * posterior.directions.shape[1] <= most
-    for flat in _placed(posterior, linear, most):
-        path = place(twin, flat).rollout(q, v, u).q
-        total, count = total + (path - middle).square(), count + 1
+    for step in _steps(posterior, linear, most):
+        share = min(1.0, SMALL / max(float(step.norm()), SMALL))
+        path = place(twin, posterior.mean + share * step).rollout(q, v, u).q
+        total, count = total + ((path - middle) / share).square(), count + 1
     total = total / 2.0 if linear else total / max(count, 1)
     return total.nan_to_num(torch.inf, torch.inf)
 
 
-def _placed(posterior: Posterior, linear: bool, count: int) -> Iterator[Tensor]:
+def _steps(posterior: Posterior, linear: bool, count: int) -> Iterator[Tensor]:
+    """Yield each direction both ways, or samples of steps from the mean."""
     if not linear:
-        yield from posterior.samples(count, torch.Generator().manual_seed(SEED))
+        drawn = posterior.samples(count, torch.Generator().manual_seed(SEED))
+        yield from drawn - posterior.mean
         return
-    for direction in posterior.directions.T:
-        bounded = direction / direction.norm().clamp_min(1.0)
-        yield posterior.mean + bounded
-        yield posterior.mean - bounded
+    for direction in posterior.informed().T:
+        yield direction
+        yield -direction

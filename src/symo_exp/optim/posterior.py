@@ -61,13 +61,21 @@ class Posterior(NamedTuple):
         """Return the covariance, without that of the free directions, which is infinite."""
         return self.directions @ self.directions.T
 
+    def informed(self) -> Float[Tensor, "p k"]:
+        """Return the directions without their parts that data have no information about.
+
+        Those do not change predictions to first order, and beyond it a prior would.
+        """
+        return self.directions - self.free @ (self.free.T @ self.directions)
+
     def samples(self, count: int, generator: torch.Generator) -> Float[Tensor, "count p"]:
         """Draw parameters; free directions keep their values, and no other goes beyond 1."""
         drawn = torch.randn(
             count, self.directions.shape[1], dtype=torch.float64, generator=generator
         )
-        size = self.directions.norm(dim=0)
-        bounded = self.directions * (LARGEST / size.clamp_min(LARGEST))
+        directions = self.informed()
+        size = directions.norm(dim=0)
+        bounded = directions * (LARGEST / size.clamp_min(LARGEST))
         return self.mean + drawn @ bounded.T
 
 
