@@ -4,10 +4,11 @@ import pandas as pd
 import pytest
 
 from symo_exp.__main__ import main
+from symo_exp.report.cells import Compared
 from symo_exp.report.growth import growth
 from symo_exp.report.overview import sections
-from symo_exp.report.runs import load, tidy
-from symo_exp.report.tables import markdown
+from symo_exp.report.runs import load_runs, tidy
+from symo_exp.report.tables import markdown_table
 from tests.report.stores import MEASURES, row
 from tests.tiny import TINY
 
@@ -24,7 +25,7 @@ def trained(name, n, folder):
     words = [*TINY, *METHODS[name], "system=chain", f"system.links={n}", "logger=none"]
     words += ["pictures=false", "net.width=4", f"experiment={name}_{n}"]
     assert main(words) == 0
-    runs = load([folder / "outputs" / f"{name}_{n}"])
+    runs = load_runs([folder / "outputs" / f"{name}_{n}"])
     return runs.set_index("metric").value
 
 
@@ -61,11 +62,11 @@ def test_the_report_shows_growth():
     (table,), (figure,) = growth(runs)
     assert list(table.rows.coordinates) == [str(n) for n in range(1, 8)]
     assert set(table.rows.seeds) == {"2"}
-    assert "n to the power 2.00" in markdown(table)
+    assert "n to the power 2.00" in markdown_table(table)
     panel = figure.panels[0]
     assert panel.ticks == tuple(range(1, 8))
     assert panel.rows.y.tolist() == pytest.approx([1e-6 * 10**n for n in range(1, 8)])
-    assert "growth" in [section.key for section in sections(runs)]
+    assert "growth" in [section.key for section in sections(runs, Compared(""))]
 
 
 def test_systems_of_one_size_do_not_grow():
