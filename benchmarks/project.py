@@ -64,9 +64,10 @@ def build(
     tolerance: float = 1e-5,
     max_iterations: int = 10,
     stopping: str = "row",
+    guess: str = "datum",
     **training: Any,
 ) -> Learner:
-    """A learner of the project whose model has the given weights."""
+    """Return a learner of the project whose model has the given weights."""
     options: dict[str, Any] = {
         "coordinates": Coordinates(tuple(f"q{i}" for i in range(case.n)), case.angular),
         "input_matrix": torch.tensor(case.input_matrix),
@@ -85,6 +86,8 @@ def build(
         )
     else:
         options["integrator"] = {"rk4": RK4, "midpoint": Midpoint}[integrator]()
+    if method == "e2e_symo":
+        options["guess"] = guess
     module = importlib.import_module(f"symo_exp.models.{method}")
     model: DynamicsModel = getattr(module, CLASSES[method])(**options).to(dtype)
     with torch.no_grad():

@@ -169,8 +169,8 @@ def fit_cells(plan: Plan, system: str, method: str) -> Iterator[Measurement]:
         yield Measurement(name, system, method, FIT_BATCH, "project", 1e3 * ms, low, high, None)
 
 
-def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
-    """E2E-SyMo steps where training starts: 8 trajectories.
+def hard_contenders(system: str) -> dict[str, Contender]:
+    """Return implementations of E2E-SyMo where its training starts.
 
     At the Xavier weights of the thesis' text some rows have no root; where the inertia is half as
     large again as it should be, all have.
@@ -189,6 +189,12 @@ def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
                 "e2e_symo", case, layers, lr=0.0, stopping="batch", guess="inertial"
             ),
         }
+    return group
+
+
+def hard_cells(plan: Plan, system: str) -> Iterator[Measurement]:
+    """Measure steps of E2E-SyMo where training starts, with 8 trajectories."""
+    group = hard_contenders(system)
     windows = training_batch(system, 32)
     batches = {k: c.prepare(windows) for k, c in group.items()}
     bound = {k: (lambda k=k: group[k].train_step(batches[k])) for k in group}

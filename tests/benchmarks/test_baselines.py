@@ -8,9 +8,17 @@ import pytest
 import torch
 
 from benchmarks.baseline_autograd import CLASSES, LNODE, E2ESyMo, SyMo
-from benchmarks.cases import CASES, METHODS, calm_weights, chain, random_windows
+from benchmarks.cases import (
+    CASES,
+    METHODS,
+    calm_weights,
+    chain,
+    random_windows,
+    training_batch,
+)
 from benchmarks.contenders import Autograd, Jax, jax_is_installed
 from benchmarks.project import Project, whole_fit
+from benchmarks.run import hard_contenders
 
 SMALL = [chain(1, 12), chain(2, 12), chain(3, 12)]
 EXACT = {"node": {"adjoint": False}, "l_node": {"adjoint": False}}
@@ -182,6 +190,14 @@ def test_project_computes_the_same_numbers(method, case):
     layers = calm_weights(case, method)
     options = TIGHT.get(method, {})
     same_numbers(Project(method, case, layers, dtype=torch.float64, **options), method, case)
+
+
+def test_contenders_take_steps_where_training_starts():
+    windows = training_batch("pendulum", 8)
+    for contender in hard_contenders("pendulum").values():
+        batch = contender.prepare(windows)
+        contender.train_step(batch)
+        assert contender.iterations(batch, training=True) >= 1
 
 
 def test_every_method_has_a_baseline():
