@@ -70,6 +70,70 @@ def test_trajectories_are_assigned_to_parts(settings: dict, wanted: tuple, tmp_p
         assert first(data, part) == pytest.approx(expected), part
 
 
+@pytest.mark.parametrize(
+    ("splits", "wanted"),
+    [
+        ("train train train train train", ("abc", "d", "e")),
+        ("test train test train train", ("bd", "e", "ac")),
+        ("val train val extra val", ("b", "ae", "c")),
+        ("train val train extra train", ("ac", "b", "e")),
+    ],
+)
+def test_a_part_that_the_column_split_lacks_is_taken_from_others(
+    splits: str, wanted: tuple, tmp_path: Path, caplog
+) -> None:
+    given = table()
+    given["split"] = given["trajectory"].map(dict(zip("abcde", splits.split(), strict=True)))
+    with caplog.at_level(logging.INFO):
+        data = read(given, tmp_path)
+    for part, labels in zip(("train", "val", "test"), wanted, strict=True):
+        assert first(data, part) == pytest.approx([np.sin("abcde".index(x)) for x in labels])
+    assert any("the column split has nothing for" in r.getMessage() for r in caplog.records)
+
+
+@pytest.mark.parametrize("lacking", ["val", "test"])
+def test_too_few_recordings_for_the_part_that_is_lacking_are_split_in_time(
+    lacking: str, tmp_path: Path, caplog
+) -> None:
+    t = H * np.arange(400)
+    there = "val" if lacking == "test" else "test"
+    given = pd.concat(
+        [
+            pd.DataFrame({"trajectory": k, "split": part, "t": t, "q_arm0": np.sin(t + k)})
+            for k, part in enumerate(("train", there))
+        ]
+    )
+    with caplog.at_level(logging.INFO):
+        data = read(given, tmp_path)
+    assert len(data.trajectories(there)) == 1
+    whole = len(data.trajectories(there)[0].q)
+    held_out = sum(len(one.q) for one in data.trajectories(lacking))
+    assert 0.15 * whole < held_out < 0.25 * whole
+    assert 0.6 * whole < sum(len(one.q) for one in data.trajectories("train")) < whole - held_out
+    assert any(f"nothing for {lacking}: split in time" in r.getMessage() for r in caplog.records)
+
+
+def test_a_recording_is_cut_at_gaps(tmp_path: Path, caplog) -> None:
+    """Nothing is interpolated over a gap, and the pieces are what was recorded."""
+    t = H * np.arange(200)
+    whole = pd.DataFrame({"t": t, "q_arm0": np.sin(t)})
+    parts = [whole.assign(trajectory=k, split=part) for k, part in enumerate(("val", "test"))]
+    jitter = 0.2 * H * np.random.default_rng(0).random(len(t))
+    broken = whole.assign(t=t + jitter, q_arm0=np.sin(t + jitter), trajectory=2, split="train")
+    broken = broken[~broken.t.between(5.0, 7.0) & ~broken.t.between(7.2, 9.0)]
+    with caplog.at_level(logging.INFO):
+        data = read(pd.concat([*parts, broken]), tmp_path)
+    found = data.trajectories("train")
+    assert len(found) == 2  # the samples from 7.0 to 7.2 s are too few
+    at = [broken.t.iloc[0], broken.t[broken.t > 9.0].iloc[0]]
+    for one, begin in zip(found, at, strict=True):
+        expected = np.sin(begin + H * np.arange(len(one.q)))
+        assert one.q[:, 0].numpy() == pytest.approx(expected, abs=1e-3)
+    said = [r.getMessage() for r in caplog.records if "gaps: 1 of 1" in r.getMessage()]
+    assert len(said) == 1
+    assert "too short are left out" in said[0]
+
+
 def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> None:
     data = read(table().drop(columns="split"), tmp_path, val=["b"], test=["c"])
     assert first(data, "train") == pytest.approx([np.sin(k) for k in (0, 3, 4)])
@@ -82,7 +146,7 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({}, {"test": ["a"], "val": ["a"]}, "trajectory a is named twice"),
         ({}, {"test": []}, "data.test=[]: expected the names"),
         ({}, {"test": ["a"], "n_val": 1}, "leave out n_val"),
-        ({"split": "train"}, {}, "no trajectory for val; its column split has train"),
+        ({"split": "val"}, {}, "no trajectory for train; its column split has val"),
         ({"split": ["train", "test"] * 20}, {}, "trajectory a is in the splits train, test"),
         ({"q_": 0.0}, {}, "system.input_matrix=null: say how the 2 input(s) (motor0, motor1)"),
         ({"v_leg": 0.0}, {}, "column v_leg is of no coordinate of the system (arm0, arm1)"),

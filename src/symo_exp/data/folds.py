@@ -98,5 +98,4 @@ def _duration(recording: Recording) -> float:
 def _between(samples: Samples, low: float, high: float) -> Samples:
     """Return the samples from ``low`` to ``high`` [s] after the first."""
     t = samples.t - samples.t[0]
-    inside = (t >= low) & (t <= high)
-    return Samples(*(None if x is None else x[inside] for x in samples))  # type: ignore[arg-type]
+    return samples.rows((t >= low) & (t <= high))

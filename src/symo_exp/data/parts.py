@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+
 from symo_exp.data.formats import few
-from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 from symo_exp.systems.checks import whole_number
@@ -21,6 +22,8 @@ GAP = 0.5
 """Left out between blocks of different parts [s], at most a tenth of a block."""
 FEWEST = 5
 """Time steps of a block, at least."""
+LONGEST_GAP = 3
+"""Time steps over which a motion is interpolated, at most."""
 Parts = dict[str, list[Recording]]
 
 
@@ -114,37 +117,105 @@ def _last(where: str, recordings: Sequence[Recording], n_val: int, n_test: int) 
     return {part: list(recordings[low:high]) for part, (low, high) in bounds.items()}
 
 
-def split_in_time(
+def completed(
     recordings: Sequence[Recording], time_step: float
 ) -> tuple[list[Recording], str | None]:
-    """Return one or two long recordings as blocks with a part each, and a line that says so.
+    """Return recordings of which some are for validation and for testing, and a line that says so.
 
-    The blocks are equally long and belong to train, train, val, train and test, in turn.
-    Neighbours of one part stay together; between others a gap is left out. Three or more
-    recordings, those with a part and those too short for blocks are returned as they are.
+    Nothing changes where each part has recordings, or none has and there are at least three. One or
+    two recordings without a part are split in time. Where the column ``split`` has nothing for
+    testing, every second recording for validation is. Otherwise the last recordings for training
+    are for the parts that have none or, where these are fewer than three, all of them are split in
+    time.
+
+    In time, a recording is cut into equal blocks, which belong to train, train, val, train and
+    test, in turn. Neighbours of one part stay together; between others a gap is left out.
+    Recordings too short for this are returned as they are.
     """
-    spans = [one.samples.t[-1] - one.samples.t[0] for one in recordings]
-    short = [span < FEWEST * time_step * len(PATTERN) / 0.9 for span in spans]
-    if not 0 < len(recordings) < len(PARTS) or any(short) or any(one.part for one in recordings):
+    given = {one.part for one in recordings} & set(PARTS)
+    lacking = [part for part in PARTS if part not in given]
+    if not given:
+        alone = 0 < len(recordings) < len(PARTS) and not any(one.part for one in recordings)
+        return _in_blocks(recordings, time_step, PARTS) if alone else (list(recordings), None)
+    if not lacking or "train" in lacking:
         return list(recordings), None
+    told = f"the column split has nothing for {' and '.join(lacking)}"
+    if len(held_out := _of(recordings, "val")) > 1:
+        moved = dict.fromkeys(held_out[1::2], "test")
+    elif len(train := _of(recordings, "train")) >= len(PARTS):
+        moved = dict(zip(train[-len(lacking) :], lacking, strict=True))
+    else:
+        cut, note = _in_blocks([recordings[i] for i in train], time_step, lacking)
+        others = [one for i, one in enumerate(recordings) if i not in train]
+        return [*cut, *others], note and f"{told}: {note}"
+    names = (f"{recordings[i].label} is for {part}" for i, part in moved.items())
+    changed = [one._replace(part=moved.get(i, one.part)) for i, one in enumerate(recordings)]
+    return changed, f"{told}: {', '.join(names)}"
+
+
+def _of(recordings: Sequence[Recording], part: str) -> list[int]:
+    return [i for i, one in enumerate(recordings) if one.part == part]
+
+
+def uninterrupted(
+    recordings: Sequence[Recording], time_step: float
+) -> tuple[list[Recording], str | None]:
+    """Return the pieces of recordings between gaps, and a line that says so if there are gaps.
+
+    A gap is longer than ``LONGEST_GAP`` time steps. Pieces of fewer than ``FEWEST`` steps are left
+    out. A recording whose samples are usually farther apart than a time step is left as it is.
+    """
+    pieces, gaps, cut, lost = [], [], 0, 0.0
+    for one in recordings:
+        t = one.samples.t
+        steps = np.diff(t)
+        long = np.flatnonzero(steps > LONGEST_GAP * time_step * (1 + 1e-3))
+        if not len(long) or np.median(steps) > time_step * (1 + 1e-3):
+            pieces.append(one)
+            continue
+        edges = [0, *(long + 1), len(t)]
+        spans = [slice(a, b) for a, b in itertools.pairwise(edges)]
+        kept = [x for x in spans if t[x][-1] - t[x][0] >= FEWEST * time_step]
+        pieces += [
+            one._replace(
+                label=f"{one.label}/{t[x][0]:.4g} to {t[x][-1]:.4g} s".lstrip("/"),
+                samples=one.samples.rows(x),
+            )
+            for x in kept
+        ]
+        cut += 1
+        gaps += list(steps[long])
+        lost += sum(t[x][-1] - t[x][0] for x in spans if x not in kept)
+    if not gaps:
+        return pieces, None
+    told = (
+        f"gaps: {cut} of {len(recordings)} trajectories have {len(gaps)} of more than "
+        f"{LONGEST_GAP * time_step:.2g} s (the longest {max(gaps):.3g} s) and are cut there"
+    )
+    return pieces, told + (f"; {lost:.2g} s in pieces too short are left out" if lost else "")
+
+
+def _in_blocks(
+    recordings: Sequence[Recording], time_step: float, lacking: Sequence[str]
+) -> tuple[list[Recording], str | None]:
+    """Split recordings in time; blocks of parts that are not lacking are for training."""
+    spans = [one.samples.t[-1] - one.samples.t[0] for one in recordings]
+    if any(span < FEWEST * time_step * len(PATTERN) / 0.9 for span in spans):
+        return list(recordings), None
+    pattern = tuple(part if part in lacking else "train" for part in PATTERN)
     blocks, told = [], []
     for one, span in zip(recordings, spans, strict=True):
         rounds = int(min(max(span // (BLOCK * len(PATTERN)), 1), ROUNDS))
         size = span / (rounds * len(PATTERN))
         gap = min(GAP, size / 10)
-        for part, first, last in _stretches(PATTERN * rounds):
+        for part, first, last in _stretches(pattern * rounds):
             low, high = first * size + gap * (first > 0), last * size
             t = one.samples.t - one.samples.t[0]
-            inside = (t >= low) & (t <= high)
-            v = one.samples.v
-            samples = Samples(
-                one.samples.t[inside], one.samples.q[inside],
-                None if v is None else v[inside], one.samples.u[inside],
-            )  # fmt: skip
+            samples = one.samples.rows((t >= low) & (t <= high))
             name = f"{low:.4g} to {high:.4g} s"
             blocks.append(Recording(f"{one.label}/{name}" if one.label else name, part, samples))
         told.append(f"{span:.4g} s in {rounds * len(PATTERN)} blocks of {size:.3g} s")
-    order = ", ".join(PATTERN)
+    order = ", ".join(pattern)
     return blocks, (
         f"split in time: {' and '.join(told)}, in turn {order}; {gap:.2g} s left out between parts"
     )

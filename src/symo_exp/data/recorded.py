@@ -17,7 +17,7 @@ from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import folded, thinned
 from symo_exp.data.formats import Location, few, shown
 from symo_exp.data.header import UNITS
-from symo_exp.data.parts import divided, split_in_time
+from symo_exp.data.parts import completed, divided, uninterrupted
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, RecordingTable, read_recordings, write_recordings
 from symo_exp.errors import ConfigError
@@ -33,8 +33,6 @@ TIME_TOLERANCE = 1e-3
 """How far a recorded step may be from ``system.time_step``, as a share of it, to be one."""
 SLOW = 0.5
 """Steps [s] from which times are taken for those of another unit."""
-LONGEST_GAP = 3
-"""Steps over which a motion is interpolated, at most."""
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
 BATCHES = 8
@@ -59,7 +57,7 @@ class RecordedData(DataModule):
 
     Equal steps of ``system.time_step`` are taken as they are, other times resampled
     (``data.resample``). Trajectories may differ in length. Fewer than three without a split are
-    split in time (``data.parts.split_in_time``).
+    completed from each other (``data.parts.completed``).
 
     Args:
         system: Whose motions were recorded.
@@ -132,9 +130,9 @@ class RecordedData(DataModule):
         table = read_recordings(path, system, columns, time_unit)
         named = {"train": train, "val": val, "test": test}
         if all(given is None for given in (train, val, test, n_val, n_test)):
-            blocks, note = split_in_time(table.recordings, system.time_step)
+            whole, note = completed(table.recordings, system.time_step)
             notes = (*table.notes, note) if note else table.notes
-            table = table._replace(recordings=tuple(blocks), notes=notes)
+            table = table._replace(recordings=tuple(whole), notes=notes)
         parts = divided(where, table.recordings, named, n_val, n_test)
         if fold is not None:
             parts = folded(parts, fold)
@@ -142,6 +140,12 @@ class RecordedData(DataModule):
             parts["train"] = thinned(
                 parts["train"], real("data.seconds", seconds, low=system.time_step)
             )
+        cut = {name: uninterrupted(part, system.time_step) for name, part in parts.items()}
+        parts = {name: pieces for name, (pieces, _) in cut.items()}
+        gaps = [f"{name}: {note}" for name, (_, note) in cut.items() if note]
+        for name, pieces in parts.items():
+            if not pieces:
+                raise ConfigError(f"{where}: nothing is left for {name}; {'; '.join(gaps)}")
         available = len(parts["train"])
         n_traj = whole_number(
             "data.n_traj", available if n_traj is None else n_traj, high=available
@@ -153,7 +157,7 @@ class RecordedData(DataModule):
         self._sampled = [nodes.in_radians(recording.samples) for recording in parts["train"]]
         with np.errstate(all="ignore"):  # values that overflow
             doubts = list(_doubts(system.coordinates, self._sampled))
-        self._report = [*_report(where, table, parts, system.time_step), *doubts]
+        self._report = [*_report(where, table, parts, system.time_step), *gaps, *doubts]
         self._system, self.time_step = system, system.time_step
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
@@ -242,7 +246,7 @@ class Nodes:
     def _of(self, where: str, samples: Samples, h: float) -> Trajectory:
         samples = self._unwrapped(where, samples)
         if not _equal(samples.t, h):
-            _check_gaps(where, samples.t, h)
+            _check_steps(where, samples.t, h)
             samples = resample(samples, h)
             if len(samples.t) < 3:
                 raise ConfigError(
@@ -290,9 +294,8 @@ def _equal(t: np.ndarray, h: float) -> bool:
     return bool((np.abs(np.diff(t) - h) <= TIME_TOLERANCE * h).all())
 
 
-def _check_gaps(where: str, t: np.ndarray, h: float) -> None:
-    gaps = np.diff(t)
-    usual, worst = float(np.median(gaps)), int(np.argmax(gaps))
+def _check_steps(where: str, t: np.ndarray, h: float) -> None:
+    usual = float(np.median(np.diff(t)))
     if usual > h * (1 + TIME_TOLERANCE):
         for unit, seconds in UNITS.items():
             if usual >= SLOW and usual * seconds <= h * (1 + TIME_TOLERANCE):
@@ -303,11 +306,6 @@ def _check_gaps(where: str, t: np.ndarray, h: float) -> None:
         raise ConfigError(
             f"{where} steps by {usual:.6g} s, but system.time_step={h:g}, which may not be finer "
             f"than the recording; set system.time_step={usual:.3g} or more"
-        )
-    if gaps[worst] > LONGEST_GAP * h:
-        raise ConfigError(
-            f"{where} steps by {gaps[worst]:.6g} s at t={t[worst]:.6g}, too much at "
-            f"system.time_step={h:g} (three steps are the most); make it two trajectories there"
         )
 
 

@@ -21,6 +21,11 @@ class Samples(NamedTuple):
     v: np.ndarray | None
     u: np.ndarray
 
+    def rows(self, which: slice | np.ndarray) -> Samples:
+        """Return some of the samples."""
+        v = None if self.v is None else self.v[which]
+        return Samples(self.t[which], self.q[which], v, self.u[which])
+
 
 def resample(samples: Samples, h: float) -> Samples:
     """Return the motion at nodes ``h`` apart, estimated from samples at rising times.

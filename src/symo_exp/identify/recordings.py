@@ -12,9 +12,9 @@ import numpy as np
 from symo_exp.data.diagnose import explained_power, noise_of
 from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
-from symo_exp.data.parts import divided, split_in_time
+from symo_exp.data.parts import completed, divided, uninterrupted
 from symo_exp.data.recorded import delayed
-from symo_exp.data.resample import Samples, averaged, fitted
+from symo_exp.data.resample import averaged, fitted
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
@@ -117,7 +117,9 @@ def examine(
             time_step=1.0,
         )  # fmt: skip
 
-    everything, used = _parts(data, system("none"), time_step)
+    used, test, note = _parts(data, system("none"), time_step)
+    notes += [note] if note else []
+    recordings = len(used)
     if angular is None:
         which = [
             _is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(coordinates)
@@ -129,11 +131,14 @@ def examine(
         which = list(system(angular).coordinates.angular)
     angles = np.array(which)
     used = [_in_radians(one, angles, data) for one in used]
-    finest = max(float(np.median(np.diff(one.samples.t))) for one in everything)
+    finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
     if time_step is None:
         time_step = _time_step(used, angles, finest)
         settings.append(f"system.time_step={time_step:g}")
         notes.append(f"time step: {time_step:g} s, samples every {finest:.3g} s")
+    _, note = uninterrupted([*used, *test], time_step)
+    notes += [note] if note else []
+    used, _ = uninterrupted(used, time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     examined = _beginning(used, EXAMINED)
     left = _unexplained(examined, angles, time_step, DELAYS if driven else np.zeros(1))
@@ -145,7 +150,7 @@ def examine(
         time_step=time_step,
         finest_step=finest,
         seconds=sum(float(np.ptp(one.samples.t)) for one in used),
-        recordings=len(used),
+        recordings=recordings,
         delay=delay,
         explained=1.0 - left[delay] if left else None,
         moves=_moves(used),
@@ -155,18 +160,17 @@ def examine(
 
 def _parts(
     data: Mapping[str, Any], system: Recorded, time_step: float | None
-) -> tuple[list[Recording], list[Recording]]:
-    """Return all recordings that are used, and those of the training and validation parts."""
+) -> tuple[list[Recording], list[Recording], str | None]:
+    """Return the recordings for training and validation, those for testing, and a line on both."""
     path = data["path"]
     table = read_recordings(path, system, data.get("columns"), data.get("time_unit"))
     named = {part: data.get(part) for part in ("train", "val", "test")}
     counts = data.get("n_val"), data.get("n_test")
-    recordings: Sequence[Recording] = table.recordings
+    recordings, note = list(table.recordings), None
     if all(given is None for given in (*named.values(), *counts)):
-        recordings, _ = split_in_time(recordings, time_step or STEPS[0])
+        recordings, note = completed(recordings, time_step or STEPS[0])
     parts = divided(shown(path), recordings, named, *counts)
-    pool = [*parts["train"], *parts["val"]]
-    return [*pool, *parts["test"]], pool
+    return [*parts["train"], *parts["val"]], parts["test"], note
 
 
 def _in_radians(recording: Recording, angular: np.ndarray, data: Mapping[str, Any]) -> Recording:
@@ -236,8 +240,7 @@ def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recordin
         t = one.samples.t
         inside = t - t[0] <= seconds - total
         total += float(np.ptp(t))
-        samples = Samples(*(None if x is None else x[inside] for x in one.samples))  # type: ignore[arg-type]
-        found.append(one._replace(samples=samples))
+        found.append(one._replace(samples=one.samples.rows(inside)))
     return [one for one in found if len(one.samples.t) > 20]
 
 
