@@ -13,8 +13,8 @@ from symo_exp.identify.recordings import Machine
 def machine(n=2, seconds=60.0, recordings=7, driven=True, angular=True):
     return Machine(
         settings=(), angular=(angular,) * n, driven=driven, time_step=0.02, finest_step=0.002,
-        seconds=seconds, recordings=recordings, delay=-0.01 * driven, explained=0.97, moves=True,
-        notes=(),
+        seconds=seconds, recordings=recordings, rest_velocity=0.1, delay=-0.01 * driven,
+        explained=0.97, moves=True, notes=(),
     )  # fmt: skip
 
 

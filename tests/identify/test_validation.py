@@ -7,7 +7,6 @@ import pytest
 from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.validation import (
     Trial,
-    baseline_error,
     beats,
     choose,
     compared,
@@ -70,12 +69,3 @@ def test_the_error_of_a_fold_is_the_smallest_of_its_validations(losses, wanted, 
         series.append(epoch, {"train_loss": 1.0, **validated})
     series.flush()
     assert fold_error(folder) == pytest.approx(wanted, nan_ok=True)
-
-
-def test_the_baseline_is_known_where_a_fold_was_measured(tmp_path):
-    folder = RunFolder(tmp_path / "run")
-    folder.path.mkdir()
-    assert math.isnan(baseline_error(folder))
-    horizons = {"0.5s": 1.0, "1s": 2.0, "2s": 4.0}
-    folder.write_measures({f"constant_velocity_rmse_{h}": x for h, x in horizons.items()})
-    assert baseline_error(folder) == pytest.approx(2.0)

@@ -117,7 +117,7 @@ def _last(where: str, recordings: Sequence[Recording], n_val: int, n_test: int) 
     return {part: list(recordings[low:high]) for part, (low, high) in bounds.items()}
 
 
-def completed(
+def with_every_part(
     recordings: Sequence[Recording], time_step: float
 ) -> tuple[list[Recording], str | None]:
     """Return recordings of which some are for validation and for testing, and a line that says so.

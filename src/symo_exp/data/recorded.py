@@ -17,7 +17,7 @@ from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import folded, thinned
 from symo_exp.data.formats import Location, few, shown
 from symo_exp.data.header import UNITS
-from symo_exp.data.parts import completed, divided, uninterrupted
+from symo_exp.data.parts import divided, uninterrupted, with_every_part
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, RecordingTable, read_recordings, write_recordings
 from symo_exp.errors import ConfigError
@@ -57,7 +57,7 @@ class RecordedData(DataModule):
 
     Equal steps of ``system.time_step`` are taken as they are, other times resampled
     (``data.resample``). Trajectories may differ in length. Fewer than three without a split are
-    completed from each other (``data.parts.completed``).
+    completed from each other (``data.parts.with_every_part``).
 
     Args:
         system: Whose motions were recorded.
@@ -130,7 +130,7 @@ class RecordedData(DataModule):
         table = read_recordings(path, system, columns, time_unit)
         named = {"train": train, "val": val, "test": test}
         if all(given is None for given in (train, val, test, n_val, n_test)):
-            whole, note = completed(table.recordings, system.time_step)
+            whole, note = with_every_part(table.recordings, system.time_step)
             notes = (*table.notes, note) if note else table.notes
             table = table._replace(recordings=tuple(whole), notes=notes)
         parts = divided(where, table.recordings, named, n_val, n_test)

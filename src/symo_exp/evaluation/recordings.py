@@ -77,12 +77,22 @@ class HeldOutErrors:
 
     def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
         """Return the score of a model on held-out trajectories."""
-        windows = cut(trajectories, model.time_step, run_in=True)
-        if windows is None:
-            return math.inf
-        found = predict(model, windows, model.time_step, model.input_matrix)
-        errors = [median(found.rmse(seconds)) for seconds in HORIZONS]
-        return math.prod(errors) ** (1 / len(errors))
+        return held_out_error(model, trajectories, model.time_step, model.input_matrix)
+
+
+def held_out_error(
+    model: RollsOut, trajectories: Sequence[Trajectory], time_step: float, place: Tensor
+) -> float:
+    """Return the geometric mean of the errors ``rmse_<T>s`` [rad, m], infinite without a window.
+
+    ``place`` is a tensor of the precision and on the device in which the model works.
+    """
+    windows = cut(trajectories, time_step, run_in=True)
+    if windows is None:
+        return math.inf
+    found = predict(model, windows, time_step, place)
+    errors = [median(found.rmse(seconds)) for seconds in HORIZONS]
+    return math.prod(errors) ** (1 / len(errors))
 
 
 def on_recordings(

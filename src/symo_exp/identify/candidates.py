@@ -10,6 +10,10 @@ from symo_exp.identify.recordings import Machine
 PLANE = "links in a plane"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
+LEAST_REST = 0.01
+"""Width of the dry friction of machines over the initial one, at least."""
+STRIBECK = 5.0
+"""Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "relative": {"lagrangian": "relative"},
     "absolute": {"lagrangian": "absolute"},
@@ -95,19 +99,10 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
             f"delay {1e3 * machine.delay:g} ms", 0.2, data__input_delay=f"{machine.delay:g}"
         )
     if settings["dissipation"] == "friction":
-        yield candidate.changed(
-            "asymmetric friction", 0.2, 1.2,
-            dissipation="machine", dissipation__asymmetric="true",
-        )  # fmt: skip
-        yield candidate.changed(
-            "constant force", 0.1, 1.2,
-            dissipation="machine", dissipation__asymmetric="false", dissipation__constant="true",
-        )  # fmt: skip
+        kinds = (("asymmetric friction", 0.2), ("constant force", 0.1), ("Stribeck friction", 0.2))
+        for name, more in kinds:
+            yield _of_machines(candidate, name, more, machine.rest_velocity)
         yield candidate.changed("viscous friction only", -0.3, dissipation="viscous")
-        yield candidate.changed(
-            "Stribeck friction", 0.2, 1.2,
-            dissipation="machine", dissipation__asymmetric="false", dissipation__stribeck="true",
-        )  # fmt: skip
         yield _with_learned_friction(candidate)
     if machine.driven:
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight="100")
@@ -131,6 +126,19 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
         cost=one.cost * other.cost / base.cost,
         starts=base.starts,
     )
+
+
+def _of_machines(candidate: Candidate, name: str, more: float, rest_velocity: float) -> Candidate:
+    """Return a variation with one kind of friction that machines have."""
+    kind = f"dissipation__{name.partition(' ')[0].lower()}"
+    settings = {
+        "dissipation": "machine",
+        "dissipation__asymmetric": "false",
+        "dissipation__least_rest_velocity": f"{LEAST_REST * rest_velocity:g}",
+        "dissipation__stribeck_velocity": f"{STRIBECK * rest_velocity:g}",
+        kind: "true",
+    }
+    return candidate.changed(name, more, 1.2, **settings)
 
 
 def _with_learned_friction(candidate: Candidate) -> Candidate:

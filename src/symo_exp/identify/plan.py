@@ -30,7 +30,7 @@ SCREENING, VARYING, REFITTING = 0.4, 0.35, 0.15
 FOLDS, FEWEST_NODES, MOST_NODES = 6, 800, 30_000
 EFFORTS = ((20, 20), (10, 10))
 """Epochs with held nodes and for each epsilon, from the most thorough."""
-PROMOTED, VARIED = 2, 1.5
+PROMOTED, VARIED = 3, 1.5
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
 DATA = 0.6
 """Share of the time that fewer data leave at least where data are reduced first."""
@@ -54,6 +54,7 @@ class Plan:
         names: Candidates of the first round.
         variations: How many variations of the best candidate are tried.
         key: What the plan was made for.
+        without: Stages that are left out, since the search has grossly overrun its budget.
     """
 
     budget: float
@@ -67,6 +68,7 @@ class Plan:
     names: tuple[str, ...]
     variations: int
     key: str
+    without: tuple[str, ...] = ()
 
     def overrides(self, candidate: Candidate) -> list[str]:
         """Return the settings of the training of a candidate."""
@@ -174,7 +176,7 @@ def kept_plan(file: Path, key: str) -> Plan | None:
     """Return the plan of an earlier start of the same search."""
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
-        found = Plan(**{**kept, "names": tuple(kept["names"])})
+        found = Plan(**{**kept, **{name: tuple(kept[name]) for name in ("names", "without")}})
     except (OSError, ValueError, TypeError, KeyError):
         return None
     return found if found.key == key else None

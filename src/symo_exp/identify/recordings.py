@@ -12,9 +12,9 @@ import numpy as np
 from symo_exp.data.diagnose import explained_power, noise_of
 from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
-from symo_exp.data.parts import completed, divided, uninterrupted
+from symo_exp.data.parts import divided, uninterrupted, with_every_part
 from symo_exp.data.recorded import delayed
-from symo_exp.data.resample import averaged, fitted
+from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
@@ -39,7 +39,13 @@ GAIN = 0.05
 ABOVE_NOISE = 10.0
 """Range of a coordinate over its noise from which it moves."""
 EXAMINED = 60.0
-"""Length of the training part that the delay is estimated from [s]."""
+"""Length of the training part that delay and speeds are estimated from [s]."""
+REST = 0.05
+"""Velocity below which dry friction fades, over the root mean square of a coordinate's."""
+USUAL_REST = 0.1
+"""That of machines that are not slow [rad/s, m/s]: the default of dissipation.rest_velocity."""
+Sampled = tuple[Samples, np.ndarray, np.ndarray]
+"""What was sampled, nodes a time step apart, and configurations there."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,8 @@ class Machine:
         time_step: That of the candidates [s].
         seconds: Length of the training and validation part [s].
         recordings: How many there are in these parts.
+        rest_velocity: Below which dry friction fades at first [rad/s, m/s]: a small part of the
+            speed of the slowest coordinate.
         delay: Of the inputs [s], if one explains the motion better than none; else 0.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
         moves: Whether any coordinate moves by more than its noise.
@@ -66,6 +74,7 @@ class Machine:
     finest_step: float
     seconds: float
     recordings: int
+    rest_velocity: float
     delay: float
     explained: float | None
     moves: bool
@@ -140,8 +149,11 @@ def examine(
     notes += [note] if note else []
     used, _ = uninterrupted(used, time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
-    examined = _beginning(used, EXAMINED)
-    left = _unexplained(examined, angles, time_step, DELAYS if driven else np.zeros(1))
+    motions = _motions(_beginning(used, EXAMINED), time_step)
+    if (rest := _rest_velocity(motions, time_step)) != USUAL_REST:
+        settings.append(f"dissipation.rest_velocity={rest:g}")
+        notes.append(f"friction: a slow machine, dry friction fades below {rest:g} m/s or rad/s")
+    left = _unexplained(motions, angles, time_step, DELAYS if driven else np.zeros(1))
     delay, line = _delay(left)
     return Machine(
         settings=tuple(settings),
@@ -151,6 +163,7 @@ def examine(
         finest_step=finest,
         seconds=sum(float(np.ptp(one.samples.t)) for one in used),
         recordings=recordings,
+        rest_velocity=rest,
         delay=delay,
         explained=1.0 - left[delay] if left else None,
         moves=_moves(used),
@@ -168,7 +181,7 @@ def _parts(
     counts = data.get("n_val"), data.get("n_test")
     recordings, note = list(table.recordings), None
     if all(given is None for given in (*named.values(), *counts)):
-        recordings, note = completed(recordings, time_step or STEPS[0])
+        recordings, note = with_every_part(recordings, time_step or STEPS[0])
     parts = divided(shown(path), recordings, named, *counts)
     return [*parts["train"], *parts["val"]], parts["test"], note
 
@@ -244,18 +257,32 @@ def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recordin
     return [one for one in found if len(one.samples.t) > 20]
 
 
-def _unexplained(
-    recordings: Sequence[Recording], angular: np.ndarray, h: float, delays: np.ndarray
-) -> dict[float, float]:
-    """Return the share of the accelerations' power that inputs with each delay do not explain."""
-    n = len(angular)
-    coordinates = Coordinates(tuple(map(str, range(n))), tuple(map(bool, angular)))
+def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
     motions = []
     for one in recordings:
         t = one.samples.t
         nodes = np.arange(t[0] + h, t[-1] - h, h)
         if len(nodes) > 13:
             motions.append((one.samples, nodes, fitted(t, one.samples.q, nodes, h)[0]))
+    return motions
+
+
+def _rest_velocity(motions: Sequence[Sampled], h: float) -> float:
+    """Return a small part of the speed of the slowest coordinate that moves, at most 0.1."""
+    if not motions:
+        return USUAL_REST
+    speeds = np.concatenate([np.diff(q, axis=0) / h for _, _, q in motions])
+    pace = np.sqrt(np.mean(speeds**2, axis=0))
+    slowest = float(pace[pace > 0].min(initial=np.inf))
+    return min(USUAL_REST, float(f"{REST * slowest:.1g}"))
+
+
+def _unexplained(
+    motions: Sequence[Sampled], angular: np.ndarray, h: float, delays: np.ndarray
+) -> dict[float, float]:
+    """Return the share of the accelerations' power that inputs with each delay do not explain."""
+    n = len(angular)
+    coordinates = Coordinates(tuple(map(str, range(n))), tuple(map(bool, angular)))
     left = {}
     for delay in map(float, delays):
         pairs = [

@@ -13,6 +13,7 @@ import os
 import re
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -52,6 +53,8 @@ FILES = [
 """Settings of data that say where recordings are and how they are read."""
 EPSILONS = 4
 """Stages of the optimiser after its starts, without late parameters."""
+OVERRUN = 2.0
+"""What is left of a search is left out where it has taken so many times the time planned."""
 
 
 class Search:
@@ -62,7 +65,7 @@ class Search:
         master: The composed configuration.
         arguments: The overrides of the command line; they go before those of candidates.
         budget: Wall time, such as ``10min``.
-        clock: Whether stages are left out when the budget is used up.
+        clock: Whether stages are left out when the search grossly overruns its budget.
     """
 
     def __init__(
@@ -80,7 +83,7 @@ class Search:
         self._budget = plans.seconds_of(budget)
         if not OmegaConf.is_missing(master.data, "path"):
             OmegaConf.update(master, "experiment", self._experiment)
-        self._clock, self._said_late = clock, False
+        self._clock = clock
         self._trials: dict[str, Trial] = {}
         self._baselines: dict[int, float] = {}
         self._folders: dict[tuple[str, int], RunFolder] = {}
@@ -106,10 +109,10 @@ class Search:
         chosen = [c for c in candidates if c.name in plan.names]
         self._screen(chosen)
         base = self._choice()
-        if base is not None and self._in_time(0.6, "variations are not tried"):
+        if base is not None and self._in_time(0.6, "variations"):
             self._vary(base)
         best = self._choice()
-        if best is not None and self._in_time(0.8, "more data are not tried"):
+        if best is not None:
             best = self._grow(best)
         if best is None:
             return self._no_model()
@@ -170,7 +173,7 @@ class Search:
         rounds = sorted({plan.first, min(plan.folds, plan.first + 2), plan.folds})
         alive = list(candidates)
         for done, folds in enumerate(rounds):
-            if done and not self._in_time(0.6, f"{plan.folds - rounds[done - 1]} folds are left"):
+            if done and not self._in_time(0.6, f"folds beyond {rounds[done - 1]}"):
                 return
             self._try(alive, range(folds))
             ranked = self._ranked(alive, range(folds))
@@ -191,30 +194,34 @@ class Search:
             if self._trials[c.name].mean(first) < base.mean(first)
         ]
         self._try(better[: plans.PROMOTED], folds)
-        gains = [
-            c for c in self._ranked(better[: plans.PROMOTED], folds) if self._gains(c, base, folds)
-        ]
-        if len(gains) > 1 and self._in_time(0.75, "variations are not combined"):
-            self._try([joined(base.candidate, gains[0], gains[1])], folds)
+        joint = base
+        for c in self._ranked(better[: plans.PROMOTED], folds):
+            if not self._gains(c, base, folds) or not self._in_time(0.75, "joint variations"):
+                break
+            if joint is not base:
+                c = joined(base.candidate, joint.candidate, c)
+                self._try([c], folds)
+            if joint is base or self._gains(c, joint, folds):
+                joint = self._trials[c.name]
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
-        return beats(self._trials[candidate.name].errors, base.errors, folds)
+        trial = self._trials[candidate.name]
+        return not trial.failed and beats(trial.errors, base.errors, folds)
 
     def _grow(self, best: Trial) -> Trial:
         """Return the chosen candidate with as much data as lowers the errors of the folds."""
         seconds, folds = self._plan.seconds, range(len(best.errors))
         there = self._plan.most_seconds(best.candidate, self._machine)
         longest = there * (self._plan.folds - 1) / self._plan.folds
-        while 1.2 * seconds < longest and self._in_time(0.8, "more data are not tried"):
+        while 1.2 * seconds < longest and self._in_time(0.8, "more data"):
             seconds = min(2 * seconds, longest)
             more = best.candidate.changed(
                 f"{seconds:.3g} s of data", 0.01, 2.0, data__seconds=f"{seconds:g}"
             )
             self._try([more], folds)
-            grown = self._trial(more)
-            if grown.failed or not self._gains(more, best, folds):
+            if not self._gains(more, best, folds):
                 break
-            best = grown
+            best = self._trial(more)
         return best
 
     def _try(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> None:
@@ -253,9 +260,9 @@ class Search:
             trial.reasons[k] = outcome.reason
             return
         mine = fold_error(folder)
-        if not math.isnan(baseline := baseline_error(folder)):
-            self._baselines[k] = baseline
-        mine = min(mine, WORST * self._baselines.get(k, math.inf))
+        if k not in self._baselines:
+            self._baselines[k] = baseline_error(folder)
+        mine = min(mine, WORST * self._baselines[k])
         if not math.isfinite(mine):
             trial.reasons[k] = (
                 "it was ended before its first validation" if math.isnan(mine)
@@ -280,14 +287,23 @@ class Search:
     def _trial(self, candidate: Candidate) -> Trial:
         return self._trials.setdefault(candidate.name, Trial(candidate))
 
-    def _in_time(self, share: float, otherwise: str) -> bool:
-        """Whether less than this share of the budget has passed; says what is left out if not."""
+    def _in_time(self, share: float, stage: str) -> bool:
+        """Whether a stage is done: not if the search has grossly overrun this share of its budget.
+
+        It says so, and the plan keeps it: the same command leaves out the same again.
+        """
+        if stage in self._plan.without:
+            return False
         elapsed = time.monotonic() - self._start
-        if not self._clock or elapsed <= share * self._plan.budget:
+        if not self._clock or elapsed <= OVERRUN * share * self._plan.budget:
             return True
-        if not self._said_late:
-            print(f"after {elapsed / 60:.2g} of {self._plan.budget / 60:.3g} min: {otherwise}")
-        self._said_late = True
+        print(
+            f"after {elapsed / 60:.2g} min, more than {OVERRUN:g} times the time planned, "
+            f"{stage} are left out (hydra.sweeper.clock=false lets the plan alone decide)",
+            flush=True,
+        )
+        self._plan = replace(self._plan, without=(*self._plan.without, stage))
+        plans.keep_plan(self._folder / PLAN, self._plan)
         return False
 
     # -- the chosen one ----------------------------------------------------------------------------
@@ -385,8 +401,7 @@ class Search:
                 "logger=none",
                 "trainer.compile=false",  # it takes longer than most of these trainings
                 "pictures=false",
-                # one candidate's folds are measured, for the baseline
-                f"measures={str(candidate.name == plan.names[0]).lower()}",
+                "measures=false",
                 f"data.seconds={plan.seconds:g}",
                 f"trainer.time_limit={plan.limit(candidate, nodes, machine.n):.0f}",
                 *plan.overrides(candidate),
@@ -399,6 +414,9 @@ class Search:
             settings.pop(name, None)
             if value is not None:
                 settings[name] = value
+        groups = [name for name in self._given if "." not in name]
+        for name in [x for x in settings if x.partition(".")[0] in groups]:
+            del settings[name]  # a setting of another choice of the group
         found = {**settings, **self._given}
         return sorted(found.values(), key=lambda word: "." in word.partition("=")[0])
 

@@ -7,12 +7,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
+from symo_exp.evaluation.recordings import held_out_error
+from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.identify.candidates import Candidate
-from symo_exp.runs.folder import SERIES, RunFolder
+from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
 from symo_exp.runs.series import read
 
-HORIZONS = ("0.5s", "1s", "2s")
 WORST, LEAST = 10.0, 1e-12
 """An error counts as at most so many times that of constant velocity, and at least as this."""
 
@@ -56,10 +60,12 @@ def fold_error(folder: RunFolder) -> float:
 
 
 def baseline_error(folder: RunFolder) -> float:
-    """Return the same error of constant velocity; NaN where it was not measured."""
-    measures = folder.measures()
-    values = [measures.get(f"constant_velocity_rmse_{h}", math.nan) for h in HORIZONS]
-    return math.prod(values) ** (1 / len(values))
+    """Return the same error of constant velocity on the held-out part of a training."""
+    config = OmegaConf.load(folder / CONFIG)
+    system = instantiate(config.system)
+    data = instantiate(config.data, _partial_=True)(system=system)
+    h, place = system.time_step, torch.zeros((), dtype=torch.float64)
+    return held_out_error(ConstantVelocity(h), data.load().val, h, place)
 
 
 def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
