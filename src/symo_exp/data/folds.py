@@ -15,6 +15,10 @@ POOLED = "pooled"
 """Name of the division that trains on the training and the validation part."""
 GAP = 0.5
 """Left out between neighbouring blocks of one recording [s], at most a tenth of a block."""
+SHORTEST = 1.0
+"""Length of the pieces that data are reduced to [s], where recordings are not shorter."""
+GOLDEN = 0.6180339887498949
+"""Multiples of it, modulo 1, are spread evenly over the unit interval, however many there are."""
 Parts = dict[str, list[Recording]]
 
 
@@ -56,14 +60,25 @@ def deal(durations: Sequence[float], count: int) -> list[list[int]]:
 
 
 def thinned(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
-    """Return the beginnings of all recordings, as long as together they last ``seconds``."""
-    share = seconds / sum(_duration(one) for one in recordings)
-    if share >= 1.0:
+    """Return a piece of each recording, the same share of all, that together last ``seconds``.
+
+    Each begins elsewhere in its recording, since motions often differ along recordings. Where
+    pieces would be shorter than ``SHORTEST``, only every so many recordings have one.
+    """
+    total = sum(map(_duration, recordings))
+    if seconds >= total:
         return list(recordings)
-    return [
-        one._replace(samples=_between(one.samples, 0.0, share * _duration(one)))
-        for one in recordings
-    ]
+    most = max(1, int(seconds / SHORTEST))
+    if len(recordings) > most:
+        chosen = np.linspace(0, len(recordings), most, endpoint=False).astype(int)
+        recordings = [recordings[i] for i in chosen]
+    share = min(1.0, seconds / sum(map(_duration, recordings)))
+    pieces = []
+    for i, one in enumerate(recordings):
+        length = share * _duration(one)
+        low = (GOLDEN * i) % 1.0 * (_duration(one) - length)
+        pieces.append(one._replace(samples=_between(one.samples, low, low + length)))
+    return pieces
 
 
 def _checked(fold: object) -> tuple[int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from symo_exp.identify.recordings import Machine
@@ -12,6 +12,8 @@ FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
 LEAST_REST = 0.01
 """Width of the dry friction of machines over the initial one, at least."""
+KINDS = {"asymmetric friction": 0.2, "constant force": 0.1, "Stribeck friction": 0.2}
+"""Kinds of friction of machines, with what each adds to the rank."""
 STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
@@ -64,9 +66,10 @@ class Candidate:
 def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
     chain = machine.n > 1 and all(machine.angular)
-    found = [
-        _candidate("relative angles" if chain else PLANE, 1.0, "relative", FRICTION),
-    ]
+    first = _candidate("relative angles" if chain else PLANE, 1.0, "relative", FRICTION)
+    found = [first]
+    if machine.driven:  # motors, screws and belts
+        found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     if chain:
         found.append(_candidate("absolute angles", 1.1, "absolute", NEIGHBOURS))
     elif machine.n > 1 and sum(machine.angular) > 1:
@@ -98,10 +101,11 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed(
             f"delay {1e3 * machine.delay:g} ms", 0.2, data__input_delay=f"{machine.delay:g}"
         )
+    if settings["dissipation"] in ("friction", "machine"):
+        for kind, more in KINDS.items():
+            if settings.get(_switch(kind)) != "true":
+                yield _with_kinds(candidate, (kind,), more, machine)
     if settings["dissipation"] == "friction":
-        kinds = (("asymmetric friction", 0.2), ("constant force", 0.1), ("Stribeck friction", 0.2))
-        for name, more in kinds:
-            yield _of_machines(candidate, name, more, machine.rest_velocity)
         yield candidate.changed("viscous friction only", -0.3, dissipation="viscous")
         yield _with_learned_friction(candidate)
     if machine.driven:
@@ -128,17 +132,23 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
     )
 
 
-def _of_machines(candidate: Candidate, name: str, more: float, rest_velocity: float) -> Candidate:
-    """Return a variation with one kind of friction that machines have."""
-    kind = f"dissipation__{name.partition(' ')[0].lower()}"
-    settings = {
+def _with_kinds(
+    candidate: Candidate, kinds: Sequence[str], more: float, machine: Machine
+) -> Candidate:
+    """Return a variation with some of the kinds of friction that machines have."""
+    off = dict.fromkeys(map(_switch, KINDS), "false") | {
         "dissipation": "machine",
-        "dissipation__asymmetric": "false",
-        "dissipation__least_rest_velocity": f"{LEAST_REST * rest_velocity:g}",
-        "dissipation__stribeck_velocity": f"{STRIBECK * rest_velocity:g}",
-        kind: "true",
+        "dissipation.least_rest_velocity": f"{LEAST_REST * machine.rest_velocity:g}",
+        "dissipation.stribeck_velocity": f"{STRIBECK * machine.rest_velocity:g}",
     }
-    return candidate.changed(name, more, 1.2, **settings)
+    on = dict.fromkeys(map(_switch, kinds), "true")
+    settings = {**off, **candidate.settings, **on, "dissipation": "machine"}
+    return replace(candidate.changed(", ".join(kinds), more, 1.2), settings=settings)
+
+
+def _switch(kind: str) -> str:
+    """Return the setting that switches a kind of friction on."""
+    return f"dissipation.{kind.partition(' ')[0].lower()}"
 
 
 def _with_learned_friction(candidate: Candidate) -> Candidate:

@@ -21,8 +21,8 @@ REFERENCE = 0.37
 """Time of ``_exercise`` on the machine on which ``NODE`` and ``MEASURING`` were measured [s]."""
 NODE = 30e-6
 """Time of an epoch of links in a plane, midpoint rule, a node and coordinate [s]."""
-VALIDATION = 1.0
-"""Time of the rollouts of a validation, two coordinates [s]; hardly more with more windows."""
+VALIDATION = 0.7
+"""Time of the rollouts of a validation, a coordinate [s]; hardly more with more windows."""
 STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
 SCREENING, VARYING, REFITTING = 0.4, 0.35, 0.15
@@ -213,7 +213,7 @@ def _expected(candidate: Candidate, nodes: int, n: int, start: int, epochs: int)
     stages = 4 + 3 * (candidate.settings.get("dissipation") == "learned")
     total = candidate.starts * start + stages * epochs
     training = NODE * candidate.cost * n * nodes * total
-    measuring = VALIDATION * math.sqrt(candidate.cost * n / 2) * total / epochs
+    measuring = VALIDATION * n * math.sqrt(candidate.cost) * total / epochs
     return STARTING + training + measuring
 
 
