@@ -25,7 +25,7 @@ from torch import Tensor
 from symo_exp.data.diagnose import noise_of
 from symo_exp.evaluation.measures import VALID_ERROR, squared_error
 from symo_exp.evaluation.rollouts import CHUNK
-from symo_exp.evaluation.starts import RollsOut, State, fitted_start
+from symo_exp.evaluation.starts import ITERATIONS, RollsOut, State, fitted_start
 from symo_exp.mechanics.types import Trajectory
 
 HORIZONS = (0.5, 1.0, 2.0)
@@ -188,15 +188,20 @@ def tolerance(windows: PredictionWindows, angular: Sequence[bool]) -> Float[Tens
 
 @torch.no_grad()
 def predict(
-    model: RollsOut, windows: PredictionWindows, time_step: float, place: Tensor
+    model: RollsOut,
+    windows: PredictionWindows,
+    time_step: float,
+    place: Tensor,
+    iterations: int = ITERATIONS,
 ) -> Predictions:
     """Return a model's motions through the windows, from fitted starts where they have a run-in.
 
-    ``place`` is a tensor of the precision and on the device in which the model works.
+    ``place`` is a tensor of the precision and on the device in which the model works;
+    ``iterations`` are those of ``fitted_start``.
     """
     q_true, v_true, inputs = (x.to(place).split(CHUNK) for x in (windows.q, windows.v, windows.u))
     parts = [
-        _roll_out(model, *chunk, windows.lead, time_step)
+        _roll_out(model, *chunk, windows.lead, time_step, iterations)
         for chunk in zip(q_true, v_true, inputs, strict=True)
     ]
     q, v = (torch.cat(field) for field in zip(*parts, strict=True))
@@ -221,11 +226,18 @@ def predict_whole(
 
 
 def _roll_out(
-    model: RollsOut, q: Tensor, v: Tensor, u: Tensor, lead: int, time_step: float
+    model: RollsOut,
+    q: Tensor,
+    v: Tensor,
+    u: Tensor,
+    lead: int,
+    time_step: float,
+    iterations: int,
 ) -> tuple[Tensor, Tensor]:
     start = State(q[:, 0], v[:, 0])
     if lead:
-        start = fitted_start(model, q[:, : lead + 1], u[:, : lead + 1], time_step)
+        given = q[:, : lead + 1], u[:, : lead + 1]
+        start = fitted_start(model, *given, time_step, iterations)
     path = model.rollout(*start, u)
     return path.q[:, lead:].double().cpu(), path.v[:, lead:].double().cpu()
 

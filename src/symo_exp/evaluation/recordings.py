@@ -22,7 +22,7 @@ from symo_exp.evaluation.horizon import (
 )  # fmt: skip
 from symo_exp.evaluation.intervals import coverage, interval_of
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
-from symo_exp.evaluation.starts import RollsOut
+from symo_exp.evaluation.starts import ITERATIONS, RollsOut
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.uncertainty import Interval, ModelPosterior
@@ -73,24 +73,34 @@ class HeldOutErrors:
     """Score of a training on recordings, by rollouts over held-out motions from fitted starts.
 
     It is the geometric mean of the errors ``rmse_<T>s`` [rad, m], infinite without a window.
+
+    Args:
+        iterations: Of the fit of starts (``fitted_start``).
     """
+
+    iterations: int = ITERATIONS
 
     def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
         """Return the score of a model on held-out trajectories."""
-        return held_out_error(model, trajectories, model.time_step, model.input_matrix)
+        place = model.input_matrix
+        return held_out_error(model, trajectories, model.time_step, place, self.iterations)
 
 
 def held_out_error(
-    model: RollsOut, trajectories: Sequence[Trajectory], time_step: float, place: Tensor
+    model: RollsOut,
+    trajectories: Sequence[Trajectory],
+    time_step: float,
+    place: Tensor,
+    iterations: int = ITERATIONS,
 ) -> float:
     """Return the geometric mean of the errors ``rmse_<T>s`` [rad, m], infinite without a window.
 
-    ``place`` is a tensor of the precision and on the device in which the model works.
+    ``place`` and ``iterations`` are those of ``predict``.
     """
     windows = cut(trajectories, time_step, run_in=True)
     if windows is None:
         return math.inf
-    found = predict(model, windows, time_step, place)
+    found = predict(model, windows, time_step, place, iterations)
     errors = [median(found.rmse(seconds)) for seconds in HORIZONS]
     return math.prod(errors) ** (1 / len(errors))
 

@@ -55,6 +55,7 @@ def fitted_start(
     q: Float[Tensor, "batch nodes n"],
     u: Float[Tensor, "batch nodes m"],
     time_step: float,
+    iterations: int = ITERATIONS,
 ) -> State:
     """Return the states at node 0 that minimise ``Σ_k |q̂_k(q₀, v₀) − q_k|²`` for each motion.
 
@@ -67,9 +68,10 @@ def fitted_start(
         q: Measured configurations [rad, m].
         u: Controls.
         time_step: Time between nodes [s].
+        iterations: Trials at most. Most motions need four; those that stick need more.
     """
     n = q.shape[2]
-    x, _, _ = iterate(Fit(model, q, u), _parabola(q, time_step), FitSteps(), ITERATIONS)
+    x, _, _ = iterate(Fit(model, q, u), _parabola(q, time_step), FitSteps(), iterations)
     return State(x[:, :n], x[:, n:])
 
 

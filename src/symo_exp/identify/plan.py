@@ -21,7 +21,7 @@ REFERENCE = 0.37
 """Time of ``_exercise`` on the machine on which ``NODE`` and ``MEASURING`` were measured [s]."""
 NODE = 30e-6
 """Time of an epoch of links in a plane, midpoint rule, a node and coordinate [s]."""
-VALIDATION = 0.7
+VALIDATION = 0.6
 """Time of the rollouts of a validation, a coordinate [s]; hardly more with more windows."""
 STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
@@ -150,13 +150,15 @@ def make_plan(
     while too_much() and folds > 4:
         folds -= 1
     while too_much() and len(chosen) > 2:
-        chosen.remove(max(chosen, key=lambda c: c.cost))
+        chosen.remove(max(chosen, key=lambda c: (_expected(c, nodes, machine.n, *effort), c.rank)))
     while too_much() and nodes > FEWEST_NODES:
         nodes = max(FEWEST_NODES, int(nodes / 1.25))
     while too_much() and folds > 3:
         folds -= 1
     one = VARIED * _expected(chosen[0], nodes, machine.n, *effort)
-    left = VARYING * work / one - PROMOTED * (folds - first)
+    variations, left = 0, VARYING * work / one
+    while first * (variations + 1) + min(PROMOTED, variations // 2 + 1) * (folds - first) <= left:
+        variations += 1
     return Plan(
         budget=budget,
         cores=cores,
@@ -167,7 +169,7 @@ def make_plan(
         start=effort[0],
         epochs=effort[1],
         names=tuple(c.name for c in chosen),
-        variations=max(0, int(left / first)),
+        variations=variations,
         key=key,
     )
 

@@ -53,6 +53,8 @@ FILES = [
 """Settings of data that say where recordings are and how they are read."""
 EPSILONS = 4
 """Stages of the optimiser after its starts, without late parameters."""
+ITERATIONS = 5
+"""Of the fit of starts in validations: more refine those of motions that stick alone."""
 OVERRUN = 2.0
 """What is left of a search is left out where it has taken so many times the time planned."""
 
@@ -402,6 +404,7 @@ class Search:
                 "trainer.compile=false",  # it takes longer than most of these trainings
                 "pictures=false",
                 "measures=false",
+                f"learner.validation.iterations={ITERATIONS}",
                 f"data.seconds={plan.seconds:g}",
                 f"trainer.time_limit={plan.limit(candidate, nodes, machine.n):.0f}",
                 *plan.overrides(candidate),
