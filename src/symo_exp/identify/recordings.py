@@ -44,6 +44,8 @@ REST = 0.05
 """Velocity below which dry friction fades, over the root mean square of a coordinate's."""
 USUAL_REST = 0.1
 """That of machines that are not slow [rad/s, m/s]: the default of dissipation.rest_velocity."""
+SLOW = 0.3
+"""Share of the usual one below which it is lowered."""
 Sampled = tuple[Samples, np.ndarray, np.ndarray]
 """What was sampled, nodes a time step apart, and configurations there."""
 
@@ -268,13 +270,14 @@ def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
 
 
 def _rest_velocity(motions: Sequence[Sampled], h: float) -> float:
-    """Return a small part of the speed of the slowest coordinate that moves, at most 0.1."""
+    """Return a small part of the speed of the slowest coordinate that moves, if it is slow."""
     if not motions:
         return USUAL_REST
     speeds = np.concatenate([np.diff(q, axis=0) / h for _, _, q in motions])
     pace = np.sqrt(np.mean(speeds**2, axis=0))
     slowest = float(pace[pace > 0].min(initial=np.inf))
-    return min(USUAL_REST, float(f"{REST * slowest:.1g}"))
+    found = float(f"{REST * slowest:.1g}")
+    return found if found < SLOW * USUAL_REST else USUAL_REST
 
 
 def _unexplained(
