@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from benchmarks.cases import CASES, METHODS, plausible_weights, system_windows
+from benchmarks.cases import CASES, METHODS, system_windows
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
+from benchmarks.plausible import plausible_weights
 from benchmarks.project import Project
 
 LOSS_TOLERANCE = 1e-3

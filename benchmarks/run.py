@@ -21,14 +21,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import torch
 
 from benchmarks import agreement, tables
-from benchmarks.cases import (
-    CASES,
-    METHODS,
-    initial_weights,
-    plausible_weights,
-    training_batch,
-)
+from benchmarks.cases import CASES, METHODS, initial_weights, training_batch
 from benchmarks.contenders import Autograd, Contender, Jax, jax_is_installed
+from benchmarks.plausible import plausible_weights
 from benchmarks.project import Project, compiler_available, trained_weights, whole_fit
 from benchmarks.timing import interleaved
 from symo_exp.training.allocator import keep_freed_memory

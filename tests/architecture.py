@@ -8,6 +8,7 @@ from pathlib import Path
 import symo_exp
 
 ROOT = Path(symo_exp.__file__).parent
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 # package: (packages of ours it may import, third parties it may import)
 RULES = {
@@ -126,10 +127,11 @@ def graph() -> dict[str, set[str]]:
 
 
 def modules() -> dict[str, Path]:
-    """Dotted name: file, of every module of ours."""
+    """Dotted name: file, of every module of ours and of the benchmarks."""
     found = {}
-    for file in ROOT.rglob("*.py"):
-        parts = ["symo_exp", *file.relative_to(ROOT).with_suffix("").parts]
+    for file in (*ROOT.rglob("*.py"), *BENCHMARKS.glob("*.py")):
+        home = ROOT if file.is_relative_to(ROOT) else BENCHMARKS
+        parts = [home.name, *file.relative_to(home).with_suffix("").parts]
         found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
     return found
 
