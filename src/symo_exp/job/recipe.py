@@ -50,7 +50,9 @@ class Parts(NamedTuple):
     learner: Any
     tracker: Any
     trainer: lightning.Trainer
-    reference: Any = None
+    reference: Any
+    run: str
+    """Digest of the settings, which checkpoints carry."""
 
 
 def perform(
@@ -79,11 +81,11 @@ def perform(
     _announce(parts.tracker, folder)
     phases.say(f"{about.name}: making the data")
     with default_dtype(settings["dtype"]):
-        _train(parts, folder / CHECKPOINTS, digest(settings))
+        _train(parts, folder / CHECKPOINTS)
         drawn = not settings["pictures"] or ((folder / PICTURES).exists() and measured)
         if not measured or not drawn:
             phases.say(f"{about.name}: measuring")
-            _keep_parameters(parts, folder, digest(settings))
+            _keep_parameters(parts, folder)
             evaluation = evaluate(parts.model.cpu(), parts.system, parts.data, parts.reference)
             _tell(folder, ROLLOUTS, evaluation.rollouts)
             if evaluation.recorded is not None:
@@ -126,12 +128,13 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     recorder = SeriesRecorder(
         Series(folder / SERIES), lambda: tracker.publish(folder), tracker.flush_seconds
     )
+    run, compiled = digest(settings), kernels(settings)
     trainer = make(
         settings,
         "trainer",
         folder=folder / CHECKPOINTS,
-        run=digest(settings),
-        kernels=kernels(settings),
+        run=run,
+        kernels=compiled,
         callbacks=[recorder],
     )
     try:
@@ -139,7 +142,7 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
             learner.configure_optimizers()
     except (ValueError, TypeError, RuntimeError) as error:
         raise ConfigError(f"optimizer or scheduler: {error}") from error
-    return Parts(system, data, model, learner, tracker, trainer, reference)
+    return Parts(system, data, model, learner, tracker, trainer, reference, run)
 
 
 def _reference(settings: Mapping[str, Any], system: Any, data: Any) -> Any:
@@ -187,10 +190,10 @@ def _announce(tracker: Any, folder: RunFolder) -> None:
         log.warning("the run starts without its tracking store: %s", error)
 
 
-def _train(parts: Parts, folder: Path, run: str) -> None:
+def _train(parts: Parts, folder: Path) -> None:
     """Train from the last sound checkpoint in ``folder`` on, if there is one."""
     learner = parts.learner
-    saved = None if learner is None else resuming.latest(folder, run, learner)
+    saved = None if learner is None else resuming.latest(folder, parts.run, learner)
     if learner is None or (saved is not None and saved.complete):
         parts.data.prepare_data()
         parts.data.setup()
@@ -204,13 +207,13 @@ def _train(parts: Parts, folder: Path, run: str) -> None:
     stopping.raise_if_requested()
 
 
-def _keep_parameters(parts: Parts, folder: RunFolder, run: str) -> None:
+def _keep_parameters(parts: Parts, folder: RunFolder) -> None:
     """Find the posterior of the parameters, and keep it with the physical parameters."""
     learner, model, data = parts.learner, parts.model.cpu(), parts.data
     if learner is None:
         return
     optimizer = learner.configure_optimizers()[0][0]
-    saved = resuming.latest(folder / CHECKPOINTS, run, learner)
+    saved = resuming.latest(folder / CHECKPOINTS, parts.run, learner)
     if isinstance(optimizer, EpochOptimizer) and saved is not None:
         optimizer.load_state_dict(saved.state["optimizer_states"][0])
         held_out = data.trajectories("val") if data.recorded else []
