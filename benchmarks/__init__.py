@@ -1,4 +1,4 @@
-"""Speed, measured: the project's training steps, evaluation and rollouts beside two baselines.
+"""Benchmarks of speed: the project's training steps, evaluation and rollouts beside two baselines.
 
 `python -m benchmarks.run` compares, `python -m benchmarks.scaling` measures how cost grows. The
 baselines compute the same numbers from the same weights and data; that is checked before timing.

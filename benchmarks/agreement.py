@@ -39,7 +39,7 @@ class Difference:
 
     @property
     def acceptable(self) -> bool:
-        """Whether every error is within its tolerance."""
+        """Return whether every error is within its tolerance."""
         return (
             self.loss <= LOSS_TOLERANCE
             and self.gradient <= GRADIENT_TOLERANCE

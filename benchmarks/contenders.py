@@ -1,4 +1,4 @@
-"""One face for everything that is measured, and the two baselines behind it.
+"""The interface of everything that is measured, and the two baselines.
 
 A contender is built from a method, a case and the shared weights; it keeps its own parameters,
 optimiser and precision. Batches are prepared once, outside the clock.

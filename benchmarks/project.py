@@ -1,4 +1,4 @@
-"""The project behind the face of a contender: the only file that knows its models."""
+"""The project as a contender; no other file here uses its models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurements as Markdown: what was reached beside what was to be reached."""
+"""Measurements as Markdown, beside their aims."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Interleaved timing: everyone takes a turn in every round, so that drift hits them all."""
+"""Interleaved timing: each round measures every contender, so that drift affects all alike."""
 
 from __future__ import annotations
 

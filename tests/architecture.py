@@ -1,4 +1,4 @@
-"""Who may import whom, and who does, read from the sources."""
+"""Allowed and actual imports, read from the sources."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""What a command would do, composed and checked, and nothing of it run."""
+"""The jobs of a command, composed and checked but not run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def job_of(*words: str) -> Job:
 
 
 def refusal(*words: str) -> str:
-    """What is said of a command that must not start."""
+    """Return the error of a command that must not start."""
     try:
         with planned(*words) as (sweep, jobs):
             sweep._check(jobs, labelled=len(jobs) > 1)

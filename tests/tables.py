@@ -1,4 +1,4 @@
-"""Everything that the configuration groups offer: a new file in one of them is tested by itself."""
+"""All choices of the configuration groups; a new file is tested without further work."""
 
 from functools import cache
 from pathlib import Path
@@ -38,7 +38,7 @@ def variational_integrators() -> dict[str, Any]:
 
 
 def stated(name: str) -> dict[str, Any]:
-    """What the file of a system says of it."""
+    """Return the settings in the file of a system."""
     settings: Any = OmegaConf.to_container(OmegaConf.load(CONF / "system" / f"{name}.yaml").system)
     return settings
 

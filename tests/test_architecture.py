@@ -1,4 +1,4 @@
-"""Who may import whom (the house rules), read from the sources."""
+"""Rules on imports and names, read from the sources."""
 
 import re
 import sys

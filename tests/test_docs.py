@@ -1,4 +1,4 @@
-"""The documentation holds together; the build itself is `make docs`."""
+"""Links and references of the documentation; `make docs` builds it."""
 
 import json
 import re

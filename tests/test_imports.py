@@ -1,4 +1,4 @@
-"""The collector of garbage rests while something large is imported, and works again after."""
+"""Garbage collection is suspended during large imports only."""
 
 import gc
 import sys

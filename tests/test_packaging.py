@@ -1,4 +1,4 @@
-"""What the wheel carries."""
+"""Content of the wheel."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Runs that take no time."""
+"""Settings of runs that take a second."""
 
 import shutil
 
@@ -19,6 +19,6 @@ TINY = [
 
 
 def copy_store(database, folder):
-    """Where commands in a folder look for a store: MLflow takes seconds to make one."""
+    """Copy an empty store to where commands look for one: MLflow takes seconds to make it."""
     (folder / "mlruns").mkdir()
     shutil.copy(database, folder / "mlruns" / "mlflow.db")

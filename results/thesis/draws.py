@@ -1,4 +1,4 @@
-"""What the choice of test trajectories decides.
+"""Effect of the choice of test trajectories.
 
     python results/thesis/draws.py outputs/thesis SYSTEM ... > results/thesis/draws.md
 

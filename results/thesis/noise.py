@@ -1,4 +1,4 @@
-"""What noise makes of SyMo's losses.
+"""Effect of noise on SyMo's losses.
 
     python results/thesis/noise.py outputs/thesis SYSTEM ... > results/thesis/noise.md
 
@@ -33,7 +33,7 @@ HEAD = [
 
 
 def training_windows(config: dict, system: object) -> Windows:
-    """Those of a run, in float64."""
+    """Return the training windows of a run, in float64."""
     settings = config["data"] | {"dtype": "float64", "shuffle": False}
     # given afterwards: Hydra would take a system, a dataclass, for configuration
     data: DataModule = hydra.utils.instantiate(settings, _partial_=True)(system=system)

@@ -1,4 +1,4 @@
-"""Errors of the user's making, and messages of one line."""
+"""The error of invalid user input, and messages of one line."""
 
 
 class ConfigError(ValueError):

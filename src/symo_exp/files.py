@@ -1,4 +1,4 @@
-"""Files that are written completely or not at all, also at a power failure."""
+"""Atomic writing of files, also at a power failure."""
 
 from __future__ import annotations
 

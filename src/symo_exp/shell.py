@@ -1,4 +1,4 @@
-"""Commands as a person can type them, which messages name."""
+"""Commands that messages name, spelled as they can be typed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands in processes of their own, started in no time: what is slow to import is there."""
+"""Commands in processes of their own, which start fast since slow imports are done before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What takes a command seconds to import; nothing of it is used here."""
+"""Imports that take a command seconds; they are not used here."""
 
 import hydra  # noqa: F401
 import lightning  # noqa: F401

@@ -1,4 +1,4 @@
-"""Many processes at once, where nothing exists yet."""
+"""Many processes that start at once, without a store or a cache."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Disks that are full, read-only, or not ours."""
+"""Disks that are full, read-only, or without permission."""
 
 import json
 import os

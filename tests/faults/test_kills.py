@@ -1,4 +1,4 @@
-"""A command that is killed again and again, then given once more, ends as if nothing had been."""
+"""A command that is killed repeatedly and rerun ends like one that was not."""
 
 import random
 import time

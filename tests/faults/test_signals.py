@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: once, the epoch is finished and all is kept; twice, it ends now."""
+"""SIGINT and SIGTERM: the first ends a run after its epoch, the second at once."""
 
 import json
 import signal

@@ -1,4 +1,4 @@
-"""A store that is damaged, away, or back again: what is finished is not lost."""
+"""Finished runs are kept when a store is damaged, unreachable, or reachable again."""
 
 import shutil
 import sqlite3

@@ -1,4 +1,4 @@
-"""Jobs side by side, of which one is killed, runs out of memory or goes astray."""
+"""Parallel jobs of which one is killed, runs out of memory or fails."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What a user adds is one class and one file each, found in a folder of the user's own."""
+"""Systems, methods and measures of a user are a class and a file in a folder of the user."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Runs that were never run: as rows of the tidy table, in a tracking store, in a folder."""
+"""Artificial runs: as rows of the tidy table, in a tracking store, in a folder."""
 
 import itertools
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The answer of runs whose winner is known, and how sure it says it is."""
+"""The answer of a report on runs whose best method is known, and its intervals."""
 
 import math
 import re

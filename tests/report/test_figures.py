@@ -1,4 +1,4 @@
-"""Figures: what a specification says is drawn, the same on paper and on the page."""
+"""Figures are drawn as they are specified, in files and on the page."""
 
 import base64
 import gzip

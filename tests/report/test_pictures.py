@@ -1,4 +1,4 @@
-"""The pictures of a run: there for every system and outcome, and showing what they say."""
+"""Pictures of runs exist for every system and outcome and have the content that they state."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""The command: from runs that are complete, half there and none."""
+"""The command of the report, of complete runs, unfinished runs and none."""
 
 from dataclasses import replace
 

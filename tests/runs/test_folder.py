@@ -1,4 +1,4 @@
-"""The folder of a run: whole files, who works on it, what it remembers; and its series."""
+"""The folder of a run: atomic files, its lock and its content; and its series."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A trained model comes back in another process, from a folder or a run id; nothing else does."""
+"""A trained model is loaded in another process, from a folder or a run id; nothing else is."""
 
 import copy
 import subprocess

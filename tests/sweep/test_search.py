@@ -1,4 +1,4 @@
-"""Sweepers of other people get a number from each run."""
+"""Other sweepers than ours get a number from each run."""
 
 import json
 import shlex

@@ -1,4 +1,4 @@
-"""What is asked of SLURM, and a cluster that is not there."""
+"""Requests to SLURM, and machines without it."""
 
 import subprocess
 import threading

@@ -1,4 +1,4 @@
-"""What MLflow's pages show of a run besides its numbers."""
+"""Description, dataset and views of runs in MLflow."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Which store is meant, whether it can be used, and that nobody tramples on it."""
+"""Choice and checks of the store, and processes that create it at once."""
 
 import dataclasses
 import multiprocessing

@@ -1,4 +1,4 @@
-"""An interrupted training ends with the same bits, whatever is left on disk."""
+"""A resumed training ends with the same bits, whatever files are left."""
 
 import os
 import shutil

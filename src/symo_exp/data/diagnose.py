@@ -22,7 +22,7 @@ HELP = 0.1
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What recordings tell before training.
+    """Properties of recordings that are known before training.
 
     Attributes:
         coordinates: Those of the system.

@@ -100,7 +100,7 @@ def files(path: Location) -> list[Path]:
 
 
 def is_bag(file: Path) -> bool:
-    """Whether a path is a ROS bag: a file of one, or a folder with its metadata."""
+    """Return whether a path is a ROS bag: a file of one, or a folder with its metadata."""
     return file.suffix in BAGS or (file / "metadata.yaml").is_file()
 
 
@@ -128,7 +128,7 @@ def table_of(file: Path) -> pd.DataFrame:
 
 
 class Dialect(NamedTuple):
-    """How a text file separates its columns and writes its decimals."""
+    """Separator of columns and decimal sign of a text file."""
 
     separator: str
     decimal: str
@@ -162,7 +162,7 @@ class Dialect(NamedTuple):
 
     @property
     def note(self) -> str | None:
-        """What differs from a plain CSV file, in a line for the log."""
+        """A line for the log on differences from a plain CSV file."""
         names = {";": "semicolons", "\t": "tabs", " ": "blanks"}
         if self.separator not in names:
             return None

@@ -363,7 +363,7 @@ def _sweeps(x: np.ndarray) -> np.ndarray:
 
 
 def _ratio(samples: Samples, i: int) -> float:
-    """How far the integral of the measured velocity moves over how far the configuration does."""
+    """Return the motion of the integrated velocity relative to that of the configuration."""
     assert samples.v is not None
     t, v = samples.t - samples.t[0], samples.v[:, i]
     moved = np.concatenate([[0.0], np.cumsum(np.diff(t) * (v[1:] + v[:-1]) / 2)])

@@ -1,4 +1,4 @@
-"""A resolved configuration held against the constructors that it names."""
+"""Checks of a resolved configuration against the constructors that it names."""
 
 from __future__ import annotations
 

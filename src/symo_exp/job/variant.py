@@ -20,7 +20,7 @@ Compose = Callable[[list[str]], DictConfig]
 
 
 class Differences(NamedTuple):
-    """How a run differs from its preset, system, model and integrator."""
+    """Differences of a run from its preset, system, model and integrator."""
 
     choices: list[str]
     settings: list[str]

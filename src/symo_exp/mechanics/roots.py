@@ -64,7 +64,7 @@ class RowProblem(Protocol[P_co]):
 
 
 class Rule(ABC, Generic[P, S]):
-    """How ``iterate`` moves and when its rows are done.
+    """Steps of ``iterate`` and the condition under which its rows are done.
 
     The state ``S`` is a named tuple of tensors with one row for each sample.
     """

@@ -1,4 +1,4 @@
-"""A residual network: no mechanics and no integrator, a baseline of effort."""
+"""A residual network without mechanics or an integrator, as a baseline."""
 
 from __future__ import annotations
 

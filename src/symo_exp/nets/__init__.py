@@ -1,1 +1,1 @@
-"""Networks: multilayer perceptron, angle embedding, structured Lagrangian."""
+"""Learned Lagrangians and dissipation, and the networks that they consist of."""

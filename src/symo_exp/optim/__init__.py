@@ -1,1 +1,1 @@
-"""Optimisers that use an epoch in a way of their own, beside those of torch."""
+"""Optimisers of whole epochs, beside those of torch, and the posterior of their estimates."""

@@ -277,7 +277,7 @@ def _tooltip(panel: Panel) -> list[alt.Tooltip]:
 
 
 def _notes(panel: Panel) -> list[str]:
-    """Which traces are not seen, and the meaning of fillings."""
+    """Return notes on traces beyond the limits and on the meaning of fillings."""
     limits, notes = panel.limits(), []
     for trace in panel.traces():
         y = trace.rows.y.astype(float)

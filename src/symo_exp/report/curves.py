@@ -138,7 +138,7 @@ def over_order(found: pd.DataFrame) -> list[Figure]:
     clean = ordered[(ordered.source == "ours") & (ordered.n_traj == AT) & (ordered.noise_std == 0)]
     several = clean.groupby(["variant", "method"]).text.transform("nunique") > 1
     floors = ordered[(ordered.source == "floor") & (ordered["median"] > 0)]
-    caption = f"{SPREAD} Grey and black: the true system in that integrator."
+    caption = f"{SPREAD} Without colour: the true system in that integrator."
     return [
         Figure(f"order_{letters(str(variant) or 'defaults')}",
                f"Errors over the order of the integrator ({variant or 'defaults'})", caption,

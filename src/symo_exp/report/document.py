@@ -1,4 +1,4 @@
-"""A report apart from who writes it: sections with text, tables and figures."""
+"""The content of a report, whatever the format: sections with text, tables and figures."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that is said of some runs.
+    """The content of a report.
 
     Args:
         title: The heading of the report.

@@ -1,4 +1,4 @@
-"""Figures as data, apart from who draws them: ``charts`` for the report, ``paper`` for a run.
+"""Figures as data, whatever draws them: ``charts`` for the report, ``paper`` for a run.
 
 A panel is a tidy table. Three of its columns determine the look of a row:
 

@@ -1,1 +1,1 @@
-"""The folder of a run: what is in it, who works on it, how it ended, and its model."""
+"""The folder of a run: its files, its lock, its outcome and its model."""

@@ -1,17 +1,17 @@
-"""A run is a folder: everything known of it is a file here, and everything else a view of it.
+"""The folder of a run, which contains all of its state; stores and reports are views of it.
 
 | file | what it holds | written |
 | --- | --- | --- |
-| ``run.json`` | what was asked for: parameters, variant, code revision | at the first start |
+| ``run.json`` | parameters, variant and code revision | at the first start |
 | ``config.yaml`` | the resolved configuration, which builds the model again | at each start |
-| ``outcome.json`` | how far it has come, and why it ended | at each change |
+| ``outcome.json`` | status, and the reason of an early end | at each change |
 | ``series.csv`` | a row for each epoch (``runs.series``) | while it trains |
 | ``checkpoints/`` | the state of the training | while it trains |
 | ``metrics.json`` | the measures | at the end |
 | ``parameters.csv`` | physical parameters: values, standard deviations, units | at the end |
 | ``posterior.pt`` | the posterior of all parameters of the model | at the end |
 | ``*.parquet``, ``pictures/``, ``studies/`` | the numbers behind them | at the end |
-| ``published.json`` | a cache: the store that has all of this already | by the tracker |
+| ``published.json`` | a cache: the store that has all of this | by the tracker |
 
 A process that works on the run holds the lock of its folder. A run that says ``running`` while
 the lock is free has died.
@@ -53,7 +53,7 @@ DIED = "its process was killed, perhaps for want of memory"
 
 
 class RunFolder:
-    """The files of one run by name; the only place that knows where they lie."""
+    """The files of one run by name; no other module knows their paths."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()
@@ -64,7 +64,7 @@ class RunFolder:
     def __truediv__(self, name: str) -> Path:
         return self.path / name
 
-    # -- who works on it ---------------------------------------------------------------------
+    # -- the lock -----------------------------------------------------------------------------
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -84,7 +84,7 @@ class RunFolder:
             lock.release()
 
     def in_use(self) -> bool:
-        """Whether a process holds the lock. False where there are no locks."""
+        """Return whether a process holds the lock; false where there are no locks."""
         if not (self / ".lock").exists():
             return False
         lock = self._lock()
@@ -98,14 +98,14 @@ class RunFolder:
         return False
 
     def died(self) -> bool:
-        """Whether the process that worked on it ended without a word."""
+        """Return whether the process of the run was killed."""
         return self.outcome().status == "running" and not self.in_use()
 
     def _lock(self) -> FileLock:
         self.path.mkdir(parents=True, exist_ok=True)
         return FileLock(self / ".lock")
 
-    # -- how it ended --------------------------------------------------------------------------
+    # -- the outcome --------------------------------------------------------------------------
 
     def outcome(self) -> Outcome:
         """Return the outcome; a folder without a readable one waits to be started."""
@@ -115,7 +115,7 @@ class RunFolder:
             return Outcome("waiting", "it did not run")
 
     def record(self, status: Status, reason: str = "", seconds: float = 0.0) -> None:
-        """Keep the status, and for a running one the process."""
+        """Write the status, and of a running one the process."""
         process = this_process() if status == "running" else {}
         self._write(OUTCOME, asdict(Outcome(status, reason, seconds, process)))
 
@@ -129,17 +129,17 @@ class RunFolder:
         for name in (SERIES, ABOUT, OUTCOME, PUBLISHED):
             (self / name).unlink(missing_ok=True)
 
-    # -- what it is and what came out ------------------------------------------------------------
+    # -- description and results -----------------------------------------------------------------
 
     def about(self) -> About | None:
-        """Return what was asked for, ``None`` in a new folder."""
+        """Return the description of the run, ``None`` in a new folder."""
         try:
             return About(**self._read(ABOUT))
         except TypeError:
             return None
 
     def describe(self, about: About) -> None:
-        """Keep what was asked for; identity and start of an earlier start stay."""
+        """Write the description; identity and time of the first start are kept."""
         before = self.about()
         if before is not None:
             kept = {"identity": before.identity, "started": before.started}
@@ -147,14 +147,14 @@ class RunFolder:
         self._write(ABOUT, asdict(about))
 
     def measures(self) -> dict[str, float]:
-        """Those of the run and of its studies; empty before they are taken."""
+        """Return the measures of the run and of its studies; none before they are computed."""
         found = self._read(MEASURES)
         for file in sorted((self / STUDIES).glob("*.json")):
             found |= self._read(f"{STUDIES}/{file.name}").get("measures", {})
         return {name: float(value) for name, value in found.items()}
 
     def write_measures(self, measures: Mapping[str, float]) -> None:
-        """Keep the measures of the run."""
+        """Write the measures of the run."""
         self._write(MEASURES, _finite(measures))
 
     def parameters(self) -> list[dict[str, str]]:
@@ -183,7 +183,7 @@ class RunFolder:
         write_whole(self / POSTERIOR, lambda file: torch.save(dict(state), file))
 
     def write_config(self, config: Mapping[str, Any]) -> None:
-        """Keep the resolved settings."""
+        """Write the resolved settings."""
         import yaml
 
         text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
@@ -198,11 +198,11 @@ class RunFolder:
         return (config or {}).get("reference")
 
     def is_measured(self, reference: Any) -> bool:
-        """Whether the measures were taken, beside this reference."""
+        """Return whether the measures were computed, with this reference."""
         return (self / MEASURES).exists() and self.reference() == reference
 
     def write_table(self, name: str, columns: Mapping[str, Any]) -> None:
-        """Columns of equal length as a Parquet file."""
+        """Write columns of equal length as a Parquet file."""
         import pyarrow
         import pyarrow.parquet
 
@@ -224,7 +224,7 @@ class RunFolder:
         measures: Mapping[str, float],
         columns: Mapping[str, Any],
     ) -> None:
-        """Keep a study; its settings are written last and mark it as done."""
+        """Write a study; its settings are written last and mark it as done."""
         if columns:
             self.write_table(f"{STUDIES}/{name}.parquet", columns)
         told = {"settings": dict(settings), "measures": _finite(measures)}
@@ -234,7 +234,7 @@ class RunFolder:
         """Return the existing ones of ``FILES``."""
         return [self / name for name in FILES if (self / name).exists()]
 
-    # -- what a tracker remembers ------------------------------------------------------------------
+    # -- the store --------------------------------------------------------------------------------
 
     def published(self) -> dict[str, Any]:
         """Return the store that has all of this folder."""

@@ -21,7 +21,7 @@ from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR
 def from_folder(
     folder: Path, dtype: torch.dtype | None = None, device: str | torch.device = "cpu"
 ) -> DynamicsModel:
-    """In evaluation mode; ``dtype`` is that of the training unless given."""
+    """Return the model in evaluation mode; ``dtype`` is that of the training unless given."""
     config = _read_config(folder / CONFIG)
     plan = before.model_settings(config["model"])
     _check([config["system"], plan], folder)

@@ -1,4 +1,4 @@
-"""What was asked of a run, and how far it is."""
+"""Description and status of a run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Status = Literal["waiting", "running", "finished", "failed", "refused", "interru
 
 @dataclass(frozen=True)
 class Outcome:
-    """How far a run is; one that did not finish has a reason.
+    """The status of a run; one that did not finish has a reason.
 
     ``process`` names the process for a person to find; only the lock says whether it lives.
     """
@@ -27,7 +27,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class About:
-    """What was asked for.
+    """The description of a run.
 
     ``parameters`` are flat. ``variant`` names the settings that differ from the files that ship,
     beyond those with columns in tables. ``sweep`` is the identity of the first sweep of the run.

@@ -1,1 +1,1 @@
-"""The true mechanical systems, one file each."""
+"""Mechanical systems: known ones, MuJoCo models, recorded machines, and their simulation."""

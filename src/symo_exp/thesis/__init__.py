@@ -1,1 +1,1 @@
-"""Chapter 6 of the thesis, as a guest: it imports the framework, and nothing imports it."""
+"""Chapter 6 of the thesis; no other package imports this one."""

@@ -66,8 +66,8 @@ def _table(
         "Ours: median over the seeds (their number in brackets), and in square brackets the "
         "lowest and the highest. Thesis: one run, ± over trajectories where it gives it.",
         *_what_over(theirs[["metric", "method", "over", "note"]].drop_duplicates()),
-        "Factor: ours over the published, both averaged over the same where there is a "
-        "measure of ours for it; × larger, ÷ smaller.",
+        "Factor: ours over the published, both averaged over the same quantities where we have "
+        "that measure; × larger, ÷ smaller.",
     ]
     header = ["model", "integrator", "", *map(measure_name, TABLE)]
     title += f", {variant}" if variant else ""
@@ -96,10 +96,10 @@ def agreement(compared: pd.DataFrame) -> ResultTable:
     header = ["settings", "system", "method"]
     header += [f"{m}: {w}" for m in metrics.values() for w in ("within 3", "÷3", "×3")]
     note = (
-        "Every published cell that has been run, of all sizes and noises, compared by the same "
-        "average where there is a measure for it."
+        "Every published cell that has been run, of all sizes and noise levels, averaged over "
+        "the same quantities where we have that measure."
     )
-    title = "Cells within a factor of three of the published, better by more, worse by more"
+    title = "Cells within a factor of three of the published value, better, and worse"
     return ResultTable("agreement", title, pd.DataFrame(rows, columns=header), [note], words=3)
 
 
@@ -116,10 +116,10 @@ def claims(measures: pd.DataFrame) -> ResultTable:
             "": f"{ours.seeds} seed" + "s" * several if ours.seeds else "",
         })  # fmt: skip
     notes = [
-        "Margin: the smallest of the errors said to be larger over the largest of those said "
-        "to be smaller, over the factor said; above 1 the statement holds. Medians over seeds, "
-        "resampled for the interval: undecided where that has 1 in it.",
-        "By its own numbers: the published ones, which are not all averaged over the same.",
+        "Margin: the ratio that the statement is about, the smallest error on its larger side to "
+        "the largest on its smaller side, divided by the stated factor; above 1 it holds. "
+        "Medians over seeds, which the interval resamples; undecided if it contains 1.",
+        "By its own numbers: by the published ones, whose averages differ between methods.",
     ]
     title = "Statements of the thesis"
     return ResultTable("claims", title, pd.DataFrame(rows), notes, words=6)
@@ -214,9 +214,9 @@ def _what_over(overs: pd.DataFrame) -> Iterable[str]:
         for note, rows in overs[overs.metric == metric].groupby("note", sort=False):
             if not str(note).endswith("like ours"):
                 methods = ", ".join(look(m).label for m in dict.fromkeys(rows.method))
-                told.append(f"of {methods} {note}")
+                told.append(f"{methods} {note}")
         if told:
-            yield f"The published {measure_name(metric)} is " + "; ".join(told) + "."
+            yield f"Published {measure_name(metric)}: " + "; ".join(told) + "."
 
 
 def _suffix(variant: str) -> str:

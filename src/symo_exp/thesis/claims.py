@@ -29,7 +29,7 @@ CLAIMS = pd.read_csv(published.FOLDER / "claims.csv", dtype={"section": str})
 
 
 class Verdict(NamedTuple):
-    """What runs say of a statement.
+    """The verdict of runs on a statement.
 
     Args:
         said: ``holds``, ``does not hold``, ``undecided`` or ``not run``.

@@ -1,4 +1,4 @@
-"""The published numbers of the thesis, as data and beside results.
+"""The published numbers of the thesis, as data and compared with results.
 
 ``published.csv`` has a row for each number of each of the 198 runs of the thesis:
 

@@ -1,4 +1,4 @@
-"""What MLflow shows of a run besides numbers: description, dataset and addresses."""
+"""Description, dataset and addresses of runs in MLflow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where runs are kept: an SQLite file by default, any MLflow tracking URI by configuration.
+"""The tracking store: an SQLite file by default, or any MLflow tracking URI.
 
 MLflow creates a database, its tables and an experiment without a lock, so that processes starting
 together on a new store fail ("table experiments already exists"). Here all of it happens under a

@@ -1,1 +1,1 @@
-"""Trained models at work: runs from Python, and their steps without this package."""
+"""Use of trained models: runs from Python, environments, exported files."""
