@@ -34,7 +34,7 @@ RULES = {
     "runs": ({"models"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
     "process": (set(), set()),
     "training": (
-        {"mechanics", "models", "optim", "process", "runs", "compile"},
+        {"mechanics", "nets", "models", "optim", "process", "runs", "compile"},
         {"torch", "jaxtyping", "lightning", "numpy", "tqdm"},
     ),
     "tracking": ({"runs", "models"}, {"torch", "mlflow", "filelock"}),

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from symo_exp.data.windows import cut_windows
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
+from symo_exp.mechanics.windows import cut_windows
 
 
 @dataclass(frozen=True)

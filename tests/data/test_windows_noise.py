@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from symo_exp.data.noise import add_noise
-from symo_exp.data.windows import cut_windows
 from symo_exp.mechanics.types import Trajectories, Trajectory
+from symo_exp.mechanics.windows import cut_windows
 
 
 def labelled(count: int = 3, nodes: int = 7, n: int = 2, m: int = 1) -> Trajectories:

@@ -9,8 +9,8 @@ import torch
 
 from symo_exp.evaluation.horizon import HORIZONS, cut, predict, predict_whole, tolerance
 from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
-from symo_exp.evaluation.starts import fitted_start
 from symo_exp.mechanics.types import Trajectory
+from symo_exp.models.starts import fitted_start
 
 H = 0.02
 PLACE = torch.zeros(1, dtype=torch.float64)

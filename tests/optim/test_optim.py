@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from symo_exp.errors import ConfigError
-from symo_exp.nets.affine import linear
+from symo_exp.nets.affine import linear, parameter_jacobian
 from symo_exp.optim import descent, levenberg_marquardt
 from symo_exp.optim.chained import Chained
 from symo_exp.optim.lbfgs import LBFGS
@@ -38,6 +38,9 @@ class Products:
 
     def residuals(self, windows):
         return self.of(linear(windows.q, self.weight))
+
+    def linearised(self, windows, parameters):
+        return parameter_jacobian(lambda: self.residuals(windows), parameters)
 
     @staticmethod
     def of(y):

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from symo_exp.data.noise import add_noise
-from symo_exp.data.windows import cut_windows
-from symo_exp.mechanics.types import Trajectories, Trajectory, Windows
+from symo_exp.mechanics.types import TrainingSamples, Trajectories, Trajectory, Windows
+from symo_exp.mechanics.windows import cut_windows
 from symo_exp.systems.checks import one_of, real, whole_number
 
 Item = TypeVar("Item")
@@ -41,7 +41,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         noise_std: Standard deviation of the noise that is added to the training data.
         input_noise_std: That of the noise added to its inputs.
         noise_test: Whether noise is added to the test data, too; validation data stay clean.
-        batch_size: Samples in a batch; ``None``: ``4 n_traj``.
+        batch_size: TrainingSamples in a batch; ``None``: ``4 n_traj``.
         shuffle: Whether every epoch has a new order.
         seed: Decides the order.
         noise_seed: Decides the noise.
@@ -59,6 +59,8 @@ class DataModule(lightning.LightningDataModule, ABC):
     """Whether the motions were measured."""
     time_step: float
     """Distance of the nodes [s]."""
+    cut: Callable[[Sequence[Trajectory]], TrainingSamples]
+    """Makes the samples of the loaders."""
 
     def __init__(
         self,
@@ -100,7 +102,8 @@ class DataModule(lightning.LightningDataModule, ABC):
         there = self.held_out if monitor == "held_out" else self.counts[monitor]
         watched = there if monitor_trajectories is None else monitor_trajectories
         self.monitor_trajectories = whole_number("data.monitor_trajectories", watched, high=there)
-        self._on_device: dict[str, tuple[torch.device, Windows]] = {}
+        self.cut = cut_windows
+        self._on_device: dict[str, tuple[torch.device, TrainingSamples]] = {}
 
     @property
     @abstractmethod
@@ -143,26 +146,26 @@ class DataModule(lightning.LightningDataModule, ABC):
             "test": self.test_trajectories,
         }[part]
 
-    def batches(self, epoch: int) -> list[Windows]:
+    def batches(self, epoch: int) -> list[TrainingSamples]:
         """Return the mini-batches of an epoch, permuted by the seed and the epoch."""
-        samples = self._placed("train", lambda: self.train)
+        samples = self._placed("train", lambda: self._samples(self.trajectories("train")))
         if self.shuffle:
             generator = torch.Generator().manual_seed(self.seed * 1_000_003 + epoch)
             order = torch.randperm(len(samples.q), generator=generator)
             rows = order.to(samples.q.device)
             samples = samples.rows(rows)
         parts = (field.split(self.batch_size) for field in samples)
-        return [Windows(*fields) for fields in zip(*parts, strict=True)]
+        return [type(samples)(*fields) for fields in zip(*parts, strict=True)]
 
-    def train_dataloader(self) -> Once[list[Windows]]:
+    def train_dataloader(self) -> Once[list[TrainingSamples]]:
         """Return a loader of one item an epoch: all its mini-batches."""
         alone = itertools.count()
         return Once(
             lambda: self.batches(self.trainer.current_epoch if self.trainer else next(alone))
         )
 
-    def val_dataloader(self) -> Once[Windows]:
-        """Return a loader of one item: the windows that are watched during training."""
+    def val_dataloader(self) -> Once[TrainingSamples]:
+        """Return a loader of one item: the samples that are watched during training."""
         return Once(lambda: self._placed("watched", self._watched))
 
     def transfer_batch_to_device(
@@ -171,18 +174,23 @@ class DataModule(lightning.LightningDataModule, ABC):
         """Return the batch: loaders gather on the device."""
         return batch
 
-    def _watched(self) -> Windows:
-        return self._windows(self.trajectories(self.monitor)[: self.monitor_trajectories])
+    def _watched(self) -> TrainingSamples:
+        return self._samples(self.trajectories(self.monitor)[: self.monitor_trajectories])
 
     def _windows(self, trajectories: Sequence[Trajectory]) -> Windows:
         return Windows(*(field.to(self.dtype) for field in cut_windows(trajectories)))
 
-    def _placed(self, name: str, make: Callable[[], Windows]) -> Windows:
+    def _samples(self, trajectories: Sequence[Trajectory]) -> TrainingSamples:
+        cut = self.cut(trajectories)
+        return type(cut)(*(field.to(self.dtype) for field in cut))
+
+    def _placed(self, name: str, make: Callable[[], TrainingSamples]) -> TrainingSamples:
         """Return samples on the trainer's device, moved there once."""
         device = self.trainer.strategy.root_device if self.trainer else torch.device("cpu")
         where, samples = self._on_device.get(name, (None, None))
         if samples is None or where != device:
-            samples = Windows(*(field.to(device) for field in make()))
+            made = make()
+            samples = type(made)(*(field.to(device) for field in made))
             self._on_device[name] = (device, samples)
         return samples
 

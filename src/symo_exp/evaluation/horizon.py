@@ -25,8 +25,8 @@ from torch import Tensor
 from symo_exp.data.diagnose import noise_of
 from symo_exp.evaluation.measures import VALID_ERROR, squared_error
 from symo_exp.evaluation.rollouts import CHUNK
-from symo_exp.evaluation.starts import ITERATIONS, RollsOut, State, fitted_start
 from symo_exp.mechanics.types import Trajectory
+from symo_exp.models.starts import ITERATIONS, RollsOut, State, fitted_start
 
 HORIZONS = (0.5, 1.0, 2.0)
 """Times up to which errors are measured [s]; the last is the length of a window."""

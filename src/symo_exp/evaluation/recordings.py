@@ -22,9 +22,9 @@ from symo_exp.evaluation.horizon import (
 )  # fmt: skip
 from symo_exp.evaluation.intervals import coverage, interval_of
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
-from symo_exp.evaluation.starts import ITERATIONS, RollsOut
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.models.base import DynamicsModel
+from symo_exp.models.starts import ITERATIONS, RollsOut
 from symo_exp.models.uncertainty import Interval, ModelPosterior
 
 log = logging.getLogger(__name__)

@@ -217,8 +217,9 @@ def _keep_parameters(parts: Parts, folder: RunFolder) -> None:
     if isinstance(optimizer, EpochOptimizer) and saved is not None:
         optimizer.load_state_dict(saved.state["optimizer_states"][0])
         held_out = data.trajectories("val") if data.recorded else []
+        estimate = optimizer.estimate() if learner.objective.consecutive else None
         model.posterior = posterior_of(
-            model, learner.residuals, optimizer.estimate(), data.trajectories("train"), held_out
+            model, learner.residuals, estimate, data.trajectories("train"), held_out
         )
     found = model.posterior
     if found is not None:

@@ -21,7 +21,7 @@ class Coordinates(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """Samples of three consecutive nodes ``k-1, k, k+1``, one time step apart.
+    """TrainingSamples of three consecutive nodes ``k-1, k, k+1``, one time step apart.
 
     ``v`` belongs to node ``k`` and ``v_next`` to node ``k+1``. Every method sees these samples:
     SyMo and E2E-SyMo read the configurations, NODE and L-NODE the states at ``k`` and ``k+1``.
@@ -59,3 +59,21 @@ class Trajectory(NamedTuple):
     q: Float[Tensor, "nodes n"]
     v: Float[Tensor, "nodes n"]
     u: Float[Tensor, "nodes m"]
+
+
+class Stretches(NamedTuple):
+    """TrainingSamples of many consecutive nodes of configurations and controls, one time step apart."""
+
+    q: Float[Tensor, "samples nodes n"]
+    u: Float[Tensor, "samples nodes m"]
+    start: Float[Tensor, "samples 2*n"]
+    """``(q, v)`` near that at the first node, from where a fit begins; not finite if unknown."""
+    weight: Float[Tensor, "samples nodes n"]
+    """Weight of each squared error."""
+
+    def rows(self, index: Tensor | slice) -> Stretches:
+        """Return the given samples."""
+        return Stretches(*(field[index] for field in self))
+
+
+TrainingSamples = Windows | Stretches

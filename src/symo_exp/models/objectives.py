@@ -5,6 +5,7 @@
 ``Residual``                   ``g(q_{k−1}, q_k, q_{k+1})``                      SyMo
 ``PreconditionedResidual``     ``h H⁻¹ g(q_{k−1}, q_k, q_{k+1})``                SyMo
 ``RootError``                  ``q*_{k+1} − q_{k+1}``, ``g(…, q*_{k+1}) = 0``    E2E-SyMo
+``horizon.HorizonError``       ``q̂_k − q_k`` over many steps, from fitted starts  all but SyMo
 =============================  ================================================  ================
 
 Here ``(q̂, v̂)`` is the flow's prediction, ``g`` the discrete Euler-Lagrange residual, ``H`` the
@@ -15,9 +16,9 @@ learned inertia, and ``q``, ``v`` are the data. A further objective is one class
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -26,9 +27,11 @@ from typing_extensions import override
 
 from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.types import Windows
+from symo_exp.mechanics.types import TrainingSamples, Trajectory, Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, Forces, differentiable_root
+from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.flows import Flow, VariationalFlow
+from symo_exp.nets.affine import Linearised, parameter_jacobian
 
 Statistics = Mapping[str, Tensor]
 NOTHING: Statistics = MappingProxyType({})
@@ -54,9 +57,27 @@ class Residuals(NamedTuple):
 class Objective(ABC):
     """``(flow, windows) → residuals``, differentiable in the parameters of the flow."""
 
+    consecutive: ClassVar[bool] = True
+    """Whether samples are windows of three consecutive nodes."""
+
     @abstractmethod
-    def __call__(self, flow: Any, windows: Windows) -> Residuals:
+    def __call__(self, flow: Any, windows: Any) -> Residuals:
         """Return the residuals of each sample, for a flow of the kind that the objective needs."""
+
+    def linearised(self, flow: Any, windows: Any, parameters: Sequence[Tensor]) -> Linearised:
+        """Return the residuals of each sample with their derivatives in the parameters."""
+        return parameter_jacobian(lambda: self(flow, windows).values, parameters)
+
+    def cut(self, trajectories: Sequence[Trajectory]) -> TrainingSamples:
+        """Return the samples of some trajectories."""
+        return cut_windows(trajectories)
+
+    def prepare(self, flow: Any, batches: Sequence[Any], epoch: int) -> Sequence[Any]:
+        """Return the mini batches of an epoch; what stays the same over it is set."""
+        return batches
+
+    def require(self, parameters: Sequence[Tensor], optimizer: object) -> None:  # noqa: B027
+        """Refuse parameters or an optimiser with which the objective does not work."""
 
     def branch_free(self, flow: Any) -> bool:
         """Return whether no operation depends on values, so that the loss can be compiled."""

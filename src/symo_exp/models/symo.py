@@ -4,11 +4,13 @@ from typing import Literal
 
 from torch import Tensor
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.variational import VariationalIntegrator
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import VariationalFlow
+from symo_exp.models.horizon import HorizonError
 from symo_exp.models.learned import MakesDissipation, MakesLagrangian, learned_lagrangian
 from symo_exp.models.objectives import Objective, Residual
 
@@ -31,6 +33,9 @@ class SyMo(DynamicsModel):
         rollout_root: That of rollouts; ``evaluation_root`` if left out.
         objective: Residuals to be minimised, of a variational flow.
         evaluation_dtype: Precision of the copy for evaluation.
+
+    Raises:
+        ConfigError: If the objective is the error of predictions.
     """
 
     def __init__(
@@ -48,6 +53,11 @@ class SyMo(DynamicsModel):
         objective: Objective | None = None,
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
+        if isinstance(objective, HorizonError):
+            raise ConfigError(
+                "objective=horizon: SyMo is trained without predictions; with the error of "
+                "predictions it is E2E-SyMo by definition: choose model=e2e_symo"
+            )
         flow = VariationalFlow(
             learned_lagrangian(coordinates, lagrangian, dissipation),
             integrator,

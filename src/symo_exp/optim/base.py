@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -15,8 +15,11 @@ from torch.optim import Optimizer
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.types import Windows
+from symo_exp.mechanics.types import TrainingSamples
+from symo_exp.nets.affine import Linearised
 from symo_exp.optim.direct import direct_step
+
+Sample = TypeVar("Sample", bound=TrainingSamples)
 
 
 class Problem(Protocol):
@@ -34,15 +37,19 @@ class Problem(Protocol):
         """Return the parameters."""
         ...
 
-    def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]:
+    def residuals(self, windows: TrainingSamples) -> Float[Tensor, "samples residuals"]:
         """Return the residuals of each sample, differentiable in the parameters."""
         ...
 
-    def loss(self, windows: Windows) -> Float[Tensor, ""]:
+    def linearised(self, windows: TrainingSamples, parameters: Sequence[Tensor]) -> Linearised:
+        """Return the residuals of each sample with their derivatives in the parameters."""
+        ...
+
+    def loss(self, windows: TrainingSamples) -> Float[Tensor, ""]:
         """Return the mean square of the residuals, differentiable in the parameters."""
         ...
 
-    def loss_and_gradients(self, windows: Windows) -> Float[Tensor, ""]:
+    def loss_and_gradients(self, windows: TrainingSamples) -> Float[Tensor, ""]:
         """Return the loss without a graph; its gradients are left in the parameters."""
         ...
 
@@ -141,7 +148,7 @@ class EpochOptimizer(Optimizer, ABC):
 
 
 def minibatches(
-    optimizer: Optimizer, model: Problem, batches: Sequence[Windows]
+    optimizer: Optimizer, model: Problem, batches: Sequence[TrainingSamples]
 ) -> dict[str, Tensor]:
     """Take one step of a torch optimiser for each mini batch.
 
@@ -199,6 +206,6 @@ def step_bounded(
         step()
 
 
-def concatenated(batches: Sequence[Windows]) -> Windows:
+def concatenated(batches: Sequence[Sample]) -> Sample:
     """Return the mini batches of an epoch as one batch."""
-    return Windows(*(torch.cat(fields) for fields in zip(*batches, strict=True)))
+    return type(batches[0])(*(torch.cat(fields) for fields in zip(*batches, strict=True)))

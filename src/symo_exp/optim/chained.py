@@ -11,7 +11,7 @@ from torch.optim import Optimizer
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.types import Windows
+from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Problem, minibatches
 
 
@@ -44,7 +44,7 @@ class Chained(EpochOptimizer):
         self.memory["epoch"] = 0
 
     @override
-    def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
+    def epoch(self, model: Problem, batches: Sequence[TrainingSamples]) -> dict[str, Tensor]:
         starting = self.memory["epoch"] < self.epochs
         self.memory["epoch"] += 1
         if not starting:

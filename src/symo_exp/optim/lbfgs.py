@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.types import Windows
+from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Problem, concatenated
 
 
@@ -38,7 +38,7 @@ class LBFGS(EpochOptimizer):
         )  # fmt: skip
 
     @override
-    def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
+    def epoch(self, model: Problem, batches: Sequence[TrainingSamples]) -> dict[str, Tensor]:
         samples = concatenated(batches)
 
         def closure() -> Tensor:

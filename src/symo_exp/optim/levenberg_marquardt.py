@@ -13,8 +13,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.types import Windows
-from symo_exp.nets.affine import parameter_jacobian
+from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Problem, concatenated
 from symo_exp.optim.damped import DampedSystem
 from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
@@ -45,7 +44,7 @@ class LevenbergMarquardt(EpochOptimizer):
         damping: Initial ``λ``.
         trials: Trials of one step.
         patience: Number of held-out losses without improvement.
-        chunk: Samples in a piece of ``J``.
+        chunk: TrainingSamples in a piece of ``J``.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class LevenbergMarquardt(EpochOptimizer):
         return float(self.memory["damping"])
 
     @override
-    def epoch(self, model: Problem, batches: Sequence[Windows]) -> dict[str, Tensor]:
+    def epoch(self, model: Problem, batches: Sequence[TrainingSamples]) -> dict[str, Tensor]:
         samples = concatenated(batches)
         descent = _Trials(self, model, samples)
         if not descent.run(self.trials):
@@ -97,7 +96,7 @@ class LevenbergMarquardt(EpochOptimizer):
         """Multiply the damping."""
         self.memory["damping"] = min(max(self.damping * factor, 1e-16), 1e16)
 
-    def linearised(self, model: Problem, samples: Windows) -> DampedSystem:
+    def linearised(self, model: Problem, samples: TrainingSamples) -> DampedSystem:
         """Return the residuals and their derivatives at the parameters in place."""
         size = len(self.flat())
         with torch.no_grad():
@@ -107,9 +106,9 @@ class LevenbergMarquardt(EpochOptimizer):
         values, jacobians = zip(*pieces, strict=True)
         return DampedSystem(torch.cat(values), jacobians)
 
-    def _differentiated(self, model: Problem, samples: Windows) -> tuple[Tensor, Tensor]:
+    def _differentiated(self, model: Problem, samples: TrainingSamples) -> tuple[Tensor, Tensor]:
         """Return ``r`` and ``J``, a row each residual."""
-        r, jacobian, _ = parameter_jacobian(lambda: model.residuals(samples), self.parameters)
+        r, jacobian, _ = model.linearised(samples, self.parameters)
         return r.flatten(), jacobian.flatten(0, 1)
 
     def _require(self, size: int, equations: int) -> None:
@@ -130,7 +129,7 @@ class LevenbergMarquardt(EpochOptimizer):
 class _Trials(Descent):
     """Trials of one step."""
 
-    def __init__(self, owner: LevenbergMarquardt, model: Problem, samples: Windows) -> None:
+    def __init__(self, owner: LevenbergMarquardt, model: Problem, samples: TrainingSamples) -> None:
         self.system, self.start = owner.linearised(model, samples), owner.flat()
         self._owner, self._model, self._samples = owner, model, samples
         self._growth = 2.0
@@ -192,7 +191,7 @@ class _Equations(DampedEquations):
         return -float(self._linear @ (2.0 * self._system.r + self._linear))
 
 
-def _chunks(samples: Windows, size: int) -> Iterator[Windows]:
+def _chunks(samples: TrainingSamples, size: int) -> Iterator[TrainingSamples]:
     for start in range(0, len(samples.q), size):
         yield samples.rows(slice(start, start + size))
 

@@ -16,9 +16,10 @@ from torch.optim import Optimizer
 from torch.optim.lr_scheduler import LRScheduler, ReduceLROnPlateau
 from typing_extensions import override
 
-from symo_exp.mechanics.types import Trajectory, Windows
+from symo_exp.mechanics.types import TrainingSamples, Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.objectives import Objective, Statistics
+from symo_exp.nets.affine import Linearised
 from symo_exp.optim.base import EpochOptimizer, minibatches
 
 
@@ -82,20 +83,24 @@ class Learner(lightning.LightningModule):
         """Whether the objective depends on measured velocities."""
         return self.model.reads_velocity
 
-    def residuals(self, windows: Windows) -> Float[Tensor, "samples residuals"]:
+    def residuals(self, windows: TrainingSamples) -> Float[Tensor, "samples residuals"]:
         """Return the residuals of each sample."""
         return self._note(*self.objective(self.model.flow, windows))
 
-    def loss(self, windows: Windows) -> Float[Tensor, ""]:
+    def linearised(self, windows: TrainingSamples, parameters: Sequence[Tensor]) -> Linearised:
+        """Return the residuals of each sample with their derivatives in the parameters."""
+        return self.objective.linearised(self.model.flow, windows, parameters)
+
+    def loss(self, windows: TrainingSamples) -> Float[Tensor, ""]:
         """Return the mean square of the residuals."""
         return self.residuals(windows).square().mean()
 
-    def loss_and_gradients(self, windows: Windows) -> Float[Tensor, ""]:
+    def loss_and_gradients(self, windows: TrainingSamples) -> Float[Tensor, ""]:
         """Return the detached loss and leave its gradients in the parameters."""
         train = self.compiled.get("training step", self.uncompiled_training)
         return self._note(*train(windows))
 
-    def uncompiled_training(self, windows: Windows) -> tuple[Tensor, Statistics]:
+    def uncompiled_training(self, windows: TrainingSamples) -> tuple[Tensor, Statistics]:
         """Return the detached loss and the objective's statistics; leave gradients in place."""
         self.zero_grad()
         residuals = self.objective(self.model.flow, windows)
@@ -103,7 +108,7 @@ class Learner(lightning.LightningModule):
         loss.backward()
         return loss.detach(), residuals.statistics
 
-    def validation_loss(self, windows: Windows) -> Float[Tensor, ""]:
+    def validation_loss(self, windows: TrainingSamples) -> Float[Tensor, ""]:
         """Return the loss, without gradients where it is compiled."""
         return self.compiled.get("validation", self.loss)(windows)
 
@@ -120,15 +125,23 @@ class Learner(lightning.LightningModule):
         if self._optimizer is None:
             raise ValueError("this learner was built without an optimizer: it cannot train")
         optimizer = self._optimizer(self.parameters())
+        self.objective.require(list(self.parameters()), optimizer)
         return [optimizer], [self._scheduler(optimizer)] if self._scheduler else []
 
     @override
-    def training_step(self, batches: list[Windows], _: int) -> None:
+    def setup(self, stage: str) -> None:
+        if not self.objective.consecutive:
+            self._data.cut = self.objective.cut
+
+    @override
+    def training_step(self, batches: list[TrainingSamples], _: int) -> None:
         """Take all optimiser steps of an epoch, then one step of the learning rate schedule."""
         optimizer: Any = self._torch_optimizer()
         start, processor = time.perf_counter(), time.process_time()
         self._statistics = {}
         rate = optimizer.param_groups[0]["lr"]
+        flow, epoch = self.model.flow, self.current_epoch
+        batches = list(self.objective.prepare(flow, batches, epoch))
         if isinstance(optimizer, EpochOptimizer):
             whole = optimizer.reads_trajectories
             given = self._data.trajectories("train") if whole else batches
@@ -151,7 +164,7 @@ class Learner(lightning.LightningModule):
         self.epoch_metrics = {name: float(value) for name, value in metrics.items()}
 
     @override
-    def validation_step(self, windows: Windows, _: int) -> None:
+    def validation_step(self, windows: TrainingSamples, _: int) -> None:
         if self._validation is None:
             loss = self.validation_loss(windows)
         else:

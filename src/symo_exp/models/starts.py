@@ -56,12 +56,14 @@ def fitted_start(
     u: Float[Tensor, "batch nodes m"],
     time_step: float,
     iterations: int = ITERATIONS,
+    weight: Float[Tensor, "batch nodes n"] | None = None,
+    start: Float[Tensor, "batch unknowns"] | None = None,
 ) -> State:
-    """Return the states at node 0 that minimise ``Σ_k |q̂_k(q₀, v₀) − q_k|²`` for each motion.
+    """Return the states at node 0 that minimise ``Σ_k w_k |q̂_k(q₀, v₀) − q_k|²`` for each motion.
 
-    Levenberg-Marquardt from a parabola through the configurations, for all rows at once, each with
-    its own damping. Derivatives are central differences of rollouts, so that any model will do. A
-    trial that diverges is refused like one that is worse.
+    Levenberg-Marquardt for all rows at once, each with its own damping. Derivatives are central
+    differences of rollouts, so that any model will do. A trial that diverges is refused like one
+    that is worse.
 
     Args:
         model: The model.
@@ -69,19 +71,49 @@ def fitted_start(
         u: Controls.
         time_step: Time between nodes [s].
         iterations: Trials at most. Most motions need four; those that stick need more.
+        weight: ``w``, one if left out.
+        start: ``(q₀, v₀)`` to begin from; that of a parabola through all nodes if left out.
     """
-    n = q.shape[2]
-    x, _, _ = iterate(Fit(model, q, u), _parabola(q, time_step), FitSteps(), iterations)
+    n, fit = q.shape[2], Fit(model, q, u, torch.ones_like(q) if weight is None else weight)
+    begin = parabola(q, time_step) if start is None else start
+    x, _, _ = iterate(fit, begin, FitSteps(), iterations)
     return State(x[:, :n], x[:, n:])
+
+
+def closest_start(
+    model: RollsOut,
+    q: Float[Tensor, "batch nodes n"],
+    u: Float[Tensor, "batch nodes m"],
+    time_step: float,
+) -> Float[Tensor, "batch unknowns"]:
+    """Return states ``(q₀, v₀)`` to begin a fit from, for motions of many steps.
+
+    Of parabolas through the first 3, 5, 9, … nodes each motion takes that with the least squares.
+    """
+    counts = [2**k + 1 for k in range(1, q.shape[1].bit_length()) if 2**k < q.shape[1]]
+    starts = torch.stack([parabola(q[:, :count], time_step) for count in counts])
+    q0, v0 = starts.flatten(0, 1).chunk(2, dim=1)
+    path = model.rollout(q0, v0, u.repeat(len(counts), 1, 1)).q
+    error = difference(path, q.repeat(len(counts), 1, 1))
+    cost = error.square().flatten(1).sum(1).nan_to_num(torch.inf, torch.inf)
+    chosen = cost.view(len(counts), -1).argmin(0)
+    return starts[chosen, torch.arange(len(q))]
+
+
+def difference(
+    found: Float[Tensor, "*batch n"], measured: Float[Tensor, "*batch n"]
+) -> Float[Tensor, "*batch n"]:
+    """Return the error of configurations ``q̂ − q``."""
+    return found - measured
 
 
 class Fit(Rowwise):
     """Least squares of rollouts over their initial states."""
 
-    parts = ("_model", "_q", "_u")
+    parts = ("_model", "_q", "_u", "_weight")
 
-    def __init__(self, model: RollsOut, q: Tensor, u: Tensor) -> None:
-        self._model, self._q, self._u = model, q, u
+    def __init__(self, model: RollsOut, q: Tensor, u: Tensor, weight: Tensor) -> None:
+        self._model, self._q, self._u, self._weight = model, q, u, weight
 
     def at(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
         """Evaluate residuals and derivatives by one rollout of all starts and their neighbours."""
@@ -94,11 +126,13 @@ class Fit(Rowwise):
         moved = path.to(self._q).unflatten(0, (len(shifts), batch)).flatten(2)
         at, plus, minus = moved.split((1, unknowns, unknowns))
         slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
-        return FitPoint(at[0] - self._q.flatten(1), slopes.nan_to_num(0.0, 0.0, 0.0))
+        root = self._weight.sqrt().flatten(1)
+        error = difference(at[0].view_as(self._q), self._q).flatten(1)
+        return FitPoint(root * error, root.unsqueeze(-1) * slopes.nan_to_num(0.0, 0.0, 0.0))
 
 
 class FitPoint(Rowwise):
-    """Residuals ``q̂ − q`` (batch, r) and their derivatives (batch, r, 2n).
+    """Residuals ``√w (q̂ − q)`` (batch, r) and their derivatives (batch, r, 2n).
 
     Residuals of rollouts that diverge are not finite; their derivatives are zero.
     """
@@ -161,7 +195,7 @@ class FitSteps(Rule[FitPoint, FitState]):
         return better, state._replace(damping=state.damping * torch.where(better, 0.1, 10.0))
 
 
-def _parabola(q: Tensor, h: float) -> Tensor:
+def parabola(q: Tensor, h: float) -> Tensor:
     """Return state at node 0 of the least-squares parabola through the nodes."""
     t = h * torch.arange(q.shape[1]).to(q)
     powers = t[:, None] ** torch.arange(min(3, len(t))).to(q)

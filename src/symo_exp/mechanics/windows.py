@@ -1,0 +1,42 @@
+"""Samples that the methods learn from: windows of three nodes, or stretches of many."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from symo_exp.mechanics.types import Stretches, Trajectory, Windows
+
+
+def cut_windows(trajectories: Sequence[Trajectory]) -> Windows:
+    """Return all windows of three consecutive nodes, T − 2 of a trajectory of T nodes."""
+    return Windows(*(torch.cat(fields) for fields in zip(*map(_cut, trajectories), strict=True)))
+
+
+def _cut(trajectory: Trajectory) -> Windows:
+    q, v, u = trajectory
+    return Windows(
+        q_prev=q[:-2], q=q[1:-1], q_next=q[2:], v=v[1:-1], v_next=v[2:],
+        u_prev=u[:-2], u=u[1:-1], u_next=u[2:],
+    )  # fmt: skip
+
+
+def cut_stretches(trajectories: Sequence[Trajectory], steps: int, stride: int) -> Stretches:
+    """Return stretches of so many steps, which begin every ``stride`` nodes of each trajectory.
+
+    Trajectories that are shorter have none.
+    """
+    long = [one for one in trajectories if len(one.q) > steps]
+    first = trajectories[0]
+    q, u = (
+        torch.cat([x.new_empty(0, steps + 1, x.shape[1]), *(_cut_at(y, steps, stride) for y in of)])
+        for x, of in ((first.q, [one.q for one in long]), (first.u, [one.u for one in long]))
+    )
+    unknown = torch.full_like(q[:, 0], torch.nan).repeat(1, 2)
+    return Stretches(q, u, unknown, torch.ones_like(q))
+
+
+def _cut_at(x: Tensor, steps: int, stride: int) -> Tensor:
+    return x.unfold(0, steps + 1, stride).mT
