@@ -21,7 +21,7 @@ class Coordinates(NamedTuple):
 
 
 class Windows(NamedTuple):
-    """TrainingSamples of three consecutive nodes ``k-1, k, k+1``, one time step apart.
+    """Samples of three consecutive nodes ``k-1, k, k+1``, one time step apart.
 
     ``v`` belongs to node ``k`` and ``v_next`` to node ``k+1``. Every method sees these samples:
     SyMo and E2E-SyMo read the configurations, NODE and L-NODE the states at ``k`` and ``k+1``.
@@ -62,7 +62,7 @@ class Trajectory(NamedTuple):
 
 
 class Stretches(NamedTuple):
-    """TrainingSamples of many consecutive nodes of configurations and controls, one time step apart."""
+    """Samples of many consecutive nodes of configurations and controls, one time step apart."""
 
     q: Float[Tensor, "samples nodes n"]
     u: Float[Tensor, "samples nodes m"]

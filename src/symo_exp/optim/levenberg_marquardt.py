@@ -44,7 +44,7 @@ class LevenbergMarquardt(EpochOptimizer):
         damping: Initial ``λ``.
         trials: Trials of one step.
         patience: Number of held-out losses without improvement.
-        chunk: TrainingSamples in a piece of ``J``.
+        chunk: Samples in a piece of ``J``.
     """
 
     def __init__(
