@@ -1,6 +1,7 @@
 """Plans of a budget."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 
@@ -47,6 +48,7 @@ def test_a_plan_is_kept_with_the_search_and_forgotten_for_another(tmp_path):
     one = machine()
     plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
     file = tmp_path / "search" / "plan.json"
+    plan = replace(plan, without=("variations",))
     plans.keep_plan(file, plan)
     found = plans.kept_plan(file, "key")
     assert found is not None
@@ -101,3 +103,25 @@ def test_joined_variations_have_what_both_switch_on():
                 on = {k: v for k, v in each.settings.items() if base.settings.get(k) != v}
                 assert all(both.settings[k] == v for k, v in on.items() if v != "false")
             assert both.rank > max(first.rank, second.rank)
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_driven_machines_have_a_candidate_with_the_friction_of_motors(driven):
+    """Among the first, with a width that follows the speed of the machine."""
+    one = replace(machine(1, angular=False, driven=driven), rest_velocity=0.004)
+    found = [c for c in ladder(one) if c.settings["dissipation"] == "machine"]
+    assert len(found) == driven
+    for candidate in found:
+        assert candidate in ladder(one)[:2]
+        assert candidate.settings["dissipation.asymmetric"] == "true"
+        assert candidate.settings["dissipation.constant"] == "true"
+        assert candidate.settings["dissipation.stribeck"] == "false"
+        assert float(candidate.settings["dissipation.least_rest_velocity"]) < 1e-4
+
+
+def test_the_plan_leaves_out_the_costliest_candidate_first():
+    one = machine(1, angular=False)
+    candidates = ladder(one)
+    for budget in (30.0, 100.0, 300.0, 1000.0):
+        names = plans.make_plan(one, candidates, budget, 1, 1.0, "key").names
+        assert names == tuple(c.name for c in candidates)[: len(names)]

@@ -47,6 +47,33 @@ def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, 
     assert {f: f.stat().st_mtime_ns for f in folder.glob("*/metrics.json")} == written
 
 
+@pytest.mark.slow
+def test_a_search_that_grossly_overruns_says_so_and_repeats_itself(workplace, capsys):
+    table().to_csv("mine.csv", index=False)
+    words = ["-cn", "machine", "data.path=mine.csv", "budget=1s", "hydra/launcher=basic",
+             "logger=none", "pictures=false"]  # fmt: skip
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "are left out" in said
+    assert main(words) == 0
+    again = capsys.readouterr().out
+    assert "are left out" not in again
+    assert again.splitlines()[-3:] == said.splitlines()[-3:]
+
+
+@pytest.mark.parametrize("gap", [0.0, 1.0])
+def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so(gap, workplace):
+    frame = table(count=4, seconds=6.0)
+    frame["split"] = np.where(frame.trajectory < 3, "train", "val")
+    frame.loc[frame.t > 3.0, "t"] += gap
+    frame.to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    assert any("has nothing for test" in note for note in found.notes)
+    assert any("are cut there" in note for note in found.notes) == bool(gap)
+    assert found.seconds == pytest.approx(3 * 6.0, abs=0.5)
+    assert found.recordings == 3
+
+
 @pytest.mark.parametrize(
     ("words", "wanted"),
     [

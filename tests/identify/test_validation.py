@@ -2,17 +2,21 @@
 
 import math
 
+import numpy as np
+import pandas as pd
 import pytest
+import yaml
 
 from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.validation import (
     Trial,
+    baseline_error,
     beats,
     choose,
     compared,
     fold_error,
 )
-from symo_exp.runs.folder import SERIES, RunFolder
+from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
 from symo_exp.runs.series import Series
 
 
@@ -69,3 +73,23 @@ def test_the_error_of_a_fold_is_the_smallest_of_its_validations(losses, wanted, 
         series.append(epoch, {"train_loss": 1.0, **validated})
     series.flush()
     assert fold_error(folder) == pytest.approx(wanted, nan_ok=True)
+
+
+@pytest.mark.parametrize("w", [0.0, 6.0])
+def test_the_baseline_is_constant_velocity_on_the_held_out_part(w, tmp_path):
+    """It is exact on a motion without acceleration, and off by the motion on an oscillation."""
+    t = 0.02 * np.arange(300)
+    q = np.sin(w * t) if w else t
+    motions = [pd.DataFrame({"trajectory": k, "t": t, "q_theta": q}) for k in range(4)]
+    pd.concat(motions).to_csv(tmp_path / "mine.csv", index=False)
+    folder = RunFolder(tmp_path / "run")
+    folder.path.mkdir()
+    names = {"names": ["theta"], "angular": "all", "inputs": [], "input_matrix": None}
+    system = {"_target_": "symo_exp.systems.recorded.Recorded", "time_step": 0.02, **names}
+    data = {
+        "_target_": "symo_exp.data.recorded.RecordedData",
+        "path": str(tmp_path / "mine.csv"), "fold": [0, 3], "dtype": "float64",
+    }  # fmt: skip
+    (folder / CONFIG).write_text(yaml.safe_dump({"system": system, "data": data}))
+    found = baseline_error(folder)
+    assert (0.5 < found < 20.0) if w else found < 1e-9
