@@ -75,7 +75,8 @@ def physical_parameters(
         if partners[i]:
             names = [found[j].name for j in partners[i] if j != i]
             told = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" * (len(names) > FEW))
-            note = f"determined only together with {told}" if names else "not determined apart from terms not listed"
+            others = told or "terms that are not listed"
+            note = f"determined only together with {others}"
             rows.append(Parameter(reading.name, value, reading.unit, math.nan, "no", note))
         elif deviation > abs(value):
             note = "the standard deviation exceeds the value"

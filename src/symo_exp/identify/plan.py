@@ -25,8 +25,8 @@ VALIDATION = 0.6
 """Time of the rollouts of a validation, a coordinate [s]; hardly more with more windows."""
 STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
-SCREENING, VARYING, REFITTING = 0.4, 0.35, 0.15
-"""Shares of the budget."""
+SCREENING, VARYING, REFITTING = 0.45, 0.35, 0.2
+"""Shares of the budget; in the last one a model is fitted to as many data as there is time for."""
 FOLDS, FEWEST_NODES, MOST_NODES = 6, 800, 30_000
 EFFORTS = ((20, 20), (10, 10))
 """Epochs with held nodes and for each epsilon, from the most thorough."""
@@ -86,6 +86,7 @@ class Plan:
     def most_seconds(self, candidate: Candidate, machine: Machine) -> float:
         """Return the length of data that a candidate can be fitted to in its time [s]."""
         nodes, time = machine.nodes, REFITTING * self.budget
+        time += self.expected(candidate, 0, machine.n)  # what does not depend on the nodes
         while nodes > FEWEST_NODES and (
             nodes > MOST_NODES or self.expected(candidate, nodes, machine.n) > time
         ):

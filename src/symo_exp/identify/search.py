@@ -114,8 +114,6 @@ class Search:
         if base is not None and self._in_time(0.6, "variations"):
             self._vary(base)
         best = self._choice()
-        if best is not None:
-            best = self._grow(best)
         if best is None:
             return self._no_model()
         return self._finish(best)
@@ -210,22 +208,6 @@ class Search:
         trial = self._trials[candidate.name]
         return not trial.failed and beats(trial.errors, base.errors, folds)
 
-    def _grow(self, best: Trial) -> Trial:
-        """Return the chosen candidate with as much data as lowers the errors of the folds."""
-        seconds, folds = self._plan.seconds, range(len(best.errors))
-        there = self._plan.most_seconds(best.candidate, self._machine)
-        longest = there * (self._plan.folds - 1) / self._plan.folds
-        while 1.2 * seconds < longest and self._in_time(0.8, "more data"):
-            seconds = min(2 * seconds, longest)
-            more = best.candidate.changed(
-                f"{seconds:.3g} s of data", 0.01, 2.0, data__seconds=f"{seconds:g}"
-            )
-            self._try([more], folds)
-            if not self._gains(more, best, folds):
-                break
-            best = self._trial(more)
-        return best
-
     def _try(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> None:
         """Do the folds that are not done yet, side by side."""
         todo = [
@@ -312,14 +294,18 @@ class Search:
 
     def _finish(self, best: Trial) -> int:
         """Fit the chosen candidate to the training and the validation part, and test it."""
-        print(f"chosen: {best.candidate.name}; fitted to all of train and val", flush=True)
-        epochs = self._last_epoch(best)
+        machine, epochs = self._machine, self._last_epoch(best)
+        seconds = self._plan.most_seconds(best.candidate, machine)
+        limit = self._plan.limit(best.candidate, round(seconds / machine.time_step), machine.n)
+        share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.2g} %"
+        print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
         overrides = self._overrides(
             best.candidate,
             f"data.fold={POOLED}",
             f"trainer.max_epochs={epochs}",
             "optimizer.tolerance=1e9",  # the last parameters: nothing is held out
-            data__seconds=self._longest(best.candidate),
+            f"trainer.time_limit={limit:.0f}",
+            data__seconds=f"data.seconds={seconds:g}" if seconds < machine.seconds else None,
             logger=None,
             pictures="pictures=true",
             measures="measures=true",
@@ -331,6 +317,8 @@ class Search:
         if folder.outcome().status != "finished":
             print(f"the last fit {folder.outcome().status}: {folder.outcome().reason}")
             return 1
+        if (done := len(read(folder / SERIES))) < epochs:
+            print(f"the last fit was ended by the clock after {done} of {epochs} epochs")
         self._link(folder)
         measures = folder.measures()
         label = verdict(measures) or "not judged"
@@ -349,11 +337,6 @@ class Search:
     def _print_doubts(self) -> None:
         for line in doubts(self._machine):
             print(f"  perhaps why: {line}")
-
-    def _longest(self, candidate: Candidate) -> str | None:
-        """Return the bound of the data of the last fit; ``None`` where there are no more."""
-        most = self._plan.most_seconds(candidate, self._machine)
-        return f"data.seconds={most:g}" if most < self._machine.seconds else None
 
     def _no_model(self) -> int:
         if self._trials:
@@ -394,8 +377,7 @@ class Search:
     def _overrides(self, candidate: Candidate, *more: str, **changed: str | None) -> list[str]:
         """Return the overrides of a run, those of the command line last."""
         plan, machine = self._plan, self._machine
-        seconds = float(candidate.settings.get("data.seconds", plan.seconds))
-        nodes = round(seconds / machine.time_step)
+        nodes = round(plan.seconds / machine.time_step)
         settings = _by_key(
             [
                 *machine.settings,
