@@ -91,7 +91,7 @@ class Plan:
             nodes > MOST_NODES or self.expected(candidate, nodes, machine.n) > time
         ):
             nodes = max(FEWEST_NODES, int(nodes / 1.25))
-        return min(machine.seconds, nodes * machine.time_step)
+        return machine.seconds if nodes == machine.nodes else nodes * machine.time_step
 
     def limit(self, candidate: Candidate, nodes: int, n: int) -> float:
         """Return the time after which a training is ended [s]."""

@@ -297,7 +297,7 @@ class Search:
         machine, epochs = self._machine, self._last_epoch(best)
         seconds = self._plan.most_seconds(best.candidate, machine)
         limit = self._plan.limit(best.candidate, round(seconds / machine.time_step), machine.n)
-        share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.2g} %"
+        share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
         print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
         overrides = self._overrides(
             best.candidate,
