@@ -132,13 +132,13 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
         (lambda t: t.drop(columns="trajectory").iloc[:9], "number trajectories apart"),
         (
             lambda t: t.drop(columns="trajectory"),
-            "steps by 0 s at t=0; each time may be there once",
+            "steps by 0 s at t=0; each time may occur once",
         ),
         (lambda t: t.assign(t=2 * t["t"]), "steps by 0.1 s"),
         (lambda t: t[(t["t"] < 0.19) | (t["t"] > 0.32)], "nothing is left for train; train: gaps"),
         (lambda t: pd.concat([t, t.iloc[:1]]), "trajectory 0 steps by 0 s"),
         (lambda t: t.assign(q_x=t["q_x"].where(t.index != 3)), "q_x is empty or not finite"),
-        (lambda t: t.assign(q_x="high"), "q_x holds something that is no number"),
+        (lambda t: t.assign(q_x="high"), "q_x holds values that are not numbers"),
         (lambda t: t.assign(trajectory=t["trajectory"].where(t.index != 3)), "without a traj"),
         (
             lambda t: t.assign(q_theta=(10 * t["t"] + math.pi) % (2 * math.pi) - math.pi),

@@ -238,8 +238,8 @@ def test_what_is_missing_is_said(folder, tmp_path):
 
 def test_a_run_that_the_store_does_not_know(folder, directory):
     run_id = published(folder, directory)
-    assert "gives no model" in sentence("0" * 32, directory=directory)
-    assert "gives no model" in sentence(run_id, directory=directory)
+    assert "has no model" in sentence("0" * 32, directory=directory)
+    assert "has no model" in sentence(run_id, directory=directory)
 
 
 class Pickled:

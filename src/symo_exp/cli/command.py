@@ -52,7 +52,7 @@ class Command:
         self.name: str | None = self._given.config_name
         for override in self.overrides:
             if "=" not in override and not override.startswith("~"):
-                raise ConfigError(f"{override} is no setting with a value: write {override}=...")
+                raise ConfigError(f"{override} is not a setting with a value: write {override}=...")
             group, _, value = override.partition("=")
             if value == "null" and (CONF / group).is_dir():
                 raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
@@ -87,7 +87,7 @@ class Command:
             return []
         names = content["sweeps"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ConfigError(f"{file}: sweeps is to be a list of names")
+            raise ConfigError(f"{file}: expected a list of names under sweeps")
         for name in names:
             if name == self.name or not file.with_name(f"{name}.yaml").is_file():
                 raise ConfigError(f"{file} names the sweep {name}, which is not in {file.parent}")

@@ -69,7 +69,7 @@ def compile_rollout(model: DynamicsModel) -> None:
     ):
         advance = VariationalAdvance(model, flow)
     if advance is None:
-        log.warning("a step of this rollout is no fixed sequence of operations: not compiled")
+        log.warning("a step of this rollout is not a fixed sequence of operations: not compiled")
         return
 
     def contiguous(*arguments: Tensor) -> Any:  # kernels belong to one layout of each tensor

@@ -125,7 +125,7 @@ def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None
             )
         if ours not in OTHERS and not re.fullmatch(r"[qvu]_.+", ours):
             raise ConfigError(
-                f"data.columns: {ours}={theirs} cannot be; a column is to be one of "
+                f"data.columns: {ours}={theirs} is not allowed; expected one of "
                 f"{', '.join(OTHERS)}, q_<name>, v_<name>, u_<name>"
             )
     if len(new) < len(columns):

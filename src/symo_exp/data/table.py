@@ -168,8 +168,8 @@ def _check_places(where: str, found: Sequence[str], wanted: Mapping[str, Sequenc
         if kind in KINDS and column not in wanted[kind]:
             there = few([name[2:] for name in wanted[kind]]) or "none"
             raise ConfigError(
-                f"{where}: column {column} is of no {KINDS[kind]} of the system ({there}); rename "
-                "it by data.columns or in the file"
+                f"{where}: column {column} belongs to no {KINDS[kind]} of the system ({there}); "
+                "rename it by data.columns or in the file"
             )
 
 
@@ -177,7 +177,7 @@ def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
     try:
         values = given.to_numpy(dtype=np.float64, na_value=np.nan)
     except (ValueError, TypeError):
-        raise ConfigError(f"{where}: column {column} holds something that is no number") from None
+        raise ConfigError(f"{where}: column {column} holds values that are not numbers") from None
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         raise ConfigError(
@@ -194,7 +194,7 @@ def _check_times(where: str, t: np.ndarray, order: np.ndarray) -> None:
     gaps = np.diff(t[order])
     if not gaps.all():
         at = t[order][int(np.argmin(gaps))]
-        raise ConfigError(f"{where} steps by 0 s at t={at:.6g}; each time may be there once")
+        raise ConfigError(f"{where} steps by 0 s at t={at:.6g}; each time may occur once")
     back = np.flatnonzero(np.diff(t) < 0)
     if 0 < len(back) < len(t) / 4:
         raise ConfigError(

@@ -75,7 +75,7 @@ def _check_node(
             if known is None or key not in known:
                 raise unknown_key(name, known or {})
             if isinstance(known[key], bool) and not isinstance(value, bool):
-                raise ConfigError(f"{name}={_spell(value)} has to be true or false")
+                raise ConfigError(f"{name}={_spell(value)}: expected true or false")
         elif key not in _INSTANTIATE_KEYS:
             if key not in parameters:
                 raise unknown_key(name, parameters)
@@ -183,7 +183,7 @@ def check_names(output_dir: Any, experiment: Any, folder: Any) -> None:
         "output_dir": output_dir, "hydra's dir": folder, "experiment": experiment,
     }.items():  # fmt: skip
         if not isinstance(value, str) or not value or "\0" in value:
-            raise ConfigError(f"{name}={value!r} has to be a word that names a folder")
+            raise ConfigError(f"{name}={value!r} is not the name of a folder")
     for part in experiment.split("/"):
         if not part or part.startswith(".") or not part.isprintable():
             raise ConfigError(

@@ -87,7 +87,7 @@ def optimized(name: str, folder: RunFolder) -> float:
     values = [row[name] for row in rows if name in row]
     if name not in measures and not values:
         there = ", ".join(sorted({*measures, *(key for row in rows for key in row)}))
-        raise ConfigError(f"optimized_metric={name}: a run has no such number; it has: {there}")
+        raise ConfigError(f"optimized_metric={name}: no such measure or series; a run has: {there}")
     return measures[name] if name in measures else values[-1]
 
 

@@ -57,12 +57,12 @@ def _read_config(path: Path) -> Mapping[str, Any]:
     try:
         config = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ConfigError(f"{path.parent} is no run folder: it has no {path.name}") from None
+        raise ConfigError(f"{path.parent} is not a run folder: it has no {path.name}") from None
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
     for part in ("system", "model"):
         if not isinstance(config, dict) or not isinstance(config.get(part), dict):
-            raise ConfigError(f"{path} is no configuration of a run: it describes no {part}")
+            raise ConfigError(f"{path} is not the configuration of a run: it has no {part}")
     return config
 
 
@@ -73,7 +73,7 @@ def _read_posterior(path: Path) -> ModelPosterior | None:
         return ModelPosterior.of_state(torch.load(path, map_location="cpu", weights_only=True))
     except Exception as error:  # damaged in any way, or not ours
         reason = next(iter(str(error).splitlines()), "")
-        raise ConfigError(f"{path} is no readable posterior: {reason}") from None
+        raise ConfigError(f"{path} is not a readable posterior: {reason}") from None
 
 
 def _read_weights(path: Path) -> dict[str, torch.Tensor]:
@@ -83,7 +83,7 @@ def _read_weights(path: Path) -> dict[str, torch.Tensor]:
         weights = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
     except Exception as error:  # damaged in any way, or not ours
         reason = next(iter(str(error).splitlines()), "")
-        raise ConfigError(f"{path} is no readable checkpoint: {reason}") from None
+        raise ConfigError(f"{path} is not a readable checkpoint: {reason}") from None
     if not isinstance(weights, dict) or not any(
         isinstance(value, torch.Tensor) and value.is_floating_point() for value in weights.values()
     ):

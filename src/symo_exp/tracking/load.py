@@ -81,4 +81,4 @@ def _download(run_id: str, tracking_uri: str | None, directory: str | Path, targ
             shutil.move(copy, Path(target) / name)  # stores differ in the folders they make
     except Exception as error:
         reason = next(iter(str(error).splitlines()), type(error).__name__)
-        raise ConfigError(f"run {run_id} in {store} gives no model: {reason}") from error
+        raise ConfigError(f"run {run_id} in {store} has no model: {reason}") from error

@@ -98,7 +98,7 @@ def find(tracking_uri: str | None, directory: str | Path) -> Store:
     if scheme in PORTS and len(uri) > len(f"{urlsplit(uri).scheme}://"):
         return Store(uri, str(folder / "artifacts"), None)
     known = "sqlite:///, http://, https://, " + ", ".join(f"{name}://" for name in PORTS)
-    raise ConfigError(f"tracking URI {uri!r} is of no kind MLflow keeps runs in ({known}): {MEND}")
+    raise ConfigError(f"tracking URI {uri!r} is not supported by MLflow ({known}): {MEND}")
 
 
 def check(store: Store, timeout: float) -> None:

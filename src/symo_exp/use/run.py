@@ -26,7 +26,7 @@ class Run:
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         if not self.folder.is_dir():
-            raise ConfigError(f"{folder} is no run folder: there is none of that name")
+            raise ConfigError(f"{folder} is not a run folder: it does not exist")
 
     def __repr__(self) -> str:
         return f"Run({os.path.relpath(self.folder)!r})"
@@ -54,7 +54,7 @@ class Run:
         found = {path.stem: path for path in sorted((self.folder / PICTURES).glob("*"))}
         if name not in found:
             there = ", ".join(found) or "none: the run was made with pictures=false"
-            raise ConfigError(f"there is no figure {name}; there is {there}")
+            raise ConfigError(f"there is no figure {name}; the run has: {there}")
         return Image.open(found[name])
 
 
@@ -83,7 +83,7 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
         [*words, *(f"{key}={override_value(value)}" for key, value in settings.items())]
     )
     if not command.runs:
-        raise ConfigError(f"{' '.join(command.options)} asks for no run")
+        raise ConfigError(f"{' '.join(command.options)} does not ask for a run")
     with watched() as folders:
         try:
             codes = [one.execute() for one in command.several() or [command]]
