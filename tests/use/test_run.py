@@ -35,7 +35,7 @@ def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
     before = (run.folder / "metrics.json").stat().st_mtime_ns
     assert symo_exp.run(*SMALL).folder == run.folder  # it is finished
     assert (run.folder / "metrics.json").stat().st_mtime_ns == before
-    with pytest.raises(ConfigError, match="no run folder"):
+    with pytest.raises(ConfigError, match="not a run folder"):
         symo_exp.Run("nowhere")
 
 
@@ -50,8 +50,8 @@ def test_errors_of_a_run_are_raised(workplace, monkeypatch):
     for words, said in {
         ("modle=symo",): "modle",
         ("model=symo", "integrator=rk4"): "integrator=midpoint",
-        ("--cfg", "job"): "no run",
-        ("data.n_traj",): "no setting",
+        ("--cfg", "job"): "not ask for a run",
+        ("data.n_traj",): "not a setting",
     }.items():
         with pytest.raises(ConfigError, match=said):
             symo_exp.run(*words)

@@ -134,7 +134,9 @@ def mismatch(value: Any, hint: Any) -> str:
     try:
         adapter.validate_json(json.dumps(value))
     except ValidationError as error:
-        found = [(e["type"], e["msg"]) for e in error.errors() if "Cannot check" not in e["msg"]]
+        found = [
+            (e["type"], e["msg"]) for e in error.errors() if e["type"] != "needs_python_object"
+        ]
         told = [_PLAIN.get(kind, text.partition("should be ")[2]) for kind, text in found]
         words = " or ".join(dict.fromkeys(told)).replace("'", "")
         return f"expected {words or getattr(hint, '__name__', hint)}"
