@@ -275,3 +275,17 @@ BAD = (
 def test_invalid_settings_are_refused(wrong):
     with pytest.raises(ConfigError, match=f"optimizer.{next(iter(wrong))}"):
         TotalLeastSquares(symo().parameters(), **wrong)
+
+
+@pytest.mark.parametrize(("losses", "epsilon"), [((3.0, 1.0, 2.0), 1.0), ((3.0, 2.0, 1.0), 0.1),
+                                                 ((1.0, 2.0, 3.0), 1.0)])  # fmt: skip
+def test_the_estimate_has_the_epsilon_of_the_parameters_that_are_kept(losses, epsilon):
+    """Its scatter, and so every interval, depends on it; a start counts as the first."""
+    parameter = torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    optimizer = TotalLeastSquares([parameter], epsilons=(1.0, 0.1), starts=1, start=2, epochs=3)
+    for epochs, loss in zip((2, 5, 8), losses, strict=True):
+        optimizer.memory["epoch"] = epochs
+        optimizer.validated(torch.tensor(loss))
+    other = TotalLeastSquares([parameter], epsilons=(1.0, 0.1), starts=1, start=2, epochs=3)
+    other.load_state_dict(optimizer.state_dict())
+    assert optimizer.estimate()["epsilon"] == other.estimate()["epsilon"] == epsilon

@@ -120,6 +120,7 @@ class TotalLeastSquares(EpochOptimizer):
             "initial": None,
             "rival": None,
             "ended": None,
+            "kept": None,
         }
 
     @property
@@ -181,16 +182,33 @@ class TotalLeastSquares(EpochOptimizer):
         return {name: torch.tensor(x, dtype=torch.float64) for name, x in metrics.items()}
 
     @override
+    def validated(self, loss: Tensor) -> None:
+        before = self.memory["weights"]
+        super().validated(loss)
+        if self.memory["weights"] is not before:
+            self.memory["kept"] = self._weighting(self.stage(max(0, self.memory["epoch"] - 1)))
+
+    @override
     def estimate(self) -> dict[str, Any]:
+        kept = self.memory["kept"] or self._weighting(self.stages[-1])
         sizes = torch.tensor([p.numel() for p in self.parameters])
         flat = torch.tensor([is_coefficient(p) for p in self.parameters])
-        precision = torch.where(flat, 0.0, self.memory["precision"])
+        precision = torch.where(flat, 0.0, kept["precision"])
         return {
-            "epsilon": self.stages[-1].epsilon,
+            "epsilon": kept["epsilon"],
             "velocity_weight": self.velocity_weight,
             "input_weight": self.input_weight,
             "precision": torch.repeat_interleave(precision, sizes),
         }
+
+    def _weighting(self, stage: Stage) -> dict[str, Any]:
+        """Return ``ε`` and priors of a stage, on which the scatter of its estimate depends.
+
+        A start, whose nodes are held, has the first ``ε``.
+        """
+        first = next((s.epsilon for s in self.stages if s.epsilon), None)
+        epsilon = stage.epsilon or first
+        return {"epsilon": epsilon, "precision": self.memory["precision"].clone()}
 
     @override
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
