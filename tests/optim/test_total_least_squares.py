@@ -278,7 +278,7 @@ def test_invalid_settings_are_refused(wrong):
 
 
 @pytest.mark.parametrize(("losses", "epsilon"), [((3.0, 1.0, 2.0), 1.0), ((3.0, 2.0, 1.0), 0.1),
-                                                 ((1.0, 2.0, 3.0), 1.0)])  # fmt: skip
+                                                 ((1.9, 2.0, 3.0), 1.0), ((1.0, 2.0, 3.0), 1.0)])  # fmt: skip
 def test_the_estimate_has_the_epsilon_of_the_parameters_that_are_kept(losses, epsilon):
     """Its scatter, and so every interval, depends on it; a start counts as the first."""
     parameter = torch.zeros(2, dtype=torch.float64, requires_grad=True)
@@ -289,3 +289,15 @@ def test_the_estimate_has_the_epsilon_of_the_parameters_that_are_kept(losses, ep
     other = TotalLeastSquares([parameter], epsilons=(1.0, 0.1), starts=1, start=2, epochs=3)
     other.load_state_dict(optimizer.state_dict())
     assert optimizer.estimate()["epsilon"] == other.estimate()["epsilon"] == epsilon
+
+
+def test_a_start_is_kept_only_where_it_is_better_by_far():
+    parameter = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    for start, kept in ((0.95, 1.0), (0.5, 0.0)):
+        optimizer = TotalLeastSquares([parameter], epsilons=(1.0,), starts=1, start=2, epochs=3)
+        for epochs, loss, value in ((2, start, 0.0), (5, 1.0, 1.0)):
+            optimizer.place(torch.full((1,), value).double())
+            optimizer.memory["epoch"] = epochs
+            optimizer.validated(torch.tensor(loss))
+        optimizer.ended()
+        assert parameter.item() == kept
