@@ -277,8 +277,15 @@ def test_invalid_settings_are_refused(wrong):
         TotalLeastSquares(symo().parameters(), **wrong)
 
 
-@pytest.mark.parametrize(("losses", "epsilon"), [((3.0, 1.0, 2.0), 1.0), ((3.0, 2.0, 1.0), 0.1),
-                                                 ((1.9, 2.0, 3.0), 1.0), ((1.0, 2.0, 3.0), 1.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("losses", "epsilon"),
+    [
+        ((3.0, 1.0, 2.0), 1.0),
+        ((3.0, 2.0, 1.0), 0.1),
+        ((1.9, 2.0, 3.0), 1.0),
+        ((1.0, 2.0, 3.0), 1.0),
+    ],
+)
 def test_the_estimate_has_the_epsilon_of_the_parameters_that_are_kept(losses, epsilon):
     """Its scatter, and so every interval, depends on it; a start counts as the first."""
     parameter = torch.zeros(2, dtype=torch.float64, requires_grad=True)
