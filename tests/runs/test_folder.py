@@ -1,8 +1,11 @@
 """The folder of a run: atomic files, its lock and its content; and its series."""
 
+import itertools
 import json
 import math
 import os
+import pathlib
+import shutil
 import subprocess
 import sys
 
@@ -60,6 +63,33 @@ def test_what_cannot_be_read_is_as_if_it_were_not_there(text, folder):
     assert folder.outcome().status == "waiting"
     assert folder.about() is None
     assert folder.measures() == {}
+
+
+@pytest.mark.parametrize("deletions", range(5))
+def test_a_deletion_that_is_killed_leaves_no_finished_run_with_missing_files(
+    deletions, folder, monkeypatch
+):
+    names = "checkpoints", "series.csv", "run.json", "published.json"
+    (folder / "checkpoints").mkdir(parents=True)
+    for name in names[1:]:
+        (folder / name).write_text("{}")
+    folder.record("finished")
+    done = itertools.count()
+
+    def until_killed(delete):
+        def wrapped(*args, **options):
+            if next(done) == deletions:
+                raise KeyboardInterrupt
+            return delete(*args, **options)
+
+        return wrapped
+
+    for home, name in ((shutil, "rmtree"), (pathlib.Path, "unlink")):
+        monkeypatch.setattr(home, name, until_killed(getattr(home, name)))
+    with pytest.raises(KeyboardInterrupt):
+        folder.clear()
+    whole = all((folder / name).exists() for name in names)
+    assert whole or folder.outcome().status == "waiting"
 
 
 def test_a_run_that_goes_on_is_the_same_run(folder):

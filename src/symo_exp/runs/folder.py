@@ -124,9 +124,13 @@ class RunFolder:
         (self / OUTCOME).unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Delete everything that could be resumed."""
+        """Delete everything that could be resumed.
+
+        The outcome is the first: a process that is killed meanwhile leaves no finished run.
+        """
+        self.forget_outcome()
         shutil.rmtree(self / CHECKPOINTS, ignore_errors=True)
-        for name in (SERIES, ABOUT, OUTCOME, PUBLISHED):
+        for name in (SERIES, ABOUT, PUBLISHED):
             (self / name).unlink(missing_ok=True)
 
     # -- description and results -----------------------------------------------------------------
