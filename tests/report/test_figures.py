@@ -259,3 +259,22 @@ def test_latex_escapes_what_it_must():
 )  # fmt: skip
 def test_numbers_are_short(number, printed):
     assert short(number) == printed
+
+
+@pytest.mark.parametrize(
+    ("angular", "units"),
+    [
+        ((True, True), ["kg m²"] * 3),
+        ((False, True), ["kg", "kg m", "kg m²"]),
+        ((), ["kg, kg m, kg m²"] * 3),
+    ],
+)
+def test_entries_of_the_inertia_have_the_units_of_their_coordinates(angular, units):
+    """Names such as ``shoulder`` do not tell whether a coordinate is an angle."""
+    entries = [f"inertia_{at}" for at in ("11", "12", "22")]
+    table = pd.DataFrame({"t": [0.0, 1.0]}).assign(**dict.fromkeys(entries, 1.0))
+    table = table.assign(**{f"{entry}_true": 1.0 for entry in entries})
+    figure = learned_figure("k", "", {PAIRS[0]: table}, ["carriage", "shoulder"], angular)
+    assert [panel.y_label.split(" ", 1)[1] for panel in figure.panels] == [
+        f"[{unit}]" for unit in units
+    ]

@@ -198,9 +198,15 @@ def error_unit(names: Sequence[str], angular: Sequence[bool | None] = ()) -> str
     return ", ".join(f"{unit}²" for unit in sorted({unit for units in each for unit in units}))
 
 
-def inertia_unit(row: str, column: str) -> str:
-    """Return the unit of an entry of the mass matrix by the names of its coordinates."""
-    units = [_units(name, None) for name in (row, column)]
+def inertia_unit(row: tuple[str, bool | None], column: tuple[str, bool | None]) -> str:
+    """Return the unit of an entry of the mass matrix.
+
+    Args:
+        row: The name of the coordinate of its row, and whether it is an angle; by its name if
+            ``None``.
+        column: The same of its column.
+    """
+    units = [_units(*coordinate) for coordinate in (row, column)]
     if any(len(one) > 1 for one in units):
         return "kg, kg m, kg m²"
     return ("kg", "kg m", "kg m²")[units.count(("rad",))]

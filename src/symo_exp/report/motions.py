@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import unquote, urlsplit
@@ -125,7 +126,13 @@ def phase_space_figure(key: str, title: str, tables: Tables) -> Figure:
     return Figure(key, title, f"{FIRST} Angles are wrapped.", panels)
 
 
-def learned_figure(key: str, title: str, tables: Tables, names: Sequence[str] = ()) -> Figure:
+def learned_figure(
+    key: str,
+    title: str,
+    tables: Tables,
+    names: Sequence[str] = (),
+    angular: Sequence[bool | None] = (),
+) -> Figure:
     """Return learned and true energies and inertia along a true motion.
 
     Args:
@@ -133,6 +140,7 @@ def learned_figure(key: str, title: str, tables: Tables, names: Sequence[str] = 
         title: The heading.
         tables: A table for each method, with the columns of ``beside_true``.
         names: The names of the coordinates; those of the table if not given.
+        angular: Which coordinates are angles; by their names if not given.
     """
     columns = next(iter(tables.values())).columns
     names = names or [str(c)[2:] for c in columns if str(c).startswith("q_")]
@@ -140,7 +148,8 @@ def learned_figure(key: str, title: str, tables: Tables, names: Sequence[str] = 
     def unit(entry: str) -> str:
         # inertia_23; from ten coordinates on, two digits are not told apart
         rows = [int(digit) - 1 for digit in entry.removeprefix("inertia_")]
-        at = [names[i] for i in rows if i < len(names)]
+        known = list(zip_longest(names, angular))
+        at = [known[i] for i in rows if i < len(known)]
         return inertia_unit(*at) if len(at) == 2 else "kg, kg m, kg m²"
 
     panels = [

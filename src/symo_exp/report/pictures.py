@@ -173,7 +173,10 @@ def learned_quantities(
     found = beside_true(model.for_evaluation(), system, q[None], v[None]).columns
     table = pd.DataFrame({name: column.numpy() for name, column in found.items()})
     title = f"{title}: learned quantities along a true motion"
-    return learned_figure("learned", title, {(method, ""): table}, system.coordinates.names)
+    coordinates = system.coordinates
+    return learned_figure(
+        "learned", title, {(method, ""): table}, coordinates.names, coordinates.angular
+    )
 
 
 def _errors(rollouts: Rollouts) -> Tensor:
