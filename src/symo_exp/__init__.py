@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,6 +22,11 @@ _HOMES = {
     "load": "symo_exp.tracking.load",
 }
 __all__ = ["Run", "__version__", "compile_rollout", "environment", "export", "load", "run"]
+
+if os.environ.get("SYMO_EXP_AVX512") == "1":  # before PyTorch is imported
+    from symo_exp.avx512 import use_avx512
+
+    use_avx512()
 
 
 def __getattr__(name: str) -> Any:
