@@ -167,6 +167,7 @@ def trained(tmp_path_factory, home):
         assert done.returncode == 0, done.stdout + done.stderr
         (folder,) = (place / "outputs" / "default").glob(f"symo-{name}-*")
         folder.rename(folder.with_name(f"symo-{name}-0123456789"))
+    shutil.copytree(place / "outputs" / "default", place / "outputs" / "demo")
     return place / "outputs"
 
 

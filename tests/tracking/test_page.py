@@ -3,6 +3,9 @@
 import json
 
 import pytest
+from mlflow import MlflowClient
+from mlflow.exceptions import MlflowException
+from mlflow.protos.databricks_pb2 import BAD_REQUEST
 
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.shell import python_command
@@ -59,6 +62,22 @@ def test_runs_on_the_same_data_have_the_same_dataset(view, tmp_path):
     assert len(set(digests)) == len(digests) - 1
     assert [dataset.name for dataset in datasets[-2:]] == ["pendulum simulated", "b.csv"]
     assert json.loads(datasets[0].profile)["trajectories"] == "8"
+
+
+def test_a_dataset_that_another_process_creates_at_the_same_moment_is_taken(
+    view, tmp_path, monkeypatch
+):
+    """MLflow lets the slower of two processes fail."""
+    send, failures = MlflowClient.log_inputs, [MlflowException("UNIQUE constraint", BAD_REQUEST)]
+
+    def slower(*arguments, **words):
+        send(*arguments, **words)
+        if failures:
+            raise failures.pop()
+
+    monkeypatch.setattr(MlflowClient, "log_inputs", slower)
+    assert published(view, tmp_path).inputs.dataset_inputs
+    assert not failures
 
 
 def test_the_page_is_that_of_training_with_the_view_of_the_last_sweep(view, store):

@@ -11,7 +11,7 @@ from typing import Any
 from symo_exp.runs.folder import About, Outcome
 from symo_exp.shell import python_command
 from symo_exp.shipped import in_checkout
-from symo_exp.tracking.store import Store, connect
+from symo_exp.tracking.store import Store, connect, is_away
 
 NOTE = "mlflow.note.content"
 COMMAND, RESULT = "symo_exp.command", "symo_exp.result"
@@ -34,6 +34,7 @@ def description(about: About, outcome: Outcome, measures: Mapping[str, float]) -
 def send_dataset(store: Store, run_id: str, parameters: Mapping[str, Any]) -> None:
     """Send what the run was trained on as MLflow's dataset; the same data have one digest."""
     from mlflow.entities import Dataset, DatasetInput, InputTag
+    from mlflow.exceptions import MlflowException
 
     client = connect(store)
     told = {
@@ -51,7 +52,13 @@ def send_dataset(store: Store, run_id: str, parameters: Mapping[str, Any]) -> No
         source=source, profile=json.dumps(size),
     )  # fmt: skip
     tags = [InputTag("mlflow.data.context", "training")]
-    client.log_inputs(run_id, datasets=[DatasetInput(dataset, tags)])
+    given = [DatasetInput(dataset, tags)]
+    try:
+        client.log_inputs(run_id, datasets=given)
+    except MlflowException as error:
+        if is_away(error):
+            raise
+        client.log_inputs(run_id, datasets=given)  # another process has just created the dataset
 
 
 def show(store: Store, experiment: str, varied: Sequence[str]) -> None:
