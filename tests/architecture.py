@@ -56,7 +56,7 @@ RULES = {
     "cli": ({"process", "job"}, {"hydra", "omegaconf", "yaml"}),
     "sweep": (
         {"process", "job", "cli", "runs", "tracking", "evaluation", "report"},
-        {"hydra", "omegaconf", "yaml"},
+        {"hydra", "omegaconf", "yaml", "optuna"},
     ),
     "identify": (
         {"process", "mechanics", "systems", "data", "evaluation", "runs", "sweep"},

@@ -16,7 +16,7 @@ OTHERS = {
     "without AVX-512": PROCESSOR.format("AuthenticAMD", "avx2"),
 }
 CPUINFO = Path("/proc/cpuinfo")
-HERE = CPUINFO.exists() and avx512.applies(CPUINFO.read_text(encoding="utf-8"))
+HERE = CPUINFO.exists() and avx512.leaves_avx512_unused(CPUINFO.read_text(encoding="utf-8"))
 CODE = """
 import ctypes, pathlib, torch
 (library,) = pathlib.Path(torch.__file__).parent.glob("lib/libtorch_cpu.*")

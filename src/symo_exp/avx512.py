@@ -23,8 +23,8 @@ SOURCE = "int mkl_serv_intel_cpu_true(void) { return 1; }\n"
 log = logging.getLogger(__name__)
 
 
-def applies(cpuinfo: str) -> bool:
-    """Return whether a processor is one of AMD with AVX-512.
+def leaves_avx512_unused(cpuinfo: str) -> bool:
+    """Return whether MKL leaves the AVX-512 of a processor unused: whether it is of AMD and has it.
 
     Args:
         cpuinfo: Text of ``/proc/cpuinfo``.
@@ -42,7 +42,7 @@ def use_avx512(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
     Args:
         cpuinfo: Description of the processor by Linux.
     """
-    if not cpuinfo.exists() or not applies(cpuinfo.read_text(encoding="utf-8")):
+    if not cpuinfo.exists() or not leaves_avx512_unused(cpuinfo.read_text(encoding="utf-8")):
         return False
     if "torch" in sys.modules:  # MKL has chosen
         log.warning("SYMO_EXP_AVX512=1 has no effect: import symo_exp before torch")

@@ -57,6 +57,7 @@ def test_the_search_that_ships_counts_and_ends_with_a_command_that_repeats_the_b
     assert "trial 1 of 2" in out
     assert "trial 2 of 2" in out
     assert "alembic" not in out + err
+    assert "study" not in (out + err).lower()
     (told,) = [line for line in out.splitlines() if line.startswith("to repeat it: ")]
     again = shlex.split(told.removeprefix("to repeat it: "))[3:]
     assert main([*again, "logger=none", "pictures=false", "data.cache_dir=cache"]) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,14 @@ RESULTS = "optimization_results.yaml"
 
 class AnnounceBest(Callback):
     """Print the best trial of a search as a command that repeats it."""
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Keep Optuna from announcing a study, whose trials are counted elsewhere."""
+        if "n_trials" in config.hydra.sweeper:
+            with suppress(ImportError):
+                import optuna
+
+                optuna.logging.set_verbosity(optuna.logging.WARNING)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Read the results that the sweeper has left in the folder of the sweep."""
