@@ -53,6 +53,8 @@ FILES = [
 """Settings of data that say where recordings are and how they are read."""
 EPSILONS = 4
 """Stages of the optimiser after its starts, without late parameters."""
+HOPELESS = 4.0
+"""A candidate whose error is so many times the best one's is not tried on further folds."""
 ITERATIONS = 5
 """Of the fit of starts in validations: more refine those of motions that stick alone."""
 OVERRUN = 2.0
@@ -177,10 +179,14 @@ class Search:
                 return
             self._try(alive, range(folds))
             ranked = self._ranked(alive, range(folds))
-            alive = ranked[: max(2, math.ceil(len(alive) / 2))]
-            simplest = next((c for c in candidates if c in ranked), None)
-            if simplest is not None and simplest not in alive:
-                alive.append(simplest)
+            best = min((self._trials[c.name].mean(range(folds)) for c in ranked), default=0.0)
+            simplest = [c for c in candidates if c in ranked][:1]
+            half = ranked[: max(2, math.ceil(len(alive) / 2))]
+            alive = [
+                c
+                for c in (*half, *(c for c in simplest if c not in half))
+                if self._trials[c.name].mean(range(folds)) <= HOPELESS * best
+            ]
 
     def _vary(self, base: Trial) -> None:
         """Try variations of the best candidate, and what is better together."""
