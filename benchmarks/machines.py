@@ -200,7 +200,7 @@ class RandomMachine:
         return [f"system.input_matrix={str(rows).replace(' ', '')}"]
 
 
-def true_errors(machine: RandomMachine, folder: Path) -> dict[str, float]:
+def true_errors(machine: RandomMachine, table: Path, folder: Path) -> dict[str, float]:
     """Return the errors of the true system in the windows in which the model was tested."""
     from hydra.utils import instantiate
     from omegaconf import OmegaConf
@@ -210,7 +210,7 @@ def true_errors(machine: RandomMachine, folder: Path) -> dict[str, float]:
 
     config = OmegaConf.load(folder / "config.yaml")
     system = instantiate(config.system)
-    data = instantiate(config.data, _partial_=True)(system=system)
+    data = instantiate(config.data, _partial_=True, path=str(table))(system=system)
     data.setup()
     windows = cut(data.trajectories("test"), system.time_step, run_in=True)
     if windows is None:
@@ -224,7 +224,8 @@ def identify(number: int, folder: Path, budget: str, extra: list[str]) -> dict[s
     """Return the row of a machine."""
     machine = RandomMachine(number)
     folder.mkdir(parents=True, exist_ok=True)
-    machine.record().to_parquet(folder / "machine.parquet", index=False)
+    table = folder / "machine.parquet"
+    machine.record().to_parquet(table, index=False)
     words = ["-cn", "machine", "data.path=machine.parquet", f"budget={budget}", *machine.words()]
     command = [sys.executable, "-m", "symo_exp", *words, "logger=none", *extra]
     began = time.perf_counter()
@@ -245,7 +246,7 @@ def identify(number: int, folder: Path, budget: str, extra: list[str]) -> dict[s
     if done.returncode == 0:
         from symo_exp.runs.folder import RunFolder
 
-        row |= RunFolder(best).measures() | true_errors(machine, best)
+        row |= RunFolder(best).measures() | true_errors(machine, table, best)
     return {name: row.get(name, "") for name in COLUMNS}
 
 
