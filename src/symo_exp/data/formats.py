@@ -28,7 +28,7 @@ TIME = re.compile(
 )
 """Names of a time column, with the unit that they state."""
 UNREADABLE = (
-    OSError, ValueError, TypeError, EOFError, csv.Error, zipfile.BadZipFile, zlib.error,
+    OSError, ValueError, TypeError, IndexError, EOFError, csv.Error, zipfile.BadZipFile, zlib.error,
     scipy.io.matlab.MatReadError,
 )  # fmt: skip
 """Errors of a file that is damaged or of another format, those of pandas and Arrow among them."""
