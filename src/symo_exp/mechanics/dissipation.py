@@ -26,6 +26,7 @@ from symo_exp.mechanics.lagrangian import (
     jacobian,
     matvec,
 )
+from symo_exp.mechanics.space import Space
 
 
 class Dissipation(ABC):
@@ -33,13 +34,13 @@ class Dissipation(ABC):
 
     @abstractmethod
     def force(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         """Return ``F_d(q, v)`` [N or N m], differentiable in both."""
 
     def derivatives(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
-    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
+    ) -> tuple[Float[Tensor, "batch n N"], Float[Tensor, "batch n n"]]:
         """Return ``∂F_d/∂q`` and ``∂F_d/∂v`` without a graph, by automatic differentiation."""
         with torch.enable_grad():
             q, v = (x.detach().clone().requires_grad_() for x in (q, v))
@@ -47,7 +48,7 @@ class Dissipation(ABC):
             return jacobian(force, q).detach(), jacobian(force, v).detach()
 
     def damping(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
         """Return ``∂F_d/∂v``, or its stiff part, without a graph."""
         return self.derivatives(q, v)[1]
@@ -83,38 +84,50 @@ class DissipativeLagrangian(nn.Module, Lagrangian):
         super().__init__()
         self.conservative, self.dissipation = conservative, dissipation
 
+    @property
     @override
-    def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+    def space(self) -> Space:
+        return self.conservative.space
+
+    @override
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        return self.conservative.input_force(input_matrix, q, u)
+
+    @override
+    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
         return self.conservative.mass_matrix(q)
 
     @override
-    def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
+    def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
         return self.conservative.potential(q)
 
-    def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
+    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         """Return ``∂ℒ/∂q + F_d`` and ``∂ℒ/∂v``."""
         dq, p = self.conservative.gradients(q, v)
         return Gradients(dq + self.dissipation.force(q, v), p)
 
-    def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
+    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         """Return ``H``, ``Ḣ v`` and ``∂ℒ/∂q + F_d``."""
         rates = self.conservative.rates(q, v)
         return rates._replace(q=rates.q + self.dissipation.force(q, v))
 
     @override
-    def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:
+    def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
         q, v = q.detach(), v.detach()
-        return DissipativeExpansion(self.conservative.expand(q, v), self.dissipation, q, v)
+        at = self.conservative.expand(q, v)
+        return DissipativeExpansion(at, self.dissipation, self.space, q, v)
 
 
 class DissipativeExpansion(Expansion):
     """A Lagrangian and a dissipative force around ``(q, v)``."""
 
     dissipates = True
-    parts = ("_at", "_dissipation", "_q", "_v")
+    parts = ("_at", "_dissipation", "_space", "_q", "_v")
 
-    def __init__(self, at: Expansion, dissipation: Dissipation, q: Tensor, v: Tensor) -> None:
-        self._at, self._dissipation, self._q, self._v = at, dissipation, q, v
+    def __init__(
+        self, at: Expansion, dissipation: Dissipation, space: Space, q: Tensor, v: Tensor
+    ) -> None:
+        self._at, self._dissipation, self._space, self._q, self._v = at, dissipation, space, q, v
         with torch.no_grad():
             force = dissipation.force(q, v)
         self.values = Gradients(at.values.q + force, at.values.v)
@@ -126,6 +139,8 @@ class DissipativeExpansion(Expansion):
     @override
     def curvature(self) -> Curvature:
         force_q, force_v = self._dissipation.derivatives(self._q, self._v)
+        if force_q.shape != force_v.shape:  # in the entries of rotations
+            force_q = self._space.pull(self._q.unsqueeze(1), force_q)
         qq, vq, qv = self._at.curvature()
         return Curvature(qq + force_q, vq, qv + force_v)
 

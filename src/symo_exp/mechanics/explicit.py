@@ -1,9 +1,15 @@
-"""Explicit Runge-Kutta steps for second-order systems (thesis section 3.2)."""
+"""Explicit Runge-Kutta steps for second-order systems (thesis section 3.2).
+
+Rotations take the steps of Munthe-Kaas (1998): the method integrates ``φ̇ = J(φ)⁻¹ ω`` in the chart
+at the start of a step, which keeps its order.
+"""
 
 from collections.abc import Callable
 
 from jaxtyping import Float
 from torch import Tensor
+
+from symo_exp.mechanics.space import FLAT, Space
 
 Acceleration = Callable[[Tensor, Tensor, Tensor], Tensor]
 """``v̇ = a(q, v, u)``."""
@@ -39,22 +45,25 @@ class RungeKutta:
     def step(
         self,
         acceleration: Acceleration,
-        q: Float[Tensor, "batch n"],
+        q: Float[Tensor, "batch N"],
         v: Float[Tensor, "batch n"],
         u: Float[Tensor, "batch m"],
         u_next: Float[Tensor, "batch m"],
         h: float,
-    ) -> tuple[Float[Tensor, "batch n"], Float[Tensor, "batch n"]]:
+        space: Space = FLAT,
+    ) -> tuple[Float[Tensor, "batch N"], Float[Tensor, "batch n"]]:
         """Return the state one time step ``h`` later."""
+        start = space.origin(q)
         velocities: list[Tensor] = []
         accelerations: list[Tensor] = []
         for weights, node in zip(self._a, self._c, strict=True):
-            q_stage = _combine(q, h, weights, velocities)
+            x_stage = _combine(start, h, weights, velocities)
             v_stage = _combine(v, h, weights, accelerations)
             u_stage = u if node == 0.0 else u + node * (u_next - u)
-            velocities.append(v_stage)
-            accelerations.append(acceleration(q_stage, v_stage, u_stage))
-        return _combine(q, h, self._b, velocities), _combine(v, h, self._b, accelerations)
+            velocities.append(space.chart_rate(x_stage, v_stage))
+            accelerations.append(acceleration(space.point(q, x_stage), v_stage, u_stage))
+        end = space.point(q, _combine(start, h, self._b, velocities))
+        return end, _combine(v, h, self._b, accelerations)
 
 
 def _combine(x: Tensor, h: float, weights: tuple[float, ...], slopes: list[Tensor]) -> Tensor:

@@ -105,7 +105,7 @@ class Galerkin(VariationalIntegrator):
         rule = InnerSteps(max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps))
         return iterate(problem, start, rule, self.max_iterations)[1].expansion
 
-    def unknowns(self, q1: Tensor) -> Tensor:
+    def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
         """Return ``(q₁, c₁, …, c_{s−1})``, the coefficients zero."""
         return torch.cat((q1, q1.new_zeros(q1.shape[0], (self.stages - 1) * q1.shape[1])), dim=1)
 
@@ -279,6 +279,16 @@ class Basis:
         dq, p = (x.unflatten(0, (len(self.b), -1)) for x in (gradients.q, gradients.v))
         return torch.tensordot(h * self._ba.to(dq), dq, 1) + torch.tensordot(self._bb.to(p), p, 1)
 
+    def total(self, x: Float[Tensor, "points*batch n"], h: float) -> Float[Tensor, "batch n"]:
+        """Return ``h Σᵢ bᵢ xᵢ``."""
+        return torch.tensordot(h * self.b.to(x), x.unflatten(0, (len(self.b), -1)), 1)
+
+    def total_slopes(
+        self, by_q: Tensor, by_v: Tensor, h: float
+    ) -> Float[Tensor, "variables batch n n"]:
+        """Return ``D_b`` of ``h Σᵢ bᵢ xᵢ``, given the derivatives of ``x`` in ``q`` and ``v``."""
+        return self.slopes(Gradients(by_q, by_v), h)
+
     def impulses(self, forces: Forces, h: float) -> Float[Tensor, "variables batch n"]:
         """Return ``h Σᵢ bᵢ α_a(τᵢ) F(τᵢ)``."""
         hold = h * self._hold.to(forces.start)
@@ -336,7 +346,7 @@ class GalerkinExpansion(DiscreteExpansion):
         pull: Float[Tensor, "inner batch n"],
         h: float,
     ) -> None:
-        self._basis, self._at, self._h = basis, at, h
+        self.basis, self.at, self.h = basis, at, h
         self.inner, self._pull = inner, pull
         slopes = basis.slopes(at.values, h)
         self.values = Slots(slopes[0], slopes[-1])
@@ -363,15 +373,15 @@ class GalerkinExpansion(DiscreteExpansion):
 
         Friction is the larger one where a motion comes to rest.
         """
-        w = self._basis.inertia(self._at.mass(), self._h)
+        w = self.basis.inertia(self.at.mass(), self.h)
         if self.dissipates:
-            w = w + self._basis.damping(self._at.damping())
+            w = w + self.basis.damping(self.at.damping())
         return _matrix(w[1:-1, 1:-1])
 
     @property
     def dissipates(self) -> bool:
         """Whether there is friction, which bends within a step: updates may go too far."""
-        return self._at.dissipates
+        return self.at.dissipates
 
     def imbalance(self) -> Float[Tensor, " batch"]:
         """Return the largest entry of ``stationarity`` of a row."""
@@ -387,13 +397,13 @@ class GalerkinExpansion(DiscreteExpansion):
 
     @override
     def mismatch_jacobian(self) -> Tensor:
-        w = self._hessian()
+        w = self.hessian()
         return _matrix(torch.cat((w[:-1, -1:], w[:-1, 1:-1]), dim=1))
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
-        basis, h = self._basis, self._h
-        slopes = basis.slopes(self._at.gradients(*basis.path(q0, q1, self.inner, h)), h)
+        basis, h = self.basis, self.h
+        slopes = basis.slopes(self.at.gradients(*basis.path(q0, q1, self.inner, h)), h)
         first, inner, last = slopes[0], slopes[1:-1], slopes[-1]
         if len(inner) == 0:
             return Slots(first, last)
@@ -403,13 +413,13 @@ class GalerkinExpansion(DiscreteExpansion):
         n = first.shape[-1]
         return Slots(first - moved[:, :n], last - moved[:, n:])
 
-    # Gauss points are rows of ``_at``, and blocks come before rows in the coefficients.
+    # Gauss points are rows of ``at``, and blocks come before rows in the coefficients.
 
     @override
     def rows(self, index: Tensor) -> GalerkinExpansion:
-        at = self._at.rows(self._points(index))
+        at = self.at.rows(self._points(index))
         rows = GalerkinExpansion(
-            self._basis, at, self.inner[:, index], self._pull[:, index], self._h
+            self.basis, at, self.inner[:, index], self._pull[:, index], self.h
         )
         if self._condensed is not None:
             d2d1, transfer = self._condensed
@@ -419,20 +429,21 @@ class GalerkinExpansion(DiscreteExpansion):
     @override
     def replace(self, index: Tensor, other: GalerkinExpansion) -> GalerkinExpansion:
         return GalerkinExpansion(
-            self._basis,
-            self._at.replace(self._points(index), other._at),
+            self.basis,
+            self.at.replace(self._points(index), other.at),
             self.inner.index_copy(1, index, other.inner),
             self._pull.index_copy(1, index, other._pull),
-            self._h,
+            self.h,
         )
 
     def _points(self, index: Tensor) -> Tensor:
         """Rows of the Gauss points of some intervals."""
-        points = torch.arange(len(self._basis.b), device=index.device) * len(self.values.d1)
+        points = torch.arange(len(self.basis.b), device=index.device) * len(self.values.d1)
         return (points.unsqueeze(-1) + index).flatten()
 
-    def _hessian(self) -> Float[Tensor, "variables variables batch n n"]:
-        return self._basis.hessian(self._at.curvature(), self._at.mass(), self._h)
+    def hessian(self) -> Float[Tensor, "variables variables batch n n"]:
+        """Return ``W``."""
+        return self.basis.hessian(self.at.curvature(), self.at.mass(), self.h)
 
     def condensed(self) -> GalerkinExpansion:
         """Return this expansion with ``d2d1`` computed, which its rows then share."""
@@ -443,7 +454,7 @@ class GalerkinExpansion(DiscreteExpansion):
     def _condense(self) -> tuple[Tensor, Tensor]:
         """Return ``D₂D₁L_d`` and ``W_ec W_cc⁻¹``."""
         if self._condensed is None:
-            w = self._hessian()
+            w = self.hessian()
             ends = w[[0, -1]][:, 1:-1]
             transfer = torch.linalg.solve_ex(_matrix(w[1:-1, 1:-1]), _matrix(ends), left=False)[0]
             n = w.shape[-1]

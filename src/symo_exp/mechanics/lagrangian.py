@@ -1,4 +1,8 @@
-"""Lagrangians of mechanical systems, ``ℒ(q, v) = ½ vᵀ H(q) v − V(q)`` (thesis (3.10))."""
+"""Lagrangians of mechanical systems, ``ℒ(q, v) = ½ vᵀ H(q) v − V(q)`` (thesis (3.10)).
+
+Where a configuration has rotations, derivatives in ``q`` are those along ``Space.retract`` at a
+fixed ``v``.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.mechanics.rows import Rowwise
+from symo_exp.mechanics.space import FLAT, Space
 
 
 class Gradients(NamedTuple):
@@ -87,12 +92,26 @@ class Lagrangian(ABC):
     subclass with closed forms overrides ``gradients``, ``rates`` and ``expand``.
     """
 
+    @property
+    def space(self) -> Space:
+        """The space of configurations."""
+        return FLAT
+
+    def input_force(
+        self,
+        input_matrix: Float[Tensor, "n m"],
+        q: Float[Tensor, "batch N"],
+        u: Float[Tensor, "batch m"],
+    ) -> Float[Tensor, "batch n"]:
+        """Return the generalised force of controls; it depends on ``q`` with rotations only."""
+        return u @ input_matrix.T
+
     @abstractmethod
-    def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
         """Return the inertia ``H(q)``, symmetric and positive definite (thesis (3.9))."""
 
     @abstractmethod
-    def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
+    def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
         """Return the potential energy ``V(q)`` [J]."""
 
     def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
@@ -100,30 +119,30 @@ class Lagrangian(ABC):
         return self.mass_matrix(q), self.potential(q)
 
     def kinetic(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, " batch"]:
         """Return the kinetic energy ``T = ½ vᵀ H(q) v`` [J] (thesis (3.9))."""
         return 0.5 * (v * self.momentum(q, v)).sum(-1)
 
     def energy(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, " batch"]:
         """Return the total energy ``E = T + V`` [J]."""
         return self.kinetic(q, v) + self.potential(q)
 
     def momentum(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         """Return the generalised momentum ``p = ∂ℒ/∂v = H(q) v``."""
         return matvec(self.mass_matrix(q), v)
 
     def velocity(
-        self, q: Float[Tensor, "batch n"], p: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], p: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         """Return the inverse Legendre transform, ``v = H(q)⁻¹ p``."""
         return solve(self.mass_matrix(q), p)
 
-    def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
+    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         """Return ``∂ℒ/∂q`` and ``∂ℒ/∂v``, differentiable where gradients are enabled."""
         tracked = torch.is_grad_enabled()
         with torch.enable_grad():
@@ -133,15 +152,16 @@ class Lagrangian(ABC):
             # The vanishing term keeps q in the graph of a Lagrangian that does not depend on it.
             total = lagrangian.sum() + 0.0 * q_.sum()
             (dq,) = torch.autograd.grad(total, q_, create_graph=tracked)
-        return Gradients(dq, p) if tracked else Gradients(dq, p.detach())
+            dq = self.space.pull(q_, dq)
+        return Gradients(dq, p) if tracked else Gradients(dq.detach(), p.detach())
 
-    def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
+    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         """Return the terms of the Euler-Lagrange equations (3.11), (3.12)."""
         dq = self.gradients(q, v).q
-        mass, mass_rate = torch.func.jvp(self.mass_matrix, (q,), (v,))[:2]
+        mass, mass_rate = torch.func.jvp(self.mass_matrix, (q,), (self.space.push(q, v),))[:2]
         return Rates(mass, matvec(mass_rate, v), dq)
 
-    def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:
+    def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
         """Return ``ℒ`` around ``(q, v)``, as root finding needs it."""
         return AutodiffExpansion(self, q.detach(), v.detach())
 
@@ -184,6 +204,8 @@ class AutodiffExpansion(Expansion):
             q = self._q.clone().requires_grad_()
             gradients = self._lagrangian.gradients(q, self._v)
             qq, vq = (jacobian(y, q).detach() for y in (gradients.q, gradients.v))
+        place = q.detach().unsqueeze(1)
+        qq, vq = (self._lagrangian.space.pull(place, x) for x in (qq, vq))
         return Curvature(qq, vq, vq.mT)
 
     @override

@@ -2,22 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.space import Space
+
+AXES = ("x", "y", "z")
+ENTRIES = ("11", "12", "13", "21", "22", "23", "31", "32", "33")
+
 
 class Coordinates(NamedTuple):
-    """Generalised coordinates of a system: their names, and which of them are angles [rad]."""
+    """Degrees of freedom of a system: lengths and angles, then rotations in space.
+
+    Attributes:
+        names: Their names; a rotation ``R`` has three, ``R_x``, ``R_y`` and ``R_z``, those of its
+            body rates.
+        angular: Which are angles [rad]; those of a rotation are not.
+        rotations: Names of the rotations, whose degrees of freedom are the last ones.
+    """
 
     names: tuple[str, ...]
     angular: tuple[bool, ...]
+    rotations: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(
+        flat: Sequence[str] = (), angular: Sequence[bool] = (), rotations: Sequence[str] = ()
+    ) -> Coordinates:
+        """Return coordinates of some flat ones and rotations."""
+        turning = [f"{name}_{axis}" for name in rotations for axis in AXES]
+        return Coordinates(
+            (*flat, *turning), (*angular, *(False for _ in turning)), tuple(rotations)
+        )
 
     @property
     def n(self) -> int:
         """Number of degrees of freedom."""
         return len(self.names)
+
+    @property
+    def space(self) -> Space:
+        """The space of configurations."""
+        return Space(len(self.rotations))
+
+    @property
+    def flat(self) -> tuple[str, ...]:
+        """Names of the lengths and angles."""
+        return self.names[: self.n - 3 * len(self.rotations)]
+
+    @property
+    def stored(self) -> tuple[str, ...]:
+        """Names of the numbers that a configuration consists of."""
+        return (*self.flat, *(f"{name}_{entry}" for name in self.rotations for entry in ENTRIES))
 
 
 class Windows(NamedTuple):
@@ -27,9 +66,9 @@ class Windows(NamedTuple):
     SyMo and E2E-SyMo read the configurations, NODE and L-NODE the states at ``k`` and ``k+1``.
     """
 
-    q_prev: Float[Tensor, "samples n"]
-    q: Float[Tensor, "samples n"]
-    q_next: Float[Tensor, "samples n"]
+    q_prev: Float[Tensor, "samples N"]
+    q: Float[Tensor, "samples N"]
+    q_next: Float[Tensor, "samples N"]
     v: Float[Tensor, "samples n"]
     v_next: Float[Tensor, "samples n"]
     u_prev: Float[Tensor, "samples m"]
@@ -44,7 +83,7 @@ class Windows(NamedTuple):
 class Trajectories(NamedTuple):
     """Trajectories of ``nodes`` nodes each, one time step apart."""
 
-    q: Float[Tensor, "trajectories nodes n"]
+    q: Float[Tensor, "trajectories nodes N"]
     v: Float[Tensor, "trajectories nodes n"]
     u: Float[Tensor, "trajectories nodes m"]
 
@@ -56,7 +95,7 @@ class Trajectories(NamedTuple):
 class Trajectory(NamedTuple):
     """One motion: its nodes are one time step apart."""
 
-    q: Float[Tensor, "nodes n"]
+    q: Float[Tensor, "nodes N"]
     v: Float[Tensor, "nodes n"]
     u: Float[Tensor, "nodes m"]
 

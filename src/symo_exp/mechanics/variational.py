@@ -8,6 +8,9 @@ Legendre transforms (3.41), (3.42), here with their indices corrected:
 The discrete Euler-Lagrange equations (3.43) match them at a node:
 
     g(q_{k+1}) = p⁺(q_{k−1}, q_k) − p⁻(q_k, q_{k+1}) = 0
+
+Where configurations have rotations, slot derivatives, momenta and ``g`` are in the body axes of
+their node, and ``mechanics.geodesic`` gives the integrators.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from symo_exp.mechanics.implicit import attach_root
 from symo_exp.mechanics.lagrangian import Expansion, Lagrangian
 from symo_exp.mechanics.roots import Root, RootFinder
 from symo_exp.mechanics.rows import Rowwise
+from symo_exp.mechanics.space import FLAT, Space
 
 
 class Forces(NamedTuple):
@@ -76,6 +80,10 @@ class VariationalIntegrator(ABC):
     order: int
     iterates = False
     """Whether it solves for the motion between two configurations."""
+    space: Space = FLAT
+    """The space of the configurations that it takes."""
+    stages: int | None = None
+    """Number of Gauss points of its extension to rotations, ``None`` if it has none."""
 
     @abstractmethod
     def slots(
@@ -99,8 +107,10 @@ class VariationalIntegrator(ABC):
     ) -> DiscreteExpansion:
         """Return ``L_d`` around ``(q₀, q₁)``, as root finding needs it."""
 
-    def unknowns(self, q1: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
-        """Return the initial unknowns of a step, ``q₁`` first."""
+    def unknowns(
+        self, q0: Float[Tensor, "batch N"], q1: Float[Tensor, "batch N"]
+    ) -> Float[Tensor, "batch k"]:
+        """Return the initial unknowns of a step, first ``q₁`` in the chart at ``q₀``."""
         return q1
 
     def expand_at(
@@ -143,6 +153,7 @@ class VariationalMidpoint(VariationalIntegrator):
 
     name = "midpoint"
     order = 2
+    stages = 1
 
     @override
     def slots(
@@ -281,12 +292,12 @@ class DiscreteLagrangian:
             guess: Initial guess of ``q_{k+1}``, (batch, n).
             forces: The generalised force over the step.
         """
-        problem = MomentumMatching(self, q, impulse, forces)
+        problem, space = MomentumMatching(self, q, impulse, forces), self.integrator.space
         root = root_finder.solve(problem, problem.start(guess))
-        x, at = root.x[:, : q.shape[1]], root.evaluation.expansion
+        x, at = root.x[:, : impulse.shape[1]], root.evaluation.expansion
         if not torch.is_grad_enabled():
-            return x, root
-        return differentiable_root(x, at, at.d2d1(), q, impulse, forces), root
+            return space.point(q, x), root
+        return differentiable_root(x, at, at.d2d1(), q, impulse, space, forces), root
 
     def step(
         self, root_finder: RootFinder, q: Tensor, p: Tensor, forces: Forces, guess: Tensor
@@ -331,7 +342,7 @@ class MomentumMatching(Rowwise):
 
     def start(self, guess: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
         """Return the unknowns at an initial guess of ``q₁``."""
-        return self._discrete.integrator.unknowns(guess.detach())
+        return self._discrete.integrator.unknowns(self._q0, guess.detach())
 
     def at(self, x: Float[Tensor, "batch k"]) -> MomentumMismatch:
         """Evaluate the equations."""
@@ -365,12 +376,17 @@ def differentiable_root(
     x: Float[Tensor, "batch n"],
     at: DiscreteExpansion,
     jacobian: Float[Tensor, "batch n n"],
-    q: Float[Tensor, "batch n"],
+    q: Float[Tensor, "batch N"],
     impulse: Float[Tensor, "batch n"],
+    space: Space,
     forces: Forces | None = None,
-) -> Float[Tensor, "batch n"]:
-    """Return the root ``x``, around which ``L_d`` was expanded, with its implicit derivatives."""
-    return attach_root(x, impulse + at.slots(q, x, forces).d1, jacobian)
+) -> Float[Tensor, "batch N"]:
+    """Return ``q_{k+1}`` at the root ``x``, in the chart at ``q_k``, with its implicit derivatives.
+
+    ``L_d`` was expanded around ``q_k`` and the root.
+    """
+    residual = impulse + at.slots(q, space.point(q, x), forces).d1
+    return space.point(q, attach_root(x, residual, jacobian))
 
 
 def distinct(rows: Float[Tensor, "batch k"]) -> tuple[Tensor, Tensor]:

@@ -10,9 +10,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
+from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.nets.embedding import Embedding
+from symo_exp.mechanics.space import FLAT, Space
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.embedding import features_of
 
 
 @runtime_checkable
@@ -33,6 +35,8 @@ class Field(nn.Module, ABC):
     lagrangian: Lagrangian | None
     """The Lagrangian of the field, if it has one."""
     input_matrix: Tensor
+    space: Space = FLAT
+    """The space of configurations."""
 
     def __init__(self, input_matrix: Float[Tensor, "n m"]) -> None:
         super().__init__()
@@ -45,22 +49,23 @@ class Field(nn.Module, ABC):
 
 
 class NetworkAcceleration(Field):
-    """``v̇ = net(s(q), v, u)`` with angles embedded as ``(cos, sin)``, without mechanics.
+    """``v̇ = net(s(q), v, u)`` with angles embedded as ``(cos, sin)``, rotations by
+    their entries, without mechanics.
 
     Args:
         net: Factory of the network, called with the numbers of its inputs and outputs.
-        angular: Which coordinates are angles.
+        coordinates: Coordinates of the system.
         input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
     """
 
     lagrangian = None
 
     def __init__(
-        self, net: MakesNetwork, *, angular: tuple[bool, ...], input_matrix: Tensor
+        self, net: MakesNetwork, *, coordinates: Coordinates, input_matrix: Tensor
     ) -> None:
         super().__init__(input_matrix)
         n, m = input_matrix.shape
-        self.embedding = Embedding(angular=angular)
+        self.space, self.embedding = coordinates.space, features_of(coordinates)
         self.net = net(inputs=self.embedding.size + n + m, outputs=n)
 
     @override
@@ -81,8 +86,9 @@ class EulerLagrangeAcceleration(Field):
 
     def __init__(self, lagrangian: Lagrangian, input_matrix: Tensor) -> None:
         super().__init__(input_matrix)
-        self.lagrangian = lagrangian
+        self.lagrangian, self.space = lagrangian, lagrangian.space
 
     @override
     def forward(self, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
-        return acceleration(self.lagrangian, q, v, generalised_force(self.input_matrix, u))
+        force = self.lagrangian.input_force(self.input_matrix, q, u)
+        return acceleration(self.lagrangian, q, v, force)

@@ -10,17 +10,20 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.explicit import RungeKutta
+from symo_exp.mechanics.geodesic import Controlled, on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.roots import RootFinder
+from symo_exp.mechanics.space import FLAT, Space
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -40,7 +43,7 @@ Carried = tuple[Tensor, Tensor, Tensor]
 class Step(NamedTuple):
     """The state one time step later, with the status of the root finding row by row."""
 
-    q: Float[Tensor, "batch n"]
+    q: Float[Tensor, "batch N"]
     v: Float[Tensor, "batch n"]
     converged: Bool[Tensor, " batch"]
     iterations: Int[Tensor, " batch"]
@@ -49,7 +52,7 @@ class Step(NamedTuple):
 class Rollout(NamedTuple):
     """A trajectory from node 0 to node ``steps``; ``converged`` belongs to the steps between."""
 
-    q: Float[Tensor, "batch nodes n"]
+    q: Float[Tensor, "batch nodes N"]
     v: Float[Tensor, "batch nodes n"]
     converged: Bool[Tensor, "batch steps"]
 
@@ -69,6 +72,8 @@ class Flow(nn.Module, ABC):
     """``B`` of the generalised force ``F = B u``."""
     lagrangian: Lagrangian | None
     """The Lagrangian of the system, if the flow has one."""
+    space: Space = FLAT
+    """The space of configurations."""
 
     def __init__(self, time_step: float) -> None:
         super().__init__()
@@ -93,7 +98,7 @@ class Flow(nn.Module, ABC):
     @torch.no_grad()
     def rollout(
         self,
-        q: Float[Tensor, "batch n"],
+        q: Float[Tensor, "batch N"],
         v: Float[Tensor, "batch n"],
         u: Float[Tensor, "batch nodes m"],
         advance: Callable[..., Carried] | None = None,
@@ -108,7 +113,7 @@ class Flow(nn.Module, ABC):
         for k in range(u.shape[1] - 1):
             nodes.append((advance or self.advance)(*nodes[-1][:2], u[:, k], u[:, k + 1]))
         q, y, converged = (torch.stack(x, 1) for x in zip(*nodes, strict=True))
-        v = self.decode(q.flatten(0, 1), y.flatten(0, 1)).view_as(q)
+        v = self.decode(q.flatten(0, 1), y.flatten(0, 1)).view_as(y)
         return Rollout(q, v, converged[:, 1:])
 
     def encode(self, q: Tensor, v: Tensor) -> Tensor:
@@ -150,8 +155,14 @@ class ExplicitFlow(Flow):
         super().__init__(time_step)
         if sensitivity not in ("direct", "adjoint"):
             raise ValueError(f"sensitivity must be direct or adjoint, got {sensitivity}")
+        if sensitivity == "adjoint" and field.space.rotations:
+            raise ConfigError(
+                "model.sensitivity=adjoint integrates lengths and angles only, and the system has "
+                "rotations; leave it at direct"
+            )
         self.field, self.integrator, self.sensitivity = field, integrator, sensitivity
         self.rollout_integrator = rollout_integrator or integrator
+        self.space = field.space
         self.branch_free = sensitivity == "direct"
 
     @property
@@ -170,13 +181,14 @@ class ExplicitFlow(Flow):
         if self.sensitivity == "adjoint" and torch.is_grad_enabled():
             state = adjoint_step(self.field, q, v, u, u_next, h, method=rule.name)
         else:  # without the hooks of a module, several times a step
-            state = rule.step(self.field.forward, q, v, u, u_next, h)
+            state = rule.step(self.field.forward, q, v, u, u_next, h, self.space)
         converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
         return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
 
     @override
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
-        state = self.rollout_integrator.step(self.field.forward, q, y, u, u_next, self.time_step)
+        rule, h = self.rollout_integrator, self.time_step
+        state = rule.step(self.field.forward, q, y, u, u_next, h, self.space)
         return *state, torch.ones_like(q[:, 0], dtype=torch.bool)
 
     @override
@@ -216,7 +228,8 @@ class VariationalFlow(Flow):
         rollout_root: RootFinder | None = None,
     ) -> None:
         super().__init__(time_step)
-        self.lagrangian, self.integrator = lagrangian, integrator
+        self.lagrangian, self.space = lagrangian, lagrangian.space
+        self.integrator = on_space(integrator, self.space)
         self.root, self.evaluation_root = root, evaluation_root or root
         self.rollout_root = rollout_root or self.evaluation_root
         self.register_buffer(
@@ -225,17 +238,18 @@ class VariationalFlow(Flow):
 
     @override
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
-        guess = q + self.time_step * v
+        guess = self.space.retract(q, self.time_step * v)
         return self._state(self._move(q, self.encode(q, v), u, u_next, guess, self.root))
 
     @override
     def predict(self, windows: Windows) -> Step:
-        q, p, guess = windows.q, self.momentum_before(windows), 2.0 * windows.q - windows.q_prev
+        q, p = windows.q, self.momentum_before(windows)
+        guess = self.space.extrapolated(windows.q_prev, q)
         return self._state(self._move(q, p, windows.u, windows.u_next, guess, self.root))
 
     @override
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
-        guess = q + self.time_step * self.decode(q, y)
+        guess = self.space.retract(q, self.time_step * self.decode(q, y))
         step = self._move(q, y, u, u_next, guess, self.rollout_root)
         return step.q, step.p, step.root.converged
 
@@ -260,7 +274,10 @@ class VariationalFlow(Flow):
     @property
     def discrete(self) -> DiscreteLagrangian:
         """The discrete Lagrangian ``L_d`` of a time step."""
-        return DiscreteLagrangian(self.integrator, self.lagrangian, self.time_step)
+        lagrangian: Any = self.lagrangian
+        if self.space.rotations:
+            lagrangian = Controlled(lagrangian, self.input_matrix)
+        return DiscreteLagrangian(self.integrator, lagrangian, self.time_step)
 
     @override
     def encode(self, q: Tensor, v: Tensor) -> Tensor:
@@ -270,9 +287,16 @@ class VariationalFlow(Flow):
     def decode(self, q: Tensor, y: Tensor) -> Tensor:
         return self.lagrangian.velocity(q, y)
 
+    def force(self, u: Tensor) -> Tensor:
+        """Return the generalised force ``F = B u`` at a node, or ``u`` where there are rotations.
+
+        There the force depends on the motion between nodes: see ``mechanics.geodesic``.
+        """
+        return u if self.space.rotations else generalised_force(self.input_matrix, u)
+
     def forces(self, u: Tensor, u_next: Tensor) -> Forces:
-        """Return the generalised forces ``F = B u`` at the ends of an interval."""
-        return Forces(*(generalised_force(self.input_matrix, x) for x in (u, u_next)))
+        """Return the forces at the ends of an interval."""
+        return Forces(self.force(u), self.force(u_next))
 
     def matching(self, q: Tensor, impulse: Tensor, forces: Forces) -> MomentumMatching:
         """Return the equations of a step, given ``impulse = p_k + f⁻``.

@@ -40,7 +40,7 @@ class NODE(DynamicsModel):
         sensitivity: Literal["direct", "adjoint"] = "direct",
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
-        field = NetworkAcceleration(net, angular=coordinates.angular, input_matrix=input_matrix)
+        field = NetworkAcceleration(net, coordinates=coordinates, input_matrix=input_matrix)
         super().__init__(
             ExplicitFlow(field, integrator, time_step, sensitivity, rollout_integrator),
             coordinates=coordinates,

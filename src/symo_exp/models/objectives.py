@@ -25,7 +25,6 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.types import TrainingSamples, Trajectory, Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, Forces, differentiable_root
@@ -90,7 +89,8 @@ class StateError(Objective):
     @override
     def __call__(self, flow: Flow, windows: Windows) -> Residuals:
         q, v, *_ = flow.predict(windows)
-        return Residuals(torch.cat((q - windows.q_next, v - windows.v_next), dim=1))
+        error = flow.space.difference(windows.q_next, q)
+        return Residuals(torch.cat((error, v - windows.v_next), dim=1))
 
     @override
     def branch_free(self, flow: Flow) -> bool:
@@ -107,7 +107,7 @@ class Residual(Objective):
     @override
     def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:
         q_prev, q, q_next, _, _, *controls = windows
-        f_prev, f, f_next = (generalised_force(flow.input_matrix, u) for u in controls)
+        f_prev, f, f_next = map(flow.force, controls)
         before, after = Forces(f_prev, f), Forces(f, f_next)
         return Residuals(flow.discrete.residual(q_prev, q, q_next, before, after))
 
@@ -127,7 +127,7 @@ class PreconditionedResidual(Residual):
     @override
     def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:
         g, _ = super().__call__(flow, windows)
-        mass = flow.lagrangian.mass_matrix(0.5 * (windows.q + windows.q_next))
+        mass = flow.lagrangian.mass_matrix(flow.space.middle(windows.q, windows.q_next))
         return Residuals(flow.time_step * solve(mass, g))
 
 
@@ -156,9 +156,9 @@ class RootError(Objective):
     def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:
         impulse = self.impulse(flow, windows, flow.expand_before(windows))
         problem = flow.matching(windows.q, impulse, flow.forces(windows.u, windows.u_next))
-        root = flow.root.solve(problem, problem.start(self.initial_guess(windows)))
+        root = flow.root.solve(problem, problem.start(self.initial_guess(flow, windows)))
         at, ok = root.evaluation.expansion, root.converged
-        x = root.x[:, : windows.q.shape[1]]
+        x = root.x[:, : impulse.shape[1]]
         statistics = {
             "newton_iterations": root.iterations.float().mean(),
             "newton_failed": (~ok).float().mean(),
@@ -171,10 +171,10 @@ class RootError(Objective):
         instead, _ = PreconditionedResidual()(flow, windows)
         return Residuals(torch.where(ok[:, None], known, instead), statistics)
 
-    def initial_guess(self, windows: Windows) -> Tensor:
+    def initial_guess(self, flow: VariationalFlow, windows: Windows) -> Tensor:
         """Return the start of the search."""
         inertial = self.guess == "inertial"
-        return 2.0 * windows.q - windows.q_prev if inertial else windows.q_next
+        return flow.space.extrapolated(windows.q_prev, windows.q) if inertial else windows.q_next
 
     def impulse(self, flow: VariationalFlow, windows: Windows, at: DiscreteExpansion) -> Tensor:
         """Return ``p_k + f⁻``, given the expansion of ``L_d`` around ``(q_{k−1}, q_k)``."""
@@ -188,5 +188,5 @@ class RootError(Objective):
     ) -> Tensor:  # fmt: skip
         """Return the error of the root ``x``, around which ``L_d`` is expanded."""
         forces = flow.forces(windows.u, windows.u_next)
-        root = differentiable_root(x, at, jacobian, windows.q, impulse, forces)
-        return root - windows.q_next
+        root = differentiable_root(x, at, jacobian, windows.q, impulse, flow.space, forces)
+        return flow.space.difference(windows.q_next, root)

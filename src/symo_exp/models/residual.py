@@ -13,7 +13,7 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.models.fields import MakesNetwork
 from symo_exp.models.flows import Flow, Step
 from symo_exp.models.objectives import StateError
-from symo_exp.nets.embedding import Embedding
+from symo_exp.nets.embedding import features_of
 
 
 class ResidualFlow(Flow):
@@ -21,7 +21,7 @@ class ResidualFlow(Flow):
 
     Args:
         net: Factory of the network, called with the numbers of its inputs and outputs.
-        angular: Which coordinates are angles.
+        coordinates: Coordinates of the system.
         input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
         time_step: Time step [s].
     """
@@ -32,7 +32,7 @@ class ResidualFlow(Flow):
         self,
         net: MakesNetwork,
         *,
-        angular: tuple[bool, ...],
+        coordinates: Coordinates,
         input_matrix: Tensor,
         time_step: float,
     ) -> None:
@@ -40,7 +40,7 @@ class ResidualFlow(Flow):
         n, m = input_matrix.shape
         matrix = input_matrix.to(torch.get_default_dtype())
         self.register_buffer("input_matrix", matrix, persistent=False)
-        self.embedding = Embedding(angular=angular)
+        self.space, self.embedding = coordinates.space, features_of(coordinates)
         self.net = net(inputs=self.embedding.size + n + 2 * m, outputs=2 * n)
 
     @override
@@ -48,7 +48,7 @@ class ResidualFlow(Flow):
         h, found = self.time_step, self.net(torch.cat((self.embedding(q).x, v, u, u_next), dim=1))
         drift, kick = found.chunk(2, dim=1)
         converged = torch.ones(q.shape[0], dtype=torch.bool, device=q.device)
-        state = q + h * (v + drift), v + h * kick
+        state = self.space.retract(q, h * (v + drift)), v + h * kick
         return Step(*state, converged, torch.zeros_like(converged, dtype=torch.int64))
 
     @override
@@ -77,7 +77,7 @@ class ResidualNetwork(DynamicsModel):
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
         flow = ResidualFlow(
-            net, angular=coordinates.angular, input_matrix=input_matrix, time_step=time_step
+            net, coordinates=coordinates, input_matrix=input_matrix, time_step=time_step
         )
         super().__init__(
             flow,

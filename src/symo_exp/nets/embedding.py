@@ -9,6 +9,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.mechanics.types import Coordinates
+
 
 class Features(NamedTuple):
     """``s(q)`` with its derivatives.
@@ -93,6 +95,40 @@ class Embedding(nn.Module):
         if self.turn is None:
             return torch.diag_embed(self.to_coordinates(own))
         return (self.selection.T * own.unsqueeze(1)) @ self.selection
+
+
+class EntriesEmbedding(nn.Module):
+    """Features of configurations with rotations: those of the flat part, and nine entries of each.
+
+    Args:
+        coordinates: The coordinates.
+    """
+
+    def __init__(self, *, coordinates: Coordinates) -> None:
+        super().__init__()
+        self._flat = len(coordinates.flat)
+        self.flat = Embedding(angular=coordinates.angular[: self._flat])
+        self._entries = 9 * len(coordinates.rotations)
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return self.flat.size + self._entries
+
+    @override
+    def forward(self, q: Float[Tensor, "batch N"]) -> Features:
+        x, entries = q[:, : self._flat], q[:, self._flat :]
+        flat = self.flat(x)
+        return Features(
+            torch.cat((flat.x, entries), dim=1), torch.cat((flat.dx, torch.ones_like(entries)), 1)
+        )
+
+
+def features_of(coordinates: Coordinates) -> Embedding | EntriesEmbedding:
+    """Return the embedding of the configurations of some coordinates."""
+    if coordinates.rotations:
+        return EntriesEmbedding(coordinates=coordinates)
+    return Embedding(angular=coordinates.angular)
 
 
 def directions(angular: tuple[bool, ...]) -> Float[Tensor, "n n"]:

@@ -1,0 +1,516 @@
+"""Variational integrators on rotations (Lee, Leok and McClamroch 2007; Hall and Leok 2017).
+
+The motion over an interval is that of ``mechanics.galerkin``, a polynomial, in the chart at the
+configuration ``q₀`` where the interval starts: ``R(t) = R₀ exp φ(t)`` from ``φ = 0`` to
+``δ = log R₀ᵀR₁``. There the Lagrangian is
+
+    ℓ(φ, φ̇) = ℒ(q₀ ⊕ φ, J(φ) φ̇)        J the right Jacobian of exp
+
+and its slot derivative in ``δ`` gives that in ``q₁``. The one in ``q₀``, with which the chart
+moves, follows from a turn of the whole motion: it changes the action by the torques ``M`` in body
+axes, of ``∂ℒ/∂q``, dissipation and controls, at the Gauss points.
+
+    D₂ = J(δ)⁻ᵀ D₂ℓ_d        D₁ = −J(δ)⁻¹ D₂ℓ_d + h Σᵢ bᵢ exp(φᵢ) Mᵢ
+
+The motion is a geodesic where nothing acts and the inertia is that of a ball. On flat coordinates
+``J`` and ``exp`` are the identity, and these are the formulas of ``mechanics.galerkin``. Controls
+are linear in time and act at the Gauss points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from typing_extensions import override
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.galerkin import Basis, Galerkin, GalerkinExpansion
+from symo_exp.mechanics.lagrangian import (
+    Curvature,
+    Expansion,
+    Gradients,
+    Lagrangian,
+    jacobian,
+    matvec,
+    vecmat,
+)
+from symo_exp.mechanics.rows import Rowwise, take_rows
+from symo_exp.mechanics.space import Series, Space, cross, polynomial, polynomial_slope
+from symo_exp.mechanics.variational import (
+    DiscreteExpansion,
+    Forces,
+    Slots,
+    VariationalIntegrator,
+)
+
+
+def on_space(integrator: VariationalIntegrator, space: Space) -> VariationalIntegrator:
+    """Return the integrator, or its extension to a space with rotations.
+
+    Raises:
+        ConfigError: If it has none.
+    """
+    if not space.rotations:
+        return integrator
+    if integrator.stages is None:
+        raise ConfigError(
+            f"integrator={integrator.name} moves lengths and angles only, and the system has "
+            "rotations; choose midpoint, galerkin4 or galerkin6"
+        )
+    return Geodesic(space=space, stages=integrator.stages)
+
+
+@dataclass(frozen=True)
+class Controlled:
+    """A Lagrangian with the forces of its controls.
+
+    Args:
+        lagrangian: ``ℒ``.
+        input_matrix: ``B``.
+    """
+
+    lagrangian: Lagrangian
+    input_matrix: Float[Tensor, "n m"]
+
+    def force(self, q: Float[Tensor, "batch N"], u: Float[Tensor, "batch m"]) -> Tensor:
+        """Return the generalised force of the controls."""
+        return self.lagrangian.input_force(self.input_matrix, q, u)
+
+
+class Geodesic(Galerkin):
+    """The Galerkin integrator in the chart at the start of an interval, order ``2 stages``.
+
+    Its ``forces`` are the controls at both ends of an interval.
+
+    Args:
+        space: The space.
+        stages: Number of Gauss points.
+        tolerance: Bound on the last update of inner coefficients, relative to the displacement.
+        max_iterations: Bound on the number of updates.
+    """
+
+    def __init__(
+        self, *, space: Space, stages: int, tolerance: float = 1e-12, max_iterations: int = 12
+    ) -> None:
+        super().__init__(stages=stages, tolerance=tolerance, max_iterations=max_iterations)
+        self.space, self.name, self.iterates = space, f"geodesic{self.order}", True
+
+    @override
+    @torch.no_grad()
+    def expand(  # type: ignore[override]
+        self, lagrangian: Controlled, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
+    ) -> GeodesicExpansion:
+        chart, x = self._chart(lagrangian, q0, forces), self.space.chart(q0, q1)
+        at = super().expand(chart, self.space.origin(q0), x, h)
+        return GeodesicExpansion(self.space, at, x)
+
+    @override
+    @torch.no_grad()
+    def expand_at(  # type: ignore[override]
+        self, lagrangian: Controlled, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
+    ) -> GeodesicExpansion:
+        chart, origin = self._chart(lagrangian, q0, forces), self.space.origin(q0)
+        at = super().expand_at(chart, origin, x, h)
+        return GeodesicExpansion(self.space, at, x[:, : origin.shape[1]])
+
+    @override
+    def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
+        return super().unknowns(q0, self.space.chart(q0, q1))
+
+    @override
+    def converged(self) -> Geodesic:
+        return Geodesic(space=self.space, stages=self.stages)
+
+    @override
+    def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
+        """Return zeros: controls act between the configurations."""
+        zero = force0.new_zeros(())
+        return zero, zero
+
+    def _chart(self, lagrangian: Controlled, q0: Tensor, forces: Forces | None) -> ChartLagrangian:
+        return ChartLagrangian(lagrangian, self.space, self._basis, q0.detach(), detached(forces))
+
+
+def detached(forces: Forces | None) -> Forces | None:
+    """Return forces without a graph."""
+    return forces and Forces(forces.start.detach(), forces.end.detach())
+
+
+class ChartLagrangian(Rowwise, Lagrangian):
+    """``ℓ(φ, φ̇)`` at the Gauss points of intervals that start at ``q₀``.
+
+    Args:
+        controlled: ``ℒ`` and its controls.
+        space: The space.
+        basis: The Gauss points.
+        q0: Configurations at which the intervals start.
+        controls: Controls at both ends.
+    """
+
+    parts = ("_controlled", "_space", "_basis", "_q0", "_controls")
+
+    def __init__(
+        self,
+        controlled: Controlled,
+        space: Space,
+        basis: Basis,
+        q0: Float[Tensor, "batch N"],
+        controls: Forces | None,
+    ) -> None:
+        self._controlled, self._space, self._basis = controlled, space, basis
+        self._q0, self._controls = q0, controls
+
+    @override
+    def expand(self, q: Float[Tensor, "rows n"], v: Float[Tensor, "rows n"]) -> ChartExpansion:
+        base, u = at_points(self._basis, self._q0, self._controls)
+        return ChartExpansion.of(self._controlled, self._space, base, u, q, v)
+
+    @override
+    def mass_matrix(self, q: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
+        jacobian = Chart.of(self._space, q).jacobian
+        return jacobian.mT @ self._controlled.lagrangian.mass_matrix(self._point(q)) @ jacobian
+
+    @override
+    def potential(self, q: Float[Tensor, "rows n"]) -> Float[Tensor, " rows"]:
+        return self._controlled.lagrangian.potential(self._point(q))
+
+    def _point(self, q: Tensor) -> Tensor:
+        return self._space.point(at_points(self._basis, self._q0, None)[0], q)
+
+
+def at_points(basis: Basis, q0: Tensor, controls: Forces | None) -> tuple[Tensor, Tensor | None]:
+    """Return ``q₀`` and the controls for each Gauss point, the points outermost."""
+    base = q0.repeat(len(basis.b), 1)
+    if controls is None:
+        return base, None
+    tau = basis.alpha[-1].to(base).view(-1, 1, 1)
+    start, end = controls
+    return base, ((1.0 - tau) * start + tau * end).flatten(0, 1)
+
+
+class Chart(NamedTuple):
+    """The exponential map at rows of coordinates."""
+
+    space: Space
+    phi: Float[Tensor, "rows*r 3"]
+    """Rotation vectors, a row each."""
+    series: Series
+    jacobian: Float[Tensor, "rows n n"]
+    """``J``."""
+    turn: Float[Tensor, "rows n n"]
+    """``exp φ``."""
+
+    @staticmethod
+    def of(space: Space, x: Float[Tensor, "rows n"]) -> Chart:
+        """Evaluate the map."""
+        phi = space.vectors(x)
+        series, n = Series.of(phi), x.shape[1]
+        jacobian = polynomial(phi, series.s, -series.a, series.b)
+        turn = polynomial(phi, series.s, series.sinc, series.a)
+        return Chart(
+            space, phi, series, space.blocks(jacobian, n, 1.0), space.blocks(turn, n, 1.0)
+        )
+
+    def rate_slope(self, x: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
+        """Return ``∂(J x)/∂φ``."""
+        c = self.series
+        found = polynomial_slope(
+            self.phi, self.space.vectors(x), c.s, (-c.a, -c.a1), (c.b, c.b1)
+        )
+        return self.space.blocks(found, x.shape[1], 0.0)
+
+    def momentum_slope(self, p: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
+        """Return ``∂(Jᵀ p)/∂φ``."""
+        c = self.series
+        found = polynomial_slope(self.phi, self.space.vectors(p), c.s, (c.a, c.a1), (c.b, c.b1))
+        return self.space.blocks(found, p.shape[1], 0.0)
+
+    def bend(
+        self, p: Float[Tensor, "rows n"], x: Float[Tensor, "rows n"]
+    ) -> Float[Tensor, "rows n n"]:
+        """Return ``∂²(p · J x)/∂φ²``.
+
+        ``p · J x = p·x − a φ·c + b G`` with ``c = x × p``, ``G = (p·φ)(x·φ) − s p·x``.
+        """
+        phi, n = self.phi, p.shape[1]
+        s, _, _, a1, a2, b, b1, b2, *_ = (y[:, None, None] for y in self.series)
+        p, x = self.space.vectors(p), self.space.vectors(x)
+        c = torch.linalg.cross(x, p)
+        along, by_p, by_x, inner = (
+            (u * w).sum(-1)[:, None, None] for u, w in ((phi, c), (p, phi), (x, phi), (p, x))
+        )
+        slope = by_x.squeeze(-1) * p + by_p.squeeze(-1) * x - 2.0 * inner.squeeze(-1) * phi
+        g = by_p * by_x - s * inner
+
+        def outer(u: Tensor, w: Tensor) -> Tensor:
+            return u.unsqueeze(-1) * w.unsqueeze(-2)
+
+        mixed = outer(2.0 * (b1.squeeze(-1) * slope - a1.squeeze(-1) * c), phi)
+        found = mixed + mixed.mT + 4.0 * (b2 * g - a2 * along) * outer(phi, phi)
+        pair = outer(p, x)
+        found = found + b * (pair + pair.mT)
+        one = torch.eye(3, dtype=phi.dtype, device=phi.device)
+        found = found + 2.0 * (b1 * g - a1 * along - b * inner) * one
+        return self.space.blocks(found, n, 0.0)
+
+
+class Torques(NamedTuple):
+    """First derivatives in the chart."""
+
+    gradients: Gradients
+    """``ℓ_φ`` and ``ℓ_φ̇``."""
+    turned: Float[Tensor, "rows n"]
+    """``exp(φ) M``, in the axes at the start of the interval."""
+
+
+class ChartExpansion(Expansion):
+    """``ℓ`` around rows of Gauss points.
+
+    Args:
+        controlled: ``ℒ`` and its controls.
+        space: The space.
+        base: Configuration at which the interval of each row starts.
+        u: Controls there.
+        q: ``φ``.
+        v: ``φ̇``.
+        at: ``ℒ`` around ``(q₀ ⊕ φ, J φ̇)``.
+        values: ``ℓ_φ`` and ``ℓ_φ̇``.
+        turned: ``exp(φ) M``.
+    """
+
+    parts = ("_controlled", "_space", "_base", "_u", "_q", "_v", "_at", "values", "turned")
+
+    def __init__(
+        self,
+        controlled: Controlled,
+        space: Space,
+        base: Tensor,
+        u: Tensor | None,
+        q: Tensor,
+        v: Tensor,
+        at: Expansion,
+        values: Gradients,
+        turned: Tensor,
+    ) -> None:
+        self._controlled, self._space, self._base, self._u = controlled, space, base, u
+        self._q, self._v, self._at = q, v, at
+        self.values, self.turned = values, turned
+
+    @staticmethod
+    @torch.no_grad()
+    def of(
+        controlled: Controlled, space: Space, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor
+    ) -> ChartExpansion:
+        """Expand around ``(φ, φ̇)``."""
+        chart, point = Chart.of(space, q), space.point(base, q)
+        at = controlled.lagrangian.expand(point, matvec(chart.jacobian, v))
+        found = _torques(controlled, chart, point, u, v, at.values)
+        return ChartExpansion(controlled, space, base, u, q, v, at, *found)
+
+    @property
+    def dissipates(self) -> bool:  # type: ignore[override]
+        """Whether there is a dissipative force."""
+        return self._at.dissipates
+
+    @override
+    def mass(self) -> Tensor:
+        chart = Chart.of(self._space, self._q)
+        return chart.jacobian.mT @ self._at.mass() @ chart.jacobian
+
+    @override
+    def damping(self) -> Tensor:
+        chart = Chart.of(self._space, self._q)
+        return chart.jacobian.mT @ self._at.damping() @ chart.jacobian
+
+    @override
+    def curvature(self) -> Curvature:
+        return self.derivatives()[0]
+
+    def derivatives(self) -> tuple[Curvature, Tensor, Tensor]:
+        """Return the second derivatives of ``ℓ``, and those of ``exp(φ) M`` in ``φ`` and ``φ̇``."""
+        chart, p = Chart.of(self._space, self._q), self._at.values.v
+        point = self._space.point(self._base, self._q)
+        turning, rate = chart.jacobian, chart.rate_slope(self._v)
+        along = self._at.curvature()
+        moment, moment_q = self._moment(point, along.qq)
+        by_q = moment_q @ turning + along.qv @ rate  # of M
+        p_by_q = along.vq @ turning + self._at.mass() @ rate
+        p_by_v = self._at.mass() @ turning
+        m_by_v = along.qv @ turning
+        lean = chart.momentum_slope(p)
+        qq = turning.mT @ by_q + rate.mT @ p_by_q
+        qq = qq + chart.momentum_slope(moment) + chart.bend(p, self._v)
+        curvature = Curvature(
+            qq, turning.mT @ p_by_q + lean, turning.mT @ m_by_v + rate.mT @ p_by_v + lean.mT
+        )
+        blocks = self._space.blocks(cross(self._space.vectors(moment)), moment.shape[1], 0.0)
+        by_q = chart.turn @ (by_q - blocks @ turning)
+        return curvature, by_q, chart.turn @ m_by_v
+
+    def _moment(self, point: Tensor, by_q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return ``M`` with the controls, and its derivative along the configuration."""
+        moment = self._at.values.q
+        if self._u is None:
+            return moment, by_q
+        with torch.enable_grad():
+            q = point.detach().requires_grad_()
+            force = self._controlled.force(q, self._u)
+            slope = self._space.pull(q.detach().unsqueeze(1), jacobian(force, q).detach())
+        return moment + force.detach(), by_q + slope
+
+    @override
+    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
+        return self.torques(self._base, self._u, q, v).gradients
+
+    def torques(self, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor) -> Torques:
+        """Return the first derivatives, differentiable in all arguments and the parameters."""
+        chart, point = Chart.of(self._space, q), self._space.point(base, q)
+        at = self._at.gradients(point, matvec(chart.jacobian, v))
+        return _torques(self._controlled, chart, point, u, v, at)
+
+
+def _torques(
+    controlled: Controlled, chart: Chart, point: Tensor, u: Tensor | None, v: Tensor, at: Gradients
+) -> Torques:
+    """Return ``Jᵀ M + (∂(J φ̇)/∂φ)ᵀ p``, ``Jᵀ p`` and ``exp(φ) M``."""
+    moment, p = at
+    if u is not None:
+        moment = moment + controlled.force(point, u)
+    by_q = vecmat(moment, chart.jacobian) + vecmat(p, chart.rate_slope(v))
+    return Torques(Gradients(by_q, vecmat(p, chart.jacobian)), matvec(chart.turn, moment))
+
+
+class GeodesicExpansion(DiscreteExpansion):
+    """The discrete Lagrangian around ``(q₀, q₁)``, in body axes of these.
+
+    Args:
+        space: The space.
+        at: The discrete Lagrangian of ``ℓ``.
+        x: ``q₁`` in the chart at ``q₀``.
+    """
+
+    def __init__(self, space: Space, at: GalerkinExpansion, x: Float[Tensor, "batch n"]) -> None:
+        self._space, self._at, self._x = space, at, x
+        assert isinstance(at.at, ChartExpansion)
+        self._points = at.at
+        last = at.values.d2
+        self._ends = Ends.of(space, x)
+        self.values = self._ends.slots(last, at.basis.total(self._points.turned, at.h))
+        self._condensed: tuple[Tensor, Tensor] | None = None
+
+    @override
+    def d2d1(self) -> Tensor:
+        return self._condense()[0]
+
+    @override
+    def mismatch(self, impulse: Tensor) -> Tensor:
+        inner = self._at.stationarity.transpose(0, 1).flatten(1)
+        return torch.cat((impulse + self.values.d1, inner), dim=1)
+
+    @override
+    def mismatch_jacobian(self) -> Tensor:
+        derivatives = self._derivatives()[:-1]
+        return _matrix(torch.cat((derivatives[:, -1:], derivatives[:, :-1]), dim=1))
+
+    @override
+    def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
+        at, space = self._at, self._space
+        basis, inner = at.basis, at.inner
+        x = space.chart(q0, q1)
+        path = basis.path(space.origin(q0), x, inner, at.h)
+        torques = self._points.torques(*at_points(basis, q0, forces), *path)
+        slopes = basis.slopes(torques.gradients, at.h)
+        found = Ends.of(space, x).slots(slopes[-1], basis.total(torques.turned, at.h))
+        stationarity = slopes[1:-1]
+        if len(stationarity) == 0:
+            return found
+        change = (stationarity - stationarity.detach()).transpose(0, 1).flatten(1)
+        moved, n = matvec(self._condense()[1], change), x.shape[1]
+        return Slots(found.d1 - moved[:, :n], found.d2 - moved[:, n:])
+
+    @override
+    def rows(self, index: Tensor) -> GeodesicExpansion:
+        rows = GeodesicExpansion(self._space, self._at.rows(index), self._x[index])
+        rows._condensed = take_rows(self._condensed, index)
+        return rows
+
+    @override
+    def replace(self, index: Tensor, other: GeodesicExpansion) -> GeodesicExpansion:
+        at = self._at.replace(index, other._at)
+        return GeodesicExpansion(self._space, at, self._x.index_copy(0, index, other._x))
+
+    def condensed(self) -> GeodesicExpansion:
+        """Return this expansion with ``d2d1`` computed, which its rows then share."""
+        self._condense()
+        return self
+
+    def _derivatives(self) -> Float[Tensor, "variables variables batch n n"]:
+        """Return the derivatives of ``D₁``, the inner equations and ``D₂`` in ``(c, x)``."""
+        at, ends = self._at, self._ends
+        curvature, by_q, by_v = self._points.derivatives()
+        w = at.basis.hessian(curvature, self._points.mass(), at.h)[1:, 1:]
+        total = at.basis.total_slopes(by_q, by_v, at.h)[1:]
+        last = at.values.d2
+        first, final = total - ends.inverse @ w[-1], ends.inverse.mT @ w[-1]
+        first = torch.cat((first[:-1], first[-1:] - ends.start_slope(last)))
+        final = torch.cat((final[:-1], final[-1:] + ends.end_slope(last)))
+        return torch.cat((first.unsqueeze(0), w[:-1], final.unsqueeze(0)))
+
+    @torch.no_grad()
+    def _condense(self) -> tuple[Tensor, Tensor]:
+        """Return ``D₂D₁L_d`` and the derivatives of both slots in the inner equations."""
+        if self._condensed is None:
+            derivatives = self._derivatives()
+            ends, inner = derivatives[[0, -1]], derivatives[1:-1]
+            transfer = torch.linalg.solve_ex(
+                _matrix(inner[:, :-1]), _matrix(ends[:, :-1]), left=False
+            )[0]
+            n = derivatives.shape[-1]
+            d2d1 = derivatives[0, -1] - transfer[:, :n] @ _matrix(inner[:, -1:])
+            self._condensed = d2d1, transfer
+        return self._condensed
+
+
+class Ends(NamedTuple):
+    """``J(δ)⁻¹`` between the ends of intervals."""
+
+    space: Space
+    phi: Float[Tensor, "batch*r 3"]
+    series: Series
+    inverse: Float[Tensor, "batch n n"]
+    """``J(δ)⁻¹ = I + ½ [δ] + γ [δ]²``."""
+
+    @staticmethod
+    def of(space: Space, x: Float[Tensor, "batch n"]) -> Ends:
+        """Evaluate it."""
+        phi = space.vectors(x)
+        series = Series.of(phi)
+        inverse = polynomial(phi, series.s, 0.5, series.gamma)
+        return Ends(space, phi, series, space.blocks(inverse, x.shape[1], 1.0))
+
+    def slots(self, last: Float[Tensor, "batch n"], turned: Float[Tensor, "batch n"]) -> Slots:
+        """Return ``D₁`` and ``D₂``, given ``D₂ℓ_d`` and ``h Σᵢ bᵢ exp(φᵢ) Mᵢ``."""
+        return Slots(turned - matvec(self.inverse, last), vecmat(last, self.inverse))
+
+    def start_slope(self, last: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+        """Return ``∂(J⁻¹ y)/∂δ`` at a fixed ``y``."""
+        return self._slope(last, 0.5)
+
+    def end_slope(self, last: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+        """Return ``∂(J⁻ᵀ y)/∂δ`` at a fixed ``y``."""
+        return self._slope(last, -0.5)
+
+    def _slope(self, y: Tensor, first: float) -> Tensor:
+        c = self.series
+        found = polynomial_slope(
+            self.phi, self.space.vectors(y), c.s, (first, 0.0), (c.gamma, c.gamma1)
+        )
+        return self.space.blocks(found, y.shape[1], 0.0)
+
+
+def _matrix(blocks: Float[Tensor, "a b batch n n"]) -> Float[Tensor, "batch a*n b*n"]:
+    return blocks.permute(2, 0, 3, 1, 4).flatten(3).flatten(1, 2)

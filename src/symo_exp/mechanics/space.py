@@ -1,0 +1,385 @@
+"""Configuration spaces: flat coordinates and rotations.
+
+A configuration is stored as ``N`` numbers, the flat coordinates (lengths and angles) and the nine
+entries of each rotation matrix, row by row. Velocities, momenta and forces have ``n`` components,
+those of the flat coordinates and three for each rotation, in body axes: ``Ṙ = R [ω]``, with
+``[ω] x = ω × x``. So ``N = n + 6 r`` with ``r`` rotations.
+
+The chart at a configuration ``R₀`` is the exponential map, ``R = R₀ exp φ``; flat coordinates are
+their own chart. With ``Jr`` the right Jacobian of ``exp``
+
+    ω = Jr(φ) φ̇        Jr = I − a [φ] + b [φ]²        Jr⁻¹ = I + ½ [φ] + γ [φ]²
+
+The coefficients are entire functions of ``s = |φ|²`` (``γ`` up to a whole turn), computed by their
+series: they and their derivatives are smooth at 0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+TERMS = 16
+"""Terms of a series: exact to rounding up to half a turn, to 1e-12 up to a whole one."""
+
+
+class Series(NamedTuple):
+    """Coefficients of ``exp``, ``Jr`` and ``Jr⁻¹`` of a batch of rotation vectors, in ``s``."""
+
+    s: Float[Tensor, " rows"]
+    """``|φ|²``."""
+    sinc: Float[Tensor, " rows"]
+    """``sin θ / θ``."""
+    a: Float[Tensor, " rows"]
+    """``(1 − cos θ) / θ²``."""
+    a1: Float[Tensor, " rows"]
+    """``da/ds``."""
+    a2: Float[Tensor, " rows"]
+    """``d²a/ds²``."""
+    b: Float[Tensor, " rows"]
+    """``(θ − sin θ) / θ³``."""
+    b1: Float[Tensor, " rows"]
+    """``db/ds``."""
+    b2: Float[Tensor, " rows"]
+    """``d²b/ds²``."""
+    e: Float[Tensor, " rows"]
+    """``(2 a − sinc) / s``."""
+    e1: Float[Tensor, " rows"]
+    """``de/ds``."""
+
+    @staticmethod
+    def of(phi: Float[Tensor, "rows 3"]) -> Series:
+        """Evaluate the series."""
+        s = phi.square().sum(-1)
+        powers = torch.stack((torch.ones_like(s), s), dim=-1)
+        power = s * s
+        while powers.shape[-1] < TERMS:
+            powers = torch.cat((powers, powers * power.unsqueeze(-1)), dim=-1)
+            power = power * power
+        return Series(s, *(powers @ _table(phi.dtype, phi.device)).unbind(-1))
+
+    @property
+    def gamma(self) -> Tensor:
+        """``γ = e / 2a``."""
+        return 0.5 * self.e / self.a
+
+    @property
+    def gamma1(self) -> Tensor:
+        """``dγ/ds``."""
+        return 0.5 * (self.e1 * self.a - self.e * self.a1) / self.a.square()
+
+
+@cache
+def _table(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "terms series"]:
+    """Return the coefficients of the series, one in a column."""
+
+    def sign(k: int) -> float:
+        return -1.0 if k % 2 else 1.0
+
+    count = TERMS + 2
+    sinc = [sign(k) / math.factorial(2 * k + 1) for k in range(count)]
+    a = [sign(k) / math.factorial(2 * k + 2) for k in range(count)]
+    b = [sign(k) / math.factorial(2 * k + 3) for k in range(count)]
+    e = [sign(k) * 2 * (k + 1) / math.factorial(2 * k + 4) for k in range(count)]
+
+    def slope(f: list[float]) -> list[float]:
+        return [k * x for k, x in enumerate(f)][1:]
+
+    columns = (sinc, a, slope(a), slope(slope(a)), b, slope(b), slope(slope(b)), e, slope(e))
+    rows = list(zip(*(column[:TERMS] for column in columns), strict=True))
+    return torch.tensor(rows, dtype=torch.float64).to(dtype=dtype, device=device)
+
+
+@dataclass(frozen=True)
+class Space:
+    """Flat coordinates, then ``rotations`` rotations.
+
+    Attributes:
+        rotations: Number of rotations.
+    """
+
+    rotations: int = 0
+
+    def stored(self, n: int) -> int:
+        """Return the width ``N`` of configurations with ``n`` degrees of freedom."""
+        return n + 6 * self.rotations
+
+    def degrees(self, stored: int) -> int:
+        """Return the number ``n`` of degrees of freedom of configurations of width ``N``."""
+        return stored - 6 * self.rotations
+
+    # Maps between configurations and charts
+
+    def chart(
+        self, base: Float[Tensor, "batch N"], q: Float[Tensor, "batch N"]
+    ) -> Float[Tensor, "batch n"]:
+        """Return the coordinates ``(x, log R₀ᵀR)`` of configurations in the charts at ``base``."""
+        if not self.rotations:
+            return q
+        flat, turn = self._split(q)
+        relative = self._split(base)[1].mT @ turn
+        return torch.cat((flat, rotation_vector(relative).flatten(1)), dim=1)
+
+    def point(
+        self, base: Float[Tensor, "batch N"], x: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch N"]:
+        """Return the configurations at coordinates ``x`` of the charts at ``base``."""
+        if not self.rotations:
+            return x
+        flat, phi = self._parts(x)
+        turn = self._split(base)[1] @ exponential(phi)
+        return torch.cat((flat, turn.flatten(1)), dim=1)
+
+    def origin(self, base: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n"]:
+        """Return the coordinates of ``base`` in its own chart."""
+        if not self.rotations:
+            return base
+        flat = base[:, : base.shape[1] - 9 * self.rotations]
+        return torch.cat((flat, base.new_zeros(len(base), 3 * self.rotations)), dim=1)
+
+    def retract(
+        self, q: Float[Tensor, "batch N"], step: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch N"]:
+        """Return ``q + step``, rotations ``R exp step``."""
+        return q + step if not self.rotations else self.point(q, self.origin(q) + step)
+
+    def difference(
+        self, start: Float[Tensor, "batch N"], end: Float[Tensor, "batch N"]
+    ) -> Float[Tensor, "batch n"]:
+        """Return the step that ``retract`` takes from ``start`` to ``end``."""
+        if not self.rotations:
+            return end - start
+        return self.chart(start, end) - self.origin(start)
+
+    def extrapolated(
+        self, before: Float[Tensor, "batch N"], q: Float[Tensor, "batch N"]
+    ) -> Float[Tensor, "batch N"]:
+        """Return the configuration that follows two others in uniform motion."""
+        if not self.rotations:
+            return 2.0 * q - before
+        return self.retract(q, self.difference(before, q))
+
+    def middle(
+        self, start: Float[Tensor, "batch N"], end: Float[Tensor, "batch N"]
+    ) -> Float[Tensor, "batch N"]:
+        """Return the configuration half-way."""
+        if not self.rotations:
+            return 0.5 * (start + end)
+        return self.retract(start, 0.5 * self.difference(start, end))
+
+    def of_vector(self, x: Float[Tensor, "batch n"]) -> Float[Tensor, "batch N"]:
+        """Return configurations of flat coordinates and rotation vectors ``φ``, ``R = exp φ``."""
+        if not self.rotations:
+            return x
+        flat, phi = self._parts(x)
+        return torch.cat((flat, exponential(phi).flatten(1)), dim=1)
+
+    def to_vector(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n"]:
+        """Return flat coordinates and rotation vectors of configurations."""
+        if not self.rotations:
+            return q
+        flat, turn = self._split(q)
+        return torch.cat((flat, rotation_vector(turn).flatten(1)), dim=1)
+
+    def normalised(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch N"]:
+        """Return configurations with the rotations next to their nine entries."""
+        if not self.rotations:
+            return q
+        flat, turn = self._split(q)
+        left, _, right = torch.linalg.svd(turn)
+        sign = torch.ones_like(turn[..., 0])
+        sign[..., 2] = torch.linalg.det(left @ right)
+        nearest = (left * sign.unsqueeze(-2)) @ right
+        return torch.cat((flat, nearest.flatten(1)), dim=1)
+
+    # Velocities and gradients
+
+    def push(
+        self, q: Float[Tensor, "*batch N"], v: Float[Tensor, "*batch n"]
+    ) -> Float[Tensor, "*batch N"]:
+        """Return the rates of the stored numbers, ``(ẋ, R [ω])``."""
+        if not self.rotations:
+            return v
+        flat, omega = self._parts(v)
+        rate = self._split(q)[1] @ cross(omega)
+        return torch.cat((flat, rate.flatten(-3)), dim=-1)
+
+    def pull(
+        self, q: Float[Tensor, "*batch N"], gradient: Float[Tensor, "*batch N"]
+    ) -> Float[Tensor, "*batch n"]:
+        """Return the derivatives along ``retract`` of a function with these partial derivatives."""
+        if not self.rotations:
+            return gradient
+        flat, by_turn = self._split(gradient)
+        moment = self._split(q)[1].mT @ by_turn
+        upper = (moment[..., 2, 1], moment[..., 0, 2], moment[..., 1, 0])
+        lower = (moment[..., 1, 2], moment[..., 2, 0], moment[..., 0, 1])
+        torque = torch.stack(upper, -1) - torch.stack(lower, -1)
+        return torch.cat((flat, torque.flatten(-2)), dim=-1)
+
+    def chart_rate(
+        self, x: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n"]:
+        """Return ``φ̇ = Jr(φ)⁻¹ ω`` in a chart at coordinates ``x``, flat rates as they are."""
+        if not self.rotations:
+            return v
+        phi, (flat, omega) = self.vectors(x), self._parts(v)
+        series = Series.of(phi)
+        inverse = polynomial(phi, series.s, 0.5, series.gamma)
+        rate = (inverse @ omega.reshape(-1, 3, 1)).view(len(v), -1)
+        return torch.cat((flat, rate), dim=1)
+
+    def coadjoint(
+        self, v: Float[Tensor, "batch n"], p: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n"]:
+        """Return ``ω × p`` of the rotations, zero elsewhere: ``ṗ + ω × p`` is the torque."""
+        if not self.rotations:
+            return torch.zeros_like(p)
+        (flat, omega), (_, spin) = self._parts(v), self._parts(p)
+        turning = torch.linalg.cross(omega, spin)
+        return torch.cat((torch.zeros_like(flat), turning.flatten(1)), dim=1)
+
+    # Parts
+
+    def rotation_matrices(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch r 3 3"]:
+        """Return the rotations of configurations."""
+        return self._split(q)[1]
+
+    def _split(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return flat coordinates and rotations of stored numbers."""
+        flat = q.shape[-1] - 9 * self.rotations
+        return q[..., :flat], q[..., flat:].unflatten(-1, (self.rotations, 3, 3))
+
+    def _parts(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the flat part and the vectors of the rotations of a tangent."""
+        flat = x.shape[-1] - 3 * self.rotations
+        return x[..., :flat], x[..., flat:].unflatten(-1, (self.rotations, 3))
+
+    def vectors(self, x: Float[Tensor, "rows n"]) -> Float[Tensor, "rows*r 3"]:
+        """Return the vectors of all rotations of tangents, a row each."""
+        return x[:, x.shape[1] - 3 * self.rotations :].reshape(-1, 3)
+
+    def blocks(
+        self, rotations: Float[Tensor, "rows*r 3 3"], n: int, diagonal: float
+    ) -> Float[Tensor, "rows n n"]:
+        """Return block diagonal matrices: a number for flat coordinates, a block a rotation."""
+        r, flat = self.rotations, n - 3 * self.rotations
+        if n == 3:
+            return rotations
+        found = rotations.new_zeros(len(rotations) // r, n, n)
+        if diagonal:
+            found.diagonal(dim1=1, dim2=2)[:, :flat] = diagonal
+        for i, block in enumerate(rotations.unflatten(0, (-1, r)).unbind(1)):
+            at = slice(flat + 3 * i, flat + 3 * i + 3)
+            found[:, at, at] = block
+        return found
+
+
+FLAT = Space()
+"""Any number of lengths and angles."""
+
+
+def cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Return ``[x]``, the matrix of ``x ×``."""
+    a, b, c = x.unbind(-1)
+    zero = torch.zeros_like(a)
+    return torch.stack((zero, -c, b, c, zero, -a, -b, a, zero), dim=-1).unflatten(-1, (3, 3))
+
+
+def exponential(phi: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Return ``exp [φ]`` by Rodrigues' formula."""
+    rows = phi.reshape(-1, 3)
+    series = Series.of(rows)
+    return polynomial(rows, series.s, series.sinc, series.a).view(*phi.shape, 3)
+
+
+def rotation_vector(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
+    """Return ``φ`` with ``exp [φ]`` the rotation and ``|φ| ≤ π``, smooth at the identity."""
+    w, v = quaternion(turn).split((1, 3), dim=-1)
+    size2 = v.square().sum(-1, keepdim=True)
+    small = size2 < 1e-3 * w.square()
+    t2 = torch.where(small, size2, 0.0) / torch.where(small, w.square(), 1.0)
+    series = 1.0 + t2 * (
+        -1 / 3 + t2 * (1 / 5 + t2 * (-1 / 7 + t2 * (1 / 9 + t2 * (-1 / 11 + t2 * (1 / 13)))))
+    )
+    size = torch.where(small, 1.0, size2).sqrt()
+    factor = torch.where(
+        small, 2.0 * series / torch.where(small, w, 1.0), 2.0 * torch.atan2(size, w) / size
+    )
+    return factor * v
+
+
+def quaternion(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
+    """Return the unit quaternion ``(w, x, y, z)``, ``w ≥ 0``, of a rotation.
+
+    It is a column of ``4 q qᵀ``, which is linear in the rotation, the one with the largest
+    diagonal entry (Shepperd 1978).
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in turn.unbind(-2))
+    table = torch.stack(
+        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy,
+         zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx,
+         xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz,
+         yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz),
+        dim=-1,
+    ).unflatten(-1, (4, 4))  # fmt: skip
+    place = table.detach().diagonal(dim1=-2, dim2=-1).argmax(-1)
+    index = place[..., None, None].expand(*place.shape, 4, 1)
+    column = table.gather(-1, index).squeeze(-1)
+    column = torch.where(column[..., :1] < 0, -column, column)
+    return column / column.norm(dim=-1, keepdim=True)
+
+
+def of_quaternion(q: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
+    """Return the rotation of a quaternion ``(w, x, y, z)`` of any length but 0."""
+    w, x, y, z = (q / q.norm(dim=-1, keepdim=True)).unbind(-1)
+    return torch.stack(
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        dim=-1,
+    ).unflatten(-1, (3, 3))  # fmt: skip
+
+
+def angle(start: Float[Tensor, "*batch 3 3"], end: Float[Tensor, "*batch 3 3"]) -> Tensor:
+    """Return the angle between rotations [rad], accurate from 0 to half a turn."""
+    w, v = quaternion(start.mT @ end).split((1, 3), dim=-1)
+    return 2.0 * torch.atan2(v.norm(dim=-1), w.squeeze(-1))
+
+
+def polynomial(
+    phi: Float[Tensor, "rows 3"],
+    s: Float[Tensor, " rows"],
+    first: Tensor | float,
+    second: Float[Tensor, " rows"],
+) -> Float[Tensor, "rows 3 3"]:
+    """Return ``I + f₁ [φ] + f₂ [φ]²``."""
+    outer = second[:, None, None] * (phi.unsqueeze(-1) * phi.unsqueeze(-2))
+    scaled = phi * (first if isinstance(first, float) else first.unsqueeze(-1))
+    diagonal = torch.diag_embed((1.0 - second * s).unsqueeze(-1).expand(-1, 3))
+    return cross(scaled) + outer + diagonal
+
+
+def polynomial_slope(
+    phi: Float[Tensor, "rows 3"],
+    x: Float[Tensor, "rows 3"],
+    s: Float[Tensor, " rows"],
+    first: tuple[Tensor | float, Tensor | float],
+    second: tuple[Tensor, Tensor],
+) -> Float[Tensor, "rows 3 3"]:
+    """Return ``∂/∂φ`` of ``(I + f₁ [φ] + f₂ [φ]²) x``, with ``f`` and ``df/ds`` given."""
+    (f, f1), (g, g1) = (
+        [c if isinstance(c, float) else c.unsqueeze(-1) for c in pair] for pair in (first, second)
+    )
+    along = (phi * x).sum(-1, keepdim=True)
+    change = 2.0 * f1 * torch.linalg.cross(phi, x)
+    change = change + 2.0 * g1 * (phi * along - s.unsqueeze(-1) * x) - 2.0 * g * x
+    found = cross(-f * x) + change.unsqueeze(-1) * phi.unsqueeze(-2)
+    found = found + (g * phi).unsqueeze(-1) * x.unsqueeze(-2)
+    return found + torch.diag_embed((g * along).expand(-1, 3))
