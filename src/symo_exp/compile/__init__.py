@@ -64,9 +64,7 @@ def compile_rollout(model: DynamicsModel) -> None:
     advance: Callable[..., Any] | None = None
     if model.learns and isinstance(flow, ExplicitFlow):
         advance = Program(model, flow.advance)
-    elif (
-        model.learns and isinstance(flow, VariationalFlow) and isinstance(flow.rollout_root, Newton)
-    ):
+    elif model.learns and isinstance(flow, VariationalFlow) and _branch_free(flow):
         advance = VariationalAdvance(model, flow)
     if advance is None:
         log.warning("a step of this rollout is not a fixed sequence of operations: not compiled")
@@ -76,6 +74,11 @@ def compile_rollout(model: DynamicsModel) -> None:
         return advance(*(x.contiguous() for x in arguments))
 
     _install(model.compiled, "rollout", contiguous, flow.advance)
+
+
+def _branch_free(flow: VariationalFlow) -> bool:
+    """Return whether steps without branches are known: rotations have none."""
+    return isinstance(flow.rollout_root, Newton) and not flow.space.rotations
 
 
 def _install(

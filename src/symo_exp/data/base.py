@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.data.noise import add_noise
+from symo_exp.mechanics.space import FLAT, Space, space_of
 from symo_exp.mechanics.types import TrainingSamples, Trajectories, Trajectory, Windows
 from symo_exp.mechanics.windows import cut_windows
 from symo_exp.systems.checks import one_of, real, whole_number
@@ -125,7 +126,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         )
         if self.velocities == "estimated":
             self.train_trajectories = [
-                t._replace(v=central_differences(t.q, self.time_step))
+                t._replace(v=central_differences(t.q, self.time_step, space_of(t.q, t.v)))
                 for t in self.train_trajectories
             ]
         self.val_trajectories = splits.val
@@ -195,9 +196,19 @@ class DataModule(lightning.LightningDataModule, ABC):
         return samples
 
 
-def central_differences(q: Tensor, h: float) -> Tensor:
-    """Return ``(q_{k+1} − q_{k−1}) / 2h``, one-sided of second order at both ends."""
-    return torch.gradient(q, spacing=h, dim=0, edge_order=2)[0]
+def central_differences(q: Tensor, h: float, space: Space = FLAT) -> Tensor:
+    """Return ``(q_{k+1} − q_{k−1}) / 2h``, one-sided of second order at both ends.
+
+    Of a rotation it is the mean of the body rates over both steps.
+    """
+    if not space.rotations:
+        return torch.gradient(q, spacing=h, dim=0, edge_order=2)[0]
+    rates = space.difference(q[:-1], q[1:]) / h
+    inner = 0.5 * (rates[1:] + rates[:-1])
+    if len(inner) == 0:
+        return rates.expand(2, -1)
+    first, last = 2.0 * rates[0] - inner[0], 2.0 * rates[-1] - inner[-1]
+    return torch.cat((first.unsqueeze(0), inner, last.unsqueeze(0)))
 
 
 class Once(Generic[Item]):

@@ -15,7 +15,7 @@ from symo_exp.systems.base import Range, SamplingBox
 
 
 class Starts(NamedTuple):
-    """Initial states and constant inputs, float64."""
+    """Initial states and constant inputs, float64; rotations by rotation vectors."""
 
     q: Float[Tensor, "count n"]
     v: Float[Tensor, "count n"]

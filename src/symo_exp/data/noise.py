@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from symo_exp.mechanics.space import space_of
 from symo_exp.mechanics.types import Trajectory
 
 
@@ -19,7 +20,7 @@ def add_noise(
     """Return ``q + σ z``, ``v + σ z'`` and ``u + σ_u z''``, all z independent standard normal.
 
     The draws of a trajectory depend on the seed and on those before it only, so that they are the
-    same in smaller sets and scale with σ.
+    same in smaller sets and scale with σ. A rotation turns by the rotation vector ``σ z``.
 
     Args:
         trajectories: The clean trajectories.
@@ -33,10 +34,11 @@ def add_noise(
     of_state, of_input = (np.random.default_rng(s) for s in (sequence, *sequence.spawn(1)))
     noisy = []
     for q, v, u in trajectories:
-        nodes, n = q.shape
+        nodes, n = v.shape
+        moved = space_of(q, v).retract
         z = torch.from_numpy(of_state.standard_normal((nodes, 2, n)))
         z_u = torch.from_numpy(of_input.standard_normal(tuple(u.shape)))
         noisy.append(
-            Trajectory(q + std * z[:, 0].to(q), v + std * z[:, 1].to(v), u + input_std * z_u.to(u))
+            Trajectory(moved(q, std * z[:, 0].to(q)), v + std * z[:, 1].to(v), u + input_std * z_u.to(u))
         )
     return noisy

@@ -24,5 +24,5 @@ def generate(
     Unforced trajectories have ``u = 0``.
     """
     u = starts.u if forced else torch.zeros_like(starts.u)
-    path = simulate(system, starts.q, starts.v, u, lead + steps, solver)
+    path = simulate(system, system.space.of_vector(starts.q), starts.v, u, lead + steps, solver)
     return Trajectories(*(field[:, lead:].contiguous() for field in path))

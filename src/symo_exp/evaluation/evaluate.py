@@ -82,7 +82,8 @@ def one_step(case: Case) -> dict[str, float]:
     """Return errors of the next configuration and state, and the fraction of roots not found."""
     train, _, _ = _one_step(case.model, case.data.train)
     test, state, failed = _one_step(case.model, case.data.test)
-    moved = (case.data.test.q_next - case.data.test.q).double().square().mean().item()
+    step = case.model.flow.space.difference(case.data.test.q, case.data.test.q_next)
+    moved = step.double().square().mean().item()
     found = {"train_mse": train, "test_mse": test, "test_mse_state": state}
     found["test_relative"] = math.sqrt(test / moved) if moved > 0 else math.inf
     return found if case.model.reads_velocity else found | {"test_newton_failed": failed}
@@ -91,7 +92,8 @@ def one_step(case: Case) -> dict[str, float]:
 def rollout(case: Case) -> dict[str, float]:
     """Return errors along the rollouts, means over the predicted nodes."""
     motion = case.rollouts
-    q, q_true = motion.q[:, 1:], motion.q_true[:, 1:]
+    q, q_true = motion.compared()
+    q, q_true = q[:, 1:], q_true[:, 1:]
     configuration = measures.rollout_mse(q, q_true)
     velocity = measures.rollout_mse(motion.v[:, 1:], motion.v_true[:, 1:])
     first = measures.rollout_mse(q[:, :SHORT], q_true[:, :SHORT])
@@ -124,7 +126,8 @@ def energy(case: Case) -> dict[str, float]:
         "energy", measures.rollout_energy_mse(motion.energy[:, 1:], expected)
     )
     if not case.model.reads_velocity:
-        v = measures.finite_difference_velocity(motion.q, motion.time_step)
+        space = motion.coordinates.space
+        v = measures.finite_difference_velocity(motion.q, motion.time_step, space)
         values = along(case.truth.energy, motion.q[:, 1:], v)
         found["energy_mse_fd"] = measures.rollout_energy_mse(values, expected).mean().item()
     return found
@@ -152,6 +155,9 @@ def _one_step(model: DynamicsModel, samples: Windows) -> tuple[float, float, flo
         for start in range(0, len(samples.q), CHUNK)
     ]
     failed = 1.0 - torch.cat([part.converged for part in parts]).double().mean().item()
-    q = measures.one_step_mse(torch.cat([part.q for part in parts]), samples.q_next).item()
+    q_next = torch.cat([part.q for part in parts])
+    q = measures.one_step_mse(
+        *measures.comparable(model.flow.space, q_next, samples.q_next)
+    ).item()
     v = measures.one_step_mse(torch.cat([part.v for part in parts]), samples.v_next).item()
     return q, 0.5 * (q + v), failed

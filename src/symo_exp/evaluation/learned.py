@@ -47,7 +47,7 @@ class LearnedQuantities:
         model = model.for_evaluation()
         if model.lagrangian is None or not isinstance(system, LagrangianSystem):
             return Finding()
-        q0, v0, u = system.box.points(self.count, self.seed)
+        q0, v0, u = system.points(self.count, self.seed)
         q, v, _ = simulate(system, q0, v0, torch.zeros_like(u), self.steps, Solver())
         found = beside_true(model, system, q, v)
         return Finding(found.columns, {f"{self.name}_{k}": x for k, x in found.measures.items()})

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.space import FLAT, Space
+
 VALID_ERROR = 0.1
 """Error of a configuration [rad, m] up to which a prediction counts as valid."""
 
@@ -17,6 +19,18 @@ VALID_ERROR = 0.1
 def squared_error(predicted: Tensor, true: Tensor) -> Tensor:
     """Return ``(x̂ − x)²`` by elements, infinite where the prediction is not finite."""
     return (predicted - true).square().nan_to_num(nan=math.inf, posinf=math.inf)
+
+
+def comparable(space: Space, predicted: Tensor, true: Tensor) -> tuple[Tensor, Tensor]:
+    """Return predicted and true configurations as they are compared, n numbers each.
+
+    With rotations these are the difference and zero, so that the error of a rotation is the angle
+    [rad] by which the prediction is turned.
+    """
+    if not space.rotations:
+        return predicted, true
+    error = space.difference(true, predicted)
+    return error, torch.zeros_like(error)
 
 
 def one_step_mse(
@@ -65,14 +79,16 @@ def rollout_inertia_mse(
 
 
 def finite_difference_velocity(
-    q: Float[Tensor, "trajectories nodes n"], time_step: float
+    q: Float[Tensor, "trajectories nodes N"], time_step: float, space: Space = FLAT
 ) -> Float[Tensor, "trajectories nodes-1 n"]:
     """Return ``(q_{k+1} − q_k) / h``, which the thesis pairs with ``q_{k+1}``.
 
     It is the velocity at ``k + ½``: paired with ``q_{k+1}`` it belongs to a time half a step
     earlier, and the energy error it gives is almost wholly that mismatch.
     """
-    return q.diff(dim=1) / time_step
+    if not space.rotations:
+        return q.diff(dim=1) / time_step
+    return space.difference(q[:, :-1], q[:, 1:]) / time_step
 
 
 def mean_and_std(name: str, per_trajectory: Float[Tensor, " trajectories"]) -> dict[str, float]:

@@ -87,7 +87,8 @@ class Motion:
         self, model: DynamicsModel, system: LagrangianSystem, remember: Remember
     ) -> tuple[Finding, Tensor, Tensor]:
         motion = roll_out(model, system, self._true(system, remember))
-        columns, q, q_true = motion.columns(), motion.q[:, 1:], motion.q_true[:, 1:]
+        columns = motion.columns()
+        q, q_true = (x[:, 1:] for x in motion.compared())
         energy_error = measures.squared_error(columns["energy"], columns["energy_true"])
         values = {
             "energy_mse": energy_error.mean().item(),
@@ -102,7 +103,7 @@ class Motion:
         A variational method needs the configuration before the start of a rollout.
         """
         h, solver = system.time_step, Solver()
-        q0, v0, _ = system.box.points(self.count, self.seed)
+        q0, v0, _ = system.points(self.count, self.seed)
 
         def drive(t: float) -> Tensor:
             time = torch.tensor([t - h], dtype=torch.float64)
@@ -125,7 +126,7 @@ class Motion:
     ) -> tuple[Finding, Tensor, Tensor]:
         assert system.box is not None
         place, truth = model.input_matrix, system.lagrangian
-        q0, v0, _ = system.box.points(self.count, self.seed)
+        q0, v0, _ = system.points(self.count, self.seed)
         path = model.rollout(q0.to(place), v0.to(place), u.to(place))
         q, v = path.q.cpu(), path.v.cpu()
         found = Finding(state_columns(model.coordinates, model.time_step, q=q, v=v))

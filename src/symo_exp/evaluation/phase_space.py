@@ -14,7 +14,7 @@ from symo_exp.models.base import DynamicsModel
 def log_volume(
     model: DynamicsModel,
     lagrangian: Lagrangian,
-    q: Float[Tensor, "trajectories nodes n"],
+    q: Float[Tensor, "trajectories nodes N"],
     v: Float[Tensor, "trajectories nodes n"],
     u: Float[Tensor, "trajectories nodes m"],
 ) -> Float[Tensor, "trajectories nodes"]:
@@ -35,9 +35,11 @@ def log_volume(
 
 def _one_step(model: DynamicsModel, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Tensor:
     """``log |det ∂(q', v')/∂(q, v)|`` of one step."""
+    space = model.flow.space
     with torch.enable_grad():
-        state = torch.cat((q, v), dim=1).requires_grad_()
-        configuration, velocity = state.split(q.shape[1], dim=1)
-        step = model.step(configuration, velocity, u, u_next)
-        derivatives = jacobian(torch.cat((step.q, step.v), dim=1), state)
+        state = torch.cat((space.origin(q), v), dim=1).requires_grad_()
+        place, velocity = state.chunk(2, dim=1)
+        step = model.step(space.point(q, place), velocity, u, u_next)
+        after = space.chart(step.q.detach(), step.q)
+        derivatives = jacobian(torch.cat((after, step.v), dim=1), state)
     return torch.linalg.slogdet(derivatives).logabsdet

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from symo_exp.evaluation.measures import comparable
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
 from symo_exp.models.base import DynamicsModel
@@ -28,13 +29,17 @@ class Rollouts:
 
     coordinates: Coordinates
     time_step: float
-    q: Float[Tensor, "trajectories nodes n"]
+    q: Float[Tensor, "trajectories nodes N"]
     v: Float[Tensor, "trajectories nodes n"]
     energy: Float[Tensor, "trajectories nodes"] | None
-    q_true: Float[Tensor, "trajectories nodes n"]
+    q_true: Float[Tensor, "trajectories nodes N"]
     v_true: Float[Tensor, "trajectories nodes n"]
     energy_true: Float[Tensor, "trajectories nodes"] | None
     converged: Bool[Tensor, "trajectories steps"]
+
+    def compared(self) -> tuple[Tensor, Tensor]:
+        """Return predicted and true configurations as measures compare them."""
+        return comparable(self.coordinates.space, self.q, self.q_true)
 
     def columns(self) -> dict[str, Tensor]:
         """Return a table with a row for each node.
@@ -57,8 +62,15 @@ class Rollouts:
 def state_columns(
     coordinates: Coordinates, time_step: float, **fields: Float[Tensor, "trajectories nodes n"]
 ) -> dict[str, Tensor]:
-    """Return ``trajectory``, ``step``, ``t`` [s] and ``<field>_<coordinate>`` for each node."""
+    """Return ``trajectory``, ``step``, ``t`` [s] and ``<field>_<coordinate>`` for each node.
+
+    Rotations are given by roll, pitch and yaw [rad].
+    """
     trajectories, nodes, _ = next(iter(fields.values())).shape
+    space = coordinates.space
+    fields = {
+        name: space.shown(x) if x.shape[-1] > coordinates.n else x for name, x in fields.items()
+    }
     step = torch.arange(nodes).repeat(trajectories)
     table = {
         "trajectory": torch.arange(trajectories).repeat_interleave(nodes),

@@ -117,77 +117,90 @@ class Space:
     # Maps between configurations and charts
 
     def chart(
-        self, base: Float[Tensor, "batch N"], q: Float[Tensor, "batch N"]
-    ) -> Float[Tensor, "batch n"]:
+        self, base: Float[Tensor, "*batch N"], q: Float[Tensor, "*batch N"]
+    ) -> Float[Tensor, "*batch n"]:
         """Return the coordinates ``(x, log R₀ᵀR)`` of configurations in the charts at ``base``."""
         if not self.rotations:
             return q
         flat, turn = self._split(q)
         relative = self._split(base)[1].mT @ turn
-        return torch.cat((flat, rotation_vector(relative).flatten(1)), dim=1)
+        return torch.cat((flat, rotation_vector(relative).flatten(-2)), dim=-1)
 
     def point(
-        self, base: Float[Tensor, "batch N"], x: Float[Tensor, "batch n"]
-    ) -> Float[Tensor, "batch N"]:
+        self, base: Float[Tensor, "*batch N"], x: Float[Tensor, "*batch n"]
+    ) -> Float[Tensor, "*batch N"]:
         """Return the configurations at coordinates ``x`` of the charts at ``base``."""
         if not self.rotations:
             return x
         flat, phi = self._parts(x)
         turn = self._split(base)[1] @ exponential(phi)
-        return torch.cat((flat, turn.flatten(1)), dim=1)
+        return torch.cat((flat, turn.flatten(-3)), dim=-1)
 
-    def origin(self, base: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n"]:
+    def origin(self, base: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
         """Return the coordinates of ``base`` in its own chart."""
         if not self.rotations:
             return base
-        flat = base[:, : base.shape[1] - 9 * self.rotations]
-        return torch.cat((flat, base.new_zeros(len(base), 3 * self.rotations)), dim=1)
+        flat = base[..., : base.shape[-1] - 9 * self.rotations]
+        return torch.cat((flat, base.new_zeros(*base.shape[:-1], 3 * self.rotations)), dim=-1)
 
     def retract(
-        self, q: Float[Tensor, "batch N"], step: Float[Tensor, "batch n"]
-    ) -> Float[Tensor, "batch N"]:
+        self, q: Float[Tensor, "*batch N"], step: Float[Tensor, "*batch n"]
+    ) -> Float[Tensor, "*batch N"]:
         """Return ``q + step``, rotations ``R exp step``."""
         return q + step if not self.rotations else self.point(q, self.origin(q) + step)
 
     def difference(
-        self, start: Float[Tensor, "batch N"], end: Float[Tensor, "batch N"]
-    ) -> Float[Tensor, "batch n"]:
+        self, start: Float[Tensor, "*batch N"], end: Float[Tensor, "*batch N"]
+    ) -> Float[Tensor, "*batch n"]:
         """Return the step that ``retract`` takes from ``start`` to ``end``."""
         if not self.rotations:
             return end - start
         return self.chart(start, end) - self.origin(start)
 
     def extrapolated(
-        self, before: Float[Tensor, "batch N"], q: Float[Tensor, "batch N"]
-    ) -> Float[Tensor, "batch N"]:
+        self, before: Float[Tensor, "*batch N"], q: Float[Tensor, "*batch N"]
+    ) -> Float[Tensor, "*batch N"]:
         """Return the configuration that follows two others in uniform motion."""
         if not self.rotations:
             return 2.0 * q - before
         return self.retract(q, self.difference(before, q))
 
     def middle(
-        self, start: Float[Tensor, "batch N"], end: Float[Tensor, "batch N"]
-    ) -> Float[Tensor, "batch N"]:
+        self, start: Float[Tensor, "*batch N"], end: Float[Tensor, "*batch N"]
+    ) -> Float[Tensor, "*batch N"]:
         """Return the configuration half-way."""
         if not self.rotations:
             return 0.5 * (start + end)
         return self.retract(start, 0.5 * self.difference(start, end))
 
-    def of_vector(self, x: Float[Tensor, "batch n"]) -> Float[Tensor, "batch N"]:
+    def of_vector(self, x: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch N"]:
         """Return configurations of flat coordinates and rotation vectors ``φ``, ``R = exp φ``."""
         if not self.rotations:
             return x
         flat, phi = self._parts(x)
-        return torch.cat((flat, exponential(phi).flatten(1)), dim=1)
+        return torch.cat((flat, exponential(phi).flatten(-3)), dim=-1)
 
-    def to_vector(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n"]:
+    def to_vector(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
         """Return flat coordinates and rotation vectors of configurations."""
         if not self.rotations:
             return q
         flat, turn = self._split(q)
-        return torch.cat((flat, rotation_vector(turn).flatten(1)), dim=1)
+        return torch.cat((flat, rotation_vector(turn).flatten(-2)), dim=-1)
 
-    def normalised(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch N"]:
+    def shown(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
+        """Return flat coordinates, and roll, pitch and yaw [rad] of rotations, to be drawn.
+
+        ``R`` turns by yaw about z, then by pitch about the new y and by roll about the new x.
+        """
+        if not self.rotations:
+            return q
+        flat, turn = self._split(q)
+        roll = torch.atan2(turn[..., 2, 1], turn[..., 2, 2])
+        pitch = -torch.asin(turn[..., 2, 0].clamp(-1.0, 1.0))
+        yaw = torch.atan2(turn[..., 1, 0], turn[..., 0, 0])
+        return torch.cat((flat, torch.stack((roll, pitch, yaw), -1).flatten(-2)), dim=-1)
+
+    def normalised(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch N"]:
         """Return configurations with the rotations next to their nine entries."""
         if not self.rotations:
             return q
@@ -196,7 +209,7 @@ class Space:
         sign = torch.ones_like(turn[..., 0])
         sign[..., 2] = torch.linalg.det(left @ right)
         nearest = (left * sign.unsqueeze(-2)) @ right
-        return torch.cat((flat, nearest.flatten(1)), dim=1)
+        return torch.cat((flat, nearest.flatten(-3)), dim=-1)
 
     # Velocities and gradients
 
@@ -283,6 +296,11 @@ class Space:
 
 FLAT = Space()
 """Any number of lengths and angles."""
+
+
+def space_of(q: Float[Tensor, "*batch N"], v: Float[Tensor, "*batch n"]) -> Space:
+    """Return the space of configurations and velocities of these widths."""
+    return Space((q.shape[-1] - v.shape[-1]) // 6)
 
 
 def cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:

@@ -44,6 +44,11 @@ class Coordinates(NamedTuple):
         return len(self.names)
 
     @property
+    def width(self) -> int:
+        """Number of numbers that a configuration consists of."""
+        return len(self.stored)
+
+    @property
     def space(self) -> Space:
         """The space of configurations."""
         return Space(len(self.rotations))

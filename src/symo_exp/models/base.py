@@ -22,6 +22,9 @@ from symo_exp.models.uncertainty import Interval, ModelPosterior, interval, samp
 class DynamicsModel(nn.Module):
     """The motion of a mechanical system with coordinates ``q`` (n) and controls ``u`` (m).
 
+    Of a system with rotations, configurations ``q`` have N numbers, the nine entries of each
+    rotation after the lengths and angles, row by row; ``v`` has n, body rates for a rotation.
+
     Methods map a batch, ``q`` and ``v`` (B, n), ``u`` (B, m), to a batch, and a single state,
     ``q`` and ``v`` (n,), ``u`` (m,), to a single result. Arguments are tensors, NumPy arrays,
     DataFrames or lists in SI units, of any precision; results are tensors in the precision and on
@@ -88,7 +91,7 @@ class DynamicsModel(nn.Module):
             u: Controls (B, m) or (m,) at the start of the step; zero if left out.
             u_next: Controls at its end, reached linearly; ``u`` if left out.
         """
-        given = Inputs(self.input_matrix, q)
+        given = Inputs(self.input_matrix, q, self.flow.space)
         v, u = given.state("v", v), given.control("u", u)
         u_next = u if u_next is None else given.control("u_next", u_next)
         with given.gradients():
@@ -114,7 +117,7 @@ class DynamicsModel(nn.Module):
         Raises:
             ConfigError: If a start is not finite.
         """
-        given = Inputs(self.input_matrix, q0)
+        given = Inputs(self.input_matrix, q0, self.flow.space)
         v, controls = given.finite("v0", given.state("v0", v0)), given.controls(u, steps)
         rollout = self.flow.rollout(
             given.finite("q0", given.q), v, controls, self.compiled.get("rollout")
@@ -145,7 +148,7 @@ class DynamicsModel(nn.Module):
         Returns:
             ``lower`` and ``upper``, (B, T+1, n), or (T+1, n) from a single state.
         """
-        given = Inputs(self.input_matrix, q0)
+        given = Inputs(self.input_matrix, q0, self.flow.space)
         v, controls = given.state("v0", v0), given.controls(u, steps)
         found = interval(self.flow, self.posterior, given.q, v, controls, level)
         return Interval(*(x[0] for x in found)) if given.single else found
@@ -157,7 +160,7 @@ class DynamicsModel(nn.Module):
     def linearize(self, q: Array, v: Array, u: Array = None) -> Linear:
         """Return the derivatives of ``(q, v)`` one time step later, in the state and the control.
 
-        They are exact, by the implicit function theorem where a root is found, and ``nan`` in rows
+        Those in a rotation are along ``R exp φ``. They are exact, by the implicit function theorem where a root is found, and ``nan`` in rows
         without a root. They have no gradients themselves.
 
         Args:
@@ -168,7 +171,7 @@ class DynamicsModel(nn.Module):
         Returns:
             ``A`` (B, 2n, 2n) and ``B`` (B, 2n, m), without B for a single state.
         """
-        given = Inputs(self.input_matrix, q)
+        given = Inputs(self.input_matrix, q, self.flow.space)
         found = linearize(self.flow, given.q, given.state("v", v), given.control("u", u))[1]
         return Linear(*(x[0] for x in found)) if given.single else found
 
@@ -185,8 +188,9 @@ class DynamicsModel(nn.Module):
             q: Configurations at the second node.
             q_next: Configurations at the third node.
         """
-        given = Inputs(self.input_matrix, q_prev)
-        q, q_next = given.state("q", q), given.state("q_next", q_next)
+        given = Inputs(self.input_matrix, q_prev, self.flow.space)
+        q = given.configuration("q", q)
+        q_next = given.configuration("q_next", q_next)
         u = inverse_dynamics(self.flow, given.q, q, q_next)
         return u[0] if given.single else u
 
@@ -217,7 +221,7 @@ class DynamicsModel(nn.Module):
     def _learned(self, quantity: str, q: Array, *v: Array) -> Tensor:
         if self.lagrangian is None:
             raise AttributeError(f"{type(self).__name__} learns no Lagrangian")
-        given = Inputs(self.input_matrix, q)
+        given = Inputs(self.input_matrix, q, self.flow.space)
         velocity = [given.state("v", x) for x in v]
         with given.gradients():
             value = getattr(self.lagrangian, quantity)(given.q, *velocity)

@@ -29,15 +29,15 @@ def linearize(flow: Flow, q: Tensor, v: Tensor, u: Tensor) -> tuple[Step, Linear
     This takes one forward pass, and one backward pass for each of the 2n rows. Derivatives are
     ``nan`` where no root was found.
     """
-    n, m = q.shape[1], u.shape[1]
+    n, m, space = v.shape[1], u.shape[1], flow.space
     if isinstance(flow, ExplicitFlow):  # derivatives of the step itself, however it is trained
         flow = copy.copy(flow)
         flow.sensitivity = "direct"
     with torch.enable_grad():
-        x = torch.cat((q, v, u), dim=1).detach().requires_grad_()
-        q, v, u = x.split((n, n, m), dim=1)
-        step = flow.step(q, v, u, u)
-        by_x = jacobian(torch.cat((step.q, step.v), dim=1), x)
+        x = torch.cat((space.origin(q), v, u), dim=1).detach().requires_grad_()
+        at, v, u = x.split((n, n, m), dim=1)
+        step = flow.step(space.point(q.detach(), at), v, u, u)
+        by_x = jacobian(torch.cat((space.chart(step.q.detach(), step.q), step.v), dim=1), x)
     by_x = by_x.where(step.converged[:, None, None], torch.nan)
     return Step(*(y.detach() for y in step)), Linear(*by_x.split((2 * n, m), dim=2))
 
@@ -55,22 +55,24 @@ def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> T
 
     Rows that do not converge are ``nan``.
     """
-    n, m = q.shape[1], flow.input_matrix.shape[1]
-    v, u = (q - q_prev) / flow.time_step, q.new_zeros(len(q), m)
-    still = torch.zeros_like(q)
+    (n, m), space = flow.input_matrix.shape, flow.space
+    v, u = space.difference(q_prev, q) / flow.time_step, q.new_zeros(len(q), m)
+    still = torch.zeros_like(v)
     for _ in range(MOST_UPDATES if m else 0):
         first, (a, b) = linearize(flow, q_prev, v, u)
         second, (c, d) = linearize(flow, first.q, first.v, u)
         by_v, by_u = c @ a[:, :, n:], c @ b + d
-        shift = solve(a[:, :n, n:], q - first.q)
+        off = space.difference(first.q, q)
+        shift = solve(a[:, :n, n:], off)
         slope = torch.linalg.solve_ex(a[:, :n, n:], b[:, :n])[0]
-        to_go = q_next - second.q - matvec(by_v[:, :n], shift)
+        to_go = space.difference(second.q, q_next) - matvec(by_v[:, :n], shift)
         du = matvec(torch.linalg.pinv(by_u[:, :n] - by_v[:, :n] @ slope), to_go)
         dv = shift - matvec(slope, du)
         u, v = u + du, v + dv
-        still = matvec(by_u[:, :n], du).abs() + (q - first.q).abs()
+        still = matvec(by_u[:, :n], du).abs() + off.abs()
         if m >= n:  # q_next can be reached: nothing has converged before
             still = still + to_go.abs()
-        if not (still > rounding(q)).any():
+        if not (still > rounding(space.origin(q))).any():
             break
-    return u.where((still <= 1e3 * rounding(q)).all(1, keepdim=True), torch.nan)
+    lost = 1e3 * rounding(space.origin(q))
+    return u.where((still <= lost).all(1, keepdim=True), torch.nan)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.space import FLAT, Space
 
 Array = Any
 """Numbers of any precision: a tensor on any device, an array, a DataFrame or nested sequences."""
@@ -20,15 +21,21 @@ class Inputs:
 
     Args:
         like: The input matrix (n, m) of the model.
-        q: Configurations (B, n) or (n,).
+        q: Configurations (B, N) or (N,).
+        space: Their space, ``N = n`` without rotations.
     """
 
-    def __init__(self, like: Tensor, q: Array) -> None:
+    def __init__(self, like: Tensor, q: Array, space: Space = FLAT) -> None:
         self._like, (self._n, self._m) = like, like.shape
+        self._width = space.stored(self._n)
         self._tracked = False
         q = self._numbers("q", q)
         self.single, self._batch = q.ndim != 2, q.shape[:1] if q.ndim == 2 else ()
-        self.q = self._read("q", q, self._n)
+        self.q = self._read("q", q, self._width)
+
+    def configuration(self, name: str, x: Array) -> Tensor:
+        """Return an argument as (B, N)."""
+        return self._read(name, x, self._width)
 
     def state(self, name: str, x: Array) -> Tensor:
         """Return an argument as (B, n)."""

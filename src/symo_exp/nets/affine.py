@@ -30,6 +30,11 @@ def linear(x: Float[Tensor, "rows into"], weight: Tensor, bias: Tensor | None = 
     return y if bias is None else _Shift.apply(y, bias)
 
 
+def transposed(x: Float[Tensor, "rows out"], weight: Tensor) -> Tensor:
+    """Return ``Wᵀ x`` in each row."""
+    return x @ weight if _record is None else _Transposed.apply(x, weight)
+
+
 def shift(x: Float[Tensor, "rows out"], bias: Tensor) -> Tensor:
     """Return ``x + b`` in each row."""
     return x + bias if _record is None else _Shift.apply(x, bias)
@@ -165,6 +170,19 @@ class _Linear(torch.autograd.Function):
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor | None]:
         x, weight = ctx.saved_tensors
         return cotangent @ weight, weight_gradient(weight, (cotangent, x))
+
+
+class _Transposed(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        return x @ weight
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor | None]:
+        x, weight = ctx.saved_tensors
+        return cotangent @ weight.T, weight_gradient(weight, (x, cotangent))
 
 
 class _Shift(torch.autograd.Function):

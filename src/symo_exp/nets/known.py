@@ -166,7 +166,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
     def _check_derivatives(self) -> None:
         """Refuse a system whose code loses the derivatives in its constants."""
         flat = torch.zeros(len(self.logarithms) + len(self.factors), dtype=torch.float64)
-        q, *_ = self.system.box.points(4, seed=0)
+        q, *_ = self.system.points(4, seed=0)
         split = [len(self.logarithms), len(self.factors)]
 
         def total(flat: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import lapack
 from torch import Tensor
 
+from symo_exp.mechanics.space import Space, space_of
 from symo_exp.mechanics.types import Trajectory, Windows
 
 
@@ -18,7 +19,8 @@ class Chain(NamedTuple):
     """The nodes of trajectories of any lengths, one after another, and the windows over them.
 
     ``x`` holds the measured values at a node: the configuration or the state, and possibly the
-    inputs, last.
+    inputs, last. A configuration with rotations is given by its coordinates in the chart at the
+    measured one, ``base``.
     """
 
     x: Float[Tensor, "nodes d"]
@@ -27,6 +29,8 @@ class Chain(NamedTuple):
     """The middle node of each window."""
     n: int
     inputs: bool
+    base: Float[Tensor, "nodes N"]
+    space: Space
 
     @staticmethod
     def of(trajectories: Sequence[Trajectory], *, velocities: bool, inputs: bool = False) -> Chain:
@@ -41,8 +45,9 @@ class Chain(NamedTuple):
         ends = np.cumsum([len(t.q) for t in trajectories])
         starts = ends - [len(t.q) for t in trajectories]
         centre = torch.cat([torch.arange(a + 1, b - 1) for a, b in zip(starts, ends, strict=True)])
-        parts = [q, *([v] if velocities else []), *([u] if inputs else [])]
-        return Chain(torch.cat(parts, dim=1), u, centre, q.shape[1], inputs)
+        space = space_of(q, v)
+        parts = [space.origin(q), *([v] if velocities else []), *([u] if inputs else [])]
+        return Chain(torch.cat(parts, dim=1), u, centre, v.shape[1], inputs, q, space)
 
     @property
     def known(self) -> int:
@@ -59,7 +64,8 @@ class Chain(NamedTuple):
         none = torch.zeros_like(at[:, :n])
         v, v_next = (x[:, n:known] if known > n else none for x in (at, after))
         u = [x[:, known:] for x in nodes] if self.inputs else self.stencil(self.u)
-        return Windows(before[:, :n], at[:, :n], after[:, :n], v, v_next, *u)
+        places = zip(self.stencil(self.base), nodes, strict=True)
+        return Windows(*(self.space.point(base, x[:, :n]) for base, x in places), v, v_next, *u)
 
     def spread(
         self, jacobians: Sequence[Float[Tensor, "windows k d"]], y: Float[Tensor, "windows k"]

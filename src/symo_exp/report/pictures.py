@@ -181,7 +181,7 @@ def learned_quantities(
 
 def _errors(rollouts: Rollouts) -> Tensor:
     """Return the mean squared error of each trajectory, infinite for a lost one."""
-    return squared_error(rollouts.q[:, 1:], rollouts.q_true[:, 1:]).mean((1, 2))
+    return squared_error(*(x[:, 1:] for x in rollouts.compared())).mean((1, 2))
 
 
 def _table(rollouts: Rollouts) -> pd.DataFrame:

@@ -16,13 +16,14 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from typing_extensions import Self
+from typing_extensions import Self, override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.bodies import Joint
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian, Friction
-from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
+from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
+from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems import complex_step
 from symo_exp.systems.box import Range, SamplingBox
@@ -78,7 +79,8 @@ class System(ABC):
     """What is known of a mechanical system, in SI units.
 
     A system is a frozen dataclass; ``conf/system`` holds the values of its fields. A physical
-    parameter names its unit, ``mass: Annotated[float, "kg"]``, and is positive. ``time_step`` is
+    parameter names its unit, ``mass: Annotated[float, "kg"]``, and is positive; a vector,
+    ``Annotated[Vector, "m"]``, has three finite entries. ``time_step`` is
     the distance ``h`` [s] of the nodes of a trajectory, ``box`` where motions start. What is not
     known is ``None``, and whatever would need it is left out.
     """
@@ -131,9 +133,15 @@ class System(ABC):
         names = [f.name for f in fields(cls) if get_origin(hints[f.name]) is Annotated]
         return {name: hints[name].__metadata__[0] for name in names}
 
+    def points(self, count: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Return ``count`` draws of ``(q, v, u)`` from the box in float64."""
+        assert self.box is not None
+        x, v, u = self.box.points(count, seed)
+        return self.coordinates.space.of_vector(x), v, u
+
     def __post_init__(self) -> None:
         checked: dict[str, object] = {
-            name: real(f"system.{name}", getattr(self, name), above=0)
+            name: _physical(f"system.{name}", getattr(self, name))
             for name in ("time_step", *self.units())
         }
         if self.box is not None:
@@ -164,6 +172,11 @@ class LagrangianSystem(System, Lagrangian):
                 vars(self)[name] = _coefficients(name, given, n)
         vars(self)["rest_velocity"] = real("system.rest_velocity", self.rest_velocity, above=0)
 
+    @property
+    @override
+    def space(self) -> Space:
+        return self.coordinates.space
+
     @cached_property
     def lagrangian(self) -> Lagrangian:
         """The true Lagrangian, with the friction where there is any."""
@@ -174,7 +187,7 @@ class LagrangianSystem(System, Lagrangian):
         """Refuse a mass matrix or a potential of a wrong shape."""
         n = self.coordinates.n
         batch = n + 2  # no size of one state
-        q, _, _ = self.box.points(batch, seed=0)
+        q, _, _ = self.points(batch, seed=0)
         with torch.no_grad():
             found = {"mass_matrix": self.mass_matrix(q), "potential": self.potential(q)}
         for name, wanted in (("mass_matrix", (batch, n, n)), ("potential", (batch,))):
@@ -232,7 +245,8 @@ class LagrangianSystem(System, Lagrangian):
         u: Float[Tensor, "batch m"],
     ) -> Float[Tensor, "batch n"]:
         """``v̇ = H⁻¹ (B u + F_d − Ḣ v + ∂ℒ/∂q)``."""
-        return acceleration(self.lagrangian, q, v, generalised_force(self.input_matrix.to(u), u))
+        force = self.input_force(self.input_matrix.to(u), q, u)
+        return acceleration(self.lagrangian, q, v, force)
 
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
         """Return the terms of the equations of motion, without a graph unless one is needed."""
@@ -244,7 +258,7 @@ class LagrangianSystem(System, Lagrangian):
     @cached_property
     def _analytic(self) -> bool:
         """Whether this system's functions allow the complex step, tried at points of the box."""
-        q, v, _ = self.box.points(8, seed=0)
+        q, v, _ = self.points(8, seed=0)
         return complex_step.applies(self, q, v)
 
     def identity(self) -> dict[str, object]:
@@ -258,6 +272,7 @@ class LagrangianSystem(System, Lagrangian):
             "parameters": {name: [getattr(self, name), units.get(name, "")] for name in own},
             "coordinates": list(self.coordinates.names),
             "angular": list(self.coordinates.angular),
+            **({"rotations": list(names)} if (names := self.coordinates.rotations) else {}),
             "input_matrix": self.input_matrix.tolist(),
             "time_step": self.time_step,
             "box": {k: [list(r) for r in v] for k, v in self.box._asdict().items()},
@@ -267,8 +282,17 @@ class LagrangianSystem(System, Lagrangian):
     def _fingerprint(self) -> str:
         """Hash of accelerations, so that edited equations do not pass for the old ones."""
         with torch.no_grad():
-            values = self.acceleration(*self.box.points(64, seed=0)).flatten().tolist()
+            values = self.acceleration(*self.points(64, seed=0)).flatten().tolist()
         return hashlib.sha256(" ".join(f"{x:.9e}" for x in values).encode()).hexdigest()[:16]
+
+
+def _physical(key: str, value: object) -> object:
+    """Return a positive number or a vector of three numbers."""
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        if len(value) != 3:
+            raise ConfigError(f"{key}={list(value)}: expected three numbers")
+        return tuple(real(key, x) for x in value)
+    return real(key, value, above=0)
 
 
 def _coefficients(name: str, given: Sequence[float], n: int) -> tuple[float, ...]:

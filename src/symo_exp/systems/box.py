@@ -18,7 +18,7 @@ class SamplingBox(NamedTuple):
     """Ranges ``(low, high)`` of uniform initial states and constant inputs.
 
     Attributes:
-        q: Range of each coordinate [m or rad].
+        q: Range of each coordinate [m or rad]; of a rotation, of its rotation vector.
         v: Range of each velocity [m/s or rad/s].
         u: Range of each input [N or N m].
     """

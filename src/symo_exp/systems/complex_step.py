@@ -14,7 +14,7 @@ _STEP = 1e-20  # Nothing is subtracted, so the step only has to vanish beside 1.
 
 
 def rates(
-    lagrangian: Lagrangian, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    lagrangian: Lagrangian, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
 ) -> Rates:
     """Return ``H``, ``Ḣ v`` and ``∂ℒ/∂q`` from ``f'(q; d) = Im f(q + i ε d) / ε``.
 
@@ -23,10 +23,15 @@ def rates(
     batches as automatic differentiation. Both must be written in analytic functions.
     (Squire and Trapp, "Using complex variables to estimate derivatives", SIAM Review 40, 1998.)
     """
-    batch, n = q.shape
-    along_axes = q + _imaginary_axes(n, q.dtype, q.device)
-    along_v = torch.complex(q, _STEP * v).unsqueeze(0)
-    shifted = torch.cat([along_axes, along_v]).view(-1, n)
+    batch, n = v.shape
+    space = lagrangian.space
+    if space.rotations:
+        axes = torch.eye(n, dtype=q.dtype, device=q.device).unsqueeze(1).expand(n, batch, n)
+        along_axes = torch.complex(q.expand(n, -1, -1), _STEP * space.push(q, axes))
+    else:
+        along_axes = q + _imaginary_axes(n, q.dtype, q.device)
+    along_v = torch.complex(q, _STEP * space.push(q, v)).unsqueeze(0)
+    shifted = torch.cat([along_axes, along_v]).view(-1, q.shape[1])
     mass, potential = lagrangian.terms(shifted)
     mass = mass.view(n + 1, batch, n, n)
     slope = potential.imag.view(n + 1, batch)[:n]
@@ -43,7 +48,7 @@ def _imaginary_axes(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 def applies(
-    lagrangian: Lagrangian, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+    lagrangian: Lagrangian, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
 ) -> bool:
     """Return whether the complex step agrees with automatic differentiation at points (float64).
 

@@ -189,7 +189,7 @@ def _parent(model: Any, joint: int, last: list[int]) -> int:
 def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
     """Refuse a model that moves differently from what was read."""
     smooth = Multibody(mechanism=found, time_step=1.0, coulomb=(0.0,) * model.nv)
-    q, v, u = smooth.box.points(8, seed=0)
+    q, v, u = smooth.points(8, seed=0)
     mass, rate = mujoco_dynamics(model, q, v, u)
     for name, ours, expected in (
         ("mass matrix", smooth.mass_matrix(q), mass),

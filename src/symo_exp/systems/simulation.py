@@ -19,14 +19,14 @@ from symo_exp.systems.checks import one_of, real
 
 METHODS = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
 Slope = Callable[[int, float, np.ndarray], np.ndarray]
-"""``ẋ`` of states (batch, 2n), from a node and the time [s] since it."""
+"""``ẋ`` of states (batch, N + n), from a node and the time [s] since it."""
 
 
 @dataclass(frozen=True)
 class Solver:
     """Settings of SciPy's integrators, which integrate all trajectories together.
 
-    Its error norm is a root mean square over all B·2n states; tolerances divided by √B make it
+    Its error norm is a root mean square over all states; tolerances divided by √B make it
     bound every single trajectory as its tolerances would. The integrator stops at every node, which
     therefore has no interpolation error, and goes on with the step size that it had.
     """
@@ -41,13 +41,22 @@ class Solver:
         real("data.solver.atol", self.atol, low=1e-14, high=0.1)
 
     def integrate(
-        self, slope: Slope, start: Float[np.ndarray, "batch states"], nodes: int, h: float
+        self,
+        slope: Slope,
+        start: Float[np.ndarray, "batch states"],
+        nodes: int,
+        h: float,
+        settle: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> Float[np.ndarray, "nodes batch states"]:
-        """Return the states at every node; raise ``ConfigError`` if the integrator fails."""
+        """Return the states at every node; raise ``ConfigError`` if the integrator fails.
+
+        ``settle`` puts states back on the manifold that they belong to.
+        """
         states = np.empty((nodes, *start.shape))
         states[0], step = start, None
         for k in range(nodes - 1):
-            states[k + 1], step = self._advance(slope, k, states[k], h, step)
+            reached, step = self._advance(slope, k, states[k], h, step)
+            states[k + 1] = reached if settle is None else settle(reached)
         return states
 
     def _advance(
@@ -76,7 +85,7 @@ class Solver:
 
 def simulate(
     system: LagrangianSystem,
-    q0: Float[Tensor, "batch n"],
+    q0: Float[Tensor, "batch N"],
     v0: Float[Tensor, "batch n"],
     u: Float[Tensor, "batch *nodes m"],
     steps: int,
@@ -85,7 +94,8 @@ def simulate(
     """Integrate ``v̇ = H⁻¹ (B u − Ḣ v + ∂ℒ/∂q)`` over ``steps`` steps of ``system.time_step``.
 
     ``u`` is (batch, m), constant along a trajectory, or (batch, steps + 1, m), one value a node;
-    the input is held from a node to the next. Angles are not wrapped. float64.
+    the input is held from a node to the next. Angles are not wrapped. The entries of rotations are
+    integrated, ``Ṙ = R [ω]``, and the rotation next to them is taken at every node. float64.
     """
     u = u.double()
     controls = u if u.dim() == 3 else u.unsqueeze(1).expand(-1, steps + 1, -1)
@@ -94,7 +104,7 @@ def simulate(
 
 def simulate_driven(
     system: LagrangianSystem,
-    q0: Float[Tensor, "batch n"],
+    q0: Float[Tensor, "batch N"],
     v0: Float[Tensor, "batch n"],
     drive: Callable[[float], Float[Tensor, "batch m"]],
     steps: int,
@@ -119,12 +129,21 @@ def _integrate(
 ) -> Trajectories:
     """From node to node; ``control`` takes a node and the time [s] since it."""
 
+    space, widths = system.space, [system.coordinates.width, system.coordinates.n]
+
     @torch.no_grad()
     def slope(k: int, t: float, x: np.ndarray) -> np.ndarray:
-        q, v = torch.from_numpy(x).chunk(2, dim=1)
-        return torch.cat([v, system.acceleration(q, v, control(k, t))], dim=1).numpy()
+        q, v = torch.from_numpy(x).split(widths, dim=1)
+        return torch.cat(
+            [space.push(q, v), system.acceleration(q, v, control(k, t))], dim=1
+        ).numpy()
+
+    def settle(x: np.ndarray) -> np.ndarray:
+        q, v = torch.from_numpy(x).split(widths, dim=1)
+        return torch.cat([space.normalised(q), v], dim=1).numpy()
 
     start = torch.cat([q0, v0], dim=1).double().numpy()
-    states = solver.integrate(slope, start, controls.shape[1], system.time_step)
-    q, v = torch.from_numpy(states).transpose(0, 1).chunk(2, dim=2)
+    put_back = settle if space.rotations else None
+    states = solver.integrate(slope, start, controls.shape[1], system.time_step, put_back)
+    q, v = torch.from_numpy(states).transpose(0, 1).split(widths, dim=2)
     return Trajectories(q.contiguous(), v.contiguous(), controls.contiguous())

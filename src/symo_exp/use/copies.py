@@ -45,13 +45,13 @@ class Copies:
         self._motion, self._reward = motion, reward or potential_reward(system)
         low, high = np.array(self.box.u, dtype=np.float64).reshape(-1, 2).T
         self.actions = gymnasium.spaces.Box(low, high, dtype=np.float64)
-        shape = (2 * system.coordinates.n,)
+        shape = (system.coordinates.width + system.coordinates.n,)
         self.observations = gymnasium.spaces.Box(-np.inf, np.inf, shape=shape, dtype=np.float64)
 
     def draw(
         self, random: np.random.Generator, count: int, options: Mapping[str, Any] | None = None
     ) -> np.ndarray:
-        """Return states (count, 2n) to start from."""
+        """Return states (count, N + n) to start from; rotations are drawn as rotation vectors."""
         given, parts = options or {}, []
         if unknown := set(given) - {"q", "v"}:
             raise ConfigError(f"reset options {sorted(unknown)}: expected q and v")
@@ -64,6 +64,9 @@ class Copies:
                     f"reset option {name}={given[name]}: expected {len(low)} finite number(s)"
                 )
             parts.append(np.broadcast_to(part, drawn.shape))
+        if self.system.coordinates.rotations:
+            vector = torch.from_numpy(parts[0].copy())
+            parts[0] = self.system.coordinates.space.of_vector(vector).numpy()
         return np.concatenate(parts, axis=1)
 
     def move(self, states: np.ndarray, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -73,7 +76,8 @@ class Copies:
         """
         clipped = np.clip(actions, self.actions.low, self.actions.high)
         u = torch.from_numpy(clipped.astype(np.float64).reshape(len(states), -1))
-        q, v = torch.from_numpy(states).split(self.system.coordinates.n, dim=1)
+        widths = [self.system.coordinates.width, self.system.coordinates.n]
+        q, v = torch.from_numpy(states).split(widths, dim=1)
         with torch.no_grad():
             q_next, v_next, found = (x.cpu() for x in self._motion(q, v, u))
             found = (found & q_next.isfinite().all(1) & v_next.isfinite().all(1))[:, None]

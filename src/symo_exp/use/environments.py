@@ -118,7 +118,8 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def state(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the current ``q`` and ``v``, (1, n) each."""
-        q, v = torch.from_numpy(self._now()).split(self.system.coordinates.n, dim=1)
+        widths = [self.system.coordinates.width, self.system.coordinates.n]
+        q, v = torch.from_numpy(self._now()).split(widths, dim=1)
         return q, v
 
     def _now(self) -> np.ndarray:

@@ -1,0 +1,168 @@
+"""The learned Lagrangian of one rigid body, on a pivot or moving freely."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from typing_extensions import override
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.lagrangian import Curvature, Gradients, Rates, jacobian, matvec
+from symo_exp.mechanics.rigid_body import RigidBody, RigidBodyLagrangian, in_world
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.affine import linear, repeated, transposed
+from symo_exp.nets.mlp import MLP
+from symo_exp.nets.roles import mark
+
+TRIANGLE = 10
+"""Entries of a lower triangular 4 x 4 matrix."""
+
+
+class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
+    """A rigid body with 10 inertial parameters, gravity and inputs, learned.
+
+    ``Λ Λᵀ``, 4 x 4, is its pseudo-inertia about the origin, second moments, mass times centre and
+    mass (Wensing, Kim and Slotine 2018), so that every ``Λ`` is a possible body. ``Λ``, the gravity
+    ``γ`` and, where they are learned, the input matrix in body axes are parameters. On a pivot the
+    products of ``γ`` and the first moment are determined, and with learned inputs or without any
+    all of them up to a common factor.
+
+    Networks of the position and the nine entries of the rotation can replace the potential of
+    gravity and the constant input matrix.
+
+    Args:
+        coordinates: A rotation, or a position of three lengths and a rotation.
+        initial_inertia: Inertia at the start of training [kg, kg m²].
+        learned_inputs: Number of inputs whose matrix is learned; 0: the system's is taken.
+        potential_width: Hidden units of a network for the potential; 0: gravity.
+        input_width: Hidden units of a network for the input matrix; 0: it is constant.
+    """
+
+    place: Tensor
+
+    def __init__(
+        self,
+        *,
+        coordinates: Coordinates,
+        initial_inertia: float = 1.0,
+        learned_inputs: int = 0,
+        potential_width: int = 0,
+        input_width: int = 0,
+    ) -> None:
+        super().__init__()
+        flat = len(coordinates.flat)
+        if len(coordinates.rotations) != 1 or flat not in (0, 3) or any(coordinates.angular):
+            raise ConfigError(
+                "lagrangian=rigid_body is one body, a rotation or a position of three lengths and "
+                f"a rotation; the system has {', '.join(coordinates.names)}: choose another "
+                "lagrangian"
+            )
+        if not initial_inertia > 0.0:
+            raise ConfigError(
+                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number"
+            )
+        if input_width and not learned_inputs:
+            raise ConfigError(
+                f"lagrangian.input_width={input_width}: a network for the input matrix needs the "
+                "number of inputs; set lagrangian.learned_inputs"
+            )
+        self.coordinates, self.learned_inputs = coordinates, learned_inputs
+        row, column = torch.tril_indices(4, 4)
+        place = torch.full((4, 4), TRIANGLE)
+        place[row, column] = torch.arange(TRIANGLE)
+        self.register_buffer("place", place, persistent=False)
+        root = math.sqrt(0.5 * initial_inertia)  # J = 2 Λ Λᵀ of equal second moments
+        moments = 0.1 * root * torch.randn(TRIANGLE)
+        moments[row == column] += root
+        self.moments = nn.Parameter(moments)
+        coefficients = [self.moments]
+        self.gravity = self.inputs = self.potential_net = self.input_net = None
+        if potential_width:
+            self.potential_net = MLP(
+                inputs=coordinates.width, outputs=1, width=potential_width, depth=1
+            )
+        else:
+            self.gravity = nn.Parameter(torch.tensor([0.0, 0.0, -9.81]))
+            coefficients.append(self.gravity)
+        size = coordinates.n * learned_inputs
+        if input_width:
+            self.input_net = MLP(inputs=9, outputs=size, width=input_width, depth=1)
+        elif learned_inputs:
+            self.inputs = nn.Parameter(0.1 * torch.randn(size))
+            coefficients.append(self.inputs)
+        mark(coefficients, "coefficient")
+
+    @override
+    def body(self, like: Float[Tensor, "batch N"]) -> RigidBody:
+        batch = len(like)
+        moments = repeated(self.moments, batch)
+        padded = torch.cat((moments, torch.zeros_like(moments[:, :1])), dim=1)
+        factor = padded[:, self.place]
+        gravity = moments.new_zeros(batch, 3)
+        if self.gravity is not None:
+            gravity = repeated(self.gravity, batch)
+        return RigidBody.of_pseudo_inertia(factor @ factor.mT, gravity)
+
+    @override
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        if not self.learned_inputs:
+            return super().input_force(input_matrix, q, u)
+        if u.shape[1] != self.learned_inputs:
+            raise ConfigError(
+                f"lagrangian.learned_inputs={self.learned_inputs}: the system has {u.shape[1]} "
+                "input(s)"
+            )
+        if self.input_net is not None:
+            entries = self.input_net(q[:, -9:])
+        else:
+            assert self.inputs is not None
+            entries = repeated(self.inputs, len(q))
+        return in_world(q, matvec(entries.unflatten(1, (-1, u.shape[1])), u))
+
+    @override
+    def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
+        if self.potential_net is None:
+            return super().potential(q)
+        found: Tensor = self.potential_net(q)[:, 0]
+        return found
+
+    @override
+    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
+        found = super().gradients(q, v)
+        if self.potential_net is None:
+            return found
+        return found._replace(q=found.q - self.space.pull(q, _slope(self.potential_net, q)))
+
+    @override
+    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
+        found = super().rates(q, v)
+        if self.potential_net is None:
+            return found
+        return found._replace(q=found.q - self.space.pull(q, _slope(self.potential_net, q)))
+
+    @override
+    def curvature(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Curvature:
+        found = super().curvature(q, v)
+        if self.potential_net is None:
+            return found
+        with torch.enable_grad():
+            at = q.detach().requires_grad_()
+            slope = self.space.pull(at, _slope(self.potential_net, at))
+            bend = self.space.pull(q.unsqueeze(1), jacobian(slope, at).detach())
+        return found._replace(qq=found.qq - bend)
+
+
+def _slope(net: MLP, x: Float[Tensor, "batch inputs"]) -> Float[Tensor, "batch inputs"]:
+    """Return the gradient of a network with one output, differentiable once more."""
+    *hidden, (last, _) = net.layers()
+    values = []
+    for weight, bias in hidden:
+        x = torch.tanh(linear(x, weight, bias))
+        values.append(x)
+    slope = transposed(torch.ones_like(x[:, :1]), last)
+    for (weight, _), h in zip(reversed(hidden), reversed(values), strict=True):
+        slope = transposed(slope * (1.0 - h * h), weight)
+    return slope
