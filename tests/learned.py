@@ -53,7 +53,7 @@ def assert_each_sample_alone(lagrangian: Lagrangian, q: Tensor, v: Tensor) -> No
 
     found = parameter_jacobian(force, parameters, inputs)
     for sample in range(len(q)):
-        for i in range(q.shape[1]):
+        for i in range(v.shape[1]):
             alone = force(slice(sample, sample + 1))[0, i]
             (*by_input,) = torch.autograd.grad(
                 alone, (*inputs, *parameters), materialize_grads=True

@@ -29,6 +29,7 @@ def made(system, nodes=31, wrong=0.05, count=4) -> Rollouts:
     q_true, v_true = size * torch.sin(w * t), size * w * torch.cos(w * t)
     off = wrong * size.flip(0) * t
     q, v = q_true + off, v_true + off
+    q, q_true = (system.coordinates.space.of_vector(x) for x in (q, q_true))
     energies = [
         system.energy(a.flatten(0, 1), b.flatten(0, 1)).view(count, nodes)
         for a, b in ((q, v), (q_true, v_true))

@@ -17,4 +17,4 @@ SYSTEMS: dict[str, LagrangianSystem] = configured() | {
 
 def points(system: LagrangianSystem, count: int = 64) -> tuple[Tensor, Tensor, Tensor]:
     """States and inputs, uniform in the box."""
-    return system.box.points(count, seed=1)
+    return system.points(count, seed=1)

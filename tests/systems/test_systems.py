@@ -12,7 +12,7 @@ from torch import Tensor
 
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.rollouts import along
-from symo_exp.mechanics.euler_lagrange import acceleration, generalised_force
+from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems import complex_step
@@ -158,12 +158,12 @@ def test_inertia_is_symmetric_and_positive_definite(name: str) -> None:
 
 @every_system
 def test_power_is_what_the_motors_give(name: str) -> None:
-    """dE/dt = E_q v + E_v v̇ = vᵀ B u."""
+    """dE/dt = E_q q̇ + E_v v̇ = vᵀ F, F = B u."""
     system = SYSTEMS[name]
     q, v, u = points(system)
     a = system.acceleration(q, v, u)
-    _, rate = torch.func.jvp(system.energy, (q, v), (v, a))
-    power = torch.einsum("bi,ij,bj->b", v, system.input_matrix, u)
+    _, rate = torch.func.jvp(system.energy, (q, v), (system.space.push(q, v), a))
+    power = (v * system.input_force(system.input_matrix, q, u)).sum(1)
     torch.testing.assert_close(rate, power, rtol=1e-10, atol=1e-9)
     assert power.abs().max() > 0.05
 
@@ -174,7 +174,7 @@ def test_the_complex_step_agrees_with_automatic_differentiation(
     name: str, dtype: torch.dtype
 ) -> None:
     system = SYSTEMS[name]
-    assert complex_step.applies(system, *system.box.points(8, 0)[:2])
+    assert complex_step.applies(system, *system.points(8, 0)[:2])
     q, v, _ = (x.to(dtype) for x in points(system))
     tolerance = 2e-4 if dtype == torch.float32 else 1e-11
     for found, expected in zip(system.rates(q, v), Lagrangian.rates(system, q, v), strict=True):
@@ -219,9 +219,12 @@ def test_the_skeleton_moves_with_the_joints(name: str) -> None:
     assert one.points.shape == two.points.shape
     for start, end in one.links:
         lengths = [(s.points[end] - s.points[start]).norm() for s in (one, two)]
-        torch.testing.assert_close(lengths[0], lengths[1])
+        if not system.space.rotations:  # whose bars are seen from one side
+            torch.testing.assert_close(lengths[0], lengths[1])
     reaches = (one.points - one.points[0]).norm(dim=1)
     assert reaches.max() <= one.reach + 1e-12
+    if system.space.rotations:
+        return
     # The highest configuration of a grid has its last point highest above the first.
     grid = torch.cartesian_prod(*[torch.linspace(-math.pi, math.pi, 13)] * q.shape[1])
     grid = grid.double().reshape(-1, q.shape[1])
@@ -257,8 +260,8 @@ def test_friction_joins_the_forces_and_takes_energy(name: str) -> None:
     d, c = [0.1 * (i + 1) for i in range(n)], [0.2] * n
     damped = dataclasses.replace(system, viscous=d, coulomb=c)
     q, v, u = points(system)
-    force = -torch.tensor(d) * v - 0.2 * torch.tanh(v / 0.05)
-    expected = acceleration(system, q, v, generalised_force(system.input_matrix, u) + force)
+    force = -torch.tensor(d, dtype=torch.float64) * v - 0.2 * torch.tanh(v / 0.05)
+    expected = acceleration(system, q, v, system.input_force(system.input_matrix, q, u) + force)
     torch.testing.assert_close(damped.acceleration(q, v, u), expected)
     path = simulate(damped, q[:2], v[:2], torch.zeros_like(u[:2]), 8, Solver())
     energy = along(damped.energy, path.q, path.v)

@@ -27,17 +27,18 @@ def test_a_trajectory_is_that_of_solve_ivp_node_by_node(name, tolerances) -> Non
     system, (rtol, atol) = SYSTEMS[name], tolerances
     q, v, u = points(system, 4)
     path = simulate(system, q, v, u, NODES, SolveIvp(rtol=rtol, atol=atol))
-    n = system.coordinates.n
+    n, space = system.coordinates.width, system.space
     for row in range(4):
 
         def slope(_: float, x: np.ndarray, row: int = row) -> np.ndarray:
             at = torch.from_numpy(x).view(1, -1)
             rate = system.acceleration(at[:, :n], at[:, n:], u[row : row + 1])
-            return np.concatenate([x[n:], rate[0].numpy()])
+            return np.concatenate([space.push(at[:, :n], at[:, n:])[0].numpy(), rate[0].numpy()])
 
         x = torch.cat([q[row], v[row]]).numpy()
         for k in range(1, NODES + 1):
             x = solve_ivp(slope, (0, system.time_step), x, rtol=rtol, atol=atol).y[:, -1]
+            x[:n] = space.normalised(torch.from_numpy(x[None, :n]))[0].numpy()
             found = torch.cat([path.q[row, k], path.v[row, k]]).numpy()
             np.testing.assert_allclose(found, x, rtol=1e-9, atol=1e-9)
 

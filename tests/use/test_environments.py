@@ -40,7 +40,7 @@ def test_environments_pass_the_checker_of_gymnasium(
 def test_stepping_is_simulating(name: str) -> None:
     system = SYSTEMS[name]
     env = Environment(system, solver=Solver("RK45", rtol=1e-10, atol=1e-11))
-    n = system.coordinates.n
+    n = system.coordinates.width
     observation, _ = env.reset(seed=3)
     env.action_space.seed(3)
     controls = np.stack([env.action_space.sample() for _ in range(11)])

@@ -132,7 +132,9 @@ class RootLoss:
         before = self._flow.expand_before(windows)
         impulse = self._objective.impulse(self._flow, windows, before)
         problem, root = self._problem(windows, impulse), self._flow.root
-        guess = iterate_branch_free(problem, root, self._objective.initial_guess(self._flow, windows))
+        guess = iterate_branch_free(
+            problem, root, self._objective.initial_guess(self._flow, windows)
+        )
         at = iterate_branch_free(problem, root, guess.next, guess)
         return before, impulse, at, at.found.all()
 

@@ -39,6 +39,8 @@ def add_noise(
         z = torch.from_numpy(of_state.standard_normal((nodes, 2, n)))
         z_u = torch.from_numpy(of_input.standard_normal(tuple(u.shape)))
         noisy.append(
-            Trajectory(moved(q, std * z[:, 0].to(q)), v + std * z[:, 1].to(v), u + input_std * z_u.to(u))
+            Trajectory(
+                moved(q, std * z[:, 0].to(q)), v + std * z[:, 1].to(v), u + input_std * z_u.to(u)
+            )
         )
     return noisy

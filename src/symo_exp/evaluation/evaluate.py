@@ -156,8 +156,6 @@ def _one_step(model: DynamicsModel, samples: Windows) -> tuple[float, float, flo
     ]
     failed = 1.0 - torch.cat([part.converged for part in parts]).double().mean().item()
     q_next = torch.cat([part.q for part in parts])
-    q = measures.one_step_mse(
-        *measures.comparable(model.flow.space, q_next, samples.q_next)
-    ).item()
+    q = measures.one_step_mse(*measures.comparable(model.flow.space, q_next, samples.q_next)).item()
     v = measures.one_step_mse(torch.cat([part.v for part in parts]), samples.v_next).item()
     return q, 0.5 * (q + v), failed

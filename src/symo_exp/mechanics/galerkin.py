@@ -418,9 +418,7 @@ class GalerkinExpansion(DiscreteExpansion):
     @override
     def rows(self, index: Tensor) -> GalerkinExpansion:
         at = self.at.rows(self._points(index))
-        rows = GalerkinExpansion(
-            self.basis, at, self.inner[:, index], self._pull[:, index], self.h
-        )
+        rows = GalerkinExpansion(self.basis, at, self.inner[:, index], self._pull[:, index], self.h)
         if self._condensed is not None:
             d2d1, transfer = self._condensed
             rows._condensed = d2d1[index], transfer[index]

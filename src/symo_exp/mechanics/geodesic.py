@@ -211,16 +211,12 @@ class Chart(NamedTuple):
         series, n = Series.of(phi), x.shape[1]
         jacobian = polynomial(phi, series.s, -series.a, series.b)
         turn = polynomial(phi, series.s, series.sinc, series.a)
-        return Chart(
-            space, phi, series, space.blocks(jacobian, n, 1.0), space.blocks(turn, n, 1.0)
-        )
+        return Chart(space, phi, series, space.blocks(jacobian, n, 1.0), space.blocks(turn, n, 1.0))
 
     def rate_slope(self, x: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
         """Return ``∂(J x)/∂φ``."""
         c = self.series
-        found = polynomial_slope(
-            self.phi, self.space.vectors(x), c.s, (-c.a, -c.a1), (c.b, c.b1)
-        )
+        found = polynomial_slope(self.phi, self.space.vectors(x), c.s, (-c.a, -c.a1), (c.b, c.b1))
         return self.space.blocks(found, x.shape[1], 0.0)
 
     def momentum_slope(self, p: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:

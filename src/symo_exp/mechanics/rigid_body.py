@@ -57,7 +57,7 @@ class RigidBodyLagrangian(Lagrangian):
     """The Lagrangian of a rigid body, with its derivatives in closed form."""
 
     @abstractmethod
-    def body(self, like: Float[Tensor, "batch N"]) -> RigidBody:
+    def rigid_body(self, like: Float[Tensor, "batch N"]) -> RigidBody:
         """Return the body for a batch of configurations, in their precision."""
 
     @property
@@ -71,7 +71,7 @@ class RigidBodyLagrangian(Lagrangian):
 
     @override
     def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
-        body, (turn, free) = self.body(q), _place(q)
+        body, (turn, free) = self.rigid_body(q), _place(q)
         inertia = body.inertia.expand(len(q), 3, 3)
         if not free:
             return inertia
@@ -82,27 +82,27 @@ class RigidBodyLagrangian(Lagrangian):
 
     @override
     def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
-        body, (turn, free) = self.body(q), _place(q)
-        centre = matvec(turn, body.moment.expand(len(q), 3))
+        body, (turn, free) = self.rigid_body(q), _place(q)
+        centre = (turn @ body.moment.unsqueeze(-1)).squeeze(-1)  # of complex numbers, too
         return -(body.gravity * (body.mass * q[:, :3] + centre if free else centre)).sum(-1)
 
     @override
     def momentum(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Tensor:
-        return _Motion.of(self.body(q), q, v).momentum()
+        return _Motion.of(self.rigid_body(q), q, v).momentum()
 
     @override
     def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
-        at = _Motion.of(self.body(q), q, v)
+        at = _Motion.of(self.rigid_body(q), q, v)
         return Gradients(at.slope(), at.momentum())
 
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
-        at = _Motion.of(self.body(q), q, v)
+        at = _Motion.of(self.rigid_body(q), q, v)
         return Rates(self.mass_matrix(q), at.turned_momentum(), at.slope())
 
     def curvature(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Curvature:
         """Return the second derivatives."""
-        return _Motion.of(self.body(q), q, v).curvature()
+        return _Motion.of(self.rigid_body(q), q, v).curvature()
 
     @override
     def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:

@@ -14,7 +14,7 @@ from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
-from symo_exp.nets.embedding import Embedding
+from symo_exp.nets.embedding import Embedding, require_flat
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark
 
@@ -74,6 +74,7 @@ class LearnedDissipation(nn.Module, Dissipation):
             self.rest = nn.Parameter(torch.zeros(n))
             self._rest_velocity, self._least_rest = rest_velocity, 0.2
         if width > 0:
+            require_flat(coordinates, f"dissipation.width={width}", "dissipation.width=0")
             self.embedding = Embedding(angular=coordinates.angular)
             inputs = self.embedding.size + n
             self.net = MLP(inputs=inputs, outputs=entries, width=width, depth=1)
@@ -85,14 +86,14 @@ class LearnedDissipation(nn.Module, Dissipation):
 
     @torch.no_grad()
     def damping(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
         """Return ``∂F_d/∂v`` of the coefficients: the network is not stiff."""
         return self.joints.T @ self._joint_slope(v @ self.joints.T) @ self.joints
 
     @torch.no_grad()
     def derivatives(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
         """Return ``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
         by_v = self.damping(q, v)
@@ -157,7 +158,7 @@ class LearnedDissipation(nn.Module, Dissipation):
 
     @override
     def force(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         found = vecmat(self._joint_force(matvec(self.joints, v)), self.joints)
         if self.net is not None:
@@ -240,7 +241,7 @@ class MachineFriction(LearnedDissipation):
 
     @override
     def force(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         found = super().force(q, v)
         return found if self.constant is None else found + repeated(self.constant, len(v))

@@ -12,7 +12,7 @@ from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import linear, repeated
-from symo_exp.nets.embedding import Features
+from symo_exp.nets.embedding import Features, require_flat
 from symo_exp.nets.harmonics import Harmonics
 from symo_exp.nets.roles import mark
 
@@ -36,6 +36,7 @@ class LearnedDrag(nn.Module, Dissipation):
         self, *, coordinates: Coordinates, speeds: int | None = None, relative: bool = True
     ) -> None:
         super().__init__()
+        require_flat(coordinates, "dissipation=drag", "dissipation=viscous")
         n = coordinates.n
         count = 2 * n if speeds is None else speeds
         if count < 1:
@@ -49,7 +50,7 @@ class LearnedDrag(nn.Module, Dissipation):
 
     @override
     def force(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         along = self._along(self.harmonics(q))
         speed = matvec(along, v)
@@ -58,7 +59,7 @@ class LearnedDrag(nn.Module, Dissipation):
 
     @torch.no_grad()
     def damping(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
         """Return ``∂F_d/∂v``."""
         along = self._along(self.harmonics(q))
@@ -67,7 +68,7 @@ class LearnedDrag(nn.Module, Dissipation):
 
     @torch.no_grad()
     def derivatives(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n n"]]:
         """Return ``∂F_d/∂q`` and ``∂F_d/∂v`` in closed form."""
         features = self.harmonics(q)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 
 
@@ -121,6 +122,19 @@ class EntriesEmbedding(nn.Module):
         flat = self.flat(x)
         return Features(
             torch.cat((flat.x, entries), dim=1), torch.cat((flat.dx, torch.ones_like(entries)), 1)
+        )
+
+
+def require_flat(coordinates: Coordinates, choice: str, instead: str) -> None:
+    """Refuse a choice that reads lengths and angles only for a system with rotations.
+
+    Raises:
+        ConfigError: If there are rotations.
+    """
+    if coordinates.rotations:
+        raise ConfigError(
+            f"{choice} reads lengths and angles only, and the system has the rotation "
+            f"{', '.join(coordinates.rotations)}; choose {instead}"
         )
 
 

@@ -14,6 +14,7 @@ from typing_extensions import override
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Gradients, Lagrangian, Rates, matvec
+from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import by_sample, repeated
 from symo_exp.nets.roles import mark
@@ -101,16 +102,27 @@ class KnownLagrangian(nn.Module, Lagrangian):
         mark(self.parameters(), "coefficient")
         self._check_derivatives()
 
+    @property
+    @override
+    def space(self) -> Space:
+        found: Space = self.system.space
+        return found
+
+    @override
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        found: Tensor = self.system.input_force(input_matrix, q, u)
+        return found
+
     def constants(self) -> dict[str, Tensor]:
         """Return the present values by name, differentiable in the parameters."""
         return self._values(self.logarithms, self.factors)
 
     @override
-    def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
         return self.terms(q)[0]
 
     @override
-    def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
+    def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
         return self.terms(q)[1]
 
     @override
@@ -122,7 +134,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
         return torch.func.vmap(self._of_one)(*parameters, q)
 
     @override
-    def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
+    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         tracked = torch.is_grad_enabled()
         with torch.enable_grad():
             q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
@@ -130,10 +142,11 @@ class KnownLagrangian(nn.Module, Lagrangian):
             p = matvec(mass, v)
             total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
             (dq,) = torch.autograd.grad(total, q_, create_graph=tracked)
-        return Gradients(dq, p) if tracked else Gradients(dq, p.detach())
+            dq = self.space.pull(q_, dq)
+        return Gradients(dq, p) if tracked else Gradients(dq.detach(), p.detach())
 
     @override
-    def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
+    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         tracked = torch.is_grad_enabled()
         with torch.enable_grad():
             q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
@@ -141,7 +154,8 @@ class KnownLagrangian(nn.Module, Lagrangian):
             p = matvec(mass, v)
             total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
             (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
-            turned = _derivative_along(p, q_, v, tracked)
+            turned = _derivative_along(p, q_, self.space.push(q_, v), tracked)
+            dq = self.space.pull(q_, dq)
         found = Rates(mass, turned, dq)
         return found if tracked else Rates(*(x.detach() for x in found))
 
@@ -243,7 +257,7 @@ class KnownFriction(nn.Module, Dissipation):
 
     @override
     def force(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         viscous, coulomb = self.coefficients(len(v))
         found = -viscous * v - coulomb * torch.tanh(v / self.rest_velocity)

@@ -6,6 +6,7 @@ Another one is :class:`symo_exp.nets.rigid_chain.RigidChain`.
 from __future__ import annotations
 
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.embedding import require_flat
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 
@@ -30,6 +31,7 @@ class NetworkLagrangian(StructuredLagrangian):
         harmonics: int = 0,
         initial_inertia: float | None = 1.0,
     ) -> None:
+        require_flat(coordinates, "lagrangian=network", "lagrangian=rigid_body")
         super().__init__(
             angular=coordinates.angular,
             width=width,
@@ -67,6 +69,7 @@ class PlanarLagrangian(StructuredLagrangian):
         harmonics: int = 0,
         initial_inertia: float | None = 1.0,
     ) -> None:
+        require_flat(coordinates, "this lagrangian", "lagrangian=rigid_body")
         super().__init__(
             angular=coordinates.angular,
             width=1,

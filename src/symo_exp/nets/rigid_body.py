@@ -96,7 +96,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         mark(coefficients, "coefficient")
 
     @override
-    def body(self, like: Float[Tensor, "batch N"]) -> RigidBody:
+    def rigid_body(self, like: Float[Tensor, "batch N"]) -> RigidBody:
         batch = len(like)
         moments = repeated(self.moments, batch)
         padded = torch.cat((moments, torch.zeros_like(moments[:, :1])), dim=1)

@@ -22,6 +22,7 @@ from symo_exp.mechanics.lagrangian import (
 )
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
+from symo_exp.nets.embedding import require_flat
 
 PLACE = 0.1
 """Distances of joints at the start of training [m]."""
@@ -112,6 +113,7 @@ class RigidChain(nn.Module, Lagrangian):
             raise ConfigError(
                 f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
+        require_flat(coordinates, "lagrangian=rigid", "lagrangian=rigid_body")
         n = coordinates.n
         self.register_buffer("turns", torch.tensor(coordinates.angular), persistent=False)
         row, column = torch.tril_indices(4, 4)

@@ -36,7 +36,7 @@ class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
 
     @property
     @abstractmethod
-    def pseudo_inertia(self) -> Float[Tensor, "4 4"]:
+    def body(self) -> Float[Tensor, "4 4"]:
         """The pseudo-inertia of the body about its origin, float64."""
 
     @property
@@ -55,8 +55,8 @@ class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
         return self.coordinates.space
 
     @override
-    def body(self, like: Float[Tensor, "batch N"]) -> Body:
-        body, gravity = self.pseudo_inertia.to(like), self.acceleration_of_gravity.to(like)
+    def rigid_body(self, like: Float[Tensor, "batch N"]) -> Body:
+        body, gravity = self.body.to(like), self.acceleration_of_gravity.to(like)
         return Body.of_pseudo_inertia(body.unsqueeze(0), gravity.unsqueeze(0))
 
     @override
@@ -66,7 +66,7 @@ class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
     @property
     @override
     def constants(self) -> Mapping[str, Constant]:
-        return {"body": Constant(self.pseudo_inertia, "kg")}
+        return {"body": Constant(self.body, "kg")}
 
     @override
     def skeleton(self, q: Float[Tensor, " N"]) -> Skeleton:
@@ -101,7 +101,7 @@ class RigidBody(RigidBodySystem):
 
     @cached_property
     @override
-    def pseudo_inertia(self) -> Tensor:
+    def body(self) -> Tensor:
         return body_of(self.mass, self.centre, self.inertia)
 
     @property
@@ -138,7 +138,7 @@ class SphericalPendulum(RigidBodySystem):
 
     @cached_property
     @override
-    def pseudo_inertia(self) -> Tensor:
+    def body(self) -> Tensor:
         across = self.mass * (self.length**2 / 12 + self.radius**2 / 4)
         along = self.mass * self.radius**2 / 2
         return body_of(self.mass, (0.0, 0.0, -self.length / 2), (across, across, along))
@@ -195,7 +195,7 @@ class Quadrotor(RigidBodySystem):
 
     @cached_property
     @override
-    def pseudo_inertia(self) -> Tensor:
+    def body(self) -> Tensor:
         return body_of(self.mass, (0.0, 0.0, 0.0), self.inertia)
 
     @property

@@ -21,6 +21,9 @@ METHODS = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
 Slope = Callable[[int, float, np.ndarray], np.ndarray]
 """``ẋ`` of states (batch, N + n), from a node and the time [s] since it."""
 
+Settle = Callable[[np.ndarray], np.ndarray]
+"""Puts the states at a node back on the space that they belong to."""
+
 
 @dataclass(frozen=True)
 class Solver:
@@ -46,12 +49,9 @@ class Solver:
         start: Float[np.ndarray, "batch states"],
         nodes: int,
         h: float,
-        settle: Callable[[np.ndarray], np.ndarray] | None = None,
+        settle: Settle | None = None,
     ) -> Float[np.ndarray, "nodes batch states"]:
-        """Return the states at every node; raise ``ConfigError`` if the integrator fails.
-
-        ``settle`` puts states back on the manifold that they belong to.
-        """
+        """Return the states at every node; raise ``ConfigError`` if the integrator fails."""
         states = np.empty((nodes, *start.shape))
         states[0], step = start, None
         for k in range(nodes - 1):

@@ -12,7 +12,7 @@ from scipy.integrate import RK45
 from typing_extensions import override
 
 from symo_exp.systems.checks import one_of
-from symo_exp.systems.simulation import Slope, Solver
+from symo_exp.systems.simulation import Settle, Slope, Solver
 
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0
 """Constants of SciPy's control of the step size."""
@@ -45,7 +45,7 @@ class SolveIvp(Solver):
 
     @override
     def integrate(
-        self, slope: Slope, start: States, nodes: int, h: float
+        self, slope: Slope, start: States, nodes: int, h: float, settle: Settle | None = None
     ) -> Float[np.ndarray, "nodes batch states"]:
         states = np.empty((nodes, *start.shape))
         states[0] = start
@@ -53,7 +53,7 @@ class SolveIvp(Solver):
             found = self._to_next(partial(slope, k, 0.0), states[k], h)
             if not np.isfinite(found).all():
                 raise self.failed(k, "not finite")
-            states[k + 1] = found
+            states[k + 1] = found if settle is None else settle(found)
         return states
 
     def _to_next(self, rate: Rate, x: States, h: float) -> States:

@@ -1,0 +1,450 @@
+"""Rotations: charts, geodesic integrators, Munthe-Kaas steps, against differences and laws."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
+from symo_exp.mechanics.euler_lagrange import acceleration
+from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.geodesic import Controlled, Geodesic, on_space
+from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
+from symo_exp.mechanics.rigid_body import RigidBody, RigidBodyLagrangian
+from symo_exp.mechanics.roots import Broyden, Newton
+from symo_exp.mechanics.space import (
+    FLAT,
+    Space,
+    angle,
+    cross,
+    exponential,
+    of_quaternion,
+    quaternion,
+    rotation_vector,
+)
+from symo_exp.mechanics.variational import (
+    DiscreteLagrangian,
+    Forces,
+    VariationalIntegrator,
+    VariationalMidpoint,
+)
+from tests.mechanics.test_galerkin import differences
+
+H = 0.1
+ROOT = Newton(tolerance=1e-13, max_iterations=30)
+STAGES = (1, 2, 3)
+
+
+class Body(RigidBodyLagrangian):
+    """A body of no symmetry in a gravity of any direction."""
+
+    def __init__(self) -> None:
+        generator = torch.Generator().manual_seed(3)
+        factor = torch.randn(4, 4, generator=generator, dtype=torch.float64)
+        self.pseudo = factor @ factor.T + 0.2 * torch.eye(4)
+        self.gravity = torch.tensor([0.4, -0.3, -2.0], dtype=torch.float64)
+
+    def rigid_body(self, like: Tensor) -> RigidBody:
+        return RigidBody.of_pseudo_inertia(self.pseudo[None].to(like), self.gravity[None].to(like))
+
+
+class Wheels(Lagrangian):
+    """A length, an angle and two rotations, coupled through inertia, potential and controls."""
+
+    space = Space(rotations=2)
+
+    def mass_matrix(self, q: Tensor) -> Tensor:
+        base = torch.diag(torch.arange(2.0, 10.0).to(q))
+        first, second = self.space.rotation_matrices(q).unbind(1)
+        mixed = q.new_zeros(len(q), 8, 8)
+        mixed[:, 2:5, 5:8] = 0.3 * first.mT @ second
+        mixed[:, 0, 2:5] = 0.2 * first[:, 0] * q[:, 1:2].cos()
+        return base + mixed + mixed.mT
+
+    def potential(self, q: Tensor) -> Tensor:
+        first, second = self.space.rotation_matrices(q).unbind(1)
+        return first[:, 2, 0] * q[:, 1].sin() + second[:, 1, 2] + q[:, 0] * second[:, 0, 0]
+
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        turned = self.space.rotation_matrices(q)[:, 0] @ input_matrix[5:] @ u.unsqueeze(-1)
+        return torch.cat(((u @ input_matrix.T)[:, :5], turned.squeeze(-1)), dim=1)
+
+
+def damped(lagrangian: Lagrangian, n: int) -> Lagrangian:
+    """With friction, viscous and dry."""
+    viscous = torch.diag(torch.linspace(0.1, 0.5, n).double())
+    return DissipativeLagrangian(lagrangian, Friction(viscous, torch.full((n,), 0.2).double(), 0.5))
+
+
+CASES = {"pivot": (Body(), 3), "free": (Body(), 6), "wheels": (Wheels(), 8)}
+CASES |= {f"damped {name}": (damped(one, n), n) for name, (one, n) in CASES.items()}
+every_case = pytest.mark.parametrize("name", CASES)
+
+
+def drawn(n: int, *, rows: int = 4, seed: int = 0, scale: float = 1.0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return scale * torch.randn(rows, n, generator=generator, dtype=torch.float64)
+
+
+def state(name: str, rows: int = 4) -> tuple[Controlled, Tensor, Tensor, Forces]:
+    """A Lagrangian with two controls, states, and the controls at both ends of a step."""
+    lagrangian, n = CASES[name]
+    q, v = lagrangian.space.of_vector(drawn(n, rows=rows, seed=1)), drawn(n, rows=rows, seed=2)
+    controls = Forces(drawn(2, rows=rows, seed=3), drawn(2, rows=rows, seed=4))
+    return Controlled(lagrangian, drawn(2, rows=n, seed=5)), q, v, controls
+
+
+# Charts
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 1.0, 3.0, math.pi])
+def test_exponential_and_its_inverse(size: float) -> None:
+    phi = drawn(3, rows=50)
+    phi = size * phi / phi.norm(dim=1, keepdim=True)
+    turn = exponential(phi)
+    torch.testing.assert_close(turn, torch.linalg.matrix_exp(cross(phi)), rtol=0, atol=1e-14)
+    torch.testing.assert_close(exponential(rotation_vector(turn)), turn, rtol=0, atol=2e-15)
+    if size < 3.1:
+        torch.testing.assert_close(rotation_vector(turn), phi, rtol=0, atol=1e-14)
+    one = torch.eye(3).double().expand_as(turn)
+    torch.testing.assert_close(angle(one, turn), phi.norm(dim=1), rtol=1e-14, atol=1e-15)
+
+
+def test_derivatives_of_the_inverse_are_finite_and_right_at_the_identity() -> None:
+    for phi in (torch.zeros(1, 3).double(), drawn(3, rows=1), drawn(3, rows=1, scale=1e-5)):
+        assert torch.autograd.gradcheck(
+            lambda x: rotation_vector(exponential(x)), phi.requires_grad_()
+        )
+        assert torch.autograd.gradgradcheck(lambda x: rotation_vector(exponential(x)), phi)
+
+
+def test_a_quaternion_of_either_sign_and_any_length_is_one_rotation() -> None:
+    q = drawn(4, rows=50)
+    turn = of_quaternion(q)
+    for other in (-q, 1.001 * q):
+        torch.testing.assert_close(of_quaternion(other), turn, rtol=0, atol=1e-14)
+    found = quaternion(turn)
+    assert (found[:, 0] >= 0).all()
+    sign = torch.where(q[:, :1] < 0, -1.0, 1.0)
+    torch.testing.assert_close(found, sign * q / q.norm(dim=1, keepdim=True), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(("space", "n"), [(FLAT, 4), (Space(1), 3), (Space(1), 5), (Space(2), 7)])
+def test_maps_of_a_space_belong_together(space: Space, n: int) -> None:
+    q, step = space.of_vector(drawn(n)), drawn(n, seed=1, scale=0.5)
+    after = space.retract(q, step)
+    assert q.shape[1] == space.stored(n)
+    torch.testing.assert_close(space.difference(q, after), step)
+    torch.testing.assert_close(space.point(q, space.chart(q, after)), after)
+    torch.testing.assert_close(space.point(q, space.origin(q)), q)
+    torch.testing.assert_close(space.extrapolated(q, after), space.retract(after, step))
+    torch.testing.assert_close(space.middle(q, after), space.retract(q, 0.5 * step))
+    torch.testing.assert_close(space.normalised(after + 1e-9), after, rtol=0, atol=1e-8)
+    torch.testing.assert_close(space.of_vector(space.to_vector(q)), q)
+    rate = torch.func.jvp(lambda s: space.retract(q, s), (torch.zeros_like(step),), (step,))[1]
+    torch.testing.assert_close(space.push(q, step), rate)
+    gradient = drawn(q.shape[1], seed=2)
+    torch.testing.assert_close(
+        (space.pull(q, gradient) * step).sum(1), (gradient * rate).sum(1)
+    )  # the adjoint
+
+
+# Derivatives
+
+
+@pytest.mark.parametrize("n", [3, 6])
+def test_closed_forms_of_a_rigid_body_are_those_of_automatic_differentiation(n: int) -> None:
+    body = Body()
+    q, v = body.space.of_vector(drawn(n)), drawn(n, seed=1)
+    pairs = (
+        (body.gradients(q, v), Lagrangian.gradients(body, q, v)),
+        (body.rates(q, v), Lagrangian.rates(body, q, v)),
+        (body.expand(q, v).curvature(), AutodiffExpansion(body, q, v).curvature()),
+    )
+    for ours, theirs in pairs:
+        for mine, oracle in zip(ours, theirs, strict=True):
+            torch.testing.assert_close(mine, oracle)
+
+
+@pytest.mark.parametrize("stages", STAGES)
+@pytest.mark.parametrize("name", ["pivot", "free", "wheels"])
+def test_slots_are_the_derivatives_of_the_discrete_action(name: str, stages: int) -> None:
+    controlled, q0, v, _ = state(name, rows=1)
+    lagrangian, space = controlled.lagrangian, CASES[name][0].space
+    integrator = Geodesic(space=space, stages=stages)
+    q1 = space.retract(q0, H * v)
+    slots = integrator.slots(controlled, q0, q1, H)
+
+    def action(a: Tensor, b: Tensor) -> Tensor:
+        at = integrator.expand(controlled, a, b, H)
+        basis, inner = at._at.basis, at._at.inner
+        phi, rate = basis.path(space.origin(a), space.chart(a, b), inner, H)
+        place = space.point(a.repeat(stages, 1), phi)
+        moved = torch.func.jvp(lambda x: space.point(a.repeat(stages, 1), x), (phi,), (rate,))[1]
+        v = 0.5 * space.pull(place, moved)  # of Ṙ = R [ω] it is 2 ω
+        flat = lagrangian.space.rotations * 3
+        v = torch.cat((2.0 * v[:, : v.shape[1] - flat], v[:, v.shape[1] - flat :]), dim=1)
+        value = lagrangian.kinetic(place, v) - lagrangian.potential(place)
+        return basis.total(value.unsqueeze(1), H)[:, 0]
+
+    for which, found in enumerate(slots):
+        for row in range(len(q0)):
+            a, b = q0[row : row + 1], q1[row : row + 1]
+
+            def moved(step: Tensor, a: Tensor = a, b: Tensor = b, which: int = which) -> Tensor:
+                step = step.unsqueeze(0)
+                return action(*((space.retract(a, step), b), (a, space.retract(b, step)))[which])
+
+            expected = differences(moved, torch.zeros_like(v[row]))[0]
+            torch.testing.assert_close(found[row], expected, rtol=1e-8, atol=1e-8)
+
+
+@every_case
+@pytest.mark.parametrize("stages", STAGES)
+def test_jacobians_of_a_step(stages: int, name: str) -> None:
+    controlled, q0, v, controls = state(name, rows=2)
+    integrator = Geodesic(space=CASES[name][0].space, stages=stages)
+    q1 = integrator.space.retract(q0, H * v)
+    x = integrator.unknowns(q0, q1) + drawn(v.shape[1] * stages, rows=2, scale=1e-2)
+    whole = integrator.expand(controlled, q0, q1, H, controls).d2d1()
+    found = integrator.expand_at(controlled, q0, x, H, controls).mismatch_jacobian()
+    for row in range(2):
+        at = slice(row, row + 1)
+        some = Forces(*(u[at] for u in controls))
+
+        def residual(x: Tensor, at: slice = at, some: Forces = some) -> Tensor:
+            there = integrator.expand_at(controlled, q0[at], x[None], H, some)
+            return there.mismatch(torch.zeros_like(v[at]))[0]
+
+        def d1(x: Tensor, at: slice = at, some: Forces = some) -> Tensor:
+            end = integrator.space.point(q0[at], x[None])
+            return integrator.slots(controlled, q0[at], end, H, some).d1[0]
+
+        for mine, function, place in (
+            (found[row], residual, x[row]),
+            (whole[row], d1, integrator.space.chart(q0, q1)[row]),
+        ):
+            torch.testing.assert_close(
+                mine, differences(function, place), rtol=1e-6, atol=1e-7 * float(mine.abs().max())
+            )
+
+
+@pytest.mark.parametrize(("stages", "name"), [(1, "free"), (2, "damped pivot"), (3, "wheels")])
+def test_derivatives_of_residual_root_and_momentum(stages: int, name: str) -> None:
+    """In configurations and controls."""
+    controlled, q, v, controls = state(name)
+    space = CASES[name][0].space
+    nodes = [q, space.retract(q, H * v), space.retract(q, 2.1 * H * v)]
+    weight = drawn(3 * v.shape[1] * len(q), rows=1, seed=9).view(3, *v.shape)
+    discrete = DiscreteLagrangian(Geodesic(space=space, stages=stages), controlled, H)
+
+    def value(steps: Tensor, first: Tensor, second: Tensor) -> Tensor:
+        a, b, c = (space.retract(node, step) for node, step in zip(nodes, steps, strict=True))
+        before, after = Forces(first, second), Forces(second, first)
+        residual = discrete.residual(a, b, c, before, after)
+        p = discrete.momentum(a, b, before)
+        impulse = p + discrete.impulses(after)[0]
+        root, _ = discrete.next_configuration(ROOT, b, impulse, space.extrapolated(a, b), after)
+        moved = space.difference(nodes[2], root)
+        return (weight * torch.stack((residual, p, moved))).sum()
+
+    inputs = [x.clone().requires_grad_() for x in (torch.zeros(3, *v.shape).double(), *controls)]
+    gradients = torch.autograd.grad(value(*inputs), inputs)
+    for i, gradient in enumerate(gradients):
+        direction = torch.randn(gradient.shape, dtype=torch.float64)
+        ends = []
+        for sign in (1e-5, -1e-5):
+            moved = [x + sign * direction if i == j else x for j, x in enumerate(inputs)]
+            with torch.no_grad():
+                ends.append(value(*moved))
+        expected = (ends[0] - ends[1]) / 2e-5
+        torch.testing.assert_close((gradient * direction).sum(), expected, rtol=2e-6, atol=1e-7)
+
+
+def test_rows_and_replace_keep_the_start_of_their_interval() -> None:
+    controlled, q0, v, controls = state("free", rows=5)
+    integrator, index = Geodesic(space=Space(1), stages=3), torch.tensor([3, 1])
+    q1 = integrator.space.retract(q0, H * v)
+    whole = integrator.expand(controlled, q0, q1, H, controls)
+    part = whole.rows(index)
+    for mine, theirs in zip(part.values, whole.values, strict=True):
+        torch.testing.assert_close(mine, theirs[index])
+    torch.testing.assert_close(part.d2d1(), whole.d2d1()[index])
+    few = Forces(*(u[index] for u in controls))
+    other = integrator.expand(controlled, q1[index], q0[index], H, few)
+    mixed = whole.replace(index, other)
+    torch.testing.assert_close(mixed.d2d1()[index], other.d2d1())
+    torch.testing.assert_close(mixed.d2d1()[[0, 2, 4]], whole.d2d1()[[0, 2, 4]])
+    repeated = [x.repeat(3, 1) for x in (q0, q1, *controls)]  # intervals that occur twice
+    slots = integrator.slots(controlled, *repeated[:2], H, Forces(*repeated[2:]))
+    torch.testing.assert_close(slots.d1, whole.values.d1.repeat(3, 1))
+
+
+# Motions
+
+
+def path(
+    integrator: VariationalIntegrator, name: str, steps: int, duration: float = 0.4
+) -> tuple[Tensor, Tensor]:
+    """The configuration and the velocity after a motion under controls linear in time."""
+    controlled, q, v, controls = state(name, rows=2)
+    lagrangian, h = controlled.lagrangian, duration / steps
+    discrete = DiscreteLagrangian(integrator, controlled, h)
+    p = lagrangian.momentum(q, v)
+    with torch.no_grad():
+        for k in range(steps):
+            ends = [controls.start + t / duration * (controls.end - controls.start)
+                    for t in (k * h, (k + 1) * h)]  # fmt: skip
+            guess = lagrangian.space.retract(q, h * lagrangian.velocity(q, p))
+            step = discrete.step(ROOT, q, p, Forces(*ends), guess)
+            assert step.root.converged.all()
+            q, p = step.q, step.p
+    return q, lagrangian.velocity(q, p)
+
+
+def explicit(method: object, name: str, steps: int, duration: float = 0.4) -> tuple[Tensor, Tensor]:
+    """The same by Munthe-Kaas steps."""
+    controlled, q, v, controls = state(name, rows=2)
+    lagrangian, h = controlled.lagrangian, duration / steps
+
+    def field(q: Tensor, v: Tensor, u: Tensor) -> Tensor:
+        return acceleration(lagrangian, q, v, controlled.force(q, u))
+
+    with torch.no_grad():
+        for k in range(steps):
+            ends = [controls.start + t / duration * (controls.end - controls.start)
+                    for t in (k * h, (k + 1) * h)]  # fmt: skip
+            q, v = method.step(field, q, v, *ends, h, lagrangian.space)  # type: ignore[attr-defined]
+    return q, v
+
+
+@functools.cache
+def reference(name: str) -> tuple[Tensor, Tensor]:
+    """The motion to 1e-13."""
+    return explicit(DormandPrince5(), name, 160)
+
+
+ORDERS = {
+    **{stages: (Geodesic(space=Space(1), stages=stages), 2 * stages) for stages in STAGES},
+    **{type(method).__name__: (method, method.order)
+       for method in (Midpoint(), RK4(), DormandPrince5())},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("method", ORDERS)
+@pytest.mark.parametrize("name", ["damped pivot", "free", "wheels"])
+def test_orders_with_controls_and_friction(name: str, method: object) -> None:
+    integrator, order = ORDERS[method]
+    steps = (5, 7) if order > 5 else (12, 20)
+    runs = explicit if not isinstance(integrator, VariationalIntegrator) else path
+    if runs is path:
+        integrator = Geodesic(space=CASES[name][0].space, stages=method)
+    exact = torch.cat(reference(name), dim=1)
+    errors = [float((torch.cat(runs(integrator, name, k), 1) - exact).abs().max()) for k in steps]
+    found = math.log(errors[0] / errors[1]) / math.log(steps[1] / steps[0])
+    assert errors[1] > 1e-12
+    assert found == pytest.approx(order, abs=0.25)
+
+
+@pytest.mark.parametrize("stages", STAGES)
+def test_a_motion_has_no_residual_and_the_world_may_be_turned(stages: int) -> None:
+    """Along its own trajectory, and about gravity, with the same momenta in body axes."""
+    body = Body()
+    space, integrator = body.space, Geodesic(space=body.space, stages=stages)
+    discrete = DiscreteLagrangian(integrator, Controlled(body, torch.eye(6).double()), H)
+    q, v = space.of_vector(drawn(6, rows=1)), drawn(6, rows=1, seed=1)
+    about = body.gravity / body.gravity.norm()
+    world = exponential(0.7 * about)
+
+    def turned(q: Tensor) -> Tensor:
+        flat, turn = q[:, :3], q[:, 3:].view(-1, 3, 3)
+        return torch.cat((flat @ world.T, (world @ turn).flatten(1)), dim=1)
+
+    nodes, p = [q], body.momentum(q, v)
+    none = Forces(torch.zeros_like(v), torch.zeros_like(v))
+    with torch.no_grad():
+        for _ in range(20):
+            step = discrete.step(ROOT, nodes[-1], p, none, nodes[-1])
+            nodes.append(step.q)
+            p = step.p
+        q = torch.cat(nodes)
+        for path in (q, turned(q)):
+            still = Forces(*(x.expand(19, -1) for x in none))
+            residual = discrete.residual(path[:-2], path[1:-1], path[2:], still, still)
+            assert residual.abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("stages", STAGES)
+@pytest.mark.slow
+def test_a_free_body_keeps_momentum_and_energy(stages: int) -> None:
+    """Over 1e5 steps; the next test is short."""
+    momentum, energy = drifts(stages, 100_000)
+    assert momentum < 1e-11
+    assert energy[1] < 2.0 * energy[0] + 1e-11
+
+
+@pytest.mark.parametrize("stages", STAGES)
+def test_a_free_body_keeps_momentum_and_its_energy_does_not_drift(stages: int) -> None:
+    momentum, energy = drifts(stages, 200)
+    assert momentum < 1e-12
+    assert energy[1] < 2.0 * energy[0] + 1e-12
+
+
+def drifts(stages: int, steps: int) -> tuple[float, tuple[float, float]]:
+    """Relative change of the angular momentum, and ranges of the energy in both halves."""
+    body = Body()
+    body.gravity = torch.zeros(3).double()
+    space, integrator = body.space, Geodesic(space=body.space, stages=stages)
+    discrete = DiscreteLagrangian(integrator, Controlled(body, torch.eye(3).double()), 0.05)
+    q, v = space.of_vector(drawn(3, rows=1)), drawn(3, rows=1, seed=1)
+    p, states = body.momentum(q, v), []
+    none = Forces(torch.zeros(1, 3).double(), torch.zeros(1, 3).double())
+    with torch.no_grad():
+        for _ in range(steps):
+            guess = space.retract(q, 0.05 * body.velocity(q, p))
+            step = discrete.step(ROOT, q, p, none, guess)
+            q, p = step.q, step.p
+            states.append((q, p))
+    q, p = (torch.cat(x) for x in zip(*states, strict=True))
+    spin = (q.view(-1, 3, 3) @ p.unsqueeze(-1)).squeeze(-1)
+    energy = body.energy(q, body.velocity(q, p))
+    relative = float((spin - spin[0]).norm(dim=1).max() / spin[0].norm())
+    halves = [float((x.max() - x.min()) / energy[0].abs()) for x in energy.chunk(2)]
+    return relative, (halves[0], halves[1])
+
+
+# A flat space, and what has no extension
+
+
+@pytest.mark.parametrize("integrator", [VariationalMidpoint(), Galerkin(stages=2)])
+def test_a_flat_space_has_the_integrator_itself(integrator: VariationalIntegrator) -> None:
+    assert on_space(integrator, FLAT) is integrator
+    turned = on_space(integrator, Space(1))
+    assert turned.order == integrator.order
+    assert turned.space == Space(1)
+
+
+def test_an_integrator_without_an_extension_is_refused() -> None:
+    class Other(VariationalMidpoint):
+        name, stages = "other", None
+
+    with pytest.raises(ConfigError, match=r"integrator=other .*rotations"):
+        on_space(Other(), Space(1))
+
+
+def test_roots_have_a_status_of_their_own() -> None:
+    """One row asks for an impossible step; the others find theirs, by either root finder."""
+    controlled, q, v, controls = state("pivot")
+    p = controlled.lagrangian.momentum(q, v)
+    p[1] *= 1e4
+    discrete = DiscreteLagrangian(Geodesic(space=Space(1), stages=2), controlled, H)
+    for finder in (ROOT, Broyden(tolerance=1e-12, max_iterations=40)):
+        with torch.no_grad():
+            root = discrete.step(finder, q, p, controls, q).root
+        assert root.converged.tolist() == [True, False, True, True]
