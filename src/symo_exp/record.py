@@ -151,6 +151,11 @@ def _plant(env: Any, name: str) -> Plant:
     base = env.unwrapped
     if isinstance(base, Environment):
         system, h = base.system, base.system.time_step
+        if system.coordinates.rotations:
+            raise ConfigError(
+                f"record {name}: this command does not write rotations; simulate them with "
+                "symo_exp.systems.simulation and write them with symo_exp.data.recorded"
+            )
         clock = {"steps": -1}
 
         def now() -> tuple[float, np.ndarray, np.ndarray]:

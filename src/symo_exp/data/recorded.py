@@ -35,6 +35,8 @@ SLOW = 0.5
 """Steps [s] from which times are taken for those of another unit."""
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
+UNIT = 1e-3
+"""How far the norm of a quaternion may be from 1."""
 BATCHES = 8
 """In an epoch, unless their size is given."""
 
@@ -51,7 +53,9 @@ class RecordedData(DataModule):
     - ``t``: time;
     - ``q_<name>``: one for each coordinate of the system; angles go on beyond a turn, or are
       ``wrapped``;
-    - ``v_<name>``: velocities; without any, they come from the configurations;
+    - ``q_<R>_w``, ``q_<R>_x``, ``q_<R>_y``, ``q_<R>_z`` of a rotation: the unit quaternion from
+      body to world axes, the scalar first, of either sign;
+    - ``v_<name>``: velocities, ``v_<R>_x``, … the body rates of a rotation; without any, they come from the configurations;
     - ``u_<name>``: the inputs, ``u_0``, ``u_1``, … of a system that does not name its own; without
       any, zero.
 
@@ -193,7 +197,8 @@ class RecordedData(DataModule):
     @override
     def setup(self, stage: str | None = None) -> None:
         if not hasattr(self, "train"):
-            for line in (*self._report, *self.diagnosis().lines()):
+            told = () if self._system.coordinates.rotations else self.diagnosis().lines()
+            for line in (*self._report, *told):
                 log.info(line)
         super().setup(stage)
 
@@ -239,15 +244,18 @@ class Nodes:
         """Return samples whose angles are in radians."""
         if not self._degrees:
             return samples
-        unit = np.where(self._coordinates.angular, np.pi / 180, 1.0)
-        v = None if samples.v is None else samples.v * unit
+        flat, r = len(self._coordinates.flat), len(self._coordinates.rotations)
+        unit = np.where(self._coordinates.angular[:flat], np.pi / 180, 1.0)
+        rates = np.concatenate([unit, np.full(3 * r, np.pi / 180)])
+        unit = np.concatenate([unit, np.ones(4 * r)])
+        v = None if samples.v is None else samples.v * rates
         return samples._replace(q=samples.q * unit, v=v)
 
     def _of(self, where: str, samples: Samples, h: float) -> Trajectory:
-        samples = self._unwrapped(where, samples)
+        samples = self._turned(where, self._unwrapped(where, samples))
         if not _equal(samples.t, h):
             _check_steps(where, samples.t, h)
-            samples = resample(samples, h)
+            samples = self._resampled(samples, h)
             if len(samples.t) < 3:
                 raise ConfigError(
                     f"{where} lasts for {len(samples.t)} node(s) at system.time_step={h:g}; "
@@ -256,13 +264,40 @@ class Nodes:
         q, u = samples.q, samples.u
         v = samples.v
         if v is None:
-            v = central_differences(torch.tensor(q), h).numpy()
+            v = central_differences(torch.tensor(q), h, self._coordinates.space).numpy()
         if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
             raise ConfigError(f"{where} has numbers so large that their differences overflow")
         return Trajectory(*(torch.tensor(field) for field in (q, v, u)))
 
+    def _resampled(self, samples: Samples, h: float) -> Samples:
+        """Resample; rotations by their nine entries, with the rotation next to them."""
+        space, found = self._coordinates.space, resample(samples, h)
+        if not space.rotations:
+            return found
+        q, v = space.normalised(torch.tensor(found.q)), torch.tensor(found.v)
+        v = space.velocity(q, v) if samples.v is None else v
+        return found._replace(q=q.numpy(), v=v.numpy())
+
+    def _turned(self, where: str, samples: Samples) -> Samples:
+        """Return samples with rotation matrices instead of quaternions."""
+        coordinates = self._coordinates
+        for i, name in enumerate(coordinates.rotations):
+            first = len(coordinates.flat) + 4 * i
+            size = np.linalg.norm(samples.q[:, first : first + 4], axis=1)
+            worst = int(np.abs(size - 1.0).argmax())
+            if not abs(size[worst] - 1.0) <= UNIT:
+                raise ConfigError(
+                    f"{where}: q_{name}_w, q_{name}_x, q_{name}_y, q_{name}_z have the norm "
+                    f"{size[worst]:.6g} in row {worst + 1}; a unit quaternion is wanted, to {UNIT:g}"
+                )
+        if not coordinates.rotations:
+            return samples
+        q = coordinates.space.of_quaternions(torch.tensor(samples.q)).numpy()
+        return samples._replace(q=q)
+
     def _unwrapped(self, where: str, samples: Samples) -> Samples:
-        q, angular = samples.q, np.array(self._coordinates.angular)
+        q, flat = samples.q, len(self._coordinates.flat)
+        angular = np.array([*self._coordinates.angular[:flat], *(False,) * (q.shape[1] - flat)])
         if self._wrapped:
             return samples._replace(q=np.where(angular, np.unwrap(q, axis=0), q))
         turns = np.where(angular, np.abs(np.diff(q, axis=0)).max(0), 0)
@@ -340,7 +375,7 @@ def _report(
 
 def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[str]:
     """Yield signs of wrong units, a line each."""
-    for i, (name, angular) in enumerate(zip(*coordinates, strict=True)):
+    for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
         sweeps = np.concatenate([_sweeps(one.q[:, i]) for one in sampled])
         if angular and len(sweeps) >= SWINGS and np.median(sweeps) > 2 * np.pi:
             yield (

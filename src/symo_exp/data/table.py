@@ -95,7 +95,10 @@ def _read(
     where: str, file: Path, version: int, found: tuple[str, ...], seconds: float,
     coordinates: Coordinates, inputs: tuple[str, ...],
 ) -> RecordingTable:  # fmt: skip
-    wanted = {kind: [f"{kind}_{name}" for name in coordinates.names] for kind in "qv"}
+    wanted = {
+        "q": [f"q_{name}" for name in coordinates.measured],
+        "v": [f"v_{name}" for name in coordinates.names],
+    }
     wanted["u"] = [f"u_{name}" for name in inputs]
     _check_places(where, found, wanted)
     for kind in "vu":  # these may be absent, all of them
@@ -215,9 +218,13 @@ def write_recordings(
         "trajectory": np.repeat(np.arange(count), nodes),
         "t": np.tile(time_step * np.arange(nodes), count),
     }
-    for field in ("q", "v"):
-        values = getattr(trajectories, field).flatten(0, 1).numpy()
-        columns |= {f"{field}_{name}": values[:, i] for i, name in enumerate(coordinates.names)}
+    places = coordinates.space.to_quaternions(trajectories.q)
+    for field, x, names in (
+        ("q", places, coordinates.measured),
+        ("v", trajectories.v, coordinates.names),
+    ):
+        values = x.flatten(0, 1).numpy()
+        columns |= {f"{field}_{name}": values[:, i] for i, name in enumerate(names)}
     u = trajectories.u.flatten(0, 1).numpy()
     columns |= {f"u_{i}": u[:, i] for i in range(u.shape[1])}
     table = pd.DataFrame(columns)

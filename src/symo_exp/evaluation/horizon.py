@@ -23,8 +23,11 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from symo_exp.data.diagnose import noise_of
-from symo_exp.evaluation.measures import VALID_ERROR, squared_error
+from symo_exp.evaluation.measures import VALID_ERROR, comparable, squared_error
 from symo_exp.evaluation.rollouts import CHUNK
+from symo_exp.mechanics.space import Space, space_of
+from symo_exp.mechanics.types import Trajectory
+from symo_exp.models.starts import ITERATIONS, RollsOut, State, fitted_start
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import ITERATIONS, RollsOut, State, fitted_start
 
@@ -99,8 +102,16 @@ class Predictions:
         Infinite where the prediction is not finite, NaN after the end of the trajectory.
         """
         true = self.q_true[:, 1:]
-        error = squared_error(self.q[:, 1:], true).mean(2)
+        error = squared_error(*self._compared()).mean(2)
         return error.where(true.isfinite().all(2), torch.nan)
+
+    @property
+    def space(self) -> Space:
+        """The space of configurations."""
+        return space_of(self.q, self.v)
+
+    def _compared(self) -> tuple[Tensor, Tensor]:
+        return comparable(self.space, self.q[:, 1:], self.q_true[:, 1:])
 
     def rmse(self, seconds: float) -> Float[Tensor, " windows"]:
         """Return the root mean square error of each window over coordinates and time."""
@@ -114,7 +125,7 @@ class Predictions:
     def usable_seconds(self, tolerance: Float[Tensor, " n"]) -> Float[Tensor, " windows"]:
         """Return the time until the error over ``tolerance``, RMS over coordinates, exceeds 1."""
         true = self.q_true[:, 1:]
-        error = (squared_error(self.q[:, 1:], true) / tolerance.square()).mean(2)
+        error = (squared_error(*self._compared()) / tolerance.square()).mean(2)
         return self._before((error > 1.0) | ~true.isfinite().all(2))
 
     def measured_seconds(self) -> Float[Tensor, " windows"]:
@@ -150,7 +161,7 @@ def cut(
         for start in _starts(len(whole.q) - 1, lead, length, time_step)
     ]
     least = movement(trajectories)
-    pieces = [piece for piece in pieces if bool((_ranges(piece[2].q[lead:]) > least).any())]
+    pieces = [piece for piece in pieces if bool((_ranges(_plain(piece[2])[lead:]) > least).any())]
     if not pieces:
         return None
     trajectory, first, cuts = zip(*pieces, strict=True)
@@ -162,14 +173,14 @@ def cut(
 
 def movement(trajectories: Sequence[Trajectory]) -> Float[Tensor, " n"]:
     """Return the range of each coordinate beyond which it moves in a window [rad, m]."""
-    ranges = torch.stack([_ranges(one.q) for one in trajectories]).amax(0)
+    ranges = torch.stack([_ranges(_plain(one)) for one in trajectories]).amax(0)
     least = (SHARE * ranges).clamp(max=MOVES)
     return torch.maximum(least, ABOVE_NOISE * noise(trajectories))
 
 
 def noise(trajectories: Sequence[Trajectory]) -> Float[Tensor, " n"]:
     """Return the standard deviation of each coordinate's noise at the nodes, an estimate."""
-    columns = zip(*(one.q.double().unbind(1) for one in trajectories), strict=True)
+    columns = zip(*(_plain(one).double().unbind(1) for one in trajectories), strict=True)
     found = [noise_of([x.numpy() for x in each]) for each in columns]
     return torch.tensor(found, dtype=torch.float64).nan_to_num(0.0)
 
@@ -180,7 +191,7 @@ def tolerance(windows: PredictionWindows, angular: Sequence[bool]) -> Float[Tens
     It is a tenth of the motion in a window (standard deviation, root mean square over windows); of
     an angle that moves by more than 1 rad, 0.1 rad.
     """
-    q = windows.q[:, windows.lead :]
+    q = space_of(windows.q, windows.v).along(windows.q[:, windows.lead :])
     motion = (q - q.nanmean(1, keepdim=True)).square().nanmean((0, 1)).sqrt()
     motion = torch.where(torch.tensor(angular), motion.clamp(max=TURNS), motion)
     return TOLERANCE * motion.where(motion > 0, motion.max())
@@ -221,7 +232,9 @@ def predict_whole(
     count = torch.arange(len(trajectories))
     whole = PredictionWindows(count, torch.zeros_like(count), 0, q, v, u.nan_to_num())
     start, inputs = whole.q[:, : lead + 1].to(place), whole.u.to(place)
-    path = model.rollout(*fitted_start(model, start, inputs[:, : lead + 1], time_step), inputs)
+    space = space_of(q, v)
+    begin = fitted_start(model, start, inputs[:, : lead + 1], time_step, space=space)
+    path = model.rollout(*begin, inputs)
     return Predictions(time_step, whole, path.q.double().cpu(), path.v.double().cpu())
 
 
@@ -237,7 +250,7 @@ def _roll_out(
     start = State(q[:, 0], v[:, 0])
     if lead:
         given = q[:, : lead + 1], u[:, : lead + 1]
-        start = fitted_start(model, *given, time_step, iterations)
+        start = fitted_start(model, *given, time_step, iterations, space=space_of(q, v))
     path = model.rollout(*start, u)
     return path.q[:, lead:].double().cpu(), path.v[:, lead:].double().cpu()
 
@@ -257,6 +270,11 @@ def _run_in(trajectories: Sequence[Trajectory], time_step: float) -> int:
 
 def _ranges(q: Tensor) -> Tensor:
     return q.amax(0) - q.amin(0)
+
+
+def _plain(one: Trajectory) -> Tensor:
+    """Return the configurations with n numbers each."""
+    return space_of(one.q, one.v).along(one.q)
 
 
 def _padded(pieces: Sequence[Tensor]) -> Tensor:

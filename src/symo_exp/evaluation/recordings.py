@@ -63,6 +63,7 @@ class RecordedPredictions:
         if self.interval is not None:
             fields |= {"q_lower": self.interval.lower, "q_upper": self.interval.upper}
         for field, values in fields.items():
+            values = found.space.shown(values) if field[0] == "q" else values
             for i, name in enumerate(self.coordinates.names):
                 table[f"{field}_{name}"] = values[..., i]
         return {name: values[there] for name, values in table.items()}
@@ -119,7 +120,10 @@ def on_recordings(
         reference: A model to compare with.
     """
     h, place = model.time_step, model.input_matrix
-    who: dict[str, RollsOut] = {"": model, "constant_velocity_": ConstantVelocity(h)}
+    who: dict[str, RollsOut] = {
+        "": model,
+        "constant_velocity_": ConstantVelocity(h, model.flow.space),
+    }
     if reference is not None:
         who["reference_"] = Continuous(reference, h)
     measures: dict[str, float] = {"windows": 0.0}
@@ -136,7 +140,7 @@ def on_recordings(
         if run_in:
             interval = None
             posterior: ModelPosterior | None = getattr(model, "posterior", None)
-            if posterior is not None:
+            if posterior is not None and not model.flow.space.rotations:
                 interval = interval_of(model, posterior, found[""])
                 measures |= coverage(found[""], interval)
             recorded = RecordedPredictions(

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.explicit import RK4
+from symo_exp.mechanics.space import FLAT, Space
 
 SUBSTEPS = 10
 """Integration steps of a reference in a time step, so that the integrator's error is negligible."""
@@ -53,12 +54,14 @@ class ConstantVelocity:
     """Motion at constant velocity, ``q_k = q_0 + k h v_0``: the baseline without any model."""
 
     time_step: float
+    space: Space = FLAT
 
     def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
         """Return the motion from a start over as many nodes as ``u`` has."""
         t = self.time_step * torch.arange(u.shape[1]).to(q0)
         v = v0[:, None].expand(-1, len(t), -1)
-        return ReferenceRollout(q0[:, None] + t[:, None] * v, v)
+        start = q0[:, None].expand(-1, len(t), -1)
+        return ReferenceRollout(self.space.retract(start, t[:, None] * v), v)
 
 
 @dataclass(frozen=True)

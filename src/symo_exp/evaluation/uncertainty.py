@@ -52,7 +52,8 @@ def posterior_of(
         if not (found.directions.isfinite().all() and found.mean.isfinite().all()):
             log.info("no posterior: the derivatives of the residuals are not finite")
             return None
-        whole = widened(model.for_evaluation(), found, held_out)
+        flat = not model.flow.space.rotations  # intervals are of lengths and angles
+        whole = widened(model.for_evaluation(), found, held_out if flat else ())
     if whole.error is not None:
         log.info(
             "intervals are widened by %.2g after %.2g s (one standard deviation, root mean square "

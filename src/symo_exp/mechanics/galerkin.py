@@ -64,7 +64,8 @@ class Galerkin(VariationalIntegrator):
             raise ValueError(f"tolerance must be positive, got {tolerance}")
         if max_iterations < 1:
             raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
-        self.stages, self.tolerance, self.max_iterations = stages, tolerance, max_iterations
+        self.tolerance, self.max_iterations = tolerance, max_iterations
+        self.stages: int = stages
         self.order = 2 * stages
         self.name = f"galerkin{self.order}"
         self.iterates = stages > 1

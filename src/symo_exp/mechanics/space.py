@@ -187,6 +187,27 @@ class Space:
         flat, turn = self._split(q)
         return torch.cat((flat, rotation_vector(turn).flatten(-2)), dim=-1)
 
+    def of_quaternions(self, x: Float[Tensor, "*batch K"]) -> Float[Tensor, "*batch N"]:
+        """Return configurations of flat coordinates and quaternions, the scalar first."""
+        if not self.rotations:
+            return x
+        flat = x.shape[-1] - 4 * self.rotations
+        turn = of_quaternion(x[..., flat:].unflatten(-1, (self.rotations, 4)))
+        return torch.cat((x[..., :flat], turn.flatten(-3)), dim=-1)
+
+    def to_quaternions(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch K"]:
+        """Return flat coordinates and quaternions of configurations."""
+        if not self.rotations:
+            return q
+        flat, turn = self._split(q)
+        return torch.cat((flat, quaternion(turn).flatten(-2)), dim=-1)
+
+    def along(self, q: Float[Tensor, "*batch nodes N"]) -> Float[Tensor, "*batch nodes n"]:
+        """Return the nodes of motions in the charts at their first ones."""
+        if not self.rotations:
+            return q
+        return self.chart(q[..., :1, :].expand_as(q), q)
+
     def shown(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
         """Return flat coordinates, and roll, pitch and yaw [rad] of rotations, to be drawn.
 
@@ -222,6 +243,15 @@ class Space:
         flat, omega = self._parts(v)
         rate = self._split(q)[1] @ cross(omega)
         return torch.cat((flat, rate.flatten(-3)), dim=-1)
+
+    def velocity(
+        self, q: Float[Tensor, "*batch N"], rate: Float[Tensor, "*batch N"]
+    ) -> Float[Tensor, "*batch n"]:
+        """Return the velocity that belongs to rates of the stored numbers, inverse to ``push``."""
+        if not self.rotations:
+            return rate
+        flat, omega = self._parts(self.pull(q, rate))
+        return torch.cat((flat, 0.5 * omega.flatten(-2)), dim=-1)
 
     def pull(
         self, q: Float[Tensor, "*batch N"], gradient: Float[Tensor, "*batch N"]

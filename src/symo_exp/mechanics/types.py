@@ -44,6 +44,12 @@ class Coordinates(NamedTuple):
         return len(self.names)
 
     @property
+    def measured(self) -> tuple[str, ...]:
+        """Names of the numbers that a recording has, unit quaternions with the scalar first."""
+        parts = ("w", *AXES)
+        return (*self.flat, *(f"{name}_{part}" for name in self.rotations for part in parts))
+
+    @property
     def width(self) -> int:
         """Number of numbers that a configuration consists of."""
         return len(self.stored)

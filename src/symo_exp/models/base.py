@@ -9,6 +9,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
@@ -148,6 +149,8 @@ class DynamicsModel(nn.Module):
         Returns:
             ``lower`` and ``upper``, (B, T+1, n), or (T+1, n) from a single state.
         """
+        if self.flow.space.rotations:
+            raise ConfigError("intervals are of lengths and angles, and this model has rotations")
         given = Inputs(self.input_matrix, q0, self.flow.space)
         v, controls = given.state("v0", v0), given.controls(u, steps)
         found = interval(self.flow, self.posterior, given.q, v, controls, level)
@@ -160,8 +163,9 @@ class DynamicsModel(nn.Module):
     def linearize(self, q: Array, v: Array, u: Array = None) -> Linear:
         """Return the derivatives of ``(q, v)`` one time step later, in the state and the control.
 
-        Those in a rotation are along ``R exp φ``. They are exact, by the implicit function theorem where a root is found, and ``nan`` in rows
-        without a root. They have no gradients themselves.
+        Those in a rotation are along ``R exp φ``. All are exact, by the implicit function theorem
+        where a root is found, and ``nan`` in rows without a root. They have no gradients
+        themselves.
 
         Args:
             q: Configurations (B, n) or (n,).

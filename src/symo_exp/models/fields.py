@@ -49,8 +49,9 @@ class Field(nn.Module, ABC):
 
 
 class NetworkAcceleration(Field):
-    """``v̇ = net(s(q), v, u)`` with angles embedded as ``(cos, sin)``, rotations by
-    their entries, without mechanics.
+    """``v̇ = net(s(q), v, u)``, without mechanics.
+
+    Angles are embedded as ``(cos, sin)``, rotations by their entries.
 
     Args:
         net: Factory of the network, called with the numbers of its inputs and outputs.

@@ -201,6 +201,11 @@ class _Fitted(NamedTuple):
 @torch.no_grad()
 def _fit(flow: Flow, stretches: Stretches) -> _Fitted:
     q, u, begin, weight = stretches
+    if flow.space.rotations:
+        raise ConfigError(
+            "objective=horizon fits lengths and angles only, and the system has rotations; choose "
+            "objective=plain or preconditioned"
+        )
     if not begin.isfinite().all():
         begin = closest_start(flow, q, u, flow.time_step)
     start = fitted_start(flow, q, u, flow.time_step, ITERATIONS, weight, begin)

@@ -11,6 +11,7 @@ from typing_extensions import override
 
 from symo_exp.mechanics.roots import Rule, iterate
 from symo_exp.mechanics.rows import Rowwise
+from symo_exp.mechanics.space import FLAT, Space
 
 ITERATIONS = 12
 DIFFERENCE = 1e-5
@@ -58,6 +59,7 @@ def fitted_start(
     iterations: int = ITERATIONS,
     weight: Float[Tensor, "batch nodes n"] | None = None,
     start: Float[Tensor, "batch unknowns"] | None = None,
+    space: Space = FLAT,
 ) -> State:
     """Return the states at node 0 that minimise ``Σ_k w_k |q̂_k(q₀, v₀) − q_k|²`` for each motion.
 
@@ -73,11 +75,13 @@ def fitted_start(
         iterations: Trials at most. Most motions need four; those that stick need more.
         weight: ``w``, one if left out.
         start: ``(q₀, v₀)`` to begin from; that of a parabola through all nodes if left out.
+        space: The space of configurations.
     """
-    n, fit = q.shape[2], Fit(model, q, u, torch.ones_like(q) if weight is None else weight)
-    begin = parabola(q, time_step) if start is None else start
+    plain = space.along(q)
+    fit = Fit(model, q, u, torch.ones_like(plain) if weight is None else weight, space)
+    begin = parabola(plain, time_step) if start is None else start
     x, _, _ = iterate(fit, begin, FitSteps(), iterations)
-    return State(x[:, :n], x[:, n:])
+    return fit.state(x)
 
 
 def closest_start(
@@ -108,12 +112,21 @@ def difference(
 
 
 class Fit(Rowwise):
-    """Least squares of rollouts over their initial states."""
+    """Least squares of rollouts over their initial states, in the charts at the first nodes."""
 
-    parts = ("_model", "_q", "_u", "_weight")
+    parts = ("_model", "_q", "_u", "_weight", "_space")
 
-    def __init__(self, model: RollsOut, q: Tensor, u: Tensor, weight: Tensor) -> None:
+    def __init__(
+        self, model: RollsOut, q: Tensor, u: Tensor, weight: Tensor, space: Space = FLAT
+    ) -> None:
         self._model, self._q, self._u, self._weight = model, q, u, weight
+        self._space = space
+
+    def state(self, x: Float[Tensor, "batch unknowns"]) -> State:
+        """Return the initial states."""
+        place, v = x.chunk(2, dim=1)
+        base = self._q[:, 0].repeat(len(x) // len(self._q), 1)
+        return State(self._space.point(base, place), v)
 
     def at(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
         """Evaluate residuals and derivatives by one rollout of all starts and their neighbours."""
@@ -121,13 +134,14 @@ class Fit(Rowwise):
         beside = DIFFERENCE * torch.eye(unknowns).to(x)
         shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
         starts = (x + shifts[:, None]).flatten(0, 1)
-        q0, v0 = starts.chunk(2, dim=1)
-        path = self._model.rollout(q0, v0, self._u.repeat(len(shifts), 1, 1)).q
-        moved = path.to(self._q).unflatten(0, (len(shifts), batch)).flatten(2)
+        path = self._model.rollout(*self.state(starts), self._u.repeat(len(shifts), 1, 1)).q
+        path = path.to(self._q).unflatten(0, (len(shifts), batch))
+        moved = self._space.chart(self._q.expand_as(path), path).flatten(2)
         at, plus, minus = moved.split((1, unknowns, unknowns))
         slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
         root = self._weight.sqrt().flatten(1)
-        error = difference(at[0].view_as(self._q), self._q).flatten(1)
+        true = self._space.origin(self._q)
+        error = difference(at[0].view_as(true), true).flatten(1)
         return FitPoint(root * error, root.unsqueeze(-1) * slopes.nan_to_num(0.0, 0.0, 0.0))
 
 

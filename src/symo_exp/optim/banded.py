@@ -64,8 +64,9 @@ class Chain(NamedTuple):
         none = torch.zeros_like(at[:, :n])
         v, v_next = (x[:, n:known] if known > n else none for x in (at, after))
         u = [x[:, known:] for x in nodes] if self.inputs else self.stencil(self.u)
-        places = zip(self.stencil(self.base), nodes, strict=True)
-        return Windows(*(self.space.point(base, x[:, :n]) for base, x in places), v, v_next, *u)
+        bases = self.stencil(self.base)
+        a, b, c = (self.space.point(q, x[:, :n]) for q, x in zip(bases, nodes, strict=True))
+        return Windows(a, b, c, v, v_next, *u)
 
     def spread(
         self, jacobians: Sequence[Float[Tensor, "windows k d"]], y: Float[Tensor, "windows k"]

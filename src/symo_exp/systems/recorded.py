@@ -21,6 +21,8 @@ class Recorded(System):
 
     Args:
         names: Names of the coordinates.
+        rotations: Names of the rotations ``R``, whose quaternions are the coordinates ``R_w``,
+            ``R_x``, ``R_y`` and ``R_z``.
         angular: Coordinates that are angles [rad]: ``"all"``, ``"none"`` or their names.
         inputs: Names of the inputs.
         input_matrix: ``B`` (n, m) of the generalised force ``B u``. ``None``: the identity, with
@@ -28,6 +30,7 @@ class Recorded(System):
     """
 
     names: Sequence[str]
+    rotations: Any = ()
     angular: str | Sequence[str] | None = None
     inputs: Sequence[str] = ()
     input_matrix: Any = None
@@ -39,16 +42,36 @@ class Recorded(System):
                 "system=recorded has no coordinates: it goes with data=recorded data.path=FILE, "
                 "a table with columns q_<name> (data.columns renames others)"
             )
-        angular = _angular(self.angular, names)
-        matrix = _matrix(self.input_matrix, names, inputs)
-        vars(self).update(names=names, angular=angular, inputs=inputs, input_matrix=matrix)
+        rotations, flat = _rotations(self.rotations, names)
+        angular = _angular(self.angular, flat) if flat else ()
+        freedoms = Coordinates.of(flat, (False,) * len(flat), rotations).names
+        matrix = _matrix(self.input_matrix, freedoms, inputs)
+        vars(self).update(
+            names=flat, angular=angular, rotations=rotations, inputs=inputs, input_matrix=matrix
+        )
         super().__post_init__()
 
     @property
     @override
     def coordinates(self) -> Coordinates:
         assert self.angular is not None
-        return Coordinates(tuple(self.names), tuple(name in self.angular for name in self.names))
+        turns = tuple(name in self.angular for name in self.names)
+        return Coordinates.of(self.names, turns, self.rotations)
+
+
+def _rotations(given: object, names: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the rotations and the names of the other coordinates."""
+    chosen = [given] if isinstance(given, str) else given
+    if not isinstance(chosen, Sequence):
+        raise ConfigError(f"system.rotations={given}: expected a list of names, such as [R]")
+    rotations = tuple(map(str, chosen))
+    parts = [f"{name}_{part}" for name in rotations for part in "wxyz"]
+    if missing := [f"q_{part}" for part in parts if part not in names]:
+        raise ConfigError(
+            f"system.rotations={list(rotations)}: no column {', '.join(missing)}; a rotation R has "
+            "the four q_R_w, q_R_x, q_R_y, q_R_z of its quaternion"
+        )
+    return rotations, tuple(name for name in names if name not in parts)
 
 
 def _angular(given: object, names: tuple[str, ...]) -> tuple[str, ...]:

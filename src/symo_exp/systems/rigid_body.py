@@ -189,9 +189,9 @@ class Quadrotor(RigidBodySystem):
     @override
     def input_matrix(self) -> Tensor:
         lift, lever, turn = self.thrust, self.arm * self.thrust, self.drag
-        rows = [[0.0] * 4, [0.0] * 4, [lift] * 4,
-                [0.0, lever, 0.0, -lever], [-lever, 0.0, lever, 0.0], [turn, -turn, turn, -turn]]  # fmt: skip
-        return torch.tensor(rows, dtype=torch.float64)
+        torques = [0.0, lever, 0.0, -lever], [-lever, 0.0, lever, 0.0], [turn, -turn, turn, -turn]
+        forces = [0.0] * 4, [0.0] * 4, [lift] * 4
+        return torch.tensor([*forces, *torques], dtype=torch.float64)
 
     @cached_property
     @override

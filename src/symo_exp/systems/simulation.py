@@ -128,7 +128,6 @@ def _integrate(
     solver: Solver,
 ) -> Trajectories:
     """From node to node; ``control`` takes a node and the time [s] since it."""
-
     space, widths = system.space, [system.coordinates.width, system.coordinates.n]
 
     @torch.no_grad()
