@@ -55,7 +55,8 @@ class RecordedData(DataModule):
       ``wrapped``;
     - ``q_<R>_w``, ``q_<R>_x``, ``q_<R>_y``, ``q_<R>_z`` of a rotation: the unit quaternion from
       body to world axes, the scalar first, of either sign;
-    - ``v_<name>``: velocities, ``v_<R>_x``, … the body rates of a rotation; without any, they come from the configurations;
+    - ``v_<name>``: velocities, ``v_<R>_x``, … the body rates of a rotation; without any, they come
+      from the configurations;
     - ``u_<name>``: the inputs, ``u_0``, ``u_1``, … of a system that does not name its own; without
       any, zero.
 
@@ -288,7 +289,8 @@ class Nodes:
             if not abs(size[worst] - 1.0) <= UNIT:
                 raise ConfigError(
                     f"{where}: q_{name}_w, q_{name}_x, q_{name}_y, q_{name}_z have the norm "
-                    f"{size[worst]:.6g} in row {worst + 1}; a unit quaternion is wanted, to {UNIT:g}"
+                    f"{size[worst]:.6g} in row {worst + 1}; a unit quaternion is wanted, "
+                    f"to {UNIT:g}"
                 )
         if not coordinates.rotations:
             return samples
