@@ -1,7 +1,7 @@
 """Rigid bodies: data of SE3HamDL as a table, and the errors of trained models on them.
 
-    python rigid.py convert se3hamdl_pendulum.npz pendulum.parquet
-    python rigid.py errors outputs/pendulum pendulum.parquet
+python rigid.py convert se3hamdl_pendulum.npz pendulum.parquet
+python rigid.py errors outputs/pendulum pendulum.parquet
 """
 
 from __future__ import annotations
@@ -100,7 +100,9 @@ def error_of(model: symo_exp.DynamicsModel, table: Path, part: str, nodes: int =
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("what", choices=["convert", "errors"])
     parser.add_argument("first", type=Path)
     parser.add_argument("second", type=Path)

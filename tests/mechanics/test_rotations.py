@@ -34,6 +34,7 @@ from symo_exp.mechanics.variational import (
     VariationalIntegrator,
     VariationalMidpoint,
 )
+from tests.mechanics.motions import ROUNDING
 from tests.mechanics.test_galerkin import differences
 
 H = 0.1
@@ -348,7 +349,7 @@ def test_orders_with_controls_and_friction(name: str, method: object) -> None:
     exact = torch.cat(reference(name), dim=1)
     errors = [float((torch.cat(runs(integrator, name, k), 1) - exact).abs().max()) for k in steps]
     found = math.log(errors[0] / errors[1]) / math.log(steps[1] / steps[0])
-    assert errors[1] > 1e-12
+    assert errors[1] > ROUNDING
     assert found == pytest.approx(order, abs=0.25)
 
 

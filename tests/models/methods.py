@@ -13,6 +13,7 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.mlp import MLP
+from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.structured_lagrangian import QUIET
 from symo_exp.training.learner import Learner
 from tests.tables import CONF, choices, explicit_integrators, variational_integrators
@@ -87,14 +88,16 @@ def make(method: str, integrator: str, n: int, *, width: int = 8, **overrides: A
     if "net" in file:
         arguments["net"] = partial(MLP, width=width, depth=2)
     if "lagrangian" in file:
-        arguments["lagrangian"] = partial(NetworkLagrangian, width=width)
+        turns = overrides.get("coordinates", arguments["coordinates"]).rotations
+        network = partial(NetworkLagrangian, width=width)
+        arguments["lagrangian"] = LearnedRigidBody if turns else network
     if "integrator" in file:
         arguments["integrator"] = _integrators_of(file)[integrator]
     if "root" in file:
         arguments["root"] = Newton(tolerance=1e-12, max_iterations=50)
     model = get_class(file._target_)(**{**arguments, **overrides}).double()
-    if model.lagrangian is not None:
-        net = model.lagrangian.net
+    net = getattr(model.lagrangian, "net", None)
+    if net is not None:
         with torch.no_grad():  # Xavier's weights again: derivatives that can be told from zero
             net.weights[-1].div_(QUIET)
             net.biases[-1].zero_()[:n] += 1.5

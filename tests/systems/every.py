@@ -14,6 +14,9 @@ SYSTEMS: dict[str, LagrangianSystem] = configured() | {
     "mujoco": models.read(models.PENDULUMS),
 }
 
+FLAT = {name: system for name, system in SYSTEMS.items() if not system.space.rotations}
+"""Those of lengths and angles."""
+
 
 def points(system: LagrangianSystem, count: int = 64) -> tuple[Tensor, Tensor, Tensor]:
     """States and inputs, uniform in the box."""

@@ -12,7 +12,7 @@ from symo_exp.systems.mujoco import mujoco_dynamics, of_model, read_mechanism
 from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
 from tests.systems import models
-from tests.systems.every import SYSTEMS, points
+from tests.systems.every import FLAT, SYSTEMS, points
 from tests.systems.models import compiled
 
 mujoco = library()
@@ -88,7 +88,7 @@ def test_comments_are_written():
     compiled(text)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", FLAT)
 def test_the_linkage_of_a_system_has_its_inertia_and_potential(name):
     system = SYSTEMS[name]
     found = system.linkage

@@ -30,7 +30,10 @@ def test_work_of_the_input_is_the_energy_gained(name: str, scale: float) -> None
     path = simulate(system, q, v, u, 20, Solver())
     energy = along(system.energy, path.q, path.v)
     kinetic = along(system.kinetic, path.q, path.v)
-    work = ((u @ system.input_matrix.T).unsqueeze(1) * (path.q - path.q[:, :1])).sum(-1)
+    if system.space.rotations and scale:
+        pytest.skip("a constant torque in body axes has no potential")
+    way = system.space.along(path.q) - system.space.along(path.q)[:, :1]
+    work = ((u @ system.input_matrix.T).unsqueeze(1) * way).sum(-1)
     torch.testing.assert_close(energy - energy[:, :1], work, rtol=1e-7, atol=1e-7)
     assert (kinetic - kinetic[:, :1]).abs().max() > 1e-2  # it did move
 

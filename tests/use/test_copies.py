@@ -48,7 +48,7 @@ def test_copies_move_as_one_does_alone(name):
         many.action_space.seed(1)
         actions = [many.action_space.sample() for _ in range(4)]
         told = [many.step(action)[:4] for action in actions]
-        n = system.coordinates.n
+        n = system.coordinates.width
         for i in range(3):
             one.reset(options={"q": states[i, :n], "v": states[i, n:]})
             for action, (observation, reward, lost, over) in zip(actions, told, strict=True):

@@ -82,7 +82,7 @@ def one_step(case: Case) -> dict[str, float]:
     """Return errors of the next configuration and state, and the fraction of roots not found."""
     train, _, _ = _one_step(case.model, case.data.train)
     test, state, failed = _one_step(case.model, case.data.test)
-    step = case.model.flow.space.difference(case.data.test.q, case.data.test.q_next)
+    step = case.model.coordinates.space.difference(case.data.test.q, case.data.test.q_next)
     moved = step.double().square().mean().item()
     found = {"train_mse": train, "test_mse": test, "test_mse_state": state}
     found["test_relative"] = math.sqrt(test / moved) if moved > 0 else math.inf
@@ -156,6 +156,8 @@ def _one_step(model: DynamicsModel, samples: Windows) -> tuple[float, float, flo
     ]
     failed = 1.0 - torch.cat([part.converged for part in parts]).double().mean().item()
     q_next = torch.cat([part.q for part in parts])
-    q = measures.one_step_mse(*measures.comparable(model.flow.space, q_next, samples.q_next)).item()
+    q = measures.one_step_mse(
+        *measures.comparable(model.coordinates.space, q_next, samples.q_next)
+    ).item()
     v = measures.one_step_mse(torch.cat([part.v for part in parts]), samples.v_next).item()
     return q, 0.5 * (q + v), failed

@@ -35,7 +35,7 @@ def log_volume(
 
 def _one_step(model: DynamicsModel, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Tensor:
     """``log |det ∂(q', v')/∂(q, v)|`` of one step."""
-    space = model.flow.space
+    space = model.coordinates.space
     with torch.enable_grad():
         state = torch.cat((space.origin(q), v), dim=1).requires_grad_()
         place, velocity = state.chunk(2, dim=1)

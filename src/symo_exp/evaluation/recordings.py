@@ -122,7 +122,7 @@ def on_recordings(
     h, place = model.time_step, model.input_matrix
     who: dict[str, RollsOut] = {
         "": model,
-        "constant_velocity_": ConstantVelocity(h, model.flow.space),
+        "constant_velocity_": ConstantVelocity(h, model.coordinates.space),
     }
     if reference is not None:
         who["reference_"] = Continuous(reference, h)
@@ -140,7 +140,7 @@ def on_recordings(
         if run_in:
             interval = None
             posterior: ModelPosterior | None = getattr(model, "posterior", None)
-            if posterior is not None and not model.flow.space.rotations:
+            if posterior is not None and not model.coordinates.space.rotations:
                 interval = interval_of(model, posterior, found[""])
                 measures |= coverage(found[""], interval)
             recorded = RecordedPredictions(

@@ -52,7 +52,7 @@ def posterior_of(
         if not (found.directions.isfinite().all() and found.mean.isfinite().all()):
             log.info("no posterior: the derivatives of the residuals are not finite")
             return None
-        flat = not model.flow.space.rotations  # intervals are of lengths and angles
+        flat = not model.coordinates.space.rotations  # intervals are of lengths and angles
         whole = widened(model.for_evaluation(), found, held_out if flat else ())
     if whole.error is not None:
         log.info(

@@ -58,15 +58,14 @@ class Copies:
         for name in ("q", "v"):
             low, high = np.array(getattr(self.box, name)).T
             drawn = random.uniform(low, high, size=(count, len(low)))
-            part = np.asarray(given.get(name, drawn), dtype=np.float64)
-            if part.shape not in (drawn.shape, low.shape) or not np.isfinite(part).all():
+            if name == "q":  # the entries of rotations
+                drawn = self.system.coordinates.space.of_vector(torch.from_numpy(drawn)).numpy()
+            part, size = np.asarray(given.get(name, drawn), dtype=np.float64), drawn.shape[1]
+            if part.shape not in (drawn.shape, (size,)) or not np.isfinite(part).all():
                 raise ConfigError(
-                    f"reset option {name}={given[name]}: expected {len(low)} finite number(s)"
+                    f"reset option {name}={given[name]}: expected {size} finite number(s)"
                 )
             parts.append(np.broadcast_to(part, drawn.shape))
-        if self.system.coordinates.rotations:
-            vector = torch.from_numpy(parts[0].copy())
-            parts[0] = self.system.coordinates.space.of_vector(vector).numpy()
         return np.concatenate(parts, axis=1)
 
     def move(self, states: np.ndarray, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -85,14 +85,14 @@ def export(
     """
     model = run if isinstance(run, DynamicsModel) else load(os.fspath(run))
     path = Path(path)
-    if path.suffix in (".xml", ".urdf"):
-        return write_bodies(model, path)
-    if path.suffix not in (".pt2", ".onnx"):
-        raise ConfigError(f"{path}: expected a name that ends in .pt2, .onnx, .xml or .urdf")
     if model.flow.space.rotations:
         raise ConfigError(
             f"{path}: models of systems with rotations are not exported; use symo_exp.load"
         )
+    if path.suffix in (".xml", ".urdf"):
+        return write_bodies(model, path)
+    if path.suffix not in (".pt2", ".onnx"):
+        raise ConfigError(f"{path}: expected a name that ends in .pt2, .onnx, .xml or .urdf")
     if iterations < 1:
         raise ConfigError(f"iterations={iterations}: expected a whole number of at least 1")
     if path.suffix == ".onnx" and (missing := [x for x in ONNX if not importlib.util.find_spec(x)]):
