@@ -85,7 +85,7 @@ def damped(lagrangian: Lagrangian, n: int) -> Lagrangian:
 
 CASES = {"pivot": (Body(), 3), "free": (Body(), 6), "wheels": (Wheels(), 8)}
 CASES |= {f"damped {name}": (damped(one, n), n) for name, (one, n) in CASES.items()}
-every_case = pytest.mark.parametrize("name", CASES)
+every_case = pytest.mark.parametrize("name", ["pivot", "free", "damped free", "damped wheels"])
 
 
 def drawn(n: int, *, rows: int = 4, seed: int = 0, scale: float = 1.0) -> Tensor:
@@ -333,16 +333,16 @@ def reference(name: str) -> tuple[Tensor, Tensor]:
 
 ORDERS = {
     **{stages: (Geodesic(space=Space(1), stages=stages), 2 * stages) for stages in STAGES},
-    **{type(method).__name__: (method, method.order)
-       for method in (Midpoint(), RK4(), DormandPrince5())},
-}  # fmt: skip
+    **{type(method).__name__: (method, method.order) for method in (Midpoint(), RK4())},
+}
+PAIRS = [(name, method) for name in ("damped pivot", "free") for method in ORDERS]
+PAIRS += [("wheels", 2), ("wheels", "RK4")]
 
 
-@pytest.mark.parametrize("method", ORDERS)
-@pytest.mark.parametrize("name", ["damped pivot", "free", "wheels"])
+@pytest.mark.parametrize(("name", "method"), PAIRS)
 def test_orders_with_controls_and_friction(name: str, method: object) -> None:
     integrator, order = ORDERS[method]
-    steps = (5, 7) if order > 5 else (12, 20)
+    steps = (5, 7) if order > 4 else (12, 20)
     runs = explicit if not isinstance(integrator, VariationalIntegrator) else path
     if runs is path:
         integrator = Geodesic(space=CASES[name][0].space, stages=method)

@@ -1,0 +1,223 @@
+"""The learned rigid body: derivatives, a possible body for any parameters, and recovery."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from symo_exp.data.noise import add_noise
+from symo_exp.data.windows import cut_windows
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.models.e2e_symo import E2ESyMo
+from symo_exp.models.l_node import LNODE
+from symo_exp.models.node import NODE
+from symo_exp.models.objectives import PreconditionedResidual
+from symo_exp.models.symo import SyMo
+from symo_exp.nets.affine import parameter_jacobian
+from symo_exp.nets.mlp import MLP
+from symo_exp.nets.rigid_body import LearnedRigidBody
+from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
+from symo_exp.optim.total_least_squares import TotalLeastSquares
+from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.table import system as stated
+from symo_exp.training.learner import Learner
+from tests.learned import assert_each_sample_alone
+from tests.tables import explicit_integrators
+
+PIVOT = Coordinates.of(rotations=("R",))
+FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",))
+KINDS: dict[str, dict[str, Any]] = {
+    "parameters": {},
+    "inputs": {"learned_inputs": 2},
+    "networks": {"learned_inputs": 2, "potential_width": 5, "input_width": 4},
+}
+ROOT = Newton(tolerance=1e-12, max_iterations=30)
+
+
+@pytest.fixture(params=[PIVOT, FREE], ids=["pivot", "free"])
+def coordinates(request: pytest.FixtureRequest) -> Coordinates:
+    found: Coordinates = request.param
+    return found
+
+
+def body(coordinates: Coordinates, kind: str) -> LearnedRigidBody:
+    torch.manual_seed(1)
+    return LearnedRigidBody(coordinates=coordinates, **KINDS[kind]).double()
+
+
+def points(coordinates: Coordinates, rows: int = 3) -> tuple[Tensor, Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(2)
+    q, v = torch.randn(2, rows, coordinates.n, generator=generator, dtype=torch.float64)
+    u = torch.randn(rows, 2, generator=generator, dtype=torch.float64)
+    return coordinates.space.of_vector(q), v, u
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_are_those_of_automatic_differentiation(
+    coordinates: Coordinates, kind: str
+) -> None:
+    found, (q, v, _) = body(coordinates, kind), points(coordinates)
+    for ours, theirs in (
+        (found.gradients(q, v), Lagrangian.gradients(found, q, v)),
+        (found.rates(q, v), Lagrangian.rates(found, q, v)),
+        (found.expand(q, v).curvature(), AutodiffExpansion(found, q, v).curvature()),
+    ):
+        for mine, oracle in zip(ours, theirs, strict=True):
+            torch.testing.assert_close(mine, oracle)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(
+    coordinates: Coordinates, kind: str
+) -> None:
+    found, (q, v, u) = body(coordinates, kind), points(coordinates)
+    assert_each_sample_alone(found, q, v)
+    if not found.learned_inputs:
+        return
+    parameters = list(found.parameters())
+    none = torch.zeros(coordinates.n, 2)
+    each = parameter_jacobian(lambda: found.input_force(none, q, u), parameters).parameters
+    for row in range(len(q)):
+        for i in range(coordinates.n):
+            force = found.input_force(none, q[row : row + 1], u[row : row + 1])[0, i]
+            alone = torch.autograd.grad(force, parameters, materialize_grads=True)
+            torch.testing.assert_close(each[row, i], torch.cat([g.flatten() for g in alone]))
+
+
+def test_any_parameters_are_a_possible_body(coordinates: Coordinates) -> None:
+    q, _, _ = points(coordinates, 16)
+    for seed in range(20):
+        found = body(coordinates, "parameters")
+        torch.manual_seed(seed)
+        with torch.no_grad():
+            found.moments.normal_(0.0, 3.0)
+        assert torch.linalg.eigvalsh(found.mass_matrix(q)).min() > 0.0
+        moments = torch.linalg.eigvalsh(found.rigid_body(q).inertia[0])
+        assert moments[2] < moments[0] + moments[1]
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"coordinates": Coordinates(("x",), (False,))}, "lagrangian=rigid_body is one body"),
+        (
+            {"coordinates": Coordinates.of(rotations=("A", "B"))},
+            "lagrangian=rigid_body is one body",
+        ),
+        ({"coordinates": PIVOT, "initial_inertia": 0.0}, r"lagrangian\.initial_inertia=0"),
+        ({"coordinates": PIVOT, "input_width": 4}, r"set lagrangian\.learned_inputs"),
+    ],
+)
+def test_what_is_no_rigid_body_is_refused_in_a_line(given: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text) as error:
+        LearnedRigidBody(**given)
+    assert "\n" not in str(error.value)
+
+
+def test_another_number_of_inputs_is_refused() -> None:
+    found, (q, _, u) = body(PIVOT, "inputs"), points(PIVOT)
+    with pytest.raises(ConfigError, match="the system has 1 input"):
+        found.input_force(torch.zeros(3, 1), q, u[:, :1])
+
+
+# Recovery
+
+
+def motions(count: int, nodes: int) -> list[Trajectory]:
+    """Motions of the true rigid body under constant torques."""
+    system = stated("rigid_body")
+    q, v, u = system.points(count, seed=0)
+    path = simulate(system, q, v, 4.0 * u, nodes - 1, Solver(rtol=1e-12, atol=1e-13))
+    return path.each()
+
+
+def learner(stages: int) -> Learner:
+    """SyMo of a rigid body in float64."""
+    system = stated("rigid_body")
+    torch.manual_seed(0)
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        model = SyMo(
+            LearnedRigidBody, coordinates=system.coordinates, input_matrix=system.input_matrix,
+            time_step=system.time_step, integrator=Galerkin(stages=stages), root=ROOT,
+            objective=PreconditionedResidual(),
+        )  # fmt: skip
+    finally:
+        torch.set_default_dtype(before)
+    return Learner(model)
+
+
+def inertia_error(found: Learner) -> float:
+    """Relative error of the inertia and of the weight's moment."""
+    true, learned = stated("rigid_body"), found.model.lagrangian
+    q, _, _ = true.points(8, seed=3)
+    mass = float((learned.mass_matrix(q) - true.mass_matrix(q)).norm() / true.mass_matrix(q).norm())
+    slopes = [x.gradients(q, torch.zeros(8, 3).double()).q for x in (learned, true)]
+    return max(mass, float((slopes[0] - slopes[1]).norm() / slopes[1].norm()))
+
+
+def test_inertia_and_centre_are_recovered_from_exact_poses() -> None:
+    found, windows = learner(3), cut_windows(motions(2, 12))
+    optimizer = LevenbergMarquardt(found.parameters())
+    for _ in range(25):
+        optimizer.epoch(found, [windows])
+    assert inertia_error(found) < 1e-6
+
+
+@pytest.mark.slow
+def test_inertia_and_centre_are_recovered_from_noisy_poses() -> None:
+    """1e-3 rad on 16 motions of 100 nodes, by total least squares."""
+    found, noisy = learner(2), add_noise(motions(16, 100), 1e-3, 5)
+    optimizer = TotalLeastSquares(
+        found.parameters(), epsilons=(0.1, 0.03), starts=1, start=20, epochs=10
+    )
+    while not optimizer.finished:
+        optimizer.epoch(found, noisy)
+    assert inertia_error(found) < 2e-3
+
+
+# All methods
+
+
+@pytest.mark.parametrize("name", ["rigid_body", "spherical_pendulum", "quadrotor"])
+@pytest.mark.parametrize("method", ["node", "l_node", "symo", "e2e_symo"])
+def test_every_method_has_a_loss_and_its_gradient(name: str, method: str) -> None:
+    """Gradients of all parameters, against differences along a random direction."""
+    system = stated(name)
+    q, v, u = system.points(4, seed=0)
+    path = simulate(system, q, v, u, 2, Solver())
+    samples = cut_windows(path.each())
+    torch.manual_seed(0)
+    shared = {
+        "coordinates": system.coordinates, "input_matrix": system.input_matrix,
+        "time_step": system.time_step,
+    }  # fmt: skip
+    rk4, galerkin = explicit_integrators()["rk4"], {"integrator": Galerkin(stages=2), "root": ROOT}
+    made = {
+        "node": lambda: NODE(partial(MLP, width=6, depth=1), integrator=rk4, **shared),
+        "l_node": lambda: LNODE(LearnedRigidBody, integrator=rk4, **shared),
+        "symo": lambda: SyMo(LearnedRigidBody, **galerkin, **shared),
+        "e2e_symo": lambda: E2ESyMo(LearnedRigidBody, **galerkin, **shared),
+    }
+    model = made[method]().double()
+    loss = model.objective(model.flow, samples).loss
+    parameters = list(model.parameters())
+    gradients = torch.autograd.grad(loss, parameters)
+    directions = [torch.randn_like(p) for p in parameters]
+    ends = []
+    for sign in (1.0, -2.0):
+        with torch.no_grad():
+            for p, d in zip(parameters, directions, strict=True):
+                p += sign * 1e-5 * d
+            ends.append(model.objective(model.flow, samples).loss)
+    found = sum(float((g * d).sum()) for g, d in zip(gradients, directions, strict=True))
+    assert found == pytest.approx(float(ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-9)
