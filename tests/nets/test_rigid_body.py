@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from symo_exp.data.noise import add_noise
-from symo_exp.data.windows import cut_windows
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.l_node import LNODE
 from symo_exp.models.node import NODE

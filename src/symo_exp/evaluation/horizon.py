@@ -28,8 +28,6 @@ from symo_exp.evaluation.rollouts import CHUNK
 from symo_exp.mechanics.space import Space, space_of
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import ITERATIONS, RollsOut, State, fitted_start
-from symo_exp.mechanics.types import Trajectory
-from symo_exp.models.starts import ITERATIONS, RollsOut, State, fitted_start
 
 HORIZONS = (0.5, 1.0, 2.0)
 """Times up to which errors are measured [s]; the last is the length of a window."""

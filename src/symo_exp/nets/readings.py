@@ -16,6 +16,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedDrag
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
@@ -71,6 +72,14 @@ def _(module: RigidChain, coordinates: Coordinates) -> list[Reading]:
         unit = "kg m^2" if coordinates.angular[i] else "kg"
         found.append(Reading(f"{name}.armature", unit, module.rotors[i].square()))
     return found + _vector("gravity", "m/s^2", module.gravity)
+
+
+@readings.register
+def _(module: LearnedRigidBody, coordinates: Coordinates) -> list[Reading]:
+    padded = torch.cat((module.moments, torch.zeros_like(module.moments[:1])))
+    factor = padded[module.place]
+    found = _body("body", factor @ factor.mT)
+    return found + ([] if module.gravity is None else _vector("gravity", "m/s^2", module.gravity))
 
 
 @readings.register
