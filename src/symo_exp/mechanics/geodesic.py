@@ -203,6 +203,8 @@ class Chart(NamedTuple):
     """``J``."""
     turn: Float[Tensor, "rows n n"]
     """``exp φ``."""
+    rotations: Float[Tensor, "rows r 3 3"]
+    """Its blocks."""
 
     @staticmethod
     def of(space: Space, x: Float[Tensor, "rows n"]) -> Chart:
@@ -211,7 +213,8 @@ class Chart(NamedTuple):
         series, n = Series.of(phi), x.shape[1]
         jacobian = polynomial(phi, series.s, -series.a, series.b)
         turn = polynomial(phi, series.s, series.sinc, series.a)
-        return Chart(space, phi, series, space.blocks(jacobian, n, 1.0), space.blocks(turn, n, 1.0))
+        whole = space.blocks(jacobian, n, 1.0), space.blocks(turn, n, 1.0)
+        return Chart(space, phi, series, *whole, turn.unflatten(0, (-1, space.rotations)))
 
     def rate_slope(self, x: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
         """Return ``∂(J x)/∂φ``."""
@@ -295,6 +298,14 @@ class ChartExpansion(Expansion):
         self._controlled, self._space, self._base, self._u = controlled, space, base, u
         self._q, self._v, self._at = q, v, at
         self.values, self.turned = values, turned
+        self._chart: Chart | None = None
+
+    @property
+    def chart(self) -> Chart:
+        """The exponential map at the rows."""
+        if self._chart is None:
+            self._chart = Chart.of(self._space, self._q)
+        return self._chart
 
     @staticmethod
     @torch.no_grad()
@@ -302,10 +313,13 @@ class ChartExpansion(Expansion):
         controlled: Controlled, space: Space, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor
     ) -> ChartExpansion:
         """Expand around ``(φ, φ̇)``."""
-        chart, point = Chart.of(space, q), space.point(base, q)
+        chart = Chart.of(space, q)
+        point = space.turned(base, q, chart.rotations)
         at = controlled.lagrangian.expand(point, matvec(chart.jacobian, v))
         found = _torques(controlled, chart, point, u, v, at.values)
-        return ChartExpansion(controlled, space, base, u, q, v, at, *found)
+        expansion = ChartExpansion(controlled, space, base, u, q, v, at, *found)
+        expansion._chart = chart
+        return expansion
 
     @property
     def dissipates(self) -> bool:  # type: ignore[override]
@@ -314,13 +328,11 @@ class ChartExpansion(Expansion):
 
     @override
     def mass(self) -> Tensor:
-        chart = Chart.of(self._space, self._q)
-        return chart.jacobian.mT @ self._at.mass() @ chart.jacobian
+        return self.chart.jacobian.mT @ self._at.mass() @ self.chart.jacobian
 
     @override
     def damping(self) -> Tensor:
-        chart = Chart.of(self._space, self._q)
-        return chart.jacobian.mT @ self._at.damping() @ chart.jacobian
+        return self.chart.jacobian.mT @ self._at.damping() @ self.chart.jacobian
 
     @override
     def curvature(self) -> Curvature:
@@ -328,14 +340,14 @@ class ChartExpansion(Expansion):
 
     def derivatives(self) -> tuple[Curvature, Tensor, Tensor]:
         """Return the second derivatives of ``ℓ``, and those of ``exp(φ) M`` in ``φ`` and ``φ̇``."""
-        chart, p = Chart.of(self._space, self._q), self._at.values.v
-        point = self._space.point(self._base, self._q)
+        chart, p = self.chart, self._at.values.v
         turning, rate = chart.jacobian, chart.rate_slope(self._v)
         along = self._at.curvature()
-        moment, moment_q = self._moment(point, along.qq)
+        moment, moment_q = self._moment(along.qq)
+        mass = self._at.mass()
         by_q = moment_q @ turning + along.qv @ rate  # of M
-        p_by_q = along.vq @ turning + self._at.mass() @ rate
-        p_by_v = self._at.mass() @ turning
+        p_by_q = along.vq @ turning + mass @ rate
+        p_by_v = mass @ turning
         m_by_v = along.qv @ turning
         lean = chart.momentum_slope(p)
         qq = turning.mT @ by_q + rate.mT @ p_by_q
@@ -347,15 +359,16 @@ class ChartExpansion(Expansion):
         by_q = chart.turn @ (by_q - blocks @ turning)
         return curvature, by_q, chart.turn @ m_by_v
 
-    def _moment(self, point: Tensor, by_q: Tensor) -> tuple[Tensor, Tensor]:
+    def _moment(self, by_q: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``M`` with the controls, and its derivative along the configuration."""
         moment = self._at.values.q
         if self._u is None:
             return moment, by_q
+        point = self._space.turned(self._base, self._q, self.chart.rotations)
         with torch.enable_grad():
             q = point.detach().requires_grad_()
             force = self._controlled.force(q, self._u)
-            slope = self._space.pull(q.detach().unsqueeze(1), jacobian(force, q).detach())
+            slope = self._space.pull(point.unsqueeze(1), jacobian(force, q).detach())
         return moment + force.detach(), by_q + slope
 
     @override
@@ -364,7 +377,8 @@ class ChartExpansion(Expansion):
 
     def torques(self, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor) -> Torques:
         """Return the first derivatives, differentiable in all arguments and the parameters."""
-        chart, point = Chart.of(self._space, q), self._space.point(base, q)
+        chart = Chart.of(self._space, q)
+        point = self._space.turned(base, q, chart.rotations)
         at = self._at.gradients(point, matvec(chart.jacobian, v))
         return _torques(self._controlled, chart, point, u, v, at)
 

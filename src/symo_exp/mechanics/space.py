@@ -130,11 +130,17 @@ class Space:
         self, base: Float[Tensor, "*batch N"], x: Float[Tensor, "*batch n"]
     ) -> Float[Tensor, "*batch N"]:
         """Return the configurations at coordinates ``x`` of the charts at ``base``."""
-        if not self.rotations:
-            return x
-        flat, phi = self._parts(x)
-        turn = self._split(base)[1] @ exponential(phi)
-        return torch.cat((flat, turn.flatten(-3)), dim=-1)
+        return self.turned(base, x, exponential(self._parts(x)[1])) if self.rotations else x
+
+    def turned(
+        self,
+        base: Float[Tensor, "*batch N"],
+        x: Float[Tensor, "*batch n"],
+        turn: Float[Tensor, "*batch r 3 3"],
+    ) -> Float[Tensor, "*batch N"]:
+        """Return ``point`` where ``turn``, ``exp φ``, is known."""
+        flat, turned = self._parts(x)[0], self._split(base)[1] @ turn
+        return torch.cat((flat, turned.flatten(-3)), dim=-1)
 
     def origin(self, base: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
         """Return the coordinates of ``base`` in its own chart."""
