@@ -16,7 +16,7 @@ from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.geodesic import Controlled, Geodesic, on_space
 from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
-from symo_exp.mechanics.rigid_body import RigidBody, RigidBodyLagrangian
+from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.mechanics.space import (
     FLAT,
@@ -51,8 +51,10 @@ class Body(RigidBodyLagrangian):
         self.pseudo = factor @ factor.T + 0.2 * torch.eye(4)
         self.gravity = torch.tensor([0.4, -0.3, -2.0], dtype=torch.float64)
 
-    def rigid_body(self, like: Tensor) -> RigidBody:
-        return RigidBody.of_pseudo_inertia(self.pseudo[None].to(like), self.gravity[None].to(like))
+    def rigid_body(self, like: Tensor) -> BodyParameters:
+        return BodyParameters.of_pseudo_inertia(
+            self.pseudo[None].to(like), self.gravity[None].to(like)
+        )
 
 
 class Wheels(Lagrangian):

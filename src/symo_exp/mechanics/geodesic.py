@@ -39,7 +39,7 @@ from symo_exp.mechanics.lagrangian import (
     vecmat,
 )
 from symo_exp.mechanics.rows import Rowwise, take_rows
-from symo_exp.mechanics.space import Series, Space, cross, polynomial, polynomial_slope
+from symo_exp.mechanics.space import ExponentialSeries, Space, cross, polynomial, polynomial_slope
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
     Forces,
@@ -198,7 +198,7 @@ class Chart(NamedTuple):
     space: Space
     phi: Float[Tensor, "rows*r 3"]
     """Rotation vectors, a row each."""
-    series: Series
+    series: ExponentialSeries
     jacobian: Float[Tensor, "rows n n"]
     """``J``."""
     turn: Float[Tensor, "rows n n"]
@@ -210,7 +210,7 @@ class Chart(NamedTuple):
     def of(space: Space, x: Float[Tensor, "rows n"]) -> Chart:
         """Evaluate the map."""
         phi = space.vectors(x)
-        series, n = Series.of(phi), x.shape[1]
+        series, n = ExponentialSeries.of(phi), x.shape[1]
         jacobian = polynomial(phi, series.s, -series.a, series.b)
         turn = polynomial(phi, series.s, series.sinc, series.a)
         whole = space.blocks(jacobian, n, 1.0), space.blocks(turn, n, 1.0)
@@ -490,7 +490,7 @@ class Ends(NamedTuple):
 
     space: Space
     phi: Float[Tensor, "batch*r 3"]
-    series: Series
+    series: ExponentialSeries
     inverse: Float[Tensor, "batch n n"]
     """``J(δ)⁻¹ = I + ½ [δ] + γ [δ]²``."""
 
@@ -498,7 +498,7 @@ class Ends(NamedTuple):
     def of(space: Space, x: Float[Tensor, "batch n"]) -> Ends:
         """Evaluate it."""
         phi = space.vectors(x)
-        series = Series.of(phi)
+        series = ExponentialSeries.of(phi)
         inverse = polynomial(phi, series.s, 0.5, series.gamma)
         return Ends(space, phi, series, space.blocks(inverse, x.shape[1], 1.0))
 

@@ -31,7 +31,7 @@ from symo_exp.mechanics.lagrangian import (
 from symo_exp.mechanics.space import Space, cross
 
 
-class RigidBody(NamedTuple):
+class BodyParameters(NamedTuple):
     """A rigid body in rows that broadcast over a batch."""
 
     mass: Float[Tensor, "#batch 1"]
@@ -45,19 +45,19 @@ class RigidBody(NamedTuple):
     @staticmethod
     def of_pseudo_inertia(
         body: Float[Tensor, "#batch 4 4"], gravity: Float[Tensor, "#batch 3"]
-    ) -> RigidBody:
+    ) -> BodyParameters:
         """Return the body of a pseudo-inertia about its origin."""
         second = body[..., :3, :3]
         trace = second.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
         one = torch.eye(3, dtype=body.dtype, device=body.device)
-        return RigidBody(body[..., 3, 3:], body[..., :3, 3], trace * one - second, gravity)
+        return BodyParameters(body[..., 3, 3:], body[..., :3, 3], trace * one - second, gravity)
 
 
 class RigidBodyLagrangian(Lagrangian):
     """The Lagrangian of a rigid body, with its derivatives in closed form."""
 
     @abstractmethod
-    def rigid_body(self, like: Float[Tensor, "batch N"]) -> RigidBody:
+    def rigid_body(self, like: Float[Tensor, "batch N"]) -> BodyParameters:
         """Return the body for a batch of configurations, in their precision."""
 
     @property
@@ -146,7 +146,7 @@ class RigidBodyExpansion(Expansion):
 class _Motion(NamedTuple):
     """A moving rigid body. ``w`` and ``c`` are ``None`` on a pivot."""
 
-    body: RigidBody
+    body: BodyParameters
     turn: Float[Tensor, "batch 3 3"]
     omega: Float[Tensor, "batch 3"]
     gravity: Float[Tensor, "batch 3"]
@@ -159,7 +159,7 @@ class _Motion(NamedTuple):
     """``ω × μ``."""
 
     @staticmethod
-    def of(body: RigidBody, q: Tensor, v: Tensor) -> _Motion:
+    def of(body: BodyParameters, q: Tensor, v: Tensor) -> _Motion:
         turn, free = _place(q)
         gravity = vecmat(body.gravity.expand(len(q), 3), turn)
         if not free:

@@ -29,7 +29,7 @@ TERMS = 16
 """Terms of a series: exact to rounding up to half a turn, to 1e-12 up to a whole one."""
 
 
-class Series(NamedTuple):
+class ExponentialSeries(NamedTuple):
     """Coefficients of ``exp``, ``Jr`` and ``Jr⁻¹`` of a batch of rotation vectors, in ``s``."""
 
     s: Float[Tensor, " rows"]
@@ -54,7 +54,7 @@ class Series(NamedTuple):
     """``de/ds``."""
 
     @staticmethod
-    def of(phi: Float[Tensor, "rows 3"]) -> Series:
+    def of(phi: Float[Tensor, "rows 3"]) -> ExponentialSeries:
         """Evaluate the series."""
         s = phi.square().sum(-1)
         powers = torch.stack((torch.ones_like(s), s), dim=-1)
@@ -62,7 +62,7 @@ class Series(NamedTuple):
         while powers.shape[-1] < TERMS:
             powers = torch.cat((powers, powers * power.unsqueeze(-1)), dim=-1)
             power = power * power
-        return Series(s, *(powers @ _table(phi.dtype, phi.device)).unbind(-1))
+        return ExponentialSeries(s, *(powers @ _table(phi.dtype, phi.device)).unbind(-1))
 
     @property
     def gamma(self) -> Tensor:
@@ -279,7 +279,7 @@ class Space:
         if not self.rotations:
             return v
         phi, (flat, omega) = self.vectors(x), self._parts(v)
-        series = Series.of(phi)
+        series = ExponentialSeries.of(phi)
         inverse = polynomial(phi, series.s, 0.5, series.gamma)
         rate = (inverse @ omega.reshape(-1, 3, 1)).view(len(v), -1)
         return torch.cat((flat, rate), dim=1)
@@ -349,7 +349,7 @@ def cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
 def exponential(phi: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Return ``exp [φ]`` by Rodrigues' formula."""
     rows = phi.reshape(-1, 3)
-    series = Series.of(rows)
+    series = ExponentialSeries.of(rows)
     return polynomial(rows, series.s, series.sinc, series.a).view(*phi.shape, 3)
 
 

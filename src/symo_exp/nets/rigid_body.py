@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Curvature, Gradients, Rates, jacobian, matvec
-from symo_exp.mechanics.rigid_body import RigidBody, RigidBodyLagrangian, in_world
+from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import linear, repeated, transposed
 from symo_exp.nets.mlp import MLP
@@ -96,7 +96,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         mark(coefficients, "coefficient")
 
     @override
-    def rigid_body(self, like: Float[Tensor, "batch N"]) -> RigidBody:
+    def rigid_body(self, like: Float[Tensor, "batch N"]) -> BodyParameters:
         batch = len(like)
         moments = repeated(self.moments, batch)
         padded = torch.cat((moments, torch.zeros_like(moments[:, :1])), dim=1)
@@ -104,7 +104,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         gravity = moments.new_zeros(batch, 3)
         if self.gravity is not None:
             gravity = repeated(self.gravity, batch)
-        return RigidBody.of_pseudo_inertia(factor @ factor.mT, gravity)
+        return BodyParameters.of_pseudo_inertia(factor @ factor.mT, gravity)
 
     @override
     def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:

@@ -16,8 +16,7 @@ from typing_extensions import override
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.bodies import Vector, pseudo_inertia
 from symo_exp.mechanics.lagrangian import Rates
-from symo_exp.mechanics.rigid_body import RigidBody as Body
-from symo_exp.mechanics.rigid_body import RigidBodyLagrangian
+from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import Constant, LagrangianSystem, Skeleton
@@ -55,9 +54,9 @@ class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
         return self.coordinates.space
 
     @override
-    def rigid_body(self, like: Float[Tensor, "batch N"]) -> Body:
+    def rigid_body(self, like: Float[Tensor, "batch N"]) -> BodyParameters:
         body, gravity = self.body.to(like), self.acceleration_of_gravity.to(like)
-        return Body.of_pseudo_inertia(body.unsqueeze(0), gravity.unsqueeze(0))
+        return BodyParameters.of_pseudo_inertia(body.unsqueeze(0), gravity.unsqueeze(0))
 
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
