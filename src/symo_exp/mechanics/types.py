@@ -44,6 +44,12 @@ class Coordinates(NamedTuple):
         return len(self.names)
 
     @property
+    def turning(self) -> tuple[bool, ...]:
+        """Which degrees of freedom are angles or belong to a rotation."""
+        flat = len(self.flat)
+        return (*self.angular[:flat], *(True for _ in self.names[flat:]))
+
+    @property
     def measured(self) -> tuple[str, ...]:
         """Names of the numbers that a recording has, unit quaternions with the scalar first."""
         parts = ("w", *AXES)

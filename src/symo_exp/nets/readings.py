@@ -69,7 +69,7 @@ def _(module: RigidChain, coordinates: Coordinates) -> list[Reading]:
         found += _body(name, factors[i] @ factors[i].mT)
         found += _vector(f"{name}.axis", "1", axes[i] / axes[i].norm())
         found += _vector(f"{name}.place", "m", places[i])
-        unit = "kg m^2" if coordinates.angular[i] else "kg"
+        unit = "kg m^2" if coordinates.turning[i] else "kg"
         found.append(Reading(f"{name}.armature", unit, module.rotors[i].square()))
     return found + _vector("gravity", "m/s^2", module.gravity)
 
@@ -131,7 +131,7 @@ def _(module: KnownFriction, coordinates: Coordinates) -> list[Reading]:
     n, found = coordinates.n, []
     for k in module.free:
         i, dry = k % n, k >= n
-        unit = _units(coordinates.angular[i])[dry]
+        unit = _units(coordinates.turning[i])[dry]
         value = (coulomb if dry else viscous)[i]
         kind = "dry_friction" if dry else "viscous_friction"
         found.append(Reading(f"{coordinates.names[i]}.{kind}", unit, value))
@@ -143,8 +143,8 @@ def _(module: MachineFriction, coordinates: Coordinates) -> list[Reading]:
     found = _coefficients(module, coordinates)
     tilts, stribeck = module.asymmetry(), module.stribeck()
     for i, name in enumerate(coordinates.names):
-        _, force = _units(coordinates.angular[i])
-        rate = "rad/s" if coordinates.angular[i] else "m/s"
+        _, force = _units(coordinates.turning[i])
+        rate = "rad/s" if coordinates.turning[i] else "m/s"
         if tilts is not None:
             for kind, tilt in zip(("viscous", "dry"), tilts, strict=True):
                 found.append(Reading(f"{name}.{kind}_friction.asymmetry", "1", tilt[i]))
@@ -165,16 +165,16 @@ def _coefficients(module: LearnedDissipation, coordinates: Coordinates) -> list[
     matrix, dry = module.coefficients()
     names, found = coordinates.names, []
     for i, name in enumerate(names):
-        unit, force = _units(coordinates.angular[i])
+        unit, force = _units(coordinates.turning[i])
         if matrix is not None:
             found.append(Reading(f"{name}.viscous_friction", unit, matrix[i, i]))
             for j in range(i):
-                mixed = unit if coordinates.angular[i] == coordinates.angular[j] else "N s"
+                mixed = unit if coordinates.turning[i] == coordinates.turning[j] else "N s"
                 label = f"{name}.viscous_friction.{names[j]}"
                 found.append(Reading(label, mixed, matrix[i, j]))
         if dry is not None:
             found.append(Reading(f"{name}.dry_friction", force, dry[0][i]))
-            rate = "rad/s" if coordinates.angular[i] else "m/s"
+            rate = "rad/s" if coordinates.turning[i] else "m/s"
             found.append(Reading(f"{name}.rest_velocity", rate, dry[1][i]))
     return found
 

@@ -102,7 +102,7 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
     errors, table, pair = _errors(rollouts), _table(rollouts), (method, "")
     chosen = {which: table[table.trajectory == at] for which, at in ranking(errors).items()}
     panels = []
-    for (name, label), angular in zip(_labels(rollouts), rollouts.coordinates.angular, strict=True):
+    for (name, label), angular in zip(_labels(rollouts), rollouts.coordinates.turning, strict=True):
         columns = f"q_{name}", f"q_true_{name}"
         for which, one in chosen.items():
             turns = angular and np.ptp(one[columns[1]]) > 2 * np.pi
@@ -111,15 +111,9 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
             shown = shown[shown.t <= LONG]
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
     names = rollouts.coordinates.names
-    unit = error_unit(names, rollouts.coordinates.angular)
+    unit = error_unit(names, rollouts.coordinates.turning)
     for one in chosen.values():
-        squares = sum((one[f"q_{n}"] - one[f"q_true_{n}"]) ** 2 for n in names) / len(names)
-        panels.append(
-            over_time(
-                {pair: one.assign(error=squares)}, "error", None, f"squared error [{unit}]",
-                log=True,
-            )
-        )  # fmt: skip
+        panels.append(over_time({pair: one}, "error", None, f"squared error [{unit}]", log=True))
     return Figure("trajectories", f"{title}: rollouts of {_horizon(rollouts)}", "", panels)
 
 
@@ -128,7 +122,7 @@ def phase_portrait(rollouts: Rollouts, method: str, title: str) -> Figure:
 
     Angles are wrapped to (−π, π].
     """
-    table, angular = _table(rollouts), rollouts.coordinates.angular
+    table, angular = _table(rollouts), rollouts.coordinates.turning
     panels = [
         Panel(TRUTH.label if only == "truth" else look(method).label, label,
               axis_label(name, velocity=True, angular=wrap),
@@ -185,9 +179,16 @@ def _errors(rollouts: Rollouts) -> Tensor:
 
 
 def _table(rollouts: Rollouts) -> pd.DataFrame:
-    """Return all motions, a row for each node, with predictions only until they are lost."""
+    """Return all motions, a row for each node, with predictions only until they are lost.
+
+    ``error`` is the mean squared error of a node.
+    """
     columns = {name: column.numpy() for name, column in rollouts.columns().items()}
-    return kept(pd.DataFrame(columns))
+    predicted, true = rollouts.compared()
+    columns["error"] = (predicted - true).square().mean(2).flatten().numpy()
+    table = kept(pd.DataFrame(columns))
+    lost = table[f"q_{rollouts.coordinates.names[0]}"].isna()
+    return table.assign(error=table.error.mask(lost))
 
 
 def _until(one: pd.DataFrame) -> str:
@@ -202,5 +203,5 @@ def _horizon(rollouts: Rollouts) -> str:
 
 
 def _labels(rollouts: Rollouts) -> list[tuple[str, str]]:
-    names, angular = rollouts.coordinates.names, rollouts.coordinates.angular
+    names, angular = rollouts.coordinates.names, rollouts.coordinates.turning
     return [(n, axis_label(n, angular=a)) for n, a in zip(names, angular, strict=True)]

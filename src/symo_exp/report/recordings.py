@@ -40,7 +40,7 @@ def windows_figure(found: RecordedPredictions, method: str, title: str) -> Figur
     table, errors = _table(found), found.model.rmse(HORIZONS[-1])
     chosen = {which: table[table.window == at] for which, at in ranking(errors).items()}
     above, below = [], []
-    for name, angular in zip(*found.coordinates[:2], strict=True):
+    for name, angular in zip(found.coordinates.names, found.coordinates.turning, strict=True):
         for which, one in chosen.items():
             label, error = axis_label(name, angular=angular), errors[one.window.iloc[0]]
             said = f"{which} of {len(errors)}: RMSE {error:.2g}"
@@ -66,7 +66,9 @@ def dissipation_figure(
         values = along(force, *states).cpu().where(finite, torch.nan)
     which, nodes = ranking(found.model.rmse(HORIZONS[-1]))["median"], np.arange(v.shape[1])
     driven, panels = bool(found.model.windows.u.any()), []
-    for i, (name, angular) in enumerate(zip(*found.coordinates[:2], strict=True)):
+    for i, (name, angular) in enumerate(
+        zip(found.coordinates.names, found.coordinates.turning, strict=True)
+    ):
         unit = ("N m" if angular else "N") if driven else "up to a factor"  # free: no force known
         label = f"F of {symbol(name)} [{unit}]"
         speed = axis_label(name, velocity=True, angular=angular)
