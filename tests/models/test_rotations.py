@@ -1,0 +1,94 @@
+"""Models of systems with rotations: derivatives of a step, the control behind a motion, fits."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.explicit import RK4
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Trajectory
+from symo_exp.models.base import DynamicsModel
+from symo_exp.models.flows import ExplicitFlow
+from symo_exp.models.horizon import HorizonError
+from symo_exp.models.starts import fitted_start
+from symo_exp.models.true import TrueOde, TrueVariational
+from symo_exp.systems.base import LagrangianSystem
+from symo_exp.systems.table import system as stated
+
+ROOT = Newton(tolerance=1e-12, max_iterations=30)
+NAMES = ["rigid_body", "quadrotor"]
+
+
+def model_of(system: LagrangianSystem, kind: str) -> DynamicsModel:
+    shared = {
+        "coordinates": system.coordinates, "input_matrix": system.input_matrix,
+        "time_step": system.time_step,
+    }  # fmt: skip
+    if kind == "explicit":
+        return TrueOde(system, integrator=RK4(), **shared).double()
+    return TrueVariational(system, integrator=Galerkin(stages=2), root=ROOT, **shared).double()
+
+
+@pytest.mark.parametrize("kind", ["explicit", "variational"])
+@pytest.mark.parametrize("name", NAMES)
+def test_linearisation_is_along_rotations(name: str, kind: str) -> None:
+    system = stated(name)
+    model, space = model_of(system, kind), system.space
+    q, v, u = system.points(2, seed=0)
+    found, n, eps = model.linearize(q, v, u), system.coordinates.n, 1e-6
+    for i in range(2 * n + u.shape[1]):
+        unit = torch.zeros(2 * n + u.shape[1], dtype=torch.float64)
+        unit[i] = eps
+        place, rate, control = unit.split((n, n, u.shape[1]))
+        ends = [
+            model.step(space.retract(q, s * place.expand_as(v)), v + s * rate, u + s * control)
+            for s in (1.0, -1.0)
+        ]
+        moved = space.difference(ends[1].q, ends[0].q) / (2 * eps)
+        expected = torch.cat((moved, (ends[0].v - ends[1].v) / (2 * eps)), dim=1)
+        column = torch.cat((found.A, found.B), dim=2)[:, :, i]
+        torch.testing.assert_close(column, expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["explicit", "variational"])
+@pytest.mark.parametrize("name", NAMES)
+def test_inverse_dynamics_finds_the_control_behind_a_motion(name: str, kind: str) -> None:
+    system = stated(name)
+    model = model_of(system, kind)
+    q, v, u = system.points(3, seed=1)
+    path = model.rollout(q, v, u.unsqueeze(1).expand(-1, 3, -1))
+    found = model.inverse_dynamics(*path.q.unbind(1))
+    torch.testing.assert_close(found, u, rtol=1e-6, atol=1e-7)
+
+
+def test_a_fitted_start_is_that_of_the_motion() -> None:
+    system = stated("quadrotor")
+    model = model_of(system, "variational")
+    q, v, u = system.points(3, seed=1)
+    controls = u.unsqueeze(1).expand(-1, 6, -1)
+    path = model.rollout(q, v, controls)
+    start = fitted_start(model, path.q, controls, system.time_step, space=system.space)
+    torch.testing.assert_close(start.q, q, rtol=0, atol=1e-6)
+    torch.testing.assert_close(start.v, v, rtol=0, atol=1e-4)
+
+
+def test_what_rotations_do_not_have_is_refused_in_a_line() -> None:
+    system = stated("rigid_body")
+    model = model_of(system, "variational")
+    q, v, _ = system.points(2, seed=0)
+    with pytest.raises(ConfigError, match="intervals are of lengths and angles"):
+        model.rollout_interval(q, v, steps=2)
+    field = model_of(system, "explicit").flow.field  # type: ignore[union-attr]
+    with pytest.raises(ConfigError, match=r"model\.sensitivity=adjoint"):
+        ExplicitFlow(field, RK4(), 0.1, sensitivity="adjoint")
+    path = model.rollout(q, v, steps=4)
+    still = torch.zeros(5, 3, dtype=torch.float64)
+    motions = [Trajectory(a, b, still) for a, b in zip(path.q, path.v, strict=True)]
+    stretches = HorizonError(horizon=4).cut(motions)
+    with pytest.raises(ConfigError, match="objective=horizon fits lengths and angles"):
+        HorizonError(horizon=4)(model.flow, stretches)
+    with pytest.raises(ConfigError, match=r"q0 has shape|q has shape"):
+        model.rollout(v, v, steps=1)
