@@ -82,6 +82,10 @@ class Objective(ABC):
         """Return whether no operation depends on values, so that the loss can be compiled."""
         return False
 
+    def as_forces(self, flow: Any, windows: Any) -> Objective | None:
+        """Return the objective that measures the same equations as forces, if it is of use."""
+        return None
+
 
 class StateError(Objective):
     """``(q̂_{k+1} − q_{k+1}, v̂_{k+1} − v_{k+1})``: the error of the predicted state."""
@@ -116,6 +120,17 @@ class Residual(Objective):
         return not flow.integrator.iterates
 
 
+class RelativeResidual(Residual):
+    """``g`` over an impulse ``scale`` (n) [N s, N m s]: without it strong joints hide weak ones."""
+
+    def __init__(self, scale: Float[Tensor, " n"]) -> None:
+        self.scale = scale
+
+    @override
+    def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:
+        return Residuals(super().__call__(flow, windows).values / self.scale)
+
+
 class PreconditionedResidual(Residual):
     """``h H⁻¹ g`` with ``H`` at ``(q_k + q_{k+1})/2``, in the units of the coordinates.
 
@@ -123,6 +138,15 @@ class PreconditionedResidual(Residual):
     Jacobian for small steps: to first order the error of the root, without finding it. ``H`` is
     differentiated too; if it were held fixed, ``H → 0`` would remain a solution.
     """
+
+    @override
+    def as_forces(self, flow: VariationalFlow, windows: Windows) -> Residual | None:
+        """Return ``g`` relative to the inputs where these act: without them ``H → 0`` solves it."""
+        impulse = flow.time_step * generalised_force(flow.input_matrix, windows.u)
+        scale = impulse.square().mean(0).sqrt()
+        if not bool(scale.any()):
+            return None
+        return RelativeResidual(scale.where(scale > 0.0, scale.max()))
 
     @override
     def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:

@@ -25,10 +25,11 @@ VELOCITY = 5.0
 class LearnedDissipation(nn.Module, Dissipation):
     """``F_d = −Aᵀ (D A v + c ∘ tanh(A v / ε_v)) − L_D(q, v) L_D(q, v)ᵀ v``, dissipative by design.
 
-    ``D = U diag(d) Uᵀ`` is positive semidefinite, ``U`` unit lower triangular, and ``c, d ≥ 0``, by
-    softplus: unlike that of a Cholesky factor, the slope of ``d`` does not vanish with the
-    friction. ``L_D`` is lower triangular, a network with one hidden tanh layer that reads ``s(q)``
-    and ``v/5``. ``A`` maps coordinates to joints.
+    ``D = U diag(d) Uᵀ`` is positive semidefinite, ``U`` unit lower triangular, and ``c, d ≥ 0`` are
+    squares of parameters, whose slope falls with the root of the friction only: from a start that
+    is too small by orders of magnitude, least squares still find it. ``L_D`` is lower triangular, a
+    network with one hidden tanh layer that reads ``s(q)`` and ``v/5``. ``A`` maps coordinates to
+    joints.
 
     Args:
         coordinates: The coordinates.
@@ -39,7 +40,7 @@ class LearnedDissipation(nn.Module, Dissipation):
             differences ``v₁, v₂ − v₁, …`` of a chain with absolute angles.
         rest_velocity: Initial ``ε_v`` [rad/s, m/s]. It is learned, but never below a fifth of this:
             root finders do not converge at jumps.
-        start: Initial coefficients [N m s, N m]; much larger ones take long to learn.
+        start: Initial coefficients [N m s, N m].
     """
 
     def __init__(
@@ -65,12 +66,12 @@ class LearnedDissipation(nn.Module, Dissipation):
         self.register_buffer("joints", chain if joints == "neighbours" else torch.eye(n), False)
         self._triangle = _Triangle(n)
         entries = self._triangle.entries
-        self.viscous = self.coulomb = self.rest = self.net = None
-        begin = math.log(math.expm1(start))
+        self.viscous_root = self.coulomb_root = self.rest = self.net = None
+        root = math.sqrt(start)
         if viscous:
-            self.viscous = nn.Parameter(self._triangle.flat(begin * torch.eye(n)))
+            self.viscous_root = nn.Parameter(self._triangle.flat(root * torch.eye(n)))
         if coulomb:
-            self.coulomb = nn.Parameter(torch.full((n,), begin))
+            self.coulomb_root = nn.Parameter(torch.full((n,), root))
             self.rest = nn.Parameter(torch.zeros(n))
             self._rest_velocity, self._least_rest = rest_velocity, 0.2
         if width > 0:
@@ -81,7 +82,7 @@ class LearnedDissipation(nn.Module, Dissipation):
             with torch.no_grad():  # a product: at zero it would have no slope
                 self.net.weights[-1].mul_(0.1)
 
-        mark([p for p in (self.viscous, self.coulomb) if p is not None], "coefficient")
+        mark([p for p in (self.viscous_root, self.coulomb_root) if p is not None], "coefficient")
         mark(self.net.parameters() if self.net is not None else (), "late")
 
     @torch.no_grad()
@@ -115,43 +116,45 @@ class LearnedDissipation(nn.Module, Dissipation):
     def coefficients(self) -> tuple[Tensor | None, tuple[Tensor, Tensor] | None]:
         """Return ``D`` (n, n), and ``c`` with ``ε_v`` (n), of joint velocities, where they are."""
         matrix = dry = None
-        if self.viscous is not None:
-            unit, d = (x[0] for x in self._factors(self.viscous.unsqueeze(0)))
+        if self.viscous_root is not None:
+            unit, d = (x[0] for x in self._factors(self.viscous_root.unsqueeze(0)))
             matrix = unit * d @ unit.mT
-        if self.coulomb is not None and self.rest is not None:
-            dry = self._dry(self.coulomb, self.rest)
+        if self.coulomb_root is not None and self.rest is not None:
+            dry = self._dry(self.coulomb_root, self.rest)
         return matrix, dry
 
-    def _factors(self, viscous: Tensor) -> tuple[Tensor, Tensor]:
+    def _factors(self, root: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``U`` and ``d``."""
-        square = self._triangle.square(viscous)
-        d = nn.functional.softplus(square.diagonal(dim1=-2, dim2=-1))
+        square = self._triangle.square(root)
+        d = square.diagonal(dim1=-2, dim2=-1).square()
         return torch.tril(square, -1) + torch.eye(d.shape[-1]).to(d), d
 
-    def _dry(self, coulomb: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
+    def _dry(self, root: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``c`` and ``ε_v``."""
         share = self._least_rest + (1.0 - self._least_rest) * rest.exp()
-        return nn.functional.softplus(coulomb), self._rest_velocity * share
+        return root.square(), self._rest_velocity * share
 
     def _joint_force(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n"]:
         """Return the friction of joint velocities, by the coefficients."""
         found = torch.zeros_like(rate)
-        if self.viscous is not None:
-            unit, d = self._factors(repeated(self.viscous, rate.shape[0]))
+        if self.viscous_root is not None:
+            unit, d = self._factors(repeated(self.viscous_root, rate.shape[0]))
             found = found - matvec(unit, d * vecmat(rate, unit))
-        if self.coulomb is not None and self.rest is not None:
-            c, rest = self._dry(*(repeated(x, rate.shape[0]) for x in (self.coulomb, self.rest)))
+        if self.coulomb_root is not None and self.rest is not None:
+            c, rest = self._dry(
+                *(repeated(x, rate.shape[0]) for x in (self.coulomb_root, self.rest))
+            )
             found = found - c * torch.tanh(rate / rest)
         return found
 
     def _joint_slope(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
         """Return the derivative of ``_joint_force``."""
         found = torch.zeros(rate.shape[0], *self.joints.shape).to(rate)
-        if self.viscous is not None:
-            unit, d = self._factors(self.viscous.unsqueeze(0))
+        if self.viscous_root is not None:
+            unit, d = self._factors(self.viscous_root.unsqueeze(0))
             found = found - unit * d.unsqueeze(-2) @ unit.mT
-        if self.coulomb is not None and self.rest is not None:
-            c, rest = self._dry(self.coulomb, self.rest)
+        if self.coulomb_root is not None and self.rest is not None:
+            c, rest = self._dry(self.coulomb_root, self.rest)
             slope = 1.0 - torch.tanh(rate / rest).square()
             found = found - torch.diag_embed(c / rest * slope)
         return found
@@ -228,15 +231,15 @@ class MachineFriction(LearnedDissipation):
         self._least_rest = least_rest_velocity / rest_velocity
         self._stribeck_velocity = stribeck_velocity
         n = coordinates.n
-        self.tilts = self.breakaway = self.fading = self.constant = None
+        self.tilts = self.breakaway_root = self.fading = self.constant = None
         if asymmetric:
             self.tilts = nn.Parameter(torch.zeros(2 * n))
         if stribeck:
-            self.breakaway = nn.Parameter(torch.full((n,), math.log(math.expm1(start))))
+            self.breakaway_root = nn.Parameter(torch.full((n,), math.sqrt(start)))
             self.fading = nn.Parameter(torch.zeros(n))
         if constant:
             self.constant = nn.Parameter(torch.zeros(n))
-        own = (self.tilts, self.breakaway, self.constant)
+        own = (self.tilts, self.breakaway_root, self.constant)
         mark([p for p in own if p is not None], "coefficient")
 
     @override
@@ -255,27 +258,27 @@ class MachineFriction(LearnedDissipation):
 
     def stribeck(self) -> tuple[Tensor, Tensor] | None:
         """Return ``b`` and ``v_s``, (n,) each, if there is a Stribeck effect."""
-        if self.breakaway is None or self.fading is None:
+        if self.breakaway_root is None or self.fading is None:
             return None
-        return self._stribeck(self.breakaway, self.fading)
+        return self._stribeck(self.breakaway_root, self.fading)
 
-    def _stribeck(self, breakaway: Tensor, fading: Tensor) -> tuple[Tensor, Tensor]:
-        return nn.functional.softplus(breakaway), self._stribeck_velocity * fading.exp()
+    def _stribeck(self, root: Tensor, fading: Tensor) -> tuple[Tensor, Tensor]:
+        return root.square(), self._stribeck_velocity * fading.exp()
 
     @override
     def _joint_force(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n"]:
-        assert self.viscous is not None
-        assert self.coulomb is not None
+        assert self.viscous_root is not None
+        assert self.coulomb_root is not None
         assert self.rest is not None
         batch = len(rate)
-        unit, d = self._factors(repeated(self.viscous, batch))
-        dry, rest = self._dry(repeated(self.coulomb, batch), repeated(self.rest, batch))
+        unit, d = self._factors(repeated(self.viscous_root, batch))
+        dry, rest = self._dry(repeated(self.coulomb_root, batch), repeated(self.rest, batch))
         t = torch.tanh(rate / rest)
         a = e = torch.zeros_like(t)
         if self.tilts is not None:
             a, e = torch.tanh(repeated(self.tilts, batch)).chunk(2, dim=1)
-        if self.breakaway is not None and self.fading is not None:
-            given = repeated(self.breakaway, batch), repeated(self.fading, batch)
+        if self.breakaway_root is not None and self.fading is not None:
+            given = repeated(self.breakaway_root, batch), repeated(self.fading, batch)
             excess, fading = self._stribeck(*given)
             dry = dry + excess * (-(rate / fading).square()).exp()
         s = 1.0 + a * t
@@ -283,12 +286,12 @@ class MachineFriction(LearnedDissipation):
 
     @override
     def _joint_slope(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
-        assert self.viscous is not None
-        assert self.coulomb is not None
+        assert self.viscous_root is not None
+        assert self.coulomb_root is not None
         assert self.rest is not None
-        unit, d = self._factors(self.viscous.unsqueeze(0))
+        unit, d = self._factors(self.viscous_root.unsqueeze(0))
         matrix = unit * d.unsqueeze(-2) @ unit.mT
-        dry, rest = self._dry(self.coulomb, self.rest)
+        dry, rest = self._dry(self.coulomb_root, self.rest)
         t = torch.tanh(rate / rest)
         by_rate = (1.0 - t.square()) / rest
         a, e = self.asymmetry() or (torch.zeros_like(rest),) * 2

@@ -22,7 +22,19 @@ from symo_exp.optim.direct import direct_step
 Sample = TypeVar("Sample", bound=TrainingSamples)
 
 
-class Problem(Protocol):
+class Equations(Protocol):
+    """Residuals of samples."""
+
+    def residuals(self, windows: TrainingSamples) -> Float[Tensor, "samples residuals"]:
+        """Return the residuals of each sample, differentiable in the parameters."""
+        ...
+
+    def linearised(self, windows: TrainingSamples, parameters: Sequence[Tensor]) -> Linearised:
+        """Return the residuals of each sample with their derivatives in the parameters."""
+        ...
+
+
+class Problem(Equations, Protocol):
     """A model with its objective, as an optimiser sees it."""
 
     gradient_clip: float | None
@@ -37,12 +49,8 @@ class Problem(Protocol):
         """Return the parameters."""
         ...
 
-    def residuals(self, windows: TrainingSamples) -> Float[Tensor, "samples residuals"]:
-        """Return the residuals of each sample, differentiable in the parameters."""
-        ...
-
-    def linearised(self, windows: TrainingSamples, parameters: Sequence[Tensor]) -> Linearised:
-        """Return the residuals of each sample with their derivatives in the parameters."""
+    def as_forces(self, windows: TrainingSamples) -> Equations | None:
+        """Return the same equations as forces, if they are of use."""
         ...
 
     def loss(self, windows: TrainingSamples) -> Float[Tensor, ""]:

@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import TrainingSamples
-from symo_exp.optim.base import EpochOptimizer, Problem, concatenated
+from symo_exp.optim.base import EpochOptimizer, Equations, Problem, concatenated
 from symo_exp.optim.damped import DampedSystem
 from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
 
@@ -22,6 +22,8 @@ FALLS = 0.9
 """Ratio of training losses between two held-out losses below which the loss counts as falling."""
 LIMIT = 1e12
 """The damping at which a refused step ends the training."""
+EQUATIONS = 8
+"""Equations for each parameter while residuals are forces."""
 
 
 class LevenbergMarquardt(EpochOptimizer):
@@ -36,12 +38,19 @@ class LevenbergMarquardt(EpochOptimizer):
     1999); after ``trials`` of these the epoch ends. It is ``finished`` if no step lowers the loss
     and ``λ`` passes 1e12.
 
+    The first ``force_epochs`` minimise the residuals as forces, where the problem has them, each on
+    as many samples as have eight equations for each parameter. Forces are linear in inertias and in
+    friction, and a quadratic function of factors of these has hardly any poor minimum (Burer and
+    Monteiro 2003), while accelerations ``H⁻¹ F`` are also small with an infinite inertia, towards
+    which training on them can go. These epochs end early when no step lowers the loss.
+
     The system is solved by Cholesky in the space of the parameters or, for a wide network, in that
     of the residuals, whichever is smaller.
 
     Args:
         params: The parameters, float64.
         damping: Initial ``λ``.
+        force_epochs: Epochs at the start in which residuals are forces.
         trials: Trials of one step.
         patience: Number of held-out losses without improvement.
         chunk: Samples in a piece of ``J``.
@@ -52,6 +61,7 @@ class LevenbergMarquardt(EpochOptimizer):
         params: Iterable[Tensor],
         *,
         damping: float = 1e-3,
+        force_epochs: int = 0,
         trials: int = 8,
         patience: int = 20,
         chunk: int = 1024,
@@ -59,13 +69,16 @@ class LevenbergMarquardt(EpochOptimizer):
         for name, value in (("damping", damping), ("trials", trials), ("chunk", chunk)):
             if not value > 0:
                 raise ConfigError(f"optimizer.{name}={value}: expected a number above 0")
+        if not force_epochs >= 0:
+            raise ConfigError(f"optimizer.force_epochs={force_epochs}: expected 0 or more")
         super().__init__(params, patience=patience)
         if any(p.dtype != torch.float64 for p in self.parameters):
             raise ConfigError(
                 "Levenberg-Marquardt squares the condition of the problem: it needs dtype=float64"
             )
-        self.trials, self.chunk = trials, chunk
+        self.trials, self.chunk, self.initial_damping = trials, chunk, damping
         self.memory |= {"damping": damping, "loss": math.inf, "asked": math.inf}
+        self.memory["forces"] = force_epochs
 
     @property
     def damping(self) -> float:
@@ -75,10 +88,18 @@ class LevenbergMarquardt(EpochOptimizer):
     @override
     def epoch(self, model: Problem, batches: Sequence[TrainingSamples]) -> dict[str, Tensor]:
         samples = concatenated(batches)
-        descent = _Trials(self, model, samples)
-        if not descent.run(self.trials):
+        forces = model.as_forces(samples) if self.memory["forces"] else None
+        if forces is not None:
+            samples = self._few(forces, samples)
+        descent = _Trials(self, forces or model, samples)
+        stuck = not descent.run(self.trials)
+        if stuck:
             self.place(descent.start)
-            self.finished = self.damping >= LIMIT
+            self.finished = forces is None and self.damping >= LIMIT
+        if self.memory["forces"]:
+            self.memory["forces"] = 0 if stuck or forces is None else self.memory["forces"] - 1
+            if not self.memory["forces"]:
+                self.memory["damping"] = self.initial_damping
         self.memory["loss"] = descent.objective
         squares = descent.system.r @ descent.system.r
         return {"train_loss": squares, "damping": torch.tensor(self.damping)}
@@ -89,6 +110,8 @@ class LevenbergMarquardt(EpochOptimizer):
 
     @override
     def falls(self) -> bool:
+        if self.memory["forces"]:
+            return True
         before, self.memory["asked"] = self.memory["asked"], self.memory["loss"]
         return bool(self.memory["loss"] < FALLS * before)
 
@@ -96,7 +119,14 @@ class LevenbergMarquardt(EpochOptimizer):
         """Multiply the damping."""
         self.memory["damping"] = min(max(self.damping * factor, 1e-16), 1e16)
 
-    def linearised(self, model: Problem, samples: TrainingSamples) -> DampedSystem:
+    def _few(self, equations: Equations, samples: TrainingSamples) -> TrainingSamples:
+        """Return samples with about ``EQUATIONS`` equations for each parameter, spread over all."""
+        with torch.no_grad():
+            per_sample = equations.residuals(samples.rows(slice(1))).shape[1]
+        count = -(-EQUATIONS * len(self.flat()) // per_sample)
+        return samples.rows(slice(None, None, max(1, len(samples.q) // count)))
+
+    def linearised(self, model: Equations, samples: TrainingSamples) -> DampedSystem:
         """Return the residuals and their derivatives at the parameters in place."""
         size = len(self.flat())
         with torch.no_grad():
@@ -106,7 +136,7 @@ class LevenbergMarquardt(EpochOptimizer):
         values, jacobians = zip(*pieces, strict=True)
         return DampedSystem(torch.cat(values), jacobians)
 
-    def _differentiated(self, model: Problem, samples: TrainingSamples) -> tuple[Tensor, Tensor]:
+    def _differentiated(self, model: Equations, samples: TrainingSamples) -> tuple[Tensor, Tensor]:
         """Return ``r`` and ``J``, a row each residual."""
         r, jacobian, _ = model.linearised(samples, self.parameters)
         return r.flatten(), jacobian.flatten(0, 1)
@@ -129,7 +159,9 @@ class LevenbergMarquardt(EpochOptimizer):
 class _Trials(Descent):
     """Trials of one step."""
 
-    def __init__(self, owner: LevenbergMarquardt, model: Problem, samples: TrainingSamples) -> None:
+    def __init__(
+        self, owner: LevenbergMarquardt, model: Equations, samples: TrainingSamples
+    ) -> None:
         self.system, self.start = owner.linearised(model, samples), owner.flat()
         self._owner, self._model, self._samples = owner, model, samples
         self._growth = 2.0

@@ -1,13 +1,17 @@
 """Runs of earlier versions, translated to what this version reads.
 
-In these a model was a LightningModule whose settings held those of its training, of its network
-and of its Lagrangian; the weights had no prefix.
+In the first a model was a LightningModule whose settings held those of its training, of its network
+and of its Lagrangian; the weights had no prefix. Coefficients of learned friction were softplus of
+their parameters, later squares.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
+
+import torch
+from torch import Tensor
 
 TRAINING = ("optimizer", "scheduler", "scheduler_monitor", "gradient_clip", "validation")
 NETWORK = {"width": None, "depth": 2}
@@ -19,6 +23,9 @@ LAGRANGIANS = ("symo_exp.models.l_node.", "symo_exp.models.symo.", "symo_exp.mod
 
 PREFIX = "model."
 """Of the weights of a model in the checkpoint of its learner."""
+
+COEFFICIENTS = ("viscous", "coulomb", "breakaway")
+"""Parameters of learned friction."""
 
 
 def model_settings(stored: Mapping[str, Any]) -> dict[str, Any]:
@@ -51,4 +58,23 @@ def _lagrangian(
 
 def model_weights(stored: Mapping[str, Any]) -> dict[str, Any]:
     """Return the weights of a model from those of a checkpoint."""
-    return {name.removeprefix(PREFIX): value for name, value in stored.items()}
+    weights = {name.removeprefix(PREFIX): value for name, value in stored.items()}
+    drag = {name.removesuffix("weight") for name in weights if name.endswith("dissipation.weight")}
+    return dict(_friction(name, old, drag=drag) for name, old in weights.items())
+
+
+def _friction(name: str, old: Tensor, *, drag: Collection[str]) -> tuple[str, Tensor]:
+    """Return a parameter under its present name; coefficients of drag have kept theirs."""
+    module, _, own = name.rpartition(".")
+    if not module.endswith("dissipation") or own not in COEFFICIENTS or f"{module}." in drag:
+        return name, old
+    return f"{name}_root", _roots(old, triangle=own == "viscous")
+
+
+def _roots(old: Tensor, *, triangle: bool) -> Tensor:
+    """Return parameters of friction whose squares are coefficients; of a triangle the diagonal."""
+    at = torch.arange(len(old))
+    if triangle:
+        at = at * (at + 3) // 2
+        at = at[at < len(old)]
+    return old.index_copy(0, at, torch.nn.functional.softplus(old[at]).sqrt())

@@ -20,7 +20,7 @@ from symo_exp.mechanics.types import TrainingSamples, Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.objectives import Objective, Statistics
 from symo_exp.nets.affine import Linearised
-from symo_exp.optim.base import EpochOptimizer, minibatches
+from symo_exp.optim.base import EpochOptimizer, Equations, minibatches
 
 
 class Learner(lightning.LightningModule):
@@ -90,6 +90,11 @@ class Learner(lightning.LightningModule):
     def linearised(self, windows: TrainingSamples, parameters: Sequence[Tensor]) -> Linearised:
         """Return the residuals of each sample with their derivatives in the parameters."""
         return self.objective.linearised(self.model.flow, windows, parameters)
+
+    def as_forces(self, windows: TrainingSamples) -> Equations | None:
+        """Return the same equations as forces, if they are of use."""
+        objective = self.objective.as_forces(self.model.flow, windows)
+        return None if objective is None else Learner(self.model, objective=objective)
 
     def loss(self, windows: TrainingSamples) -> Float[Tensor, ""]:
         """Return the mean square of the residuals."""

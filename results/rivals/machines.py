@@ -1,0 +1,107 @@
+"""The real machines, what a rival is given, and how it chooses its settings."""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from symo_exp.evaluation.starts import RollsOut
+
+from symo_exp.data.header import header, names
+from symo_exp.data.recorded import RecordedData
+from symo_exp.evaluation.horizon import cut, median, predict
+from symo_exp.mechanics.types import Trajectory
+from symo_exp.systems.recorded import Recorded
+
+TIME_STEP = 0.02
+"""Distance of the nodes of predictions [s]."""
+FINE = {"motor_pendulum": 0.02}
+"""Distance of the samples that rivals may differentiate [s]; 5 ms where the recording has them."""
+PLACE = torch.empty(0, dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A machine: all angles in radians, zero hanging down, an input for each or for none.
+
+    Attributes:
+        name: Of its table in ``recordings``.
+        train: Training trajectories, nodes ``TIME_STEP`` apart, with measured velocities.
+        val: Those on which settings are chosen.
+        fine: The training trajectories, samples ``fine_step`` apart.
+        fine_step: Distance of these samples [s].
+    """
+
+    name: str
+    train: Sequence[Trajectory]
+    val: Sequence[Trajectory]
+    test: Sequence[Trajectory]
+    fine: Sequence[Trajectory]
+    fine_step: float
+
+    @property
+    def n(self) -> int:
+        return self.train[0].q.shape[1]
+
+    @property
+    def m(self) -> int:
+        return self.train[0].u.shape[1]
+
+
+class Rival(Protocol):
+    """A method with its own package."""
+
+    NAME: str
+    GIVEN: str
+    """What it knows of the machine."""
+
+    def candidates(self, machine: Machine) -> Iterable[tuple[str, Callable[[], RollsOut]]]:
+        """Yield settings in words, and how to fit a model with them, the likely ones first."""
+
+
+def machine(name: str) -> Machine:
+    fine_step = FINE.get(name, 0.005)
+    coarse, fine = _data(name, TIME_STEP), _data(name, fine_step)
+    parts = {part: coarse.trajectories(part) for part in ("train", "val", "test")}
+    return Machine(name=name, fine=fine.trajectories("train"), fine_step=fine_step, **parts)
+
+
+def _data(name: str, step: float) -> RecordedData:
+    path = f"recordings/{name}.parquet"
+    columns = header(path)
+    system = Recorded(
+        names=names("q", columns), inputs=names("u", columns), angular="all", time_step=step
+    )
+    data = RecordedData(system=system, path=path, dtype="float64")
+    data.prepare_data()
+    data.setup()
+    return data
+
+
+def chosen(rival: Any, of: Machine, budget: float) -> tuple[RollsOut, str, int, float]:
+    """Fit candidates until the processor time [s] is used; return the best on ``val``.
+
+    The best has the smallest median error of rollouts over 1 s from fitted starts. Returned are
+    the model, its settings, the number of candidates and the time.
+    """
+    begin, best = time.process_time(), (float("inf"), None, "none")
+    windows, count = cut(of.val, TIME_STEP, run_in=True), 0
+    assert windows is not None
+    for settings, fit in rival.candidates(of):
+        model = fit()
+        error = median(predict(model, windows, TIME_STEP, PLACE).rmse(1.0))
+        count += 1
+        print(f"  {rival.NAME}, {settings}: val {error:.4g}", flush=True)
+        if error < best[0] or best[1] is None:
+            best = (error, model, settings)
+        if time.process_time() - begin > budget:
+            break
+    assert best[1] is not None
+    return best[1], best[2], count, time.process_time() - begin
+
+
+def measures(model: RollsOut, of: Machine, part: str = "test") -> dict[str, float]:
+    windows = cut(getattr(of, part), TIME_STEP, run_in=True)
+    assert windows is not None
+    return predict(model, windows, TIME_STEP, PLACE).measures()

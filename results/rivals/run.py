@@ -1,0 +1,47 @@
+"""Fit rivals to machines and append their rows to rivals.csv beside this file.
+
+python results/rivals/run.py --rivals sindy,narx --budget 120 MACHINE ...
+"""
+
+import argparse
+import importlib
+import time
+from pathlib import Path
+
+import pandas as pd
+import torch
+from machines import chosen, machine, measures
+
+HERE = Path(__file__).parent
+KEY = ["machine", "rival"]
+
+
+def kept(row: dict[str, object]) -> None:
+    """Add a row in place of an earlier one."""
+    path = HERE / "rivals.csv"
+    before = [pd.read_csv(path)] if path.exists() else []
+    both = pd.concat([*before, pd.DataFrame([row])]).drop_duplicates(KEY, keep="last")
+    both.sort_values(KEY).to_csv(path, index=False, float_format="%.4g")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("machines", nargs="+")
+    parser.add_argument("--rivals", default="sindy,narx")
+    parser.add_argument("--budget", type=float, default=120.0, help="processor time [s]")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    for name in given.machines:
+        of = machine(name)
+        for key in given.rivals.split(","):
+            rival = importlib.import_module(key)
+            print(f"{name}, {rival.NAME}", flush=True)
+            start = time.process_time()
+            model, settings, count, seconds = chosen(rival, of, given.budget)
+            found = measures(model, of)
+            print(f"  chosen: {settings}; {found}", flush=True)
+            kept(
+                {"machine": name, "rival": rival.NAME, **found, "seconds": seconds,
+                 "candidates": count, "settings": settings, "given": rival.GIVEN}
+            )  # fmt: skip
+            print(f"  {time.process_time() - start:.0f} s in all", flush=True)
