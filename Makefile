@@ -17,7 +17,7 @@ export OMP_NUM_THREADS := 1
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-commands test-lowest docs ui lint audit smoke bench bench-quick clean
+.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-commands test-lowest docs ui lint audit smoke bench bench-quick rivals clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -98,6 +98,12 @@ bench: install ## measure speed, against other implementations where they are in
 bench-quick: install ## one system and one batch, in two minutes
 	$(PY) -m benchmarks --quick
 
+rivals: ## fit open packages for system identification to the real machines, in .venv-rivals
+	$(PYTHON) -m venv .venv-rivals
+	.venv-rivals/bin/python -m pip install --quiet --editable '.[rivals]'
+	.venv-rivals/bin/python -W ignore results/rivals/run.py
+	.venv-rivals/bin/python results/rivals/table.py > results/rivals/table.md
+
 clean: ## remove what was built, trained and cached here, and the environment
-	rm -rf $(VENV) .venv-lowest build dist docs/drawn outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-lowest .venv-rivals build dist docs/drawn outputs multirun mlruns .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

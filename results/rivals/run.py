@@ -1,4 +1,4 @@
-"""Fit rivals to machines and append their rows to rivals.csv beside this file.
+"""Fit rivals to machines, all five without a name; their rows go to rivals.csv beside this file.
 
 python results/rivals/run.py --rivals sindy,narx --budget 120 MACHINE ...
 """
@@ -14,6 +14,10 @@ from machines import chosen, machine, measures
 
 HERE = Path(__file__).parent
 KEY = ["machine", "rival"]
+MACHINES = [
+    "free_single_pendulum", "free_double_pendulum", "free_triple_pendulum", "motor_pendulum",
+    "motor_double_pendulum",
+]  # fmt: skip
 
 
 def kept(row: dict[str, object]) -> None:
@@ -26,7 +30,7 @@ def kept(row: dict[str, object]) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("machines", nargs="+")
+    parser.add_argument("machines", nargs="*", default=MACHINES)
     parser.add_argument("--rivals", default="sindy,narx")
     parser.add_argument("--budget", type=float, default=120.0, help="processor time [s]")
     given = parser.parse_args()

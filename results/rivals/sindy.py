@@ -71,8 +71,8 @@ def differentiated(machine: Machine, given: str, window: int) -> tuple[Tensor, .
     rows = []
     for q, v, u in machine.fine:
         t = machine.fine_step * np.arange(len(q))
-        rate = v.numpy() if given == "measured" else rule._differentiate(q.numpy(), t)
-        slope, inner = rule._differentiate(rate, t), slice(window // 2, -(window // 2))
+        rate = v.numpy() if given == "measured" else rule(q.numpy(), t)
+        slope, inner = rule(rate, t), slice(window // 2, -(window // 2))
         fields = q, torch.tensor(np.asarray(rate)), torch.tensor(np.asarray(slope)), u
         rows.append([x[inner] for x in fields])
     return tuple(torch.cat(x) for x in zip(*rows, strict=True))
