@@ -25,6 +25,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.types import TrainingSamples, Trajectory, Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, Forces, differentiable_root
