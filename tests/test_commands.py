@@ -39,15 +39,13 @@ NOT_RUN = {
 """Parts of commands that are not run here, and why."""
 
 SHORT = [
-    # epochs; of simulated data: test trajectories and steps of rollouts; of searches: trials; of
-    # trainings of second order: training trajectories
+    # epochs; of simulated data: trajectories and steps of rollouts; of searches: trials
     (r"-m symo_exp (?!record)(?!.*-cn machine)", "trainer.max_epochs=2 trainer.validate_every=1"),
     (r"-m symo_exp (?!record)(?!.*(data=recorded|-cn machine|draws=published|preset=thesis))",
-     "data.n_val=4 data.n_test=4 data.n_integration=2 data.integration_steps=30 "
-     "data.monitor_trajectories=null"),
+     "data.n_traj=8 data.n_train_max=8 data.n_val=4 data.n_test=4 data.n_integration=2 "
+     "data.integration_steps=30 data.monitor_trajectories=null"),
     (r"-cn search|hydra/sweeper=optuna", "hydra.sweeper.n_trials=2"),
     (r"-cn machine", "budget=90s"),
-    (r"preset=(fast|joints|rigid)|-cn (growth|accuracy)", "data.n_traj=8 data.n_train_max=8"),
 ]  # fmt: skip
 """Settings appended to a command in which the pattern is found.
 
