@@ -25,7 +25,6 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.types import TrainingSamples, Trajectory, Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, Forces, differentiable_root
@@ -143,7 +142,9 @@ class PreconditionedResidual(Residual):
     @override
     def as_forces(self, flow: VariationalFlow, windows: Windows) -> Residual | None:
         """Return ``g`` relative to the inputs where these act: without them ``H → 0`` solves it."""
-        impulse = flow.time_step * generalised_force(flow.input_matrix, windows.u)
+        if flow.space.rotations:
+            return None
+        impulse = flow.time_step * flow.force(windows.u)
         scale = impulse.square().mean(0).sqrt()
         if not bool(scale.any()):
             return None
