@@ -49,6 +49,10 @@ OPTIMIZERS: dict[str, Callable[..., EpochOptimizer]] = {
 }
 EPOCHS = {"total_least_squares": 30, "levenberg_marquardt": 12}
 VALIDATE = 6
+COLUMNS = [
+    "system", "machine", "optimizer", "noise", "noise_found", "parameters", "held", "rms_score",
+    "rollouts_held", "scores",
+]  # fmt: skip
 
 
 def machine(kind: str, seed: int) -> tuple[Any, Any, float]:
@@ -121,6 +125,9 @@ def row(kind: str, seed: int, optimizer: str) -> dict[str, Any]:
     exact = learned(true, PreconditionedResidual())
     train = motions(exact, true, MOTIONS, 10 * seed, sigma)
     model = trained(start, optimizer, train, motions(exact, true, 2, 10 * seed + 1, sigma))
+    about = {"system": kind, "machine": seed, "optimizer": optimizer, "noise": sigma}
+    if model.posterior is None:
+        return about
     truth, found = table(exact), table(model)
     names = [name for name in truth if name in found and found[name].determined != "no"]
     scores = torch.tensor(
@@ -131,18 +138,14 @@ def row(kind: str, seed: int, optimizer: str) -> dict[str, Any]:
     q, v, u = (torch.stack(x)[:, : round(2.0 / H) + 1] for x in zip(*unseen, strict=True))
     interval = model.for_evaluation().rollout_interval(q[:, 0], v[:, 0], u, level=LEVEL)
     inside = ((interval.lower <= q) & (q <= interval.upper))[:, 1:].double()
-    assert model.posterior is not None
-    return {
-        "system": kind,
-        "machine": seed,
-        "optimizer": optimizer,
-        "noise": sigma,
+    return about | {
         "noise_found": model.posterior.parameters.noise,
         "parameters": len(names),
         "held": int((scores.abs() <= bound).sum()),
         "rms_score": float(scores.square().mean().sqrt()),
         "rollouts_held": float(inside.mean()),
-    } | {"scores": " ".join(f"{x:.2f}" for x in scores.tolist())}
+        "scores": " ".join(f"{x:.2f}" for x in scores.tolist()),
+    }
 
 
 if __name__ == "__main__":
@@ -156,6 +159,6 @@ if __name__ == "__main__":
     torch.set_default_dtype(torch.float64)
     torch.set_num_threads(1)
     for seed in range(given.first, given.first + given.count):
-        rows = pd.DataFrame([row(given.system, seed, kind) for kind in chosen])
+        rows = pd.DataFrame([row(given.system, seed, kind) for kind in chosen], columns=COLUMNS)
         rows.to_csv(sys.stdout, index=False, header=False, float_format="%.4g")
         sys.stdout.flush()

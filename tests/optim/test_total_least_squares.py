@@ -279,15 +279,10 @@ def test_invalid_settings_are_refused(wrong):
 
 @pytest.mark.parametrize(
     ("losses", "epsilon"),
-    [
-        ((3.0, 1.0, 2.0), 1.0),
-        ((3.0, 2.0, 1.0), 0.1),
-        ((1.9, 2.0, 3.0), 1.0),
-        ((1.0, 2.0, 3.0), 1.0),
-    ],
+    [((3.0, 1.0, 2.0), 1.0), ((3.0, 2.0, 1.0), 0.1), ((1.9, 2.0, 3.0), 1.0)],
 )
 def test_the_estimate_has_the_epsilon_of_the_parameters_that_are_kept(losses, epsilon):
-    """Its scatter, and so every interval, depends on it; a start counts as the first."""
+    """Its scatter, and so every interval, depends on it."""
     parameter = torch.zeros(2, dtype=torch.float64, requires_grad=True)
     optimizer = TotalLeastSquares([parameter], epsilons=(1.0, 0.1), starts=1, start=2, epochs=3)
     for epochs, loss in zip((2, 5, 8), losses, strict=True):
@@ -308,3 +303,4 @@ def test_a_start_is_kept_only_where_it_is_better_by_far():
             optimizer.validated(torch.tensor(loss))
         optimizer.ended()
         assert parameter.item() == kept
+        assert (optimizer.estimate() is None) == (kept == 0.0)

@@ -23,8 +23,8 @@ log = logging.getLogger(__name__)
 
 RATE = 1e-2
 """Initial rate of Adam, large enough to leave a basin."""
-HANDICAP = 1.1
-"""Factor of a held-out loss of a start: smoothed nodes are biased, which few data do not show."""
+HANDICAP = 1.5
+"""Factor of the held-out loss of a start: smoothing biases it, which few held-out data may hide."""
 
 
 class Stage(NamedTuple):
@@ -192,8 +192,15 @@ class TotalLeastSquares(EpochOptimizer):
             self.memory["kept"] = self._weighting(stage)
 
     @override
-    def estimate(self) -> dict[str, Any]:
+    def estimate(self) -> dict[str, Any] | None:
+        """Return ``ε`` and priors of the parameters that are kept; their scatter depends on them.
+
+        Those of a start have none where the nodes are smoothed for others: they are biased.
+        """
         kept = self.memory["kept"] or self._weighting(self.stages[-1])
+        if kept["epsilon"] is None and self.stages[-1].epsilon is not None:
+            log.info("no posterior: the parameters that are kept were learned from smoothed nodes")
+            return None
         sizes = torch.tensor([p.numel() for p in self.parameters])
         flat = torch.tensor([is_coefficient(p) for p in self.parameters])
         precision = torch.where(flat, 0.0, kept["precision"])
@@ -205,13 +212,7 @@ class TotalLeastSquares(EpochOptimizer):
         }
 
     def _weighting(self, stage: Stage) -> dict[str, Any]:
-        """Return ``ε`` and priors of a stage, on which the scatter of its estimate depends.
-
-        A start, whose nodes are held, has the first ``ε``.
-        """
-        first = next((s.epsilon for s in self.stages if s.epsilon), None)
-        epsilon = stage.epsilon or first
-        return {"epsilon": epsilon, "precision": self.memory["precision"].clone()}
+        return {"epsilon": stage.epsilon, "precision": self.memory["precision"].clone()}
 
     @override
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
