@@ -28,11 +28,15 @@ for machine in "$@"; do
     wide=(net.width=8 net.depth=1)
   fi
   explicit=(integrator=rk4)
+  horizon=(objective=horizon trainer.validate_every=5 trainer.max_epochs=40 "${roots[@]}")
+  if [ "$machine" = motor_pendulum ]; then horizon+=(dissipation=friction); fi
   case $method in
     symo) how=("${own[@]}") ;;
     symo-network) how=("${network[@]}") ;;
     symo-none) how=($(without dissipation "${network[@]}") dissipation=none) ;;
     symo-smoothed) how=("${network[@]}" 'optimizer.epsilons=[]') ;;
+    e2e_symo-horizon) how=(model=e2e_symo "${own[@]}" "${horizon[@]}") ;;
+    l_node-horizon) how=(model=l_node "${own[@]}" "${horizon[@]}" "${explicit[@]}") ;;
     l_node) how=(model=l_node "${network[@]}" "${explicit[@]}") ;;
     l_node-estimated) how=(model=l_node "${network[@]}" "${explicit[@]}" data.velocities=estimated) ;;
     node) how=(model=node "${wide[@]}" "${explicit[@]}") ;;

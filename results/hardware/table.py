@@ -28,6 +28,8 @@ METHODS = {
     "symo-smoothed": "SyMo on smoothed data",
     "e2e_symo": "E2E-SyMo",
     "e2e_symo-none": "E2E-SyMo, no dissipation",
+    "e2e_symo-horizon": "E2E-SyMo, error over 10 steps",
+    "l_node-horizon": "L-NODE, error over 10 steps",
     "l_node": "L-NODE, measured velocities",
     "l_node-estimated": "L-NODE, estimated velocities",
     "node": "NODE, measured velocities",

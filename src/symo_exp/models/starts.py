@@ -101,7 +101,7 @@ def closest_start(
     error = difference(path, q.repeat(len(counts), 1, 1))
     cost = error.square().flatten(1).sum(1).nan_to_num(torch.inf, torch.inf)
     chosen = cost.view(len(counts), -1).argmin(0)
-    return starts[chosen, torch.arange(len(q))]
+    return starts[chosen, torch.arange(len(q), device=q.device)]
 
 
 def difference(
