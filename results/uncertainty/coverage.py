@@ -1,22 +1,24 @@
 """How often 90 % intervals hold the truth, on simulated machines of random constants.
 
-    python results/uncertainty/coverage.py SYSTEM FIRST COUNT >> results/uncertainty/runs.csv
+    python results/uncertainty/coverage.py SYSTEM FIRST COUNT [--optimizer NAME]
 
 Each machine has constants within a factor of two of the system's, viscous friction, and four
 recordings of 3 s with white noise of 1e-3 to 1e-2 rad or m. It moves by the midpoint rule in which
 it is learned, so that intervals alone are tested, not an integrator. Its known equations are
 learned from configurations and inputs, from constants that are wrong by up to 30 %; two further
-recordings choose which parameters are kept. A row has, for one machine and optimiser, the number of
-physical parameters, how many lie in their intervals, their root mean square error in standard
-deviations, the share of the configurations of unseen motions over 2 s that lie in theirs, and the
-error of each parameter in standard deviations.
+recordings choose which parameters are kept.
+
+A row is appended to ``runs.csv`` beside this file. It has, for one machine and optimiser, the
+number of physical parameters, how many lie in their intervals, their root mean square error in
+standard deviations, the share of the configurations of unseen motions over 2 s that lie in theirs,
+and the error of each parameter in standard deviations.
 """
 
 import argparse
 import math
-import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -49,6 +51,7 @@ OPTIMIZERS: dict[str, Callable[..., EpochOptimizer]] = {
 }
 EPOCHS = {"total_least_squares": 30, "levenberg_marquardt": 12}
 VALIDATE = 6
+RUNS = Path(__file__).parent / "runs.csv"
 COLUMNS = [
     "system", "machine", "optimizer", "noise", "noise_found", "parameters", "held", "rms_score",
     "rollouts_held", "scores",
@@ -160,5 +163,4 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     for seed in range(given.first, given.first + given.count):
         rows = pd.DataFrame([row(given.system, seed, kind) for kind in chosen], columns=COLUMNS)
-        rows.to_csv(sys.stdout, index=False, header=False, float_format="%.4g")
-        sys.stdout.flush()
+        rows.to_csv(RUNS, mode="a", index=False, header=not RUNS.exists(), float_format="%.4g")
