@@ -20,7 +20,7 @@ OURS = {
     "node": ("NODE, measured velocities", "angles are angles; velocities"),
     "node-estimated": ("NODE, estimated velocities", "angles are angles"),
     "makers, refitted": ("makers' equations, refitted", "the equations; velocities"),
-    "makers": ("makers' model", "the equations; they have seen test pieces of the free machines"),
+    "makers": ("makers' model", "the equations"),
 }
 
 
