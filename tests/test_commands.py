@@ -34,6 +34,7 @@ NOT_RUN = {
     "-m pip install": "installs: `.ci/run` does it",
     "-m benchmarks": "takes the machine for itself for minutes to an hour, to measure it",
     "results/hardware/refit.py": "takes half an hour and has no budget to cut",
+    "results/rivals/run.py": "needs the packages of `make rivals` in an environment of their own",
     "results/uncertainty/coverage.py": "takes minutes to an hour and has no budget to cut",
     "results/thesis/draws.py": "simulates 256 long trajectories; tests/test_results.py runs it",
 }
