@@ -20,6 +20,8 @@ FLAT = {13: 0, 22: 3}
 """Positions of a row of the pendulum (R, ω, u) and of the quadrotor (x, R, v, ω, u)."""
 HELD_OUT = 8
 """Every so many-th motion of the training data is for validation."""
+OUTLIER = 3.0
+"""Errors of motions over the median from which they are left out."""
 GROUND = 0.03
 """Height below which a quadrotor touches the ground [m]; such motions are left out."""
 
@@ -62,12 +64,30 @@ def errors(folder: Path, table: Path) -> None:
     """
     for run in sorted(path.parent for path in folder.glob("*/config.yaml")):
         model = symo_exp.load(run).for_evaluation()
-        found = {part: error_of(model, table, part) for part in ("val", "test")}
+        found = {part: float(errors_of(model, table, part).mean()) for part in ("val", "test")}
         print(run.name, *(f"{part} {value:.3g}" for part, value in found.items()))
 
 
-def error_of(model: symo_exp.DynamicsModel, table: Path, part: str, nodes: int = 5) -> float:
-    """Return the error on the motions of a part."""
+def clean(folder: Path, table: Path, target: Path) -> None:
+    """Write the table without the training and validation motions that a run fits badly.
+
+    Those are the ones whose error is above OUTLIER times the median: contacts and resets.
+    """
+    run = sorted(path.parent for path in folder.glob("*/config.yaml"))[-1]
+    model, rows = symo_exp.load(run).for_evaluation(), pd.read_parquet(table)
+    dropped: set[str] = set()
+    for part in ("train", "val"):
+        found = errors_of(model, table, part)
+        names = rows[rows.split == part].trajectory.drop_duplicates().to_numpy()
+        dropped |= set(names[(found > OUTLIER * found.median()).numpy()])
+    rows[~rows.trajectory.isin(dropped)].to_parquet(target, index=False)
+    print(f"{target}: {len(dropped)} motions left out")
+
+
+def errors_of(
+    model: symo_exp.DynamicsModel, table: Path, part: str, nodes: int = 5
+) -> torch.Tensor:
+    """Return the errors of the windows of a part, in the order of the table."""
     rows = pd.read_parquet(table)
     rows = rows[rows.split == part]
     names, space = model.coordinates, model.flow.space
@@ -96,15 +116,19 @@ def error_of(model: symo_exp.DynamicsModel, table: Path, part: str, nodes: int =
         rates = path.v
     turned = angle(space.rotation_matrices(q)[:, :, 0], space.rotation_matrices(path.q)[:, :, 0])
     rate_error = (rates - v)[..., -3:].square().sum(-1) / 4
-    return float((rate_error + turned.square()).mean())
+    return (rate_error + turned.square()).mean(1)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("what", choices=["convert", "errors"])
+    parser.add_argument("what", choices=["convert", "errors", "clean"])
     parser.add_argument("first", type=Path)
     parser.add_argument("second", type=Path)
+    parser.add_argument("--to", type=Path, help="the table that clean writes")
     given = parser.parse_args()
-    (convert if given.what == "convert" else errors)(given.first, given.second)
+    if given.what == "clean":
+        clean(given.first, given.second, given.to)
+    else:
+        (convert if given.what == "convert" else errors)(given.first, given.second)
