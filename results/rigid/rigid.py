@@ -20,7 +20,7 @@ FLAT = {13: 0, 22: 3}
 """Positions of a row of the pendulum (R, ω, u) and of the quadrotor (x, R, v, ω, u)."""
 HELD_OUT = 8
 """Every so many-th motion of the training data is for validation."""
-OUTLIER = 10.0
+OUTLIER = 3.0
 """Errors of motions over the median from which they are left out."""
 GROUND = 0.03
 """Height below which a quadrotor touches the ground [m]; such motions are left out."""
