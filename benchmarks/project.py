@@ -167,7 +167,7 @@ class Project:
             return int(flow.predict(batch).iterations.max())
         impulse = objective.impulse(flow, batch, flow.expand_before(batch))
         problem = flow.matching(batch.q, impulse, flow.forces(batch.u, batch.u_next))
-        return int(flow.root.solve(problem, objective.initial_guess(batch)).iterations.max())
+        return int(flow.root.solve(problem, objective.initial_guess(flow, batch)).iterations.max())
 
 
 def trained_weights(name: str, method: str) -> list[Layer]:

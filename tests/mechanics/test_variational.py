@@ -71,6 +71,8 @@ def cyclic_coordinates():
     """Pairs (system, i) where coordinate i enters neither the inertia nor the potential."""
     found = []
     for name, system in systems().items():
+        if system.coordinates.rotations:
+            continue  # their body axes are no coordinates
         q = torch.linspace(0.3, 1.1, system.coordinates.n, dtype=torch.float64).unsqueeze(0)
         for i in range(q.shape[1]):
             moved = q.clone()

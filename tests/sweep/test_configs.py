@@ -38,6 +38,8 @@ def test_every_choice_builds(group, choice, workplace):
     if words == ["system=mujoco"]:
         (workplace / "robot.xml").write_text(PENDULUMS)
         words.append("system.model=robot.xml")
+    if words == ["lagrangian=rigid_body"]:
+        words.append("system=rigid_body")
     if words == ["system=gymnasium"]:
         pytest.importorskip("imageio")  # Gymnasium's own need
     if "data=recorded" in words:
@@ -57,14 +59,17 @@ def test_every_choice_builds(group, choice, workplace):
 
 
 PRESETS = "default", "thesis"
+ROTATING = "rigid_body", "spherical_pendulum", "quadrotor"
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("model", choices("model"))
 def test_every_model_builds_for_every_system(model, preset, workplace):
-    """Each by one of the presets, in turn."""
+    """Each by one of the presets, in turn; the adjoint of the thesis is that of flat coordinates."""
     turn = choices("model").index(model) + PRESETS.index(preset)
     systems = known_systems()[turn % 2 :: 2]
+    if preset == "thesis":
+        systems = [name for name in systems if name not in ROTATING]
     words = [f"model={model}", f"preset={preset}", f"system={','.join(systems)}"]
     parts = build_all(*words, folder=workplace)
     assert len({type(p.system) for p in parts}) == len(systems)

@@ -35,7 +35,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
 
     Args:
         coordinates: A rotation, or a position of three lengths and a rotation.
-        initial_inertia: Inertia at the start of training [kg, kg m²].
+        initial_inertia: Inertia at the start of training [kg, kg m²]; 1 if null.
         learned_inputs: Number of inputs whose matrix is learned; 0: the system's is taken.
         potential_width: Hidden units of a network for the potential; 0: gravity.
         input_width: Hidden units of a network for the input matrix; 0: it is constant.
@@ -47,7 +47,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         self,
         *,
         coordinates: Coordinates,
-        initial_inertia: float = 1.0,
+        initial_inertia: float | None = 1.0,
         learned_inputs: int = 0,
         potential_width: int = 0,
         input_width: int = 0,
@@ -60,9 +60,9 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
                 f"a rotation; the system has {', '.join(coordinates.names)}: choose another "
                 "lagrangian"
             )
-        if not initial_inertia > 0.0:
+        if initial_inertia is not None and not initial_inertia > 0.0:
             raise ConfigError(
-                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number"
+                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
         if input_width and not learned_inputs:
             raise ConfigError(
@@ -74,7 +74,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         place = torch.full((4, 4), TRIANGLE)
         place[row, column] = torch.arange(TRIANGLE)
         self.register_buffer("place", place, persistent=False)
-        root = math.sqrt(0.5 * initial_inertia)  # J = 2 Λ Λᵀ of equal second moments
+        root = math.sqrt(0.5 * (initial_inertia or 1.0))  # J = 2 Λ Λᵀ of equal second moments
         moments = 0.1 * root * torch.randn(TRIANGLE)
         moments[row == column] += root
         self.moments = nn.Parameter(moments)
