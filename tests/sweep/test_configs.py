@@ -65,7 +65,7 @@ ROTATING = "rigid_body", "spherical_pendulum", "quadrotor"
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("model", choices("model"))
 def test_every_model_builds_for_every_system(model, preset, workplace):
-    """Each by one of the presets, in turn; the adjoint of the thesis is that of flat coordinates."""
+    """Each by one of the presets, in turn; the adjoint of the thesis takes flat coordinates."""
     turn = choices("model").index(model) + PRESETS.index(preset)
     systems = known_systems()[turn % 2 :: 2]
     if preset == "thesis":
