@@ -66,6 +66,12 @@ model = symo_exp.load("outputs/default/symo-pendulum-0123456789")
 q_prev = q = q_next = torch.zeros(4, 1)
 v = u = u_next = torch.ones(4, 1)
 """,
+    "docs/uncertainty.md": """
+import symo_exp
+run = symo_exp.run("model=symo", "preset=rigid", "lagrangian=known", "system=pendulum",
+                   "lagrangian.fixed=[gravity]", "data.n_traj=4", "pictures=false").folder
+q, v, u = [1.0], [0.0], [[0.0]] * 11
+""",
 }
 """Names that the Python code of a page takes for granted."""
 
@@ -164,7 +170,9 @@ def trained(tmp_path_factory, home):
         "data=recorded data.path=mine.csv system=recorded system.angular=all system.time_step=0.02 "
         "preset=recorded reference=free_single_pendulum"
     )
-    for name, words in (("pendulum", simulated), ("recorded", recorded)):
+    turning = "preset=fast model=symo system=rigid_body lagrangian=rigid_body data.n_traj=4"
+    named = {"pendulum": simulated, "recorded": recorded, "rigid_body": turning}
+    for name, words in named.items():
         words += f" logger=none pictures=false {SHORT[0][1]}"
         done = shell(f"python -m symo_exp {words}", place, home)
         assert done.returncode == 0, done.stdout + done.stderr
@@ -182,6 +190,7 @@ def folder(tmp_path, trained):
     shutil.copytree(ROOT / "results", tmp_path / "results")
     shutil.copytree(trained, tmp_path / "outputs")
     write_log(tmp_path / "mine.csv")
+    write_flight(tmp_path / "flight.csv")
     for name in ("arm.xml", "robot.xml"):
         (tmp_path / name).write_text(ARM)
     (tmp_path / "controller.py").write_text(CONTROLLER)
@@ -200,6 +209,21 @@ def write_log(file: Path) -> None:
                 q += h / 20 * v
     noise = np.random.default_rng(0).normal(scale=1e-4, size=len(rows))
     pd.DataFrame(rows).assign(q_theta=lambda table: table.q_theta + noise).to_csv(file, index=False)
+
+
+def write_flight(file: Path) -> None:
+    """Write flights of a body that turns about its vertical axis under a torque, every 0.02 s."""
+    random, t = np.random.default_rng(0), 0.02 * np.arange(60)
+    flights = []
+    for trajectory in range(6):
+        speed, torque = random.normal(size=(3, 1)), random.normal()
+        x, y, z = speed * t - 0.5 * 9.81 * np.array([[0.0], [0.0], [1.0]]) * t**2
+        half = 0.5 * (2.0 * t + 0.5 * torque * t**2)
+        flights.append(pd.DataFrame({
+            "trajectory": trajectory, "t": t, "q_x": x, "q_y": y, "q_z": z, "q_R_w": np.cos(half),
+            "q_R_x": 0.0, "q_R_y": 0.0, "q_R_z": np.sin(half), "u_yaw": torque,
+        }))  # fmt: skip
+    pd.concat(flights).to_csv(file, index=False)
 
 
 def shell(line: str, place: Path, home: Path) -> subprocess.CompletedProcess[str]:
@@ -325,7 +349,8 @@ def test_a_command_in_a_source(command, folder, home):
     ids=pages.relative,
 )
 def test_python_of_a_page(page, folder, home):
-    code = "\n".join([SHORT_PYTHON, PRELUDE.get(pages.relative(page), ""), pages.python(page)])
+    short = SHORT_PYTHON if page.suffix == ".md" else ""  # the tutorial tells what comes out
+    code = "\n".join([short, PRELUDE.get(pages.relative(page), ""), pages.python(page)])
     (folder / "page.py").write_text(code)
     done = shell("MPLBACKEND=agg python page.py", folder, home)
     assert done.returncode == 0, done.stdout + done.stderr
