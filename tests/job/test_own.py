@@ -136,3 +136,20 @@ def test_only_what_the_folder_defines_may_be_named(mine):
     (mine / "objective" / "bounded.yaml").write_text(text)
     words = ["--config-dir", "mine_own", "code=mine_own", "objective=bounded", "model=symo"]
     assert "refused" in refusal(*words, *QUIET)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("model=symo system.viscous=[0.1]", True),
+        ("model=l_node system.coulomb=[0.1]", True),
+        ("model=symo system.viscous=[0.1] dissipation=viscous", False),
+        ("model=node system.viscous=[0.1]", False),
+        ("model=symo", False),
+    ],
+)
+def test_learning_a_system_with_friction_as_one_without_is_warned_of(
+    words, told, workplace, capsys
+):
+    assert main(["system=pendulum", *words.split(), *QUIET]) == 0
+    assert ("learns no friction" in "".join(capsys.readouterr())) == told

@@ -79,6 +79,8 @@ def perform(
     folder.describe(about)
     phases.say(f"{about.name}: opening the store")
     _announce(parts.tracker, folder)
+    if not trained:
+        _warn_of_friction(parts)
     phases.say(f"{about.name}: making the data")
     with default_dtype(settings["dtype"]):
         _train(parts, folder / CHECKPOINTS)
@@ -188,6 +190,17 @@ def _announce(tracker: Any, folder: RunFolder) -> None:
         if not tracker.is_away(error):
             raise
         log.warning("the run starts without its tracking store: %s", error)
+
+
+def _warn_of_friction(parts: Parts) -> None:
+    """Log that the system has friction where the model can learn none."""
+    model = parts.model
+    conserves = model.learns and model.lagrangian is not None and model.dissipation is None
+    if conserves and parts.system.dissipation is not None:
+        log.warning(
+            "the system loses energy and dissipation=none learns no friction: "
+            "give dissipation=viscous, friction or drag"
+        )
 
 
 def _train(parts: Parts, folder: Path) -> None:
