@@ -18,7 +18,7 @@ H = 0.02
 
 
 @cache
-def motions(n: int, torque: float, count: int = 5, nodes: int = 120):
+def motions(n: int, torque: float, count: int = 5, nodes: int = 120, size: float = 1.0):
     """Of a chain that is driven by smooth torques."""
     system = ChainPendulum(n, time_step=H)
     q0, v0, _ = system.box.points(count, 1)
@@ -28,7 +28,7 @@ def motions(n: int, torque: float, count: int = 5, nodes: int = 120):
         return torque * torch.sin(2 * t * (1 + 0.3 * wave) + wave)
 
     solver = Solver("DOP853", 1e-6, 1e-6)
-    q, _, u = simulate_driven(system, 0.5 * q0, 0.3 * v0, drive, nodes, solver)
+    q, _, u = simulate_driven(system, 0.5 * size * q0, 0.3 * size * v0, drive, nodes, solver)
     return system, [(a.numpy(), b.numpy()) for a, b in zip(q, u, strict=True)]
 
 
@@ -98,3 +98,17 @@ def test_too_few_samples_have_no_diagnosis() -> None:
     )
     assert tiny.explained is None
     assert len(tiny.lines()) == 4
+
+
+@pytest.mark.parametrize("torque", [0.0, 5.0])
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("size", [1.0, 0.1])
+def test_angles_in_degrees_are_suspected(n: int, torque: float, size: float) -> None:
+    system, clean = motions(n, size * torque, 5, 120, size)
+    rng = np.random.default_rng(0)
+    told = {}
+    for unit, scale in {"radians": 1.0, "degrees": 180 / np.pi}.items():
+        noisy = [(scale * (q + 1e-5 * rng.standard_normal(q.shape)), u) for q, u in clean]
+        lines = diagnose(noisy, [q for q, _ in noisy], system.coordinates, H).lines()
+        told[unit] = any("data.degrees=true" in line for line in lines)
+    assert told == {"radians": False, "degrees": True}

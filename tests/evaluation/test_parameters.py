@@ -13,6 +13,7 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.true import TrueVariational
+from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.optim.posterior import posterior
 from symo_exp.systems.simulation import Solver, simulate
@@ -98,3 +99,16 @@ def test_without_a_posterior_determination_is_unknown():
     rows = physical_parameters(found, system.coordinates, list(found.parameters()), None)
     assert {row.determined for row in rows} == {"unknown"}
     assert [row.name for row in rows] == ["gravity", "mass_cart", "mass_pole", "half_length"]
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_learned_friction_has_a_unit_where_known_forces_act(driven):
+    system = SYSTEMS["pendulum"]
+    found = LearnedDissipation(coordinates=system.coordinates, coulomb=True)
+    rows = physical_parameters(
+        found, system.coordinates, list(found.parameters()), None, driven=driven
+    )
+    units = {row.name: row.unit for row in rows}
+    assert units["theta.viscous_friction"] == ("N m s/rad" if driven else "up to a factor")
+    assert units["theta.dry_friction"] == ("N m" if driven else "up to a factor")
+    assert units["theta.rest_velocity"] == "rad/s"

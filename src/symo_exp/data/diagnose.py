@@ -16,6 +16,8 @@ HALF = 5
 POOR, NOISY, COARSE = 0.5, 0.5, 0.7
 """Share of explained power below which no model can succeed; noise over curvature, and change of an
 angle in a step [rad], above which the time step does not suit."""
+SUSPECT = 0.3
+"""Share of the unexplained power below which angles are suspected to be in degrees."""
 HELP = 0.1
 """Share of the unexplained power that meaningful inputs explain at least."""
 
@@ -31,6 +33,8 @@ class Diagnosis:
         explained: Share of the accelerations' power that configurations, velocities, friction and
             inputs explain, ``None`` with too few nodes.
         free: The same without the inputs.
+        degrees: The same, with the inputs, if the numbers of the angles are degrees; ``None``
+            without angles.
         noise: Standard deviation of the noise of each coordinate's samples [rad, m].
         encoder: Step of each coordinate's encoder [rad, m], 0 where none is seen.
         turn: Largest change of each coordinate in a time step [rad, m].
@@ -43,6 +47,7 @@ class Diagnosis:
     driven: bool
     explained: float | None
     free: float | None
+    degrees: float | None
     noise: np.ndarray
     encoder: np.ndarray
     turn: np.ndarray
@@ -57,8 +62,8 @@ class Diagnosis:
         return self.explained - self.free >= HELP * (1 - self.free)
 
     def lines(self) -> list[str]:
-        """Return lines for the log: inputs, noise, time step and scale."""
-        return [self._inputs(), self._noise(), self._step(), self._scale()]
+        """Return lines for the log: inputs, unit of the angles, noise, time step and scale."""
+        return [self._inputs(), *self._unit(), self._noise(), self._step(), self._scale()]
 
     def _inputs(self) -> str:
         if self.explained is None:
@@ -72,6 +77,16 @@ class Diagnosis:
         if poor:
             return f"inputs: none, and configurations and velocities explain only {share}{hint}"
         return "inputs: none; accelerations follow from configurations and velocities"
+
+    def _unit(self) -> list[str]:
+        if self.explained is None or self.degrees is None:
+            return []
+        if 1 - self.degrees > SUSPECT * (1 - self.explained):
+            return []
+        return [
+            f"angles: {100 * self.degrees:.3g} % is explained if they are in degrees, "
+            f"{100 * self.explained:.3g} % in radians; data.degrees=true converts"
+        ]
 
     def _noise(self) -> str:
         each = zip(self.coordinates.names, self.noise, self.encoder, strict=True)
@@ -135,6 +150,7 @@ def diagnose(
         driven=any(bool(u.any()) for _, u in motions),
         explained=explained_power(motions, coordinates, time_step, driven=True),
         free=explained_power(motions, coordinates, time_step, driven=False),
+        degrees=_explained_in_degrees(motions, coordinates, time_step),
         noise=noise,
         encoder=np.array([encoder_of(columns) for columns in _columns(raw)]),
         turn=np.max([np.abs(np.diff(q, axis=0)).max(0) for q, _ in motions], axis=0),
@@ -197,6 +213,15 @@ def explained_power(
         return None
     target, terms = (x / np.sqrt(np.mean(x**2, axis=0) + 1e-300) for x in np.split(table, [n], 1))
     return max(0.0, 1.0 - _left_out(terms, target))
+
+
+def _explained_in_degrees(
+    motions: Sequence[Motion], coordinates: Coordinates, h: float
+) -> float | None:
+    if not any(coordinates.angular):
+        return None
+    scale = np.where(coordinates.angular, np.pi / 180, 1.0)
+    return explained_power([(q * scale, u) for q, u in motions], coordinates, h, driven=True)
 
 
 def _left_out(x: np.ndarray, y: np.ndarray) -> float:

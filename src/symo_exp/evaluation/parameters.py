@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.readings import Reading, readings
 from symo_exp.optim.posterior import Posterior
 
@@ -20,6 +21,8 @@ SMALL = 1e-4
 """Entries of reduced matrices below this, relative to the largest, count as zero."""
 FEW = 6
 """Partners that a note names."""
+RELATIVE = "up to a factor"
+"""Unit of forces and inertias that were learned without known forces."""
 
 
 class Parameter(NamedTuple):
@@ -40,6 +43,8 @@ def physical_parameters(
     coordinates: Coordinates,
     parameters: Sequence[Tensor],
     posterior: Posterior | None,
+    *,
+    driven: bool = True,
 ) -> list[Parameter]:
     """Return the physical parameters of a learned Lagrangian; none of a network.
 
@@ -52,9 +57,13 @@ def physical_parameters(
         coordinates: Coordinates of the system.
         parameters: All parameters of the model, in the order of the posterior.
         posterior: Their posterior, where there is one.
+        driven: Whether known forces act. If not, learned forces and inertias have no unit; those
+            of known equations do, as their constants may be given.
     """
     with torch.enable_grad():
         found = readings(lagrangian, coordinates)
+        if not driven and not isinstance(_conservative(lagrangian), KnownLagrangian):
+            found = [_without_scale(reading) for reading in found]
         gradients = [_gradient(reading, parameters) for reading in found]
     if posterior is None:
         return [
@@ -85,6 +94,15 @@ def physical_parameters(
             rows.append(Parameter(reading.name, value, reading.unit, deviation, "yes", ""))
     free = [i for i, own in enumerate(partners) if own and float(found[i].value.detach()) > 0.0]
     return rows + _products([found[i] for i in free], slopes[free], along[free], posterior)
+
+
+def _conservative(lagrangian: Any) -> Any:
+    return getattr(lagrangian, "conservative", lagrangian)
+
+
+def _without_scale(reading: Reading) -> Reading:
+    mechanical = any(part.startswith(("N", "kg")) for part in reading.unit.split())
+    return reading._replace(unit=RELATIVE) if mechanical else reading
 
 
 def _gradient(reading: Reading, parameters: Sequence[Tensor]) -> Float[Tensor, " p"]:

@@ -242,6 +242,7 @@ def _keep_parameters(parts: Parts, folder: RunFolder) -> None:
         model.coordinates,
         list(model.parameters()),
         None if found is None else found.parameters,
+        driven=model.input_matrix.shape[1] > 0,
     )
     folder.write_parameters([row._asdict() for row in rows])
 
