@@ -28,3 +28,15 @@ def _refusal(error: BaseException) -> ConfigError | None:
     while inner is not None and type(inner).__module__.startswith("omegaconf."):
         inner = inner.__cause__ or inner.__context__
     return inner if isinstance(inner, ConfigError) else None
+
+
+class Refused(BaseException):
+    """Carry a ``ConfigError`` of a job through Hydra, which reports every ``Exception`` itself.
+
+    Attributes:
+        error: The error.
+    """
+
+    def __init__(self, error: ConfigError) -> None:
+        super().__init__(error)
+        self.error = error

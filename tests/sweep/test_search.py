@@ -37,12 +37,14 @@ def test_the_least_of_a_measure_is_found_and_a_run_that_diverges_is_the_worst(wo
     )
 
 
-def test_a_number_that_there_is_not_is_named(workplace, capsys):
-    assert main([*SEARCH, "optimized_metric=nonsense", "learning_rate=choice(1e-3)"]) == 2
-    line = capsys.readouterr().err.strip().splitlines()[-1]  # Hydra has its own before it
-    assert line.startswith("symo_exp: error: ")
-    assert "optimized_metric=nonsense" in line
-    assert "val_loss" in line
+@pytest.mark.parametrize(
+    ("word", "wanted"), [("optimized_metric=nonsense", "val_loss"), ("data.n_traj=0", "from 1")]
+)
+def test_bad_input_is_one_line(word, wanted, workplace, capsys):
+    assert main([*SEARCH, word, "learning_rate=choice(1e-3)"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith(f"symo_exp: error: {word}")
+    assert wanted in line
 
 
 def test_the_search_that_ships_counts_and_ends_with_a_command_that_repeats_the_best(

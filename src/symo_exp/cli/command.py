@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import yaml
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, Refused
 from symo_exp.process import phases
 from symo_exp.shipped import CONF, SWEEPS
 
@@ -97,6 +97,7 @@ class Command:
         """Run the command by Hydra and return the exit code.
 
         Raises:
+            ConfigError: If a job under another sweeper than ours is refused.
             Exception: What Hydra raises, which would otherwise print it and exit.
         """
         if self.runs:
@@ -113,6 +114,8 @@ class Command:
             entry()
         except SystemExit as end:
             return int(end.code or 0)
+        except Refused as refused:
+            raise refused.error from refused
         finally:
             sys.argv = before
             phases.clear()

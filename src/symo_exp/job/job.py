@@ -15,7 +15,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from symo_exp.errors import ConfigError, one_line
+from symo_exp.errors import ConfigError, Refused, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.config import Settings, resolve
 from symo_exp.job.lines import brief, run_line
@@ -48,7 +48,7 @@ def job(config: DictConfig) -> float | None:
         The ``optimized_metric`` for a sweeper that searches; the worst value for a failed run.
 
     Raises:
-        ConfigError: For bad input, under another sweeper than ours.
+        Refused: For bad input, under another sweeper than ours.
         Interrupted: If a signal ended the run, under another sweeper than ours.
     """
     hydras = HydraConfig.get()
@@ -71,7 +71,9 @@ def job(config: DictConfig) -> float | None:
         raise failure
     if sweeper.startswith(READS_FOLDERS):
         return None
-    if isinstance(failure, ConfigError | stopping.Interrupted):
+    if isinstance(failure, ConfigError):
+        raise Refused(failure)
+    if isinstance(failure, stopping.Interrupted):
         raise failure
     trials = hydras.sweeper.get("n_trials")
     log.info("%s%s", f"trial {hydras.job.num + 1} of {trials}: " * bool(trials), run_line(folder))
@@ -87,7 +89,8 @@ def optimized(name: str, folder: RunFolder) -> float:
     values = [row[name] for row in rows if name in row]
     if name not in measures and not values:
         there = ", ".join(sorted({*measures, *(key for row in rows for key in row)}))
-        raise ConfigError(f"optimized_metric={name}: no such measure or series; a run has: {there}")
+        told = f"optimized_metric={name}: no such measure or series; a run has: {there}"
+        raise Refused(ConfigError(told))
     return measures[name] if name in measures else values[-1]
 
 
