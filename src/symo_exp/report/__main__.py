@@ -155,8 +155,8 @@ def _chosen(runs: pd.DataFrame) -> str:
             return answer
         raise ConfigError(f"no experiment {answer!r}; give its number or name")
     print(
-        f"{last}: the last of {len(names)} experiments; --experiment NAME chooses another of "
-        f"{', '.join(names)}, --all takes all."
+        f"{last}: the last of {len(names)} experiments; --experiment NAME chooses another "
+        f"({', '.join(names[1:])}), --all takes all."
     )
     return last
 

@@ -20,6 +20,9 @@ TIMES = {"usable_s": "usable [s]", "valid_s": "error below 0.1 [s]"}
 WINDOWS = (
     "Medians over the windows of the test part, and over the seeds; open loop from fitted starts."
 )
+BEST = f"{WINDOWS} Of each method, the settings with the smallest error to 1 s."
+KEYS = ["method", "integrator", "settings", "time_step"]
+"""Columns that identify a model."""
 PATH = re.compile(r"(?:^|, )data\.path=(?:\[[^\]]*\]|[^,]*)")
 
 
@@ -36,7 +39,7 @@ def recording_answers(runs: pd.DataFrame) -> list[str]:
         if "rmse_1s" not in medians:
             said.append(f"**{name}**: {verdict(_measures(medians.iloc[0])) or 'no errors'}.")
             continue
-        best = medians.sort_values("rmse_1s").iloc[0]
+        best = medians.iloc[0]
         who = pair_name(best.method, best.integrator)
         measures = _measures(best)
         told = [text for text in (comparison(measures), verdict(measures)) if text]
@@ -53,6 +56,7 @@ def recording_names(runs: pd.DataFrame) -> list[str]:
 def _files(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Return the measured runs of each file by its name, or by its path if names are equal."""
     there = runs[(runs.recording != "") & (runs.metric != "")]
+    there = there.assign(settings=[PATH.sub("", v).removeprefix(", ") for v in there.variant])
     paths = sorted(set(there.recording))
     names = {path: ", ".join(PurePath(p).name for p in re.findall(r"[^\[\]', ]+", path))
              for path in paths}  # fmt: skip
@@ -64,14 +68,13 @@ def _files(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def _medians(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each model and its settings, a column for each measure."""
-    rows = rows.assign(settings=[PATH.sub("", v).removeprefix(", ") for v in rows.variant])
-    keys = ["method", "integrator", "settings", "time_step"]
-    wide = rows.groupby([*keys, "metric"], dropna=False).value.median().unstack()
-    wide["seeds"] = rows.groupby(keys, dropna=False).seed.nunique()
+    """Return a row for each model and its settings, the best first, a column for each measure."""
+    wide = rows.groupby([*KEYS, "metric"], dropna=False).value.median().unstack()
+    wide["seeds"] = rows.groupby(KEYS, dropna=False).seed.nunique()
     wide = wide.reset_index()
     order = [in_order(pair) for pair in zip(wide.method, wide.integrator, strict=True)]
-    return wide.loc[pd.Series(order, index=wide.index, dtype=object).sort_values().index]
+    wide = wide.loc[pd.Series(order, index=wide.index, dtype=object).sort_values().index]
+    return wide.sort_values("rmse_1s", kind="stable") if "rmse_1s" in wide else wide
 
 
 def _measures(row: pd.Series) -> Mapping[str, float]:
@@ -94,8 +97,9 @@ def _section(name: str, rows: pd.DataFrame) -> Section:
             lines.append([known.label, "", *line, ""])
     header = ["", "seeds", *(f"RMSE to {h:g} s [rad, m]" for h in ERRORS.values()),
               *TIMES.values(), "verdict"]  # fmt: skip
-    table = ResultTable(key, name, pd.DataFrame(lines, columns=header), [WINDOWS])
-    figure = Figure(f"{key}_horizon", f"{name}: error over the horizon", WINDOWS, _panels(rows))
+    columns = pd.DataFrame(lines, columns=header)
+    table = ResultTable(key, "Errors of open-loop predictions", columns, [WINDOWS])
+    figure = Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows))
     return Section(key, f"Recording {name}", tables=[table], figures=[figure])
 
 
@@ -115,10 +119,11 @@ def _printed(row: pd.Series) -> list[str]:
 
 def _panels(rows: pd.DataFrame) -> list[Panel]:
     """Return the errors over the horizon, and over those of constant velocity."""
-    errors = rows[rows.metric.isin(ERRORS)]
+    medians = _medians(rows)
+    best = medians.drop_duplicates(["method", "integrator"])[KEYS]
+    errors = rows[rows.metric.isin(ERRORS)].merge(best, on=KEYS)
     grouped = errors.groupby(["method", "integrator", "metric"]).value
     lines = grouped.agg(y="median", low="min", high="max").reset_index().assign(source="ours")
-    medians = _medians(rows)
     parts = [lines.assign(x=lines.metric.map(ERRORS))]
     for baseline in BASELINES:
         found = _baseline(medians, baseline)

@@ -64,7 +64,7 @@ def sections(
                 figures=grown[1]),
         Section("floors", "Floors: the integrators alone", figures=curves.steps(found)),
         Section("tables", "Tables", tables=[accuracy(found), floor_table(usual)], folded=True),
-        Section("state", "What has been run", state(every), [unfinished(every)], folded=True),
+        Section("state", "Runs", state(every), [unfinished(every)], folded=True),
     ]  # fmt: skip
     return [part for part in parts if part]
 
