@@ -9,13 +9,15 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
-from symo_exp.nets.drag import LearnedDrag
+from symo_exp.nets.drag import LearnedBodyDrag, LearnedDrag
 from symo_exp.nets.lagrangians import NetworkLagrangian
+from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.training.learner import Learner
@@ -150,3 +152,51 @@ def test_friction_of_a_simulated_machine_is_recovered(law):
         found = model.dissipation.force(torch.zeros_like(speed), speed)
     expected = formula(speed)
     assert (found - expected).abs().max() < 0.05 * expected.abs().max()
+
+
+def body_drag(coordinates: Coordinates) -> LearnedBodyDrag:
+    torch.manual_seed(1)
+    found = LearnedBodyDrag(coordinates=coordinates).double()
+    with torch.no_grad():
+        found.roots.add_(0.5 * torch.randn_like(found.roots))
+    return found
+
+
+BODIES = [
+    Coordinates.of(rotations=("R",)),
+    Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",)),
+]
+
+
+@pytest.mark.parametrize("coordinates", BODIES, ids=["pivot", "free"])
+def test_the_drag_of_a_body_takes_energy_and_turns_with_the_world(coordinates):
+    drag, n = body_drag(coordinates), coordinates.n
+    q = coordinates.space.of_vector(torch.randn(20, n, dtype=torch.float64))
+    v = torch.randn(20, n, dtype=torch.float64)
+    force = drag.force(q, v)
+    assert bool(((force * v).sum(1) < 0.0).all())
+    assert not bool(drag.force(q, torch.zeros_like(v)).any())
+    turn = (
+        Space(rotations=1)
+        .of_vector(torch.tensor([[0.3, -0.8, 0.5]], dtype=torch.float64))
+        .view(3, 3)
+    )
+    turned_q, turned_v, turned_force = q.clone(), v.clone(), force.clone()
+    turned_q[:, -9:] = (turn @ q[:, -9:].view(-1, 3, 3)).flatten(1)
+    for x in (turned_v, turned_force):
+        x[:, : n - 3] = x[:, : n - 3] @ turn.T[: n - 3, : n - 3]
+    torch.testing.assert_close(drag.force(turned_q, turned_v), turned_force)
+
+
+@pytest.mark.parametrize("coordinates", BODIES, ids=["pivot", "free"])
+def test_derivatives_of_the_drag_of_a_body_are_those_of_each_sample_alone(coordinates):
+    n = coordinates.n
+    conservative = LearnedRigidBody(coordinates=coordinates).double()
+    lagrangian = DissipativeLagrangian(conservative, body_drag(coordinates))
+    q = coordinates.space.of_vector(torch.randn(4, n, dtype=torch.float64))
+    assert_each_sample_alone(lagrangian, q, torch.randn(4, n, dtype=torch.float64))
+
+
+def test_the_drag_of_a_body_is_refused_for_other_coordinates():
+    with pytest.raises(ConfigError, match="dissipation=body_drag is for one body"):
+        LearnedBodyDrag(coordinates=Coordinates(("a",), (True,)))

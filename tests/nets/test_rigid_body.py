@@ -107,10 +107,10 @@ def test_any_parameters_are_a_possible_body(coordinates: Coordinates) -> None:
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"coordinates": Coordinates(("x",), (False,))}, "lagrangian=rigid_body is one body"),
+        ({"coordinates": Coordinates(("x",), (False,))}, "lagrangian=rigid_body is for one body"),
         (
             {"coordinates": Coordinates.of(rotations=("A", "B"))},
-            "lagrangian=rigid_body is one body",
+            "lagrangian=rigid_body is for one body",
         ),
         ({"coordinates": PIVOT, "initial_inertia": 0.0}, r"lagrangian\.initial_inertia=0"),
         ({"coordinates": PIVOT, "input_width": 4}, r"set lagrangian\.learned_inputs"),

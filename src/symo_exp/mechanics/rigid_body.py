@@ -219,6 +219,12 @@ def in_world(
     return torch.cat((matvec(turn, wrench[:, :3]), wrench[:, 3:]), dim=1)
 
 
+def in_body(q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n"]:
+    """Return the velocity of the origin, if it moves, and the rates in body axes."""
+    turn, free = _place(q)
+    return torch.cat((vecmat(v[:, :3], turn), v[:, 3:]), dim=1) if free else v
+
+
 def _place(q: Tensor) -> tuple[Tensor, bool]:
     """Return the rotation, and whether there is a position before it."""
     return q[:, -9:].unflatten(1, (3, 3)), q.shape[1] > 9

@@ -64,7 +64,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         chain = torch.eye(n) - torch.diag(torch.ones(n - 1), -1)
         self.joints: Tensor
         self.register_buffer("joints", chain if joints == "neighbours" else torch.eye(n), False)
-        self._triangle = _Triangle(n)
+        self._triangle = Triangle(n)
         entries = self._triangle.entries
         self.viscous_root = self.coulomb_root = self.rest = self.net = None
         root = math.sqrt(start)
@@ -307,7 +307,7 @@ class MachineFriction(LearnedDissipation):
         return -(mixed + torch.diag_embed(own))
 
 
-class _Triangle(nn.Module):
+class Triangle(nn.Module):
     """Lower triangular matrices of ``n`` rows as vectors of their entries."""
 
     place: Tensor

@@ -1,6 +1,8 @@
-"""Learned drag of a fluid on links that move in a plane."""
+"""Learned drag of a fluid: on links that move in a plane, and on a body that turns freely."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 from jaxtyping import Float
@@ -10,9 +12,11 @@ from typing_extensions import override
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
+from symo_exp.mechanics.rigid_body import in_body, in_world
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import linear, repeated
-from symo_exp.nets.embedding import Features, require_flat
+from symo_exp.nets.dissipation import Triangle
+from symo_exp.nets.embedding import Features, require_flat, require_one_body
 from symo_exp.nets.harmonics import Harmonics
 from symo_exp.nets.roles import mark
 
@@ -85,3 +89,48 @@ class LearnedDrag(nn.Module, Dissipation):
     def _along(self, features: Features) -> Float[Tensor, "batch speeds n"]:
         """Return ``a_k``."""
         return linear(features.x, self.weight, self.bias).unflatten(1, self._shape)
+
+
+class LearnedBodyDrag(nn.Module, Dissipation):
+    """``f = −(D + |w| E) w`` of a rigid body, and the same for its torque and body rates.
+
+    ``w`` is the velocity of the body's origin in body axes. The four matrices are positive
+    semidefinite, ``U diag(d²) Uᵀ`` with ``U`` unit lower triangular.
+
+    Args:
+        coordinates: A rotation, or a position of three lengths and a rotation.
+        start: Initial diagonal of the matrices [N s/m, N s²/m², N m s, N m s²].
+    """
+
+    def __init__(self, *, coordinates: Coordinates, start: float = 0.01) -> None:
+        super().__init__()
+        require_one_body(coordinates, "dissipation=body_drag", "dissipation=viscous")
+        if not start > 0.0:
+            raise ConfigError(f"dissipation.start={start}: expected above 0")
+        self._triangle = Triangle(3)
+        self._matrices = 2 * coordinates.n // 3
+        root = self._triangle.flat(math.sqrt(start) * torch.eye(3))
+        self.roots = nn.Parameter(root.repeat(self._matrices))
+        mark([self.roots], "coefficient")
+
+    @override
+    def force(
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n"]:
+        linear, quadratic = (
+            self._matrix(repeated(self.roots, len(v))).unflatten(1, (2, -1)).unbind(1)
+        )
+        rate = in_body(q, v).unflatten(1, (-1, 3))
+        speed = torch.linalg.vector_norm(rate, dim=-1, keepdim=True)
+        wrench = matvec(linear, rate) + speed * matvec(quadratic, rate)
+        return -in_world(q, wrench.flatten(1))
+
+    def coefficients(self) -> Float[Tensor, "2 parts 3 3"]:
+        """Return the linear and the quadratic matrices, of the force, if any, and the torque."""
+        return self._matrix(self.roots.unsqueeze(0))[0].unflatten(0, (2, -1))
+
+    def _matrix(self, roots: Float[Tensor, "batch entries"]) -> Float[Tensor, "batch parts 3 3"]:
+        square = self._triangle.square(roots.unflatten(1, (self._matrices, -1)).flatten(0, 1))
+        d = square.diagonal(dim1=-2, dim2=-1).square()
+        unit = torch.tril(square, -1) + torch.eye(3).to(d)
+        return (unit * d.unsqueeze(-2) @ unit.mT).unflatten(0, (-1, self._matrices))

@@ -138,6 +138,20 @@ def require_flat(coordinates: Coordinates, choice: str, instead: str) -> None:
         )
 
 
+def require_one_body(coordinates: Coordinates, choice: str, instead: str) -> None:
+    """Refuse a choice for one rigid body with other coordinates.
+
+    Raises:
+        ConfigError: If they are not a rotation, or a position of three lengths and a rotation.
+    """
+    flat = len(coordinates.flat)
+    if len(coordinates.rotations) != 1 or flat not in (0, 3) or any(coordinates.angular):
+        raise ConfigError(
+            f"{choice} is for one body, a rotation or a position of three lengths and a rotation; "
+            f"the system has {', '.join(coordinates.names)}: choose {instead}"
+        )
+
+
 def features_of(coordinates: Coordinates) -> Embedding | EntriesEmbedding:
     """Return the embedding of the configurations of some coordinates."""
     if coordinates.rotations:

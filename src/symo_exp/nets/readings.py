@@ -14,7 +14,7 @@ from symo_exp.mechanics.bodies import of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
-from symo_exp.nets.drag import LearnedDrag
+from symo_exp.nets.drag import LearnedBodyDrag, LearnedDrag
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
@@ -185,15 +185,28 @@ def _(module: LearnedDrag, coordinates: Coordinates) -> list[Reading]:
     return [Reading(f"drag_{k + 1}.linear", "N^(2/3) s^(1/3)", x) for k, x in enumerate(values)]
 
 
+@readings.register
+def _(module: LearnedBodyDrag, coordinates: Coordinates) -> list[Reading]:
+    found = []
+    for power, matrices in zip(("linear", "quadratic"), module.coefficients(), strict=True):
+        for turning, matrix in zip((False, True)[-len(matrices) :], matrices, strict=True):
+            name, unit = "torque" if turning else "force", _units(turning)[0]
+            unit = unit if power == "linear" else f"{unit.replace(' s', ' s^2')}^2"
+            found += _symmetric(f"drag.{name}.{power}", unit, matrix)
+    return found
+
+
 def _body(name: str, body: Tensor, origin: Tensor | None = None) -> list[Reading]:
     """Mass, centre of mass from the joint, and inertia about the centre, of a pseudo-inertia."""
     mass, centre, inertia = of_pseudo_inertia(body)
     centre = centre if origin is None else centre - origin
     found = [Reading(f"{name}.mass", "kg", mass), *_vector(f"{name}.centre", "m", centre)]
-    for entry in ENTRIES:
-        i, j = ("xyz".index(axis) for axis in entry)
-        found.append(Reading(f"{name}.inertia_{entry}", "kg m^2", inertia[i, j]))
-    return found
+    return found + _symmetric(f"{name}.inertia", "kg m^2", inertia)
+
+
+def _symmetric(name: str, unit: str, matrix: Tensor) -> list[Reading]:
+    places = [tuple("xyz".index(axis) for axis in entry) for entry in ENTRIES]
+    return [Reading(f"{name}_{x}", unit, matrix[at]) for x, at in zip(ENTRIES, places, strict=True)]
 
 
 def _vector(name: str, unit: str, values: Sequence[Tensor] | Tensor) -> list[Reading]:

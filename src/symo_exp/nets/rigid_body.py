@@ -14,6 +14,7 @@ from symo_exp.mechanics.lagrangian import Curvature, Gradients, Rates, jacobian,
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import linear, repeated, transposed
+from symo_exp.nets.embedding import require_one_body
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark
 
@@ -53,13 +54,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         input_width: int = 0,
     ) -> None:
         super().__init__()
-        flat = len(coordinates.flat)
-        if len(coordinates.rotations) != 1 or flat not in (0, 3) or any(coordinates.angular):
-            raise ConfigError(
-                "lagrangian=rigid_body is one body, a rotation or a position of three lengths and "
-                f"a rotation; the system has {', '.join(coordinates.names)}: choose another "
-                "lagrangian"
-            )
+        require_one_body(coordinates, "lagrangian=rigid_body", "another lagrangian")
         if initial_inertia is not None and not initial_inertia > 0.0:
             raise ConfigError(
                 f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
