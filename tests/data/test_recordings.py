@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
 from hydra.utils import instantiate
 
+import symo_exp
 from symo_exp.job.recipe import build
 from symo_exp.runs.folder import RunFolder
 from tests.jobs import job_of
@@ -48,3 +50,17 @@ def test_the_configuration_of_a_run_is_whole(workplace: Path) -> None:
     assert system.inputs == ("motor",)
     assert torch.equal(system.input_matrix, torch.ones(1, 1, dtype=torch.float64))
     assert stated["_target_"].startswith("symo_exp.systems.")
+
+
+def test_a_recorded_machine_is_learned_without_friction(workplace: Path) -> None:
+    t = 0.05 * np.arange(20)
+    motions = [
+        pd.DataFrame({"trajectory": k, "t": t, "q_arm": (k + 1) * 0.1 * np.cos(3.0 * t)})
+        for k in range(4)
+    ]
+    pd.concat(motions).to_csv("mine.csv", index=False)
+    words = "data=recorded data.path=mine.csv system=recorded system.angular=all model=symo"
+    quiet = ["logger=none", "pictures=false", "trainer.max_epochs=1", "net.width=8"]
+    run = symo_exp.run(*words.split(), "system.time_step=0.05", *quiet)
+    assert not isinstance(run, list)
+    assert run.model.dissipation is None

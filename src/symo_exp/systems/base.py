@@ -109,6 +109,11 @@ class System(ABC):
         return None
 
     @property
+    def dissipation(self) -> Dissipation | None:
+        """The known dissipation, ``None`` if there is none."""
+        return None
+
+    @property
     def ends(self) -> Sequence[Range] | None:
         """Range of each coordinate beyond which a motion ends, ``None`` for no limits."""
         return None
