@@ -309,7 +309,8 @@ class Search:
             best.candidate,
             f"data.fold={POOLED}",
             f"trainer.max_epochs={epochs}",
-            "optimizer.tolerance=1e9",  # the last parameters: nothing is held out
+            f"trainer.validate_every={epochs}",  # once: nothing is held out
+            "optimizer.tolerance=1e9",  # so that the last parameters are kept
             f"trainer.time_limit={limit:.0f}",
             data__seconds=f"data.seconds={seconds:g}" if seconds < machine.seconds else None,
             logger=None,

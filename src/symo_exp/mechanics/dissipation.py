@@ -53,6 +53,15 @@ class Dissipation(ABC):
         """Return ``∂F_d/∂v``, or its stiff part, without a graph."""
         return self.derivatives(q, v)[1]
 
+    def chord(
+        self, v: Float[Tensor, "batch n"], before: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n n"] | None:
+        """Return what is added to ``∂F_d/∂v`` for the slope of the chord from ``before`` to ``v``.
+
+        ``None``: the force does not bend sharply.
+        """
+        return None
+
 
 class Friction(Dissipation):
     """``F_d = −D v − c ∘ tanh(v / ε_v)``: viscous friction, and dry friction smoothed at rest.
@@ -122,23 +131,34 @@ class DissipativeExpansion(Expansion):
     """A Lagrangian and a dissipative force around ``(q, v)``."""
 
     dissipates = True
-    parts = ("_at", "_dissipation", "_space", "_q", "_v")
+    parts = ("_at", "_dissipation", "_space", "_q", "_v", "values")
 
     def __init__(
-        self, at: Expansion, dissipation: Dissipation, space: Space, q: Tensor, v: Tensor
+        self,
+        at: Expansion,
+        dissipation: Dissipation,
+        space: Space,
+        q: Tensor,
+        v: Tensor,
+        values: Gradients | None = None,
     ) -> None:
         self._at, self._dissipation, self._space, self._q, self._v = at, dissipation, space, q, v
-        with torch.no_grad():
-            force = dissipation.force(q, v)
-        self.values = Gradients(at.values.q + force, at.values.v)
+        if values is None:
+            with torch.no_grad():
+                force = dissipation.force(q, v)
+            values = Gradients(at.values.q + force, at.values.v)
+        self.values = values
 
     @override
     def mass(self) -> Tensor:
         return self._at.mass()
 
     @override
-    def curvature(self) -> Curvature:
+    def curvature(self, before: Expansion | None = None) -> Curvature:
         force_q, force_v = self._dissipation.derivatives(self._q, self._v)
+        if isinstance(before, DissipativeExpansion):
+            chord = self._dissipation.chord(self._v, before._v)
+            force_v = force_v if chord is None else force_v + chord
         if force_q.shape != force_v.shape:  # in the entries of rotations
             force_q = self._space.pull(self._q.unsqueeze(1), force_q)
         qq, vq, qv = self._at.curvature()

@@ -57,6 +57,8 @@ class Galerkin(VariationalIntegrator):
         max_iterations: Bound on the number of updates.
     """
 
+    has_hessian = True
+
     def __init__(self, *, stages: int, tolerance: float = 1e-12, max_iterations: int = 12) -> None:
         if stages < 1:
             raise ValueError(f"stages must be at least 1, got {stages}")
@@ -440,9 +442,11 @@ class GalerkinExpansion(DiscreteExpansion):
         points = torch.arange(len(self.basis.b), device=index.device) * len(self.values.d1)
         return (points.unsqueeze(-1) + index).flatten()
 
-    def hessian(self) -> Float[Tensor, "variables variables batch n n"]:
-        """Return ``W``."""
-        return self.basis.hessian(self.at.curvature(), self.at.mass(), self.h)
+    @override
+    def hessian(self, before: DiscreteExpansion | None = None) -> Tensor:
+        assert before is None or isinstance(before, GalerkinExpansion)
+        curvature = self.at.curvature(None if before is None else before.at)
+        return self.basis.hessian(curvature, self.at.mass(), self.h)
 
     def condensed(self) -> GalerkinExpansion:
         """Return this expansion with ``d2d1`` computed, which its rows then share."""

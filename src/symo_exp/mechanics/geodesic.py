@@ -335,7 +335,7 @@ class ChartExpansion(Expansion):
         return self.chart.jacobian.mT @ self._at.damping() @ self.chart.jacobian
 
     @override
-    def curvature(self) -> Curvature:
+    def curvature(self, before: Expansion | None = None) -> Curvature:
         return self.derivatives()[0]
 
     def derivatives(self) -> tuple[Curvature, Tensor, Tensor]:

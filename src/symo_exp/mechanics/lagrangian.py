@@ -67,8 +67,13 @@ class Expansion(Rowwise, ABC):
         """Return ``H`` at the point, without a graph."""
 
     @abstractmethod
-    def curvature(self) -> Curvature:
-        """Return the second derivatives at the point, without a graph."""
+    def curvature(self, before: Expansion | None = None) -> Curvature:
+        """Return the second derivatives at the point, without a graph.
+
+        ``before`` is the expansion around the previous iterate of a root finder: where a force
+        bends sharply between them, as dry friction does, the slope of the chord may stand for its
+        derivative, so that iterates do not jump to and fro.
+        """
 
     dissipates: ClassVar[bool] = False
     """Whether there is a dissipative force ``F_d``."""
@@ -199,7 +204,7 @@ class AutodiffExpansion(Expansion):
         return self._mass
 
     @override
-    def curvature(self) -> Curvature:
+    def curvature(self, before: Expansion | None = None) -> Curvature:
         with torch.enable_grad():
             q = self._q.clone().requires_grad_()
             gradients = self._lagrangian.gradients(q, self._v)

@@ -135,7 +135,7 @@ class RigidBodyExpansion(Expansion):
 
     @override
     @torch.no_grad()
-    def curvature(self) -> Curvature:
+    def curvature(self, before: Expansion | None = None) -> Curvature:
         return self._lagrangian.curvature(self._q, self._v)
 
     @override

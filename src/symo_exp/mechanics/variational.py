@@ -64,6 +64,15 @@ class DiscreteExpansion(Rowwise, ABC):
         """Return the derivative of ``mismatch`` in ``q₁`` and the other unknowns of a step."""
         return self.d2d1()
 
+    def hessian(
+        self, before: DiscreteExpansion | None = None
+    ) -> Float[Tensor, "variables variables batch n n"]:
+        """Return ``∂(D_a L_d)/∂x_b`` in ``q₀``, the inner unknowns and ``q₁``, in this order.
+
+        ``before`` is the previous iterate of a root finder: see ``Expansion.curvature``.
+        """
+        raise TypeError(f"{type(self).__name__} has no Hessian of lengths and angles")
+
     @abstractmethod
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         """Return the slot derivatives, differentiable; arguments hold the values of the point."""
@@ -84,6 +93,8 @@ class VariationalIntegrator(ABC):
     """The space of the configurations that it takes."""
     stages: int | None = None
     """Number of Gauss points of its extension to rotations, ``None`` if it has none."""
+    has_hessian = False
+    """Whether its expansions have a ``hessian``; several steps are then solved at once."""
 
     @abstractmethod
     def slots(
@@ -154,6 +165,7 @@ class VariationalMidpoint(VariationalIntegrator):
     name = "midpoint"
     order = 2
     stages = 1
+    has_hessian = True
 
     @override
     def slots(
@@ -194,6 +206,15 @@ class MidpointExpansion(DiscreteExpansion):
         curvature = self._at.curvature()
         skew = 0.5 * (curvature.qv - curvature.vq)
         return (self._h / 4) * curvature.qq + skew - self._at.mass() / self._h
+
+    @override
+    def hessian(self, before: DiscreteExpansion | None = None) -> Tensor:
+        assert before is None or isinstance(before, MidpointExpansion)
+        qq, vq, qv = self._at.curvature(None if before is None else before._at)
+        bend, own = (self._h / 4) * qq, self._at.mass() / self._h
+        skew, even = 0.5 * (qv - vq), 0.5 * (qv + vq)
+        rows = (bend - even + own, bend + skew - own), (bend - skew - own, bend + even + own)
+        return torch.stack([torch.stack(row) for row in rows])
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:

@@ -125,6 +125,13 @@ class DynamicsModel(nn.Module):
         )
         return Rollout(*(x[0] for x in rollout)) if given.single else rollout
 
+    def rollout_slopes(self, q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor] | None:
+        """Return the configurations of rollouts and their derivatives in ``(q, v)``.
+
+        See ``Flow.rollout_slopes``.
+        """
+        return self.flow.rollout_slopes(*(x.to(self.input_matrix) for x in (q, v, u)))
+
     def rollout_interval(
         self,
         q0: Array,

@@ -8,6 +8,7 @@ discrete Euler-Lagrange equations of a Lagrangian. Shapes: configurations ``q`` 
 from __future__ import annotations
 
 import copy
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -22,8 +23,10 @@ from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.geodesic import Controlled, on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.mechanics.roots import RootFinder
+from symo_exp.mechanics.roots import Newton, RootFinder, iterate
+from symo_exp.mechanics.rows import put_rows
 from symo_exp.mechanics.space import FLAT, Space
+from symo_exp.mechanics.stretches import StretchMatching, StretchNewton, StretchPoint
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -38,6 +41,8 @@ from symo_exp.models.fields import Field
 
 Carried = tuple[Tensor, Tensor, Tensor]
 """The state ``(q, y)`` of a rollout at a node, and which rows have converged."""
+STRETCH, MOST_UPDATES = 10, 30
+"""Steps that a rollout solves at once, and iterations after which they are left to single steps."""
 
 
 class Step(NamedTuple):
@@ -74,6 +79,8 @@ class Flow(nn.Module, ABC):
     """The Lagrangian of the system, if the flow has one."""
     space: Space = FLAT
     """The space of configurations."""
+    stretch = STRETCH
+    """Steps that a rollout takes at a time."""
 
     def __init__(self, time_step: float) -> None:
         super().__init__()
@@ -108,13 +115,24 @@ class Flow(nn.Module, ABC):
         The state carried from node to node is ``(q, y)``, with ``y`` of ``encode``. ``advance``
         replaces ``self.advance``, as a compiled one does.
         """
-        y, none = self.encode(q, v), torch.zeros(len(q), dtype=torch.bool, device=q.device)
-        nodes: list[Carried] = [(q, y, none)]
-        for k in range(u.shape[1] - 1):
-            nodes.append((advance or self.advance)(*nodes[-1][:2], u[:, k], u[:, k + 1]))
-        q, y, converged = (torch.stack(x, 1) for x in zip(*nodes, strict=True))
+        y = self.encode(q, v)
+        start = q.unsqueeze(1), y.unsqueeze(1), torch.zeros_like(q[:, :1], dtype=torch.bool)
+        parts: list[Carried] = [start]
+        for k in range(0, u.shape[1] - 1, self.stretch):
+            state = parts[-1][0][:, -1], parts[-1][1][:, -1]
+            parts.append(self.advance_all(*state, u[:, k : k + self.stretch + 1], advance))
+        q, y, converged = (torch.cat(x, 1) for x in zip(*parts, strict=True))
         v = self.decode(q.flatten(0, 1), y.flatten(0, 1)).view_as(y)
         return Rollout(q, v, converged[:, 1:])
+
+    def rollout_slopes(
+        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"], u: Tensor
+    ) -> tuple[Float[Tensor, "batch nodes n"], Float[Tensor, "batch nodes n 2n"]] | None:
+        """Return the configurations of rollouts and their derivatives in ``(q, v)``.
+
+        ``None`` if there is no closed form, or a root is not found.
+        """
+        return None
 
     def encode(self, q: Tensor, v: Tensor) -> Tensor:
         """Return ``y`` of a state: the velocity, unless a flow carries something else."""
@@ -128,6 +146,16 @@ class Flow(nn.Module, ABC):
         """Return ``(q, y)`` one time step later in a rollout, and which rows have converged."""
         step = self.step(q, y, u, u_next)
         return step.q, step.v, step.converged
+
+    def advance_all(
+        self, q: Tensor, y: Tensor, u: Tensor, advance: Callable[..., Carried] | None = None
+    ) -> Carried:
+        """Return ``(q, y)`` at all nodes after the first, and which rows have converged there."""
+        nodes: list[Carried] = [(q, y, q)]
+        for before, after in itertools.pairwise(u.unbind(1)):
+            nodes.append((advance or self.advance)(*nodes[-1][:2], before, after))
+        q, y, converged = (torch.stack(x, 1) for x in zip(*nodes[1:], strict=True))
+        return q, y, converged
 
 
 class ExplicitFlow(Flow):
@@ -252,6 +280,60 @@ class VariationalFlow(Flow):
         guess = self.space.retract(q, self.time_step * self.decode(q, y))
         step = self._move(q, y, u, u_next, guess, self.rollout_root)
         return step.q, step.p, step.root.converged
+
+    @override
+    @torch.no_grad()
+    def advance_all(
+        self, q: Tensor, y: Tensor, u: Tensor, advance: Callable[..., Carried] | None = None
+    ) -> Carried:
+        if advance is not None or not self.solves_stretches or u.shape[1] == 2:
+            return super().advance_all(q, y, u, advance)
+        path, at, found = self._stretch(q, y, u)
+        p, converged = at.p, found.unsqueeze(1).expand(path.shape[:2])
+        left = (~found & q.isfinite().all(1) & y.isfinite().all(1)).nonzero().squeeze(1)
+        if len(left) > 0:
+            single = super().advance_all(q[left], y[left], u[left])
+            path, p, converged = put_rows((path, p, converged), left, single)
+        return path, p, converged
+
+    @override
+    @torch.no_grad()
+    def rollout_slopes(self, q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor] | None:
+        if not self.solves_stretches:
+            return None
+        (batch, n), at = q.shape, self.lagrangian.expand(q, v)
+        p, identity = at.values.v, torch.eye(n).to(q).expand(batch, n, n)
+        top = torch.cat((identity, torch.zeros_like(identity)), dim=2)
+        slope = torch.cat((top, torch.cat((at.curvature().vq, at.mass()), dim=2)), dim=1)
+        nodes, slopes = [q.unsqueeze(1)], [top.unsqueeze(1)]
+        for k in range(0, u.shape[1] - 1, self.stretch):
+            path, there, found = self._stretch(q, p, u[:, k : k + self.stretch + 1])
+            if not found.all():
+                return None
+            moved, slope = there.slopes(slope)
+            nodes.append(path)
+            slopes.append(moved)
+            q, p = path[:, -1], there.p[:, -1]
+        return torch.cat(nodes, 1), torch.cat(slopes, 1)
+
+    @property
+    def solves_stretches(self) -> bool:
+        """Whether several steps can be solved at once."""
+        root = self.rollout_root
+        rows = isinstance(root, Newton) and root.stopping == "row"
+        return rows and self.integrator.has_hessian and not self.space.rotations
+
+    def _stretch(self, q: Tensor, p: Tensor, u: Tensor) -> tuple[Tensor, StretchPoint, Tensor]:
+        """Return the nodes after the first, the equations there, and which rows are solutions."""
+        steps, (batch, n) = u.shape[1] - 1, q.shape
+        force = self.force(u.flatten(0, 1)).view(batch, steps + 1, -1)
+        forces = Forces(force[:, :-1], force[:, 1:])
+        problem = StretchMatching(self.discrete, q, p, forces)
+        t = self.time_step * torch.arange(1, steps + 1).to(q)
+        guess = q.unsqueeze(1) + t[:, None] * self.decode(q, p).unsqueeze(1)
+        rule = StretchNewton(self.rollout_root.tolerance)
+        x, at, state = iterate(problem, problem.start(guess), rule, MOST_UPDATES)
+        return x.view(batch, steps, -1)[:, :, :n], at, rule.converged(at, state)
 
     def _move(
         self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, guess: Tensor, root: RootFinder

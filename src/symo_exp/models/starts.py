@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -44,6 +44,17 @@ class RollsOut(Protocol):
         ...
 
 
+@runtime_checkable
+class KnowsSlopes(Protocol):
+    """A model that may know the derivatives of its rollouts in their initial states."""
+
+    def rollout_slopes(
+        self, q: Tensor, v: Tensor, u: Tensor
+    ) -> tuple[Float[Tensor, "batch nodes n"], Float[Tensor, "batch nodes n 2n"]] | None:
+        """Return configurations and derivatives, ``None`` if they are not known."""
+        ...
+
+
 class State(NamedTuple):
     """Configuration and velocity."""
 
@@ -64,8 +75,8 @@ def fitted_start(
     """Return the states at node 0 that minimise ``Σ_k w_k |q̂_k(q₀, v₀) − q_k|²`` for each motion.
 
     Levenberg-Marquardt for all rows at once, each with its own damping. Derivatives are central
-    differences of rollouts, so that any model will do. A trial that diverges is refused like one
-    that is worse.
+    differences of rollouts where a model does not know them, so that any model will do. A trial
+    that diverges is refused like one that is worse.
 
     Args:
         model: The model.
@@ -129,8 +140,16 @@ class Fit(Rowwise):
         return State(self._space.point(base, place), v)
 
     def at(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
-        """Evaluate residuals and derivatives by one rollout of all starts and their neighbours."""
+        """Evaluate residuals and derivatives, closed forms or differences of rollouts."""
         batch, unknowns = x.shape
+        root = self._weight.sqrt().flatten(1)
+        true = self._space.origin(self._q)
+        if isinstance(self._model, KnowsSlopes) and not self._space.rotations:
+            known = self._model.rollout_slopes(*self.state(x), self._u)
+            if known is not None:
+                path, slopes = (y.to(self._q) for y in known)
+                error = difference(path, true).flatten(1)
+                return FitPoint(root * error, root.unsqueeze(-1) * slopes.flatten(1, 2))
         beside = DIFFERENCE * torch.eye(unknowns).to(x)
         shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
         starts = (x + shifts[:, None]).flatten(0, 1)
@@ -139,8 +158,6 @@ class Fit(Rowwise):
         moved = self._space.chart(self._q.expand_as(path), path).flatten(2)
         at, plus, minus = moved.split((1, unknowns, unknowns))
         slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
-        root = self._weight.sqrt().flatten(1)
-        true = self._space.origin(self._q)
         error = difference(at[0].view_as(true), true).flatten(1)
         return FitPoint(root * error, root.unsqueeze(-1) * slopes.nan_to_num(0.0, 0.0, 0.0))
 

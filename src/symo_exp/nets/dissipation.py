@@ -113,6 +113,21 @@ class LearnedDissipation(nn.Module, Dissipation):
         found = -(matvec(turned, y) + matvec(factor[:, None], vecmat(x, turned))).mT
         return found[..., :n], by_v + found[..., n:] - factor @ factor.mT
 
+    @override
+    @torch.no_grad()
+    def chord(
+        self, v: Float[Tensor, "batch n"], before: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n n"] | None:
+        """Return what chords of dry friction add where a joint's velocity changes by ``ε_v``."""
+        if self.coulomb_root is None or self.rest is None:
+            return None
+        c, rest = self._dry(self.coulomb_root, self.rest)
+        w, w_before = v @ self.joints.T / rest, before @ self.joints.T / rest
+        t, change = torch.tanh(w), w - w_before
+        excess = (t - torch.tanh(w_before)) / change - (1.0 - t.square())
+        excess = torch.where(change.abs() > 1.0, excess.clamp(min=0.0), 0.0)
+        return -self.joints.T @ torch.diag_embed(c / rest * excess) @ self.joints
+
     def coefficients(self) -> tuple[Tensor | None, tuple[Tensor, Tensor] | None]:
         """Return ``D`` (n, n), and ``c`` with ``ε_v`` (n), of joint velocities, where they are."""
         matrix = dry = None

@@ -236,7 +236,7 @@ class StructuredExpansion(Expansion):
 
     @override
     @torch.no_grad()
-    def curvature(self) -> Curvature:
+    def curvature(self, before: Expansion | None = None) -> Curvature:
         embedding, head = self._lagrangian.embedding, self._lagrangian.head
         *layers, (last, _) = self._lagrangian.net.layers()
         at = self._passes

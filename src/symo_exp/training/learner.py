@@ -73,6 +73,7 @@ class Learner(lightning.LightningModule):
         self.steps = 0
         """Optimiser steps so far, skipped ones included."""
         self._optimizer, self._scheduler, self._validation = optimizer, scheduler, validation
+        self._last: tuple[Tensor, Tensor] | None = None
         self._statistics: dict[str, list[Tensor]] = {}
         self._training_seconds = 0.0
 
@@ -170,11 +171,7 @@ class Learner(lightning.LightningModule):
 
     @override
     def validation_step(self, windows: TrainingSamples, _: int) -> None:
-        if self._validation is None:
-            loss = self.validation_loss(windows)
-        else:
-            held_out = self._data.trajectories(self._data.monitor)
-            loss = torch.tensor(self._validation(self.model, held_out))
+        loss = self.validation_loss(windows) if self._validation is None else self._measured()
         self.log("val_loss", loss, batch_size=1)
         if self.trainer.sanity_checking:
             return
@@ -184,6 +181,15 @@ class Learner(lightning.LightningModule):
         if isinstance(method, EpochOptimizer):
             method.validated(loss)
             self.trainer.should_stop |= method.finished
+
+    def _measured(self) -> Tensor:
+        """Return the measure of the model, the last one if its parameters are the same."""
+        parameters = torch.cat([p.detach().flatten() for p in self.model.parameters()])
+        if self._last is None or not torch.equal(self._last[0], parameters):
+            assert self._validation is not None
+            held_out = self._data.trajectories(self._data.monitor)
+            self._last = parameters, torch.tensor(self._validation(self.model, held_out))
+        return self._last[1]
 
     @override
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:

@@ -1,0 +1,206 @@
+"""Several steps of a variational integrator at once.
+
+The discrete Euler-Lagrange equations of a stretch of steps are solved together, by Newton's method
+on all of its nodes. Its Jacobian couples neighbouring nodes only: a step maps changes of
+``(q_k, p_k)`` to changes of ``(q_{k+1}, p_{k+1})``, one small product each, and what is costly,
+the evaluation of the Lagrangian, happens for all steps in one batch. The iterations are about as
+many as those of the worst single step, so that a stretch takes a fraction of the time of its steps.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from typing_extensions import override
+
+from symo_exp.mechanics.roots import Rule, rounding
+from symo_exp.mechanics.rows import Rowwise
+from symo_exp.mechanics.variational import DiscreteExpansion, DiscreteLagrangian, Forces
+
+
+class StretchMatching(Rowwise):
+    """The equations ``p_k + D₁L_d(q_k, q_{k+1}) + f⁻ = 0`` of all steps of a stretch.
+
+    Unknowns are those of each step (``VariationalIntegrator.unknowns``), one step after another.
+
+    Args:
+        discrete: ``L_d``, of lengths and angles.
+        q: Configuration at the start of the stretch.
+        p: Momentum there.
+        forces: The generalised force over each step.
+    """
+
+    parts = ("_discrete", "_q", "_p", "_forces")
+
+    def __init__(
+        self,
+        discrete: DiscreteLagrangian,
+        q: Float[Tensor, "batch n"],
+        p: Float[Tensor, "batch n"],
+        forces: Forces,
+    ) -> None:
+        self._discrete, self._q, self._p, self._forces = discrete, q, p, forces
+
+    def start(self, path: Float[Tensor, "batch steps n"]) -> Float[Tensor, "batch unknowns"]:
+        """Return the unknowns at an initial guess of the nodes."""
+        before = torch.cat((self._q.unsqueeze(1), path[:, :-1]), dim=1)
+        unknowns = self._discrete.integrator.unknowns(before.flatten(0, 1), path.flatten(0, 1))
+        return unknowns.view(len(path), -1)
+
+    def at(self, x: Float[Tensor, "batch unknowns"]) -> StretchPoint:
+        """Evaluate the equations; the steps are the outermost part of a row index."""
+        batch, n = self._q.shape
+        steps = self._forces.start.shape[1]
+        x = x.unflatten(1, (steps, -1)).transpose(0, 1)
+        q = torch.cat((self._q.unsqueeze(0), x[:-1, :, :n]))
+        forces = Forces(*(f.transpose(0, 1).flatten(0, 1) for f in self._forces))
+        at = self._discrete.expand_at(q.flatten(0, 1), x.flatten(0, 1), forces)
+        f0, f1 = self._discrete.impulses(forces)
+        p = (at.values.d2 + f1).unflatten(0, (steps, batch))
+        before = torch.cat((self._p.unsqueeze(0), p[:-1]))
+        mismatch = at.mismatch(before.flatten(0, 1) + f0).unflatten(0, (steps, batch))
+        return StretchPoint(at, mismatch.transpose(0, 1), p.transpose(0, 1))
+
+
+class StretchPoint(Rowwise):
+    """The equations of a stretch at one batch of candidates.
+
+    Args:
+        expansion: ``L_d`` around all steps, the steps outermost.
+        mismatch: The equations.
+        p: Momenta at the ends of the steps.
+    """
+
+    def __init__(
+        self,
+        expansion: DiscreteExpansion,
+        mismatch: Float[Tensor, "batch steps k"],
+        p: Float[Tensor, "batch steps n"],
+    ) -> None:
+        self.expansion, self.mismatch, self.p = expansion, mismatch, p
+
+    @override
+    def rows(self, index: Tensor) -> StretchPoint:
+        expansion = self.expansion.rows(self._steps(index))
+        return StretchPoint(expansion, self.mismatch[index], self.p[index])
+
+    @override
+    def replace(self, index: Tensor, other: StretchPoint) -> StretchPoint:
+        return StretchPoint(
+            self.expansion.replace(self._steps(index), other.expansion),
+            self.mismatch.index_copy(0, index, other.mismatch),
+            self.p.index_copy(0, index, other.p),
+        )
+
+    def _steps(self, index: Tensor) -> Tensor:
+        """Rows of the steps of some stretches."""
+        batch, steps = self.p.shape[:2]
+        return (torch.arange(steps, device=index.device)[:, None] * batch + index).flatten()
+
+    def norm(self) -> Float[Tensor, " batch"]:
+        """Return the largest ``‖g‖₂ / √k`` of a step."""
+        return self.mismatch.square().mean(-1).amax(-1).sqrt()
+
+    def newton_step(self, before: StretchPoint | None) -> Float[Tensor, "batch unknowns"]:
+        """Return the step of Newton's method; ``before`` is the previous iterate."""
+        batch, n = len(self.p), self.p.shape[2]
+        start = self.p.new_zeros(batch, 2 * n, 1)
+        return self._along(self.mismatch.unsqueeze(-1), start, before)[0].flatten(1)
+
+    def slopes(
+        self, start: Float[Tensor, "batch 2n columns"]
+    ) -> tuple[Float[Tensor, "batch steps n columns"], Float[Tensor, "batch 2n columns"]]:
+        """Return the derivatives of the nodes and of the last ``(q, p)``, given the first one's."""
+        n = self.p.shape[2]
+        none = self.mismatch.new_zeros(*self.mismatch.shape, start.shape[2])
+        moved, end = self._along(none, start, None)
+        return moved[:, :, :n], end
+
+    def _along(
+        self, mismatch: Tensor, start: Tensor, before: StretchPoint | None
+    ) -> tuple[Float[Tensor, "batch steps k columns"], Float[Tensor, "batch 2n columns"]]:
+        """Solve the linearised equations from node to node.
+
+        Returns:
+            The changes of the unknowns, and that of the last ``(q, p)``.
+        """
+        (batch, steps, n), k = self.p.shape, self.mismatch.shape[2]
+        w = self.expansion.hessian(None if before is None else before.expansion)
+        order = [-1, *range(1, len(w) - 1)]  # of a step's unknowns: its end, then inner ones
+        own = _matrix(w[:-1][:, order])
+        pushed = torch.cat((torch.eye(n).to(w), w.new_zeros(k - n, n))).expand(len(own), k, n)
+        given = mismatch.transpose(0, 1).flatten(0, 1)
+        right = torch.cat((_matrix(w[:-1, :1]), pushed, given), dim=2)
+        found = -torch.linalg.solve_ex(own, right)[0]
+        by_state, shift = found.split((2 * n, given.shape[2]), dim=2)
+        last = _matrix(w[-1:, order])  # ∂p⁺ in the unknowns of a step
+        by_start = torch.nn.functional.pad(w[-1, 0], (0, n))
+        carry = torch.cat((by_state[:, :n], last @ by_state + by_start), dim=1)
+        push = torch.cat((shift[:, :n], last @ shift), dim=1)
+        states = [start]
+        for step, added in zip(
+            carry.view(steps, batch, 2 * n, 2 * n), push.unflatten(0, (steps, batch)), strict=True
+        ):
+            states.append(torch.baddbmm(added, step, states[-1]))
+        moved = torch.baddbmm(shift, by_state, torch.cat(states[:-1]))
+        return moved.unflatten(0, (steps, batch)).transpose(0, 1), states[-1]
+
+
+class StretchState(NamedTuple):
+    """State of ``StretchNewton``."""
+
+    settled: Bool[Tensor, " batch"]
+    """Rows whose step is lost in rounding."""
+    before: StretchPoint | None
+    """The previous iterate."""
+
+
+class StretchNewton(Rule[StretchPoint, StretchState]):
+    """Undamped steps of Newton's method, dry friction by chords; rows that diverge are given up.
+
+    Args:
+        tolerance: Bound on ``‖g‖₂ / √k`` of a step.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+
+    def converged(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, " batch"]:
+        """Return the rows that are roots, or as near to one as rounding allows."""
+        norm = at.norm()
+        return (norm <= self._tolerance) | (state.settled & norm.isfinite())
+
+    @override
+    def start(self, x: Tensor, at: StretchPoint) -> StretchState:
+        return StretchState(torch.zeros_like(x[:, 0], dtype=torch.bool), None)
+
+    @override
+    def active(
+        self, x: Tensor, at: StretchPoint, state: StretchState
+    ) -> tuple[Tensor, StretchState]:
+        return at.norm().isfinite() & ~self.converged(at, state), state
+
+    @override
+    def drops(self, active: int, rows: int, batch: int) -> bool:
+        return 2 * active <= rows
+
+    @override
+    def trial(
+        self, x: Tensor, at: StretchPoint, state: StretchState
+    ) -> tuple[Tensor, StretchState]:
+        step = at.newton_step(state.before)
+        settled = (step.abs() <= rounding(x)).all(-1)
+        return x + step, StretchState(settled, at)
+
+    @override
+    def judge(
+        self, active: Tensor, at: StretchPoint, there: StretchPoint, state: StretchState
+    ) -> tuple[None, StretchState]:
+        return None, state
+
+
+def _matrix(blocks: Float[Tensor, "a b rows n n"]) -> Float[Tensor, "rows a*n b*n"]:
+    return blocks.permute(2, 0, 3, 1, 4).flatten(3).flatten(1, 2)

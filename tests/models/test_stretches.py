@@ -1,0 +1,95 @@
+"""Rollouts that solve several steps at once: they are those of single steps, in less time."""
+
+import itertools
+
+import pytest
+import torch
+
+from symo_exp.mechanics.roots import Newton
+from symo_exp.models.flows import Flow, VariationalFlow
+from symo_exp.systems.chain import ChainPendulum
+from tests.dissipative import dissipative_chain, dissipative_net, machine_net
+from tests.tables import variational_integrators
+
+H, STEPS = 0.02, 23
+KINDS = {
+    "no friction": ChainPendulum,
+    "narrow dry friction": lambda n: dissipative_chain(n, rest_velocity=0.01),
+    "learned": dissipative_net,
+    "machine": machine_net,
+}
+METHODS = variational_integrators()
+every_case = pytest.mark.parametrize(
+    ("kind", "name", "n"),
+    [(kind, name, 1 + i % 3) for i, (kind, name) in enumerate(itertools.product(KINDS, METHODS))],
+)
+
+
+def flow_and_starts(kind, name, n, **root):
+    found = Newton(tolerance=1e-12, max_iterations=50, **root)
+    matrix = torch.eye(n, dtype=torch.float64)
+    flow = VariationalFlow(KINDS[kind](n), METHODS[name], H, matrix, root=found).double()
+    generator = torch.Generator().manual_seed(3)
+    q, v = torch.randn(2, 6, n, dtype=torch.float64, generator=generator)
+    return flow, q, v, torch.randn(6, STEPS + 1, n, dtype=torch.float64, generator=generator)
+
+
+@every_case
+def test_they_are_those_of_single_steps(kind, name, n):
+    flow, q, v, u = flow_and_starts(kind, name, n)
+    assert flow.solves_stretches
+    found = flow.rollout(q, v, u)
+    expected = flow.rollout(q, v, u, advance=flow.advance)
+    assert found.converged.all()
+    torch.testing.assert_close(found.q, expected.q, atol=1e-9, rtol=1e-9)
+    torch.testing.assert_close(found.v, expected.v, atol=1e-7, rtol=1e-7)
+
+
+@every_case
+def test_slopes_are_those_of_differences(kind, name, n):
+    flow, q, v, u = flow_and_starts(kind, name, n)
+    path, slopes = flow.rollout_slopes(q, v, u)
+    torch.testing.assert_close(path, flow.rollout(q, v, u).q, atol=1e-9, rtol=1e-9)
+    for i in range(2 * n):
+        shift = torch.zeros(2 * n, dtype=torch.float64)
+        shift[i] = 1e-6
+        ahead, behind = (flow.rollout(q + s[:n], v + s[n:], u).q for s in (shift, -shift))
+        by_difference = (ahead - behind) / 2e-6
+        torch.testing.assert_close(slopes[..., i], by_difference, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_they_evaluate_the_lagrangian_less_often(n, monkeypatch):
+    flow, q, v, u = flow_and_starts("narrow dry friction", "midpoint", n)
+    counts = []
+    expand = type(flow.lagrangian).expand
+
+    def counted(*arguments):
+        counts[-1] += 1
+        return expand(*arguments)
+
+    monkeypatch.setattr(type(flow.lagrangian), "expand", counted)
+    for advance in (None, flow.advance):
+        counts.append(0)
+        flow.rollout(q, v, u, advance=advance)
+    assert 2 * counts[0] < counts[1]
+
+
+def test_rows_without_a_solution_are_left_to_single_steps():
+    flow, q, v, u = flow_and_starts("narrow dry friction", "midpoint", 2)
+    v[0], u[1, 12:] = torch.nan, torch.nan
+    found = flow.rollout(q, v, u)
+    expected = flow.rollout(q, v, u, advance=flow.advance)
+    assert torch.equal(found.converged, expected.converged)
+    assert flow.rollout_slopes(q, v, u) is None
+    torch.testing.assert_close(found.q, expected.q, atol=1e-9, rtol=1e-9, equal_nan=True)
+
+
+def test_other_root_finders_take_single_steps(monkeypatch):
+    flow, q, v, u = flow_and_starts("no friction", "midpoint", 2, stopping="batch")
+    single = []
+    base = Flow.advance_all
+    monkeypatch.setattr(Flow, "advance_all", lambda *x: single.append(1) or base(*x))
+    assert flow.rollout(q, v, u).converged.all()
+    assert single
+    assert flow.rollout_slopes(q, v, u) is None
