@@ -12,6 +12,8 @@ from tests.tables import systems as configured
 SYSTEMS: dict[str, LagrangianSystem] = configured() | {
     **{f"chain_{n}": ChainPendulum(n) for n in (1, 2)},
     "mujoco": models.read(models.PENDULUMS),
+    "puppet": models.read(models.PUPPET, viscous=[0.0] * 8),
+    "drone": models.read(models.DRONE, viscous=[0.0] * 10),
 }
 
 FLAT = {name: system for name, system in SYSTEMS.items() if not system.space.rotations}

@@ -10,6 +10,7 @@ from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.mujoco import of_model
 from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
+from tests.tables import CONF
 
 POINT = 'diaginertia="1e-13 1e-13 1e-13"'
 
@@ -73,6 +74,33 @@ CRANE = mjcf(
     gravity="1 0.5 -9",
 )
 DIVER = CRANE.replace('gravity="1 0.5 -9"', 'gravity="0 0 -3" density="800" viscosity="0.2"')
+DRONE = mjcf(
+    f"""<body pos="0.3 0 1" euler="0.4 0.2 -1"><freejoint name="hull"/>
+    <geom type="box" size="0.3 0.2 0.1" pos="0.05 0 0.02" contype="0" conaffinity="0"/>
+    <body pos="0.1 0.2 0" euler="0.3 0 0.2"><site name="nozzle" euler="0.2 0.5 0"/></body>
+    <body pos="0.2 0.1 0"><joint name="wing" axis="0.3 1 0" damping="0.2" armature="0.02"/>
+    <geom type="capsule" size="0.05 0.2" pos="0.3 0 0" contype="0" conaffinity="0"/>
+    <body pos="0.5 0 0.1" euler="0 0.6 0"><joint type="ball" name="tip" damping="0.1"/>{BALL}
+    <geom type="box" size="0.1 0.2 0.05" pos="0.1 0 0" contype="0" conaffinity="0"/></body></body>
+    </body>""",
+    """<actuator><motor name="spin" joint="hull" gear="0 0 0 0.3 1 0.5"/>
+    <motor name="jet" site="nozzle" gear="1 2 -3 0.4 0 0.1"/><motor joint="wing" gear="2"/>
+    <motor joint="tip" gear="0.3 -1 0.2"/></actuator>""",
+)
+PUPPET = mjcf(
+    f"""<body euler="0.5 0 0.3"><joint name="rail" type="slide" axis="1 0 1" damping="0.4"/>{BALL}
+    <body pos="0 0 -0.3" euler="0.2 -0.4 1"><joint type="ball" name="neck" pos="0.02 0 0.05"
+    armature="0.03"/><geom type="capsule" size="0.05 0.2" pos="0 0.1 -0.2" contype="0"
+    conaffinity="0"/><body pos="0 0 -0.4"><joint name="knee" axis="0 1 0.2" ref="0.3"
+    stiffness="2" springref="0.1" range="-1 2" limited="true"/>{BALL}
+    <geom type="box" size="0.1 0.05 0.2" pos="0 0 -0.2" contype="0" conaffinity="0"/></body>
+    <body pos="0.3 0 0" euler="0 1 0"><joint type="ball" name="hand" range="0 1" limited="true"/>
+    <geom type="box" size="0.1 0.2 0.05" pos="0.2 0 0" contype="0" conaffinity="0"/></body></body>
+    </body>""",
+    '<actuator><motor joint="neck" gear="1 0.2 0"/><motor joint="rail" gear="4"/></actuator>',
+    gravity="1 0.5 -9",
+)
+KITE = DRONE.replace('gravity="0 0 -9.81"', 'gravity="0 0 -3" density="20" viscosity="0.2"')
 PENDULUMS = mjcf(
     '<body><joint name="slider" type="slide" axis="1 0 0"/><geom type="capsule" size="0.1 0.1"/>'
     '<body><joint name="hinge" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 0.6" '
@@ -81,6 +109,10 @@ PENDULUMS = mjcf(
     '<actuator><motor joint="slider" gear="10"/></actuator>',
     '<option gravity="0 0 -9.81"><flag contact="disable"/></option>',
 )
+
+
+def shipped(name: str) -> str:
+    return (CONF / "system" / f"{name}.xml").read_text()
 
 
 def compiled(text: str) -> Any:

@@ -40,7 +40,11 @@ OURS: dict[str, tuple[LagrangianSystem, str]] = {
     ))
     for n in (1, 2, 3, 7)
 }  # fmt: skip
-MODELS = {"crane": models.CRANE, "diver": models.DIVER, "pendulums": models.PENDULUMS}
+SHIPPED = ("arm_of_seven", "free_body", "ball_arm")
+MODELS = {
+    "crane": models.CRANE, "diver": models.DIVER, "pendulums": models.PENDULUMS,
+    "drone": models.DRONE, "puppet": models.PUPPET, "kite": models.KITE,
+} | {name: models.shipped(name) for name in SHIPPED}  # fmt: skip
 
 
 def joints_of(system: LagrangianSystem) -> Tensor:
@@ -51,15 +55,15 @@ def joints_of(system: LagrangianSystem) -> Tensor:
 
 
 def numbers(text: str, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """MuJoCo's bias forces ``Ḣ v − ∂ℒ/∂q`` and its energies."""
+    """MuJoCo's bias forces and those of springs, ``Ḣ v + ω × p − ∂ℒ/∂q``, and its energies."""
     model = compiled(text)
     model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data = mujoco.MjData(model)
-    bias, energy = np.zeros(q.shape), np.zeros(len(q))
+    bias, energy = np.zeros(v.shape), np.zeros(len(q))
     for k, state in enumerate(zip(q.numpy(), v.numpy(), strict=True)):
         data.qpos[:], data.qvel[:] = state
         mujoco.mj_forward(model, data)
-        bias[k], energy[k] = data.qfrc_bias, data.energy.sum()
+        bias[k], energy[k] = data.qfrc_bias - data.qfrc_spring, data.energy.sum()
     return torch.from_numpy(bias), torch.from_numpy(energy)
 
 
@@ -84,20 +88,24 @@ def test_our_systems_written_as_mjcf_have_the_same_dynamics(name: str) -> None:
     torch.testing.assert_close(rate, system.acceleration(q, v, u) @ a.T, rtol=1e-9, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", [*MODELS, "arm"])
-def test_mass_matrix_and_accelerations_are_those_of_mujoco(name: str) -> None:
-    if name == "arm":
-        model = mujoco.MjModel.from_xml_path(
-            str(Path(models.__file__).parents[2] / "conf/system/arm_of_seven.xml")
-        )
-        system = Multibody(mechanism=read_mechanism("arm_of_seven.xml"), time_step=0.05)
-    else:
-        model, system = compiled(MODELS[name]), read(MODELS[name])
+@pytest.mark.parametrize("name", MODELS)
+def test_a_model_has_the_dynamics_of_mujoco(name: str) -> None:
+    """Mass matrix, bias forces, energy and accelerations, in our order of coordinates."""
+    model, system = compiled(MODELS[name]), read(MODELS[name])
     q, v, u = points(system, 16)
-    mass, rate = mujoco_dynamics(model, q, 3 * v, u)
-    size = rate.abs().max()
+    v, order = 3 * v, system.model_order
+    state = system.model_state(q, v)
+    mass, rate = mujoco_dynamics(model, *state, u)
+    mass, rate = mass[:, order][:, :, order], rate[:, order]
+    bias, energy = numbers(MODELS[name], *state)
     assert (system.mass_matrix(q) - mass).abs().max() < 1e-11 * mass.abs().max()
-    assert (system.acceleration(q, 3 * v, u) - rate).abs().max() < 1e-10 * size
+    rates = system.rates(q, v)
+    ours = rates.mass_rate_v + system.space.coadjoint(v, system.momentum(q, v)) - rates.q
+    assert (ours - bias[:, order]).abs().max() < 1e-10 * bias.abs().max()
+    fall = system.energy(q, v) - energy
+    assert (fall - fall[0]).abs().max() < 1e-10 * energy.abs().max()
+    size = rate.abs().max()
+    assert (system.acceleration(q, v, u) - rate).abs().max() < 1e-10 * size
     assert size > 1
 
 
@@ -108,13 +116,20 @@ def test_simulated_motions_are_those_of_mujoco(name: str) -> None:
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     q, v, u = points(system, 2)
     path = simulate(system, q, v, u, 2, Solver(rtol=1e-11, atol=1e-11))
+    start, end = system.model_state(q, v), system.model_state(path.q[:, -1], path.v[:, -1])
     for row in range(2):
         data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = q[row], v[row], u[row]
+        data.qpos[:], data.qvel[:] = (x[row] for x in start)
+        data.ctrl[:] = u[row]
         for _ in range(500):
             mujoco.mj_step(model, data)
-        np.testing.assert_allclose(data.qpos, path.q[row, -1], rtol=0, atol=1e-8)
-        np.testing.assert_allclose(data.qvel, path.v[row, -1], rtol=0, atol=1e-7)
+        np.testing.assert_allclose(data.qvel, end[1][row], rtol=0, atol=1e-7)
+        ours = mujoco.MjData(model)
+        ours.qpos[:] = end[0][row]
+        for one in (data, ours):
+            mujoco.mj_kinematics(model, one)
+        np.testing.assert_allclose(data.xpos, ours.xpos, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(data.xmat, ours.xmat, rtol=0, atol=1e-8)
 
 
 def test_coordinates_inputs_and_forces_are_read_from_a_model() -> None:
@@ -190,7 +205,17 @@ MALFORMED = {
     "no model": ("", "cannot read"),
     "no mass": (mjcf("<body><joint/></body>"), "cannot read"),
     "nothing moves": (mjcf('<geom size="1"/>'), "no joints"),
-    "a ball": (mjcf('<body><joint type="ball"/><geom size="1"/></body>'), "joint_0 is ball"),
+    "a sprung ball": (
+        mjcf('<body><joint type="ball" stiffness="1"/><geom size="1"/></body>'), "springs of ball"
+    ),
+    "a push in world axes": (
+        mjcf('<body><freejoint name="hull"/><geom size="1"/></body>',
+             MOTOR.format('<motor name="p" joint="hull" gear="0 1 0 0 0 0"/>')), "p pushes a free",
+    ),
+    "a torque in axes of the parent": (
+        mjcf('<body><joint type="ball" name="b"/><geom size="1"/></body>',
+             MOTOR.format('<motor jointinparent="b" gear="0 1 0"/>')), "in their own axes",
+    ),
     "an equality": (
         mjcf(TWO, '<equality><joint joint1="arm" joint2="leg"/></equality>'), "equality"
     ),
@@ -205,7 +230,7 @@ MALFORMED = {
     "a site's motor": (
         mjcf(HINGE.replace("</body>", '<site name="p"/></body>'),
              MOTOR.format('<motor site="p"/>')),
-        "acts on no joint",
+        "on no free body",
     ),
     "a weak motor": (mjcf(HINGE, MOTOR.format(
         '<motor name="w" joint="arm" ctrlrange="-9 9" forcerange="-1 1"/>')), "w has a forcerange"),
@@ -273,9 +298,11 @@ def test_a_gymnasium_environment_is_a_system() -> None:
     swimmer = Multibody(mechanism=environment_mechanism("Swimmer-v5"), time_step=0.05)
     assert swimmer.input_matrix.shape == (5, 2)
     assert swimmer.dissipation is not None
+    ant = Multibody(mechanism=environment_mechanism("Ant-v5"), time_step=0.05)
+    assert ant.coordinates.rotations == ("root_R",)
+    assert ant.input_matrix.shape == (14, 8)
     for name, reason in {
         "CartPole-v1": "not an environment with a MuJoCo model",
-        "Ant-v5": "joint root is free",
         "Nothing-v0": "cannot make it",
     }.items():
         with pytest.raises(ConfigError, match=reason) as error:

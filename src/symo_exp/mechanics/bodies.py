@@ -1,8 +1,8 @@
-"""Rigid bodies in a tree of hinges and slides: poses, Jacobians and fluid drag.
+"""Rigid bodies in a tree of hinges, slides and ball joints: poses, Jacobians and fluid drag.
 
-A joint moves the bodies after it by a rotation about its axis or a translation along it; the
-composition of these motions from the root takes a body from the reference configuration to its
-pose.
+A joint moves the bodies after it by a rotation about its axis, a translation along it or a rotation
+about its anchor; the composition of these motions from the root takes a body from the reference
+configuration to its pose. A body that moves freely is on three slides and a ball joint.
 """
 
 from __future__ import annotations
@@ -17,21 +17,26 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.space import cross
 
 Vector = tuple[float, float, float]
+Axes = tuple[Vector, Vector, Vector]
+"""A rotation matrix: directions of the axes of a frame, in columns."""
 
 
 class Joint(NamedTuple):
-    """A hinge or a slide and the rigid body that it moves.
+    """A hinge, a slide or a ball joint and the rigid body that it moves.
 
-    Vectors are in world axes, with all coordinates at their ``reference`` values.
+    Vectors are in world axes, with all coordinates at their ``reference`` values. The coordinate of
+    a ball joint is the rotation ``R`` of the axes ``A`` of its body, counted from axes ``L``: the
+    joint turns the body by ``L R Aᵀ``, nothing where ``R = Lᵀ A``.
 
     Attributes:
         name: Name of the joint.
         slides: Whether it is a slide.
         parent: Index of the previous joint, −1 for none.
         axis: Unit vector of the joint.
-        anchor: A point of the axis [m].
+        anchor: A point of the axis, the centre of a ball joint [m].
         reference: Reference value of the coordinate [rad, m].
         mass: Mass of the body [kg].
         centre: Its centre of mass [m].
@@ -42,6 +47,8 @@ class Joint(NamedTuple):
         damping: Viscous friction.
         friction: Dry friction.
         limits: Range of the coordinate.
+        axes: ``A`` of a ball joint; ``None`` of the others.
+        base: ``L`` of a ball joint.
     """
 
     name: str
@@ -59,6 +66,22 @@ class Joint(NamedTuple):
     damping: float = 0.0
     friction: float = 0.0
     limits: tuple[float, float] | None = None
+    axes: Axes | None = None
+    base: Axes | None = None
+
+
+def freedoms(joints: Sequence[Joint]) -> list[tuple[int, int | None]]:
+    """Return the joint of each degree of freedom, and its axis of a ball joint: flat ones first."""
+    flat = [(i, None) for i, joint in enumerate(joints) if joint.axes is None]
+    balls = [(i, k) for i, joint in enumerate(joints) if joint.axes is not None for k in range(3)]
+    return [*flat, *balls]
+
+
+def joint_order(joints: Sequence[Joint]) -> list[int]:
+    """Return the place of each degree of freedom where they are in the order of the joints."""
+    ours = freedoms(joints)
+    ordered = sorted(ours, key=lambda freedom: (freedom[0], freedom[1] or 0))
+    return [ordered.index(freedom) for freedom in ours]
 
 
 def link(
@@ -106,15 +129,27 @@ class Tree:
     def __init__(self, joints: Sequence[Joint]) -> None:
         self._joints = joints
         axis, anchor, reference = (column(joints, x) for x in ("axis", "anchor", "reference"))
-        zero, (x, y, z) = torch.zeros(len(joints), dtype=torch.float64), axis.T
-        rows = [zero, -z, y, z, zero, -x, -y, x, zero]
-        cross = torch.stack(rows, -1).unflatten(-1, (3, 3))
-        hinge = 1 - column(joints, "slides")[:, None]
-        moves = torch.zeros(len(joints), len(joints), dtype=torch.float64)
+        flat = [i for i, joint in enumerate(joints) if joint.axes is None]
+        self._balls = [i for i, joint in enumerate(joints) if joint.axes is not None]
+        self._rank = {i: k for k, i in enumerate(flat)}  # among the flat coordinates
+        balls = [joints[i] for i in self._balls]
+        own, base = (column(balls, name).reshape(-1, 3, 3) for name in ("axes", "base"))
+        owners, along = [], []
+        for i, k in freedoms(joints):
+            owners.append(i)
+            along.append(axis[i] if k is None else own[self._balls.index(i)][:, k])
+        self._owners = owners
+        turned = torch.stack(along)
+        hinge = 1 - column([joints[i] for i in owners], "slides")[:, None]
+        before = torch.zeros(len(joints), len(joints), dtype=torch.float64)
         for i, joint in enumerate(joints):
-            moves[i] = moves[joint.parent] if joint.parent >= 0 else 0.0
-            moves[i, i] = 1.0
-        self._constants = (axis, anchor, reference, cross, cross @ cross, hinge, moves)
+            before[i] = before[joint.parent] if joint.parent >= 0 else 0.0
+            before[i, i] = 1.0
+        across = cross(axis[flat])
+        self._constants = (
+            axis, anchor, reference[flat], across, across @ across, own, base,
+            turned, anchor[owners], hinge, before[:, owners],
+        )  # fmt: skip
         self._converted: dict[tuple[torch.dtype, torch.device], tuple[Tensor, ...]] = {}
 
     def _as(self, q: Tensor) -> tuple[Tensor, ...]:
@@ -123,13 +158,14 @@ class Tree:
             self._converted[key] = tuple(x.to(q) for x in self._constants)
         return self._converted[key]
 
-    def poses(self, q: Float[Tensor, "batch n"]) -> Poses:
+    def poses(self, q: Float[Tensor, "batch N"]) -> Poses:
         """Return the poses of all bodies."""
-        axis, anchor, reference, cross, square, *_ = self._as(q)
-        theta = q - reference
+        axis, anchor, reference, across, square, own, base, *_ = self._as(q)
+        theta = q[:, : len(reference)] - reference
         sin, cos = theta.sin()[..., None, None], theta.cos()[..., None, None]
         one = torch.eye(3, dtype=q.dtype, device=q.device)
-        own = one + sin * cross + (1 - cos) * square
+        hinges = one + sin * across + (1 - cos) * square
+        turned = base @ q[:, len(reference) :].unflatten(1, (len(self._balls), 3, 3)) @ own.mT
         turns: list[Tensor] = []
         shifts: list[Tensor] = []
         for i, joint in enumerate(self._joints):
@@ -138,26 +174,29 @@ class Tree:
             shift = torch.zeros_like(before[:, 0]) if root else shifts[joint.parent]
             if joint.slides:
                 turns.append(before)
-                shifts.append(shift + theta[:, i, None] * (before @ axis[i]))
-            else:
-                turns.append(own[:, i] if root else before @ own[:, i])
-                shifts.append(shift + (before - turns[-1]) @ anchor[i])
+                shifts.append(shift + theta[:, self._rank[i], None] * (before @ axis[i]))
+                continue
+            ball = joint.axes is not None
+            turn = turned[:, self._balls.index(i)] if ball else hinges[:, self._rank[i]]
+            turns.append(turn if root else before @ turn)
+            shifts.append(shift + (before - turns[-1]) @ anchor[i])
         return Poses(torch.stack(turns, 1), torch.stack(shifts, 1))
 
     def jacobians(
         self, at: Poses, of: Sequence[int], points: Float[Tensor, "points 3"]
     ) -> tuple[Float[Tensor, "batch points n 3"], Float[Tensor, "batch points n 3"]]:
-        """Return ``∂ċ/∂q̇`` of points in world axes, and ``∂ω/∂q̇`` of their bodies in body axes.
+        """Return ``∂ċ/∂v`` of points in world axes, and ``∂ω/∂v`` of their bodies in body axes.
 
         Args:
             at: Poses of all bodies.
             of: The body of each point.
             points: The points in the reference configuration.
         """
-        axis, anchor, _, _, _, hinge, moves = self._as(at.shift)
-        about = (at.turn @ axis.unsqueeze(-1)).squeeze(-1).unsqueeze(1)
+        *_, axis, anchor, hinge, moves = self._as(at.shift)
+        joints = Poses(at.turn[:, self._owners], at.shift[:, self._owners])
+        about = (joints.turn @ axis.unsqueeze(-1)).squeeze(-1).unsqueeze(1)
         own = Poses(at.turn[:, of], at.shift[:, of])
-        arms = own.of(points).unsqueeze(2) - at.of(anchor).unsqueeze(1)
+        arms = own.of(points).unsqueeze(2) - joints.of(anchor).unsqueeze(1)
         about = about.expand_as(arms)
         linear = hinge * torch.linalg.cross(about, arms) + (1 - hinge) * about
         moved = moves[of].unsqueeze(-1)
@@ -192,7 +231,7 @@ class Drag(Dissipation):
     def force(self, q: Tensor, v: Tensor) -> Tensor:
         at, axes = self._tree.poses(q), self._axes.to(q)
         linear, turning = self._tree.jacobians(at, self._of, self._centre.to(q))
-        found = torch.zeros_like(q) if self._friction is None else self._friction.force(q, v)
+        found = torch.zeros_like(v) if self._friction is None else self._friction.force(q, v)
         parts = (linear @ (at.turn[:, self._of] @ axes), turning @ axes)
         for jacobian, slow, fast in zip(parts, self._slow, self._fast, strict=True):
             speed = torch.einsum("bjik,bi->bjk", jacobian, v)

@@ -71,7 +71,7 @@ def _frame(
         gone = _figures(system, draw, q if here else None, q_true, looks)
     else:
         gone = "" if here else "diverged"
-        _pictures(image, truth, system.picture(q, PANEL) if here else None)
+        _pictures(image, truth, system.picture(q, PANEL, q_true) if here else None)
     _text(draw, (PANEL / 2, HEADER + PANEL - 16), gone, style.colour, 12, "mm")
     draw.rectangle((0, 0, size[0], HEADER * FINE), fill=PAPER)
     draw.line((PANEL * FINE, HEADER * FINE, PANEL * FINE, size[1]), fill=RAIL, width=FINE)

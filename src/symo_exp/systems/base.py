@@ -30,6 +30,9 @@ from symo_exp.systems.box import Range, SamplingBox
 from symo_exp.systems.box import checked as checked_box
 from symo_exp.systems.checks import real
 
+VIEW = ((1.0, 0.35, 0.0), (0.0, 0.3, 1.0))
+"""Right and up of a picture in world axes: bodies from the front, a little from above."""
+
 
 class Skeleton(NamedTuple):
     """A stick figure of one configuration, in metres; x points right and y up.
@@ -127,8 +130,13 @@ class System(ABC):
         """Return the forward kinematics of a configuration as a figure, ``None`` if unknown."""
         return None
 
-    def picture(self, q: Float[Tensor, " n"], size: int) -> np.ndarray | None:
-        """Return a picture (size, size, 3), uint8, ``None`` where the skeleton is drawn."""
+    def picture(
+        self, q: Float[Tensor, " N"], size: int, middle: Float[Tensor, " N"] | None = None
+    ) -> np.ndarray | None:
+        """Return a picture (size, size, 3), uint8, ``None`` where the skeleton is drawn.
+
+        A camera that follows a body follows that of ``middle``; ``None``: of ``q``.
+        """
         return None
 
     @classmethod

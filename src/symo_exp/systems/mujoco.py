@@ -1,5 +1,7 @@
 """Mechanisms read from MuJoCo models: MJCF and URDF files and Gymnasium environments.
 
+A free joint becomes three slides along the axes of the world and a ball joint.
+
 A mechanism is what ``Multibody`` takes. Features of a model that it does not have are refused, or
 switched off with a note; the result is checked against MuJoCo's own accelerations and mass matrix.
 """
@@ -14,6 +16,7 @@ import numpy as np
 import torch
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.bodies import Joint, joint_order
 from symo_exp.systems.mujoco_library import (
     environment_model,
     library,
@@ -24,13 +27,17 @@ from symo_exp.systems.mujoco_library import (
 )
 from symo_exp.systems.multibody import Multibody
 from symo_exp.systems.refusals import (
+    FREEDOMS,
     actuator_name,
     controls,
     disabled,
+    free_joint,
+    joint_kind,
     joint_name,
     notes,
     refusals,
-)  # fmt: skip
+    site_of,
+)
 
 AGREEMENT = 1e-8
 """Largest difference from MuJoCo's accelerations and mass matrix, relative to their size."""
@@ -101,41 +108,94 @@ def _taken_apart(model: Any) -> dict[str, Any]:
     data.qpos[:] = model.qpos0
     mj.mj_kinematics(model, data)
     mj.mj_comPos(model, data)
-    off = [disabled(model, name) for name in ("PASSIVE", "SPRING", "DAMPER", "GRAVITY")]
-    spring, damper = not (off[0] or off[1]), not (off[0] or off[2])
     last = _last_joints(model)
-    joints = [
-        {
-            "name": joint_name(model, i),
-            "slides": int(model.jnt_type[i]) == int(mj.mjtJoint.mjJNT_SLIDE),
-            "parent": _parent(model, i, last),
-            "axis": data.xaxis[i].tolist(),
-            "anchor": data.xanchor[i].tolist(),
-            "reference": float(model.qpos0[i]),
-            **_carried(model, data, [b for b in range(1, model.nbody) if last[b] == i]),
-            "armature": float(model.dof_armature[i]),
-            "stiffness": float(model.jnt_stiffness[i]) * spring,
-            "rest": float(model.qpos_spring[i]),
-            "damping": float(model.dof_damping[i]) * damper,
-            "friction": float(model.dof_frictionloss[i]),
-            "limits": model.jnt_range[i].tolist() if model.jnt_limited[i] else None,
-        }
-        for i in range(model.njnt)
-    ]
+    joints: list[dict[str, Any]] = []
+    free: list[list[int]] = []
+    ends = [-1] * (model.njnt + 1)  # the place of each joint among ours; −1 of none
+    for i in range(model.njnt):
+        found = _joints(model, data, i)
+        for k, joint in enumerate(found):
+            parent = len(joints) - 1 if k else ends[_parent(model, i, last)]
+            joints.append({**joint, "parent": parent})
+        ends[i] = len(joints) - 1
+        joints[-1] |= _carried(model, data, [b for b in range(1, model.nbody) if last[b] == i])
+        if len(found) > 1:
+            free.append([len(joints) - len(found), len(joints) - 1])
     matrix = np.zeros((model.nv, model.nu))
     for k in range(model.nu):
-        dof = model.jnt_dofadr[model.actuator_trnid[k, 0]]
-        matrix[dof, k] = model.actuator_gear[k, 0] * model.actuator_gainprm[k, 0]
+        matrix[:, k] = _effect(model, data, k)
+    order = joint_order([Joint(**joint) for joint in joints])
+    found_gravity = [0.0] * 3 if disabled(model, "GRAVITY") else model.opt.gravity.tolist()
     return {
-        "gravity": [0.0] * 3 if off[3] else model.opt.gravity.tolist(),
+        "gravity": found_gravity,
         "joints": joints,
+        **({"free": free} if free else {}),
         "inputs": {
             "names": [actuator_name(model, k) for k in range(model.nu)],
-            "matrix": matrix.tolist(),
+            "matrix": matrix[order].tolist(),
             "ranges": [controls(model, k).tolist() for k in range(model.nu)],
         },
-        "fluid": _fluid(model, data, last),
+        "fluid": _fluid(model, data, [ends[i] for i in last]),
     }
+
+
+def _joints(model: Any, data: Any, i: int) -> list[dict[str, Any]]:
+    """Return a joint of the model; a free one as three slides and a ball joint."""
+    kind, name = joint_kind(model, i), joint_name(model, i)
+    off = [disabled(model, part) for part in ("PASSIVE", "SPRING", "DAMPER")]
+    spring, damper = not (off[0] or off[1]), not (off[0] or off[2])
+    body, dof, place = model.jnt_bodyid[i], model.jnt_dofadr[i], model.jnt_qposadr[i]
+    shared = {
+        **_carried(model, data, []),
+        "armature": float(model.dof_armature[dof]),
+        "damping": float(model.dof_damping[dof]) * damper,
+        "friction": float(model.dof_frictionloss[dof]),
+    }
+    axes = data.xmat[body].reshape(3, 3).tolist()
+    ball = {"slides": False, "axis": [0.0, 0.0, 1.0], "reference": 0.0, "axes": axes}
+    if kind == "ball":
+        anchor = data.xanchor[i].tolist()
+        return [shared | ball | {"name": name, "anchor": anchor, "base": axes}]
+    if kind == "free":
+        one, at = np.eye(3).tolist(), data.xpos[body].tolist()
+        slides = [
+            shared | {
+                "name": f"{name}_{'xyz'[k]}", "slides": True, "axis": one[k], "anchor": at,
+                "reference": float(model.qpos0[place + k]),
+            } for k in range(3)
+        ]  # fmt: skip
+        return [*slides, shared | ball | {"name": f"{name}_R", "anchor": at, "base": one}]
+    return [
+        shared
+        | {
+            "name": name,
+            "slides": kind == "slide",
+            "axis": data.xaxis[i].tolist(),
+            "anchor": data.xanchor[i].tolist(),
+            "reference": float(model.qpos0[place]),
+            "stiffness": float(model.jnt_stiffness[i]) * spring,
+            "rest": float(model.qpos_spring[place]),
+            "limits": model.jnt_range[i].tolist() if model.jnt_limited[i] else None,
+        }
+    ]
+
+
+def _effect(model: Any, data: Any, k: int) -> np.ndarray:
+    """Return the generalised force of an actuator, that on a free body in axes of the body."""
+    force, gear = np.zeros(model.nv), model.actuator_gear[k] * model.actuator_gainprm[k, 0]
+    if (site := site_of(model, k)) is None:
+        joint = model.actuator_trnid[k, 0]
+        dof, count = model.jnt_dofadr[joint], FREEDOMS[joint_kind(model, joint)]
+        force[dof : dof + count] = gear[:count]
+        return force
+    joint = free_joint(model, site)
+    dof, body = model.jnt_dofadr[joint], model.jnt_bodyid[joint]
+    axes = data.xmat[body].reshape(3, 3)
+    turn = axes.T @ data.site_xmat[site].reshape(3, 3)
+    arm = axes.T @ (data.site_xpos[site] - data.xpos[body])
+    push = turn @ gear[:3]
+    force[dof : dof + 6] = *push, *(turn @ gear[3:] + np.cross(arm, push))
+    return force
 
 
 def _fluid(model: Any, data: Any, last: list[int]) -> dict[str, Any] | None:
@@ -190,7 +250,9 @@ def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
     """Refuse a model that moves differently from what was read."""
     smooth = Multibody(mechanism=found, time_step=1.0, coulomb=(0.0,) * model.nv)
     q, v, u = smooth.points(8, seed=0)
-    mass, rate = mujoco_dynamics(model, q, v, u)
+    mass, rate = mujoco_dynamics(model, *smooth.model_state(q, v), u)
+    order = smooth.model_order
+    mass, rate = mass[:, order][:, :, order], rate[:, order]
     for name, ours, expected in (
         ("mass matrix", smooth.mass_matrix(q), mass),
         ("accelerations", smooth.acceleration(q, v, u), rate),
@@ -200,7 +262,7 @@ def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
         if not error < AGREEMENT:
             raise ConfigError(
                 f"{where}: MuJoCo's {name} differ by {error:.1g} of their size from those of "
-                "bodies on hinges and slides; the model has a feature that is not supported"
+                "rigid bodies on joints; the model has a feature that is not supported"
             )
 
 

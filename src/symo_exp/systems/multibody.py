@@ -1,4 +1,4 @@
-"""Trees of rigid bodies on hinges and slides."""
+"""Trees of rigid bodies on hinges, slides and ball joints."""
 
 from __future__ import annotations
 
@@ -21,12 +21,16 @@ from symo_exp.mechanics.bodies import (
     Poses,
     Tree,
     column,
+    freedoms,
+    joint_order,
     of_pseudo_inertia,
     pseudo_inertia,
 )
 from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.lagrangian import matvec
+from symo_exp.mechanics.space import quaternion
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import Constant, LagrangianSystem, Linkage, Skeleton
+from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import Range, SamplingBox, completed
 from symo_exp.systems.checks import one_of
 from symo_exp.systems.scene import scene
@@ -35,7 +39,7 @@ from symo_exp.systems.scene import scene
 @final
 @dataclass(frozen=True, kw_only=True)
 class Multibody(LagrangianSystem):
-    """Any tree of hinges and slides, ``T = ½ Σ_b m_b |ċ_b|² + ω_bᵀ I_b ω_b + ½ Σ_i a_i q̇_i²``.
+    """Any tree of joints, ``T = ½ Σ_b m_b |ċ_b|² + ω_bᵀ I_b ω_b + ½ Σ_i a_i v_i²``.
 
     With Jacobians ``J_b`` of a body's centre and ``W_b`` of its turning, and armature ``a``::
 
@@ -44,11 +48,13 @@ class Multibody(LagrangianSystem):
 
     ``mechanism`` describes it: ``joints`` (fields of ``Joint``), ``gravity``, ``inputs`` (names,
     ``matrix`` and ``ranges``) and a ``fluid`` with its ``hulls``; ``symo_exp.systems.mujoco`` reads
-    one from a model. ``viscous`` and ``coulomb`` are the joints' own unless given, so is the
-    ``box``, in parts: their ranges, half a turn [rad] or half a metre about the reference where
-    they have none, speeds and inputs to ±1. ``limits`` says what a joint limit does: motions
-    ``end`` there, or it is ``off``. ``model`` (a file) or ``id`` (an environment's) is where the
-    mechanism was found.
+    one from a model. Its rows of the ``matrix`` are in the order of the coordinates, lengths and
+    angles before ball joints. Those of ``free`` bodies, pairs of the first of three slides and a
+    ball joint, are forces in body axes. ``viscous`` and ``coulomb`` are the joints' own unless
+    given, so is the ``box``, in parts: their ranges, half a turn [rad] or half a metre about the
+    reference where they have none, speeds and inputs to ±1. ``limits`` says what a joint limit
+    does: motions ``end`` there, or it is ``off``. ``model`` (a file) or ``id`` (an environment's)
+    is where the mechanism was found.
     """
 
     mechanism: Mapping[str, Any]
@@ -61,14 +67,14 @@ class Multibody(LagrangianSystem):
         one_of("system.limits", self.limits, ("end", "off"))
         vars(self)["mechanism"] = _plain(self.mechanism)
         own = SamplingBox(
-            q=tuple(joint.limits or _about(joint) for joint in self.joints),
-            v=((-1.0, 1.0),) * len(self.joints),
+            q=tuple(joint.limits or _about(joint) for joint in self._movers),
+            v=((-1.0, 1.0),) * len(self._movers),
             u=tuple(map(tuple, self.mechanism["inputs"]["ranges"])),
         )
         vars(self)["box"] = completed(self.box, own)
         for name, values in (
-            ("viscous", tuple(joint.damping for joint in self.joints)),
-            ("coulomb", tuple(joint.friction for joint in self.joints)),
+            ("viscous", tuple(joint.damping for joint in self._movers)),
+            ("coulomb", tuple(joint.friction for joint in self._movers)),
         ):
             vars(self)[name] = values if getattr(self, name) is None else getattr(self, name)
         super().__post_init__()
@@ -79,10 +85,17 @@ class Multibody(LagrangianSystem):
         return tuple(Joint(**joint) for joint in self.mechanism["joints"])
 
     @cached_property
+    def _movers(self) -> tuple[Joint, ...]:
+        """The joint of each degree of freedom."""
+        return tuple(self.joints[i] for i, _ in freedoms(self.joints))
+
+    @cached_property
     @override
     def coordinates(self) -> Coordinates:
-        names = tuple(joint.name for joint in self.joints)
-        return Coordinates(names, tuple(not joint.slides for joint in self.joints))
+        flat = [joint for joint in self.joints if joint.axes is None]
+        balls = tuple(joint.name for joint in self.joints if joint.axes is not None)
+        angular = [not joint.slides for joint in flat]
+        return Coordinates.of([joint.name for joint in flat], angular, balls)
 
     @property
     @override
@@ -93,7 +106,7 @@ class Multibody(LagrangianSystem):
     @override
     def input_matrix(self) -> Tensor:
         rows = self.mechanism["inputs"]["matrix"]
-        return torch.tensor(rows, dtype=torch.float64).reshape(len(self.joints), -1)
+        return torch.tensor(rows, dtype=torch.float64).reshape(self.coordinates.n, -1)
 
     @property
     @override
@@ -103,9 +116,29 @@ class Multibody(LagrangianSystem):
     @property
     @override
     def ends(self) -> tuple[Range, ...] | None:
-        if self.limits == "off" or not any(joint.limits for joint in self.joints):
+        flat = [joint for joint in self.joints if joint.axes is None]
+        if self.limits == "off" or not any(joint.limits for joint in flat):
             return None
-        return tuple(joint.limits or (-math.inf, math.inf) for joint in self.joints)
+        free = (-math.inf, math.inf)
+        entries = (free,) * (self.coordinates.width - len(flat))
+        return (*(joint.limits or free for joint in flat), *entries)
+
+    @override
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        force, n = u @ input_matrix.T, input_matrix.shape[0]
+        for place, turn in self._bodies_moving_freely:
+            axes = self.space.rotation_matrices(q)[:, turn]
+            inside = matvec(axes, force[:, place : place + 3])
+            force = torch.cat((force[:, :place], inside, force[:, place + 3 : n]), dim=1)
+        return force
+
+    @cached_property
+    def _bodies_moving_freely(self) -> tuple[tuple[int, int], ...]:
+        """For each, the first of its three lengths among the coordinates, and its rotation."""
+        flat = [i for i, joint in enumerate(self.joints) if joint.axes is None]
+        balls = [i for i, joint in enumerate(self.joints) if joint.axes is not None]
+        pairs = self.mechanism.get("free", ())
+        return tuple((flat.index(slide), balls.index(ball)) for slide, ball in pairs)
 
     @cached_property
     def _tree(self) -> Tree:
@@ -119,7 +152,9 @@ class Multibody(LagrangianSystem):
 
     @property
     @override
-    def linkage(self) -> Linkage:
+    def linkage(self) -> Linkage | None:
+        if self.space.rotations:  # which no file is written of
+            return None
         names = ("mass", "centre", "inertia", "armature", "stiffness")
         rows = zip(*(x.tolist() for x in self._numbers[:5]), strict=True)
         joints = tuple(
@@ -167,11 +202,11 @@ class Multibody(LagrangianSystem):
         return twin
 
     @override
-    def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
         return self._mass_matrix(self._tree.poses(q))
 
     @override
-    def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
+    def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
         return self._potential(q, self._tree.poses(q))
 
     @override
@@ -184,11 +219,13 @@ class Multibody(LagrangianSystem):
         linear, turning = self._tree.jacobians(at, range(len(self.joints)), centre)
         weighted = torch.cat([mass[:, None, None] * linear, turning @ inertia], -1)
         found = torch.einsum("bjik,bjlk->bil", torch.cat([linear, turning], -1), weighted)
-        return 0.5 * (found + found.mT) + torch.diag(armature)
+        owners = [i for i, _ in freedoms(self.joints)]
+        return 0.5 * (found + found.mT) + torch.diag(armature[owners])
 
     def _potential(self, q: Tensor, at: Poses) -> Tensor:
         mass, centre, _, _, stiffness, rest, gravity = (x.to(q) for x in self._numbers)
-        springs = 0.5 * (stiffness * (q - rest) ** 2).sum(-1)
+        flat = [i for i, k in freedoms(self.joints) if k is None]
+        springs = 0.5 * (stiffness[flat] * (q[:, : len(flat)] - rest[flat]) ** 2).sum(-1)
         return springs - (mass * (at.of(centre) @ gravity)).sum(-1)
 
     @cached_property
@@ -200,28 +237,83 @@ class Multibody(LagrangianSystem):
         hulls = [Hull(**hull) for hull in fluid["hulls"]]
         return Drag(self._tree, hulls, fluid["density"], fluid["viscosity"], friction)
 
-    def skeleton(self, q: Float[Tensor, " n"]) -> Skeleton:
-        """Return the joints and the far ends of the last bodies, seen along the first hinge."""
-        view, anchors = self._view, column(self.joints, "anchor")
-        at = self._tree.poses(q.double().unsqueeze(0))
-        ends = [i for i in range(len(q)) if i not in {joint.parent for joint in self.joints}]
-        tips = 2 * column(self.joints, "centre") - anchors
-        points = torch.cat([at.of(anchors)[0], at.of(tips)[0, ends]]) @ view.T
-        links = [(joint.parent, i) for i, joint in enumerate(self.joints) if joint.parent >= 0]
-        links += [(i, len(q) + k) for k, i in enumerate(ends)]
-        flat = torch.cat([anchors, tips[ends]]) @ view.T
-        reach = sum(float((flat[a] - flat[b]).norm()) for a, b in links)
-        rail = self.joints[0].slides and abs(float(view[0] @ column(self.joints, "axis")[0])) > 0.9
-        return Skeleton(points, tuple(links), (0,) if rail else (), max(reach, 1e-3))
+    def skeleton(self, q: Float[Tensor, " N"]) -> Skeleton:
+        """Return the joints and the far ends of the last bodies, seen along the first hinge.
 
-    def picture(self, q: Float[Tensor, " n"], size: int) -> np.ndarray | None:
-        """Return MuJoCo's picture, ``None`` where it cannot draw."""
+        Bodies on ball joints are seen from a little above, and have their axes.
+        """
+        joints, view = self.joints, self._view
+        hidden = {i for slide, ball in self.mechanism.get("free", ()) for i in range(slide, ball)}
+        seen = [i for i in range(len(joints)) if i not in hidden]
+        ends = [i for i in seen if i not in {joint.parent for joint in joints}]
+        anchors, centres = column(joints, "anchor"), column(joints, "centre")
+        places = torch.cat((anchors[seen], (2 * centres - anchors)[ends]))
+        of = [*seen, *ends]
+        links = [
+            (seen.index(joints[i].parent), k)
+            for k, i in enumerate(seen)
+            if joints[i].parent in seen
+        ]
+        links += [(seen.index(i), len(seen) + k) for k, i in enumerate(ends)]
+        reach = sum(float(((places[a] - places[b]) @ view.T).norm()) for a, b in links)
+        if self.space.rotations:
+            reach = sum(float((places[a] - places[b]).norm()) for a, b in links)
+        far = 0.0
+        for i in seen:
+            if joints[i].axes is not None and joints[i].mass > 0.0:
+                arms = self._arms(i)
+                links += [(len(of), len(of) + k) for k in (1, 2, 3)]
+                places = torch.cat((places, centres[i : i + 1], centres[i] + arms))
+                of += [i] * 4
+                far = max(far, float((centres[i] - anchors[i]).norm() + arms.norm(dim=1).max()))
+        poses = self._tree.poses(q.double().unsqueeze(0))
+        there = Poses(poses.turn[:, of], poses.shift[:, of]).of(places)[0]
+        size = float(torch.linalg.matrix_norm(view, 2))
+        rail = not hidden and joints[0].slides
+        rail = rail and abs(float(view[0] @ column(joints, "axis")[0])) > 0.9
+        reach = max(size * (reach + far), 1e-3)
+        return Skeleton(there @ view.T, tuple(links), (0,) if rail else (), reach)
+
+    def _arms(self, i: int) -> Float[Tensor, "3 3"]:
+        """Return the axes of the body on a ball joint, of its size, one in a row."""
+        joint = self.joints[i]
+        inertia, axes = (torch.tensor(x, dtype=torch.float64) for x in (joint.inertia, joint.axes))
+        return float(0.5 * inertia.trace() / joint.mass) ** 0.5 * axes.T
+
+    @override
+    def picture(
+        self, q: Float[Tensor, " N"], size: int, middle: Float[Tensor, " N"] | None = None
+    ) -> np.ndarray | None:
         drawn = scene(self.model, self.id, size)
-        return None if drawn is None else drawn.draw(q.detach().cpu().double().numpy())
+        if drawn is None:
+            return None
+        shown = [x.detach().cpu().double() for x in (q, q if middle is None else middle)]
+        none = torch.zeros(2, self.coordinates.n, dtype=torch.float64)
+        place, about = self.model_state(torch.stack(shown), none)[0].numpy()
+        return drawn.draw(place, about)
+
+    def model_state(
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
+    ) -> tuple[Tensor, Tensor]:
+        """Return MuJoCo's ``qpos``, with quaternions, and ``qvel`` of states."""
+        flat, turns = self.coordinates.flat, self.space.rotation_matrices(q)
+        quaternions = iter(quaternion(turns).unbind(1))
+        lengths = iter(q[:, : len(flat), None].unbind(1))
+        places = [next(quaternions if j.axes is not None else lengths) for j in self.joints]
+        velocities = torch.empty_like(v)
+        velocities[:, self.model_order] = v
+        return torch.cat(places, dim=1), velocities
+
+    @cached_property
+    def model_order(self) -> list[int]:
+        """The place of each degree of freedom among MuJoCo's."""
+        return joint_order(self.joints)
 
     @cached_property
     def _view(self) -> Tensor:
         """Directions (2, 3) that are right and up in a picture."""
+        if self.space.rotations:
+            return torch.tensor(VIEW, dtype=torch.float64)
         gravity = torch.tensor(self.mechanism["gravity"], dtype=torch.float64)
         up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
         if gravity.norm() > 0:

@@ -9,14 +9,16 @@ import numpy as np
 
 from symo_exp.systems.mujoco_library import library
 
+FREEDOMS = {"hinge": 1, "slide": 1, "ball": 3, "free": 6}
+"""Degrees of freedom of a joint."""
+
 
 def refusals(model: Any) -> Iterator[str]:
     """Yield a line for each feature of a model that is not supported."""
     mj = library()
-    for i, kind in enumerate(map(mj.mjtJoint, model.jnt_type.tolist())):
-        if kind not in (mj.mjtJoint.mjJNT_HINGE, mj.mjtJoint.mjJNT_SLIDE):
-            word = kind.name.removeprefix("mjJNT_").lower()
-            yield f"joint {joint_name(model, i)} is {word}; only hinges and slides are supported"
+    for i in range(model.njnt):
+        if joint_kind(model, i) in ("ball", "free") and model.jnt_stiffness[i]:
+            yield f"joint {joint_name(model, i)}: springs of ball and free joints are not supported"
     if model.njnt == 0:
         yield "it has no joints, and nothing moves"
     if model.neq and model.eq_active0.any():
@@ -43,12 +45,20 @@ def _actuators(model: Any, mj: Any) -> Iterator[str]:
         yield "an actuator has several controls; only one each is supported"
     if model.nu and model.opt.disableactuator:
         yield "actuators are disabled by their group; take them out of the model"
-    joint = (int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT))
+    own, parent = int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT)
     for i in range(model.nu):
-        name = f"actuator {actuator_name(model, i)}"
-        if model.actuator_trntype[i] not in joint:
-            yield f"{name} acts on no joint; only motors at joints are supported"
-        elif (model.actuator_gaintype[i], model.actuator_biastype[i]) != (0, 0):
+        name, kind = f"actuator {actuator_name(model, i)}", int(model.actuator_trntype[i])
+        if (site := site_of(model, i)) is not None:
+            if model.actuator_trnid[i, 1] >= 0 or free_joint(model, site) is None:
+                yield f"{name} acts at a site that is on no free body, or refers to another one"
+        elif kind not in (own, parent):
+            yield f"{name} acts on no joint; motors at joints or sites are supported"
+        elif (joint := joint_kind(model, model.actuator_trnid[i, 0])) in ("ball", "free"):
+            if kind == parent:
+                yield f"{name}: torques of {joint} joints act in their own axes; use joint="
+            elif joint == "free" and model.actuator_gear[i, :3].any():
+                yield f"{name} pushes a free body in world axes; let it act at a site of the body"
+        if (model.actuator_gaintype[i], model.actuator_biastype[i]) != (0, 0):
             yield f"{name} is not a motor (force proportional to its control)"
         strongest = abs(model.actuator_gainprm[i, 0]) * controls(model, i)
         if model.actuator_forcelimited[i] and not _within(strongest, model.actuator_forcerange[i]):
@@ -68,8 +78,30 @@ def notes(model: Any) -> Iterator[str]:
     integrator = int(model.opt.integrator)
     name = kinds[integrator] if integrator < len(kinds) else str(integrator)
     yield f"motions are converged, not stepped by {name} at {model.opt.timestep:g} s"
+    for i in np.flatnonzero(model.jnt_limited).tolist():
+        if joint_kind(model, i) == "ball":
+            yield f"the range of the ball joint {joint_name(model, i)} is switched off"
     if model.dof_frictionloss.any():
         yield "dry friction is smoothed about standstill (system.rest_velocity)"
+
+
+def joint_kind(model: Any, i: int) -> str:
+    """Return ``hinge``, ``slide``, ``ball`` or ``free``."""
+    name: str = library().mjtJoint(int(model.jnt_type[i])).name
+    return name.removeprefix("mjJNT_").lower()
+
+
+def site_of(model: Any, actuator: int) -> int | None:
+    """Return the site at which an actuator acts, ``None`` if it acts elsewhere."""
+    at_site = model.actuator_trntype[actuator] == int(library().mjtTrn.mjTRN_SITE)
+    return int(model.actuator_trnid[actuator, 0]) if at_site else None
+
+
+def free_joint(model: Any, site: int) -> int | None:
+    """Return the free joint of the body that a site is on, ``None`` if it has none."""
+    body = model.body_weldid[model.site_bodyid[site]]
+    joint = int(model.body_jntadr[body])
+    return joint if joint >= 0 and joint_kind(model, joint) == "free" else None
 
 
 def _touching(model: Any) -> int:
@@ -93,8 +125,9 @@ def controls(model: Any, i: int) -> np.ndarray:
 def _range_of_force(model: Any, dof: int) -> np.ndarray:
     """Largest force of all actuators of a coordinate together."""
     gear = model.actuator_gear[:, 0] * model.actuator_gainprm[:, 0]
-    of = model.jnt_dofadr[model.actuator_trnid[:, 0]] == dof
-    each = [abs(gear[k]) * np.abs(controls(model, k)).max() for k in np.flatnonzero(of).tolist()]
+    moved = [k for k in range(model.nu) if site_of(model, k) is None]
+    of = [k for k in moved if model.jnt_dofadr[model.actuator_trnid[k, 0]] == dof]
+    each = [abs(gear[k]) * np.abs(controls(model, k)).max() for k in of]
     return np.array([-sum(each), sum(each)])
 
 

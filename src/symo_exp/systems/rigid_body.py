@@ -19,10 +19,7 @@ from symo_exp.mechanics.lagrangian import Rates
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import Constant, LagrangianSystem, Skeleton
-
-VIEW = ((1.0, 0.35, 0.0), (0.0, 0.3, 1.0))
-"""Right and up of a picture in world axes: the body from the front, a little from above."""
+from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Skeleton
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,10 @@ AMBIENT, DIFFUSE = 0.5, 0.7
 
 
 class Scene:
-    """A model, its light and a camera that sees all of it but the floor at first."""
+    """A model, its light and a camera that sees all of it but the floor at first.
+
+    Where bodies move freely, it follows the centre of mass.
+    """
 
     def __init__(self, model: Any, size: int) -> None:
         mujoco = library()
@@ -38,9 +41,15 @@ class Scene:
             radius = (np.linalg.norm(places - middle, axis=1) + radii).max()
             self._camera.lookat[:], self._camera.distance = middle, DISTANCE * radius
         self._camera.elevation = ELEVATION
+        self._follows = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())
+        self._offset = np.array(self._camera.lookat) - self._data.subtree_com[0]
 
-    def draw(self, q: np.ndarray) -> np.ndarray:
-        """Return the picture (size, size, 3), uint8, of a configuration."""
+    def draw(self, q: np.ndarray, middle: np.ndarray) -> np.ndarray:
+        """Return the picture (size, size, 3), uint8, of ``qpos``, the camera that of ``middle``."""
+        if self._follows:
+            self._data.qpos[:] = middle
+            self._mujoco.mj_forward(self._model, self._data)
+            self._camera.lookat[:] = self._data.subtree_com[0] + self._offset
         self._data.qpos[:] = q
         self._mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, self._camera)
