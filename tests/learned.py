@@ -22,7 +22,7 @@ def learned_lagrangian(
     with torch.no_grad():
         if lagrangian.skip is not None:
             lagrangian.skip += 0.2 * torch.randn_like(lagrangian.skip)
-        lagrangian.net.biases[-1][: len(angular)] += 1.5
+        lagrangian.net.biases[-1][: lagrangian.head.n] += 1.5
     return lagrangian
 
 

@@ -88,9 +88,10 @@ def make(method: str, integrator: str, n: int, *, width: int = 8, **overrides: A
     if "net" in file:
         arguments["net"] = partial(MLP, width=width, depth=2)
     if "lagrangian" in file:
-        turns = overrides.get("coordinates", arguments["coordinates"]).rotations
+        coordinates = overrides.get("coordinates", arguments["coordinates"])
+        one = len(coordinates.rotations) == 1 and not any(coordinates.angular)
         network = partial(NetworkLagrangian, width=width)
-        arguments["lagrangian"] = LearnedRigidBody if turns else network
+        arguments["lagrangian"] = LearnedRigidBody if one else network
     if "integrator" in file:
         arguments["integrator"] = _integrators_of(file)[integrator]
     if "root" in file:

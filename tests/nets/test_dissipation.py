@@ -22,7 +22,7 @@ from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.training.learner import Learner
 from tests.dissipative import dissipative_net, dragged_net, machine_friction, machine_net
-from tests.learned import assert_each_sample_alone
+from tests.learned import assert_each_sample_alone, learned_lagrangian
 from tests.systems.models import mjcf, read
 
 
@@ -200,3 +200,31 @@ def test_derivatives_of_the_drag_of_a_body_are_those_of_each_sample_alone(coordi
 def test_the_drag_of_a_body_is_refused_for_other_coordinates():
     with pytest.raises(ConfigError, match="dissipation=body_drag is for one body"):
         LearnedBodyDrag(coordinates=Coordinates(("a",), (True,)))
+
+
+TURNING = [
+    Coordinates.of(rotations=("R",)),
+    Coordinates.of(("x", "a"), (False, True), ("R",)),
+    Coordinates.of(("x", "y", "z"), (False,) * 3, ("R", "S")),
+]
+
+
+@pytest.mark.parametrize("coordinates", TURNING, ids=lambda c: str(c.n))
+@pytest.mark.parametrize("make", [LearnedDissipation, MachineFriction])
+def test_a_network_of_rotations_takes_energy_and_has_its_derivatives(make, coordinates):
+    """Along ``R exp φ``, and sample by sample."""
+    torch.manual_seed(0)
+    friction = make(coordinates=coordinates, width=5).double()
+    with torch.no_grad():
+        for p in friction.parameters():
+            p += 0.3 * torch.randn_like(p)
+    space, (x, v) = coordinates.space, torch.randn(2, 6, coordinates.n, dtype=torch.float64)
+    q = space.of_vector(x)
+    assert ((friction.force(q, v) * v).sum(1) < 0).all()
+    by_q, by_v = friction.derivatives(q, v)
+    entries, expected = Dissipation.derivatives(friction, q, v)
+    torch.testing.assert_close(by_q, space.pull(q.unsqueeze(1), entries))
+    torch.testing.assert_close(by_v, expected)
+    flat = coordinates.angular[: len(coordinates.flat)]
+    network = learned_lagrangian(flat, rotations=len(coordinates.rotations))
+    assert_each_sample_alone(DissipativeLagrangian(network, friction), q[:3], v[:3])

@@ -5,10 +5,13 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.embedding import Embedding
+from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 from symo_exp.systems.chain import ChainPendulum
-from tests.learned import assert_same, learned_lagrangian
+from tests.learned import assert_each_sample_alone, assert_same, learned_lagrangian
+from tests.systems.models import DRONE, read
 
 ANGULAR = [(True,), (False,), (False, True), (True, True), (True, False, True), (True,) * 4]
 KINDS = [
@@ -21,6 +24,7 @@ KINDS = [
 CASES = [
     *((angular, kind) for angular in ANGULAR for kind in KINDS),
     *(((True, False), {"depth": depth}) for depth in (1, 3)),
+    *((angular, {"rotations": r}) for angular, r in (((), 1), ((True, False), 1), ((True,), 2))),
 ]
 
 
@@ -29,6 +33,10 @@ class Plain(Lagrangian):
 
     def __init__(self, learned):
         self.learned = learned
+
+    @property
+    def space(self):
+        return self.learned.space
 
     def mass_matrix(self, q):
         return self.learned.mass_matrix(q)
@@ -46,7 +54,7 @@ def learned(request):
 def points(learned):
     generator = torch.Generator().manual_seed(3)
     q, v = torch.randn(2, 9, learned.head.n, dtype=torch.float64, generator=generator)
-    return q.requires_grad_(), v.requires_grad_()
+    return learned.space.of_vector(q).requires_grad_(), v.requires_grad_()
 
 
 @pytest.mark.parametrize("quantity", ["gradients", "rates"])
@@ -76,7 +84,10 @@ def test_inertia_is_positive_definite_for_any_weights(learned):
     with torch.no_grad():
         for parameter in learned.net.parameters():
             parameter.normal_(std=3.0)
-        mass = learned.mass_matrix(100.0 * torch.randn(200, learned.head.n, dtype=torch.float64))
+        q = 100.0 * torch.randn(200, learned.head.n, dtype=torch.float64)
+        if learned.space.rotations:
+            q = learned.space.of_vector(0.01 * q)
+        mass = learned.mass_matrix(q)
     assert torch.equal(mass, mass.mT)
     assert torch.linalg.eigvalsh(mass).min() > 0.0
 
@@ -84,7 +95,7 @@ def test_inertia_is_positive_definite_for_any_weights(learned):
 def test_angles_are_periodic_and_translations_are_not(learned):
     q, v = (x.detach() for x in points(learned))
     owner = learned.embedding.owner.tolist()  # an angle owns a cosine and a sine
-    for i in range(q.shape[1]):
+    for i in range(len(learned.embedding.selection.T)):
         turned = q.clone()
         turned[:, i] += 2 * torch.pi
         same = torch.allclose(learned.energy(turned, v), learned.energy(q, v), atol=1e-9)
@@ -96,6 +107,27 @@ def test_embedding_lists_translations_then_cosines_then_sines():
     x = Embedding(angular=(True, False, True))(q).x
     expected = [2.0, *torch.cos(q[0, [0, 2]]).tolist(), *torch.sin(q[0, [0, 2]]).tolist()]
     torch.testing.assert_close(x[0], torch.tensor(expected))
+
+
+def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(learned):
+    assert_each_sample_alone(learned, *(x.detach()[:3] for x in points(learned)))
+
+
+def test_harmonics_of_rotations_are_refused():
+    coordinates = Coordinates.of(("a",), (True,), ("R",))
+    with pytest.raises(ConfigError, match="harmonics are of angles") as error:
+        NetworkLagrangian(coordinates=coordinates, width=4, harmonics=1)
+    assert "\n" not in str(error.value)
+
+
+def test_forces_on_free_bodies_turn_with_them():
+    """Those of a network are those of the system, wherever its pose is among the coordinates."""
+    system = read(DRONE)
+    q, _, u = system.points(5, seed=0)
+    learned = NetworkLagrangian(coordinates=system.coordinates, width=4)
+    force = learned.input_force(system.input_matrix, q, u)
+    torch.testing.assert_close(force, system.input_force(system.input_matrix, q, u))
+    assert not torch.allclose(force, u @ system.input_matrix.T)
 
 
 @pytest.mark.parametrize("initial_inertia", [0.2, 1.0, 30.0])

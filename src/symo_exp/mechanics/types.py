@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -22,21 +23,26 @@ class Coordinates(NamedTuple):
             body rates.
         angular: Which are angles [rad]; those of a rotation are not.
         rotations: Names of the rotations, whose degrees of freedom are the last ones.
+        free: For each body that moves freely, the index of the first of the three lengths and of
+            the rotation that are its pose. Forces of inputs on it are in body axes.
     """
 
     names: tuple[str, ...]
     angular: tuple[bool, ...]
     rotations: tuple[str, ...] = ()
+    free: tuple[tuple[int, int], ...] = ()
 
     @staticmethod
     def of(
-        flat: Sequence[str] = (), angular: Sequence[bool] = (), rotations: Sequence[str] = ()
+        flat: Sequence[str] = (),
+        angular: Sequence[bool] = (),
+        rotations: Sequence[str] = (),
+        free: Sequence[tuple[int, int]] = (),
     ) -> Coordinates:
         """Return coordinates of some flat ones and rotations."""
         turning = [f"{name}_{axis}" for name in rotations for axis in AXES]
-        return Coordinates(
-            (*flat, *turning), (*angular, *(False for _ in turning)), tuple(rotations)
-        )
+        still = (False for _ in turning)
+        return Coordinates((*flat, *turning), (*angular, *still), tuple(rotations), tuple(free))
 
     @property
     def n(self) -> int:
@@ -64,6 +70,20 @@ class Coordinates(NamedTuple):
     def space(self) -> Space:
         """The space of configurations."""
         return Space(len(self.rotations))
+
+    def input_force(
+        self,
+        input_matrix: Float[Tensor, "n m"],
+        q: Float[Tensor, "batch N"],
+        u: Float[Tensor, "batch m"],
+    ) -> Float[Tensor, "batch n"]:
+        """Return the generalised force ``B u``, the forces on free bodies turned to world axes."""
+        force = u @ input_matrix.T
+        for place, turn in self.free:
+            axes, end = self.space.rotation_matrices(q)[:, turn], place + 3
+            pushed = (axes @ force[:, place:end, None]).squeeze(-1)
+            force = torch.cat((force[:, :place], pushed, force[:, end:]), dim=1)
+        return force
 
     @property
     def flat(self) -> tuple[str, ...]:

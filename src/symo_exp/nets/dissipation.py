@@ -14,7 +14,7 @@ from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
-from symo_exp.nets.embedding import Embedding, require_flat
+from symo_exp.nets.embedding import features_of
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark
 
@@ -75,8 +75,7 @@ class LearnedDissipation(nn.Module, Dissipation):
             self.rest = nn.Parameter(torch.zeros(n))
             self._rest_velocity, self._least_rest = rest_velocity, 0.2
         if width > 0:
-            require_flat(coordinates, f"dissipation.width={width}", "dissipation.width=0")
-            self.embedding = Embedding(angular=coordinates.angular)
+            self.embedding = features_of(coordinates)
             inputs = self.embedding.size + n
             self.net = MLP(inputs=inputs, outputs=entries, width=width, depth=1)
             with torch.no_grad():  # a product: at zero it would have no slope

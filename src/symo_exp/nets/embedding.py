@@ -1,4 +1,4 @@
-"""The embedding ``s(q) = (r, cos φ, sin φ)`` of a configuration (thesis section 4.1.3)."""
+"""The embedding ``s(q) = (r, cos φ, sin φ, R)`` of a configuration (thesis section 4.1.3)."""
 
 from __future__ import annotations
 
@@ -10,29 +10,33 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.space import Space, cross
 from symo_exp.mechanics.types import Coordinates
 
 
 class Features(NamedTuple):
     """``s(q)`` with its derivatives.
 
-    A feature depends on one coordinate, its owner, or on one sum of relative angles.
+    A feature depends on one coordinate, its owner, or on one sum of relative angles, or it is an
+    entry of a rotation. Entries are the last ones.
     """
 
     x: Float[Tensor, "batch features"]
     dx: Float[Tensor, "batch features"]
-    """``∂s_f/∂q`` with respect to the owner."""
+    """``∂s_f/∂q`` with respect to the owner; 1 of an entry."""
 
 
 class Embedding(nn.Module):
     """Features of a configuration with each angle as cosine and sine, periodic and smooth in it.
 
-    Features are ordered: translational coordinates, cosines, sines.
+    Features are ordered: translational coordinates, cosines, sines, the nine entries of each
+    rotation. Derivatives in a rotation are those along ``R exp φ``.
 
     Args:
-        angular: Which coordinates are angles.
+        angular: Which of the coordinates before the rotations are angles.
         relative: Whether each angle is relative to the one before; features are then those of the
             sums ``φ₁ + … + φᵢ``.
+        rotations: Number of rotations.
     """
 
     owner: Tensor
@@ -40,12 +44,15 @@ class Embedding(nn.Module):
     bend: Tensor
     turn: Tensor | None
 
-    def __init__(self, *, angular: tuple[bool, ...], relative: bool = False) -> None:
+    def __init__(
+        self, *, angular: tuple[bool, ...], relative: bool = False, rotations: int = 0
+    ) -> None:
         super().__init__()
         straight = [i for i, is_angle in enumerate(angular) if not is_angle]
         angles = [i for i, is_angle in enumerate(angular) if is_angle]
         owner = torch.tensor([*straight, *angles, *angles], dtype=torch.int64)
         self._straight, self._angles = len(straight), len(angles)
+        self.space = Space(rotations)
         self.register_buffer("owner", owner, persistent=False)
         turn = directions(angular) if relative else torch.eye(len(angular))
         self.register_buffer("turn", turn if relative else None, persistent=False)
@@ -57,72 +64,116 @@ class Embedding(nn.Module):
     @property
     def size(self) -> int:
         """Number of features."""
+        return self._flat + 9 * self.space.rotations
+
+    @property
+    def _flat(self) -> int:
+        """Number of features of the coordinates before the rotations."""
         return self._straight + 2 * self._angles
 
     @override
-    def forward(self, q: Float[Tensor, "batch n"]) -> Features:
-        owned = self.spread(q)
+    def forward(self, q: Float[Tensor, "batch N"]) -> Features:
+        entries = q[:, q.shape[1] - 9 * self.space.rotations :]
+        owned = self._spread(q[:, : q.shape[1] - 9 * self.space.rotations])
         r = owned[:, : self._straight]
         phi = owned[:, self._straight : self._straight + self._angles]
         cos, sin = torch.cos(phi), torch.sin(phi)
-        return Features(
-            torch.cat((r, cos, sin), dim=1), torch.cat((torch.ones_like(r), -sin, cos), dim=1)
-        )
+        x = torch.cat((r, cos, sin), dim=1)
+        dx = torch.cat((torch.ones_like(r), -sin, cos), dim=1)
+        if self.space.rotations:
+            x, dx = torch.cat((x, entries), 1), torch.cat((dx, torch.ones_like(entries)), 1)
+        return Features(x, dx)
 
-    def second(self, features: Features) -> Float[Tensor, "batch features"]:
-        """Return ``∂²s_f/∂q²`` with respect to the owner: ``−s_f`` for an angle, else zero."""
-        return features.x * self.bend
-
-    def spread(self, direction: Float[Tensor, "batch n"]) -> Float[Tensor, "batch features"]:
-        """Return the owner's entry for each feature; times ``dx`` it is the features' rate."""
-        turned = direction if self.turn is None else direction @ self.turn.T
-        return turned.index_select(1, self.owner)
+    def rate(
+        self, features: Features, direction: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch features"]:
+        """Return ``s_q a``."""
+        if not self.space.rotations:
+            return features.dx * self._spread(direction)
+        flat = direction[:, : direction.shape[1] - 3 * self.space.rotations]
+        turning = direction[:, flat.shape[1] :]
+        along = torch.cat((self._spread(flat), turning), dim=1)
+        return features.dx * self.space.push(features.x, along)
 
     def basis_tangents(self, features: Features) -> Float[Tensor, "batch n features"]:
         """Return ``s_q eᵢ`` for every coordinate ``i``."""
-        return features.dx.unsqueeze(1) * self.selection.T
+        flat = features.dx[:, : self._flat].unsqueeze(1) * self.selection.T
+        if not self.space.rotations:
+            return flat
+        turns = features.x[:, None, self._flat :].expand(-1, 3 * self.space.rotations, -1)
+        one = torch.eye(turns.shape[1]).to(flat).expand(len(turns), -1, -1)
+        entries = self.space.push(turns, one)
+        return block_diagonal(flat, entries)
 
     def to_coordinates(
-        self, cotangent: Float[Tensor, "batch features"]
+        self, features: Features, cotangent: Float[Tensor, "batch features"]
     ) -> Float[Tensor, "batch n"]:
-        """Return the sums of a cotangent over the features of each coordinate."""
-        return cotangent @ self.selection
+        """Return ``s_qᵀ c``, the derivatives in the coordinates of ``c · s(q)``."""
+        if not self.space.rotations:
+            return (features.dx * cotangent) @ self.selection
+        pulled = self.space.pull(features.x, features.dx * cotangent)
+        return torch.cat((pulled[:, : self._flat] @ self.selection, pulled[:, self._flat :]), dim=1)
+
+    def to_stored(
+        self,
+        features: Features,
+        cotangent: Float[Tensor, "batch features"],
+        second: Float[Tensor, "batch features"],
+        direction: Float[Tensor, "batch n"],
+    ) -> Float[Tensor, "batch N"]:
+        """Return partial derivatives of ``c · s + c₂ · s_q a`` in the numbers of a configuration.
+
+        Args:
+            features: ``s``.
+            cotangent: ``c``.
+            second: ``c₂``.
+            direction: ``a``.
+        """
+        flat = direction[:, : direction.shape[1] - 3 * self.space.rotations]
+        first = slice(self._flat)
+        bend = features.x[:, first] * self.bend * second[:, first] * self._spread(flat)
+        own = (cotangent[:, first] * features.dx[:, first] + bend) @ self.selection
+        if not self.space.rotations:
+            return own
+        turning = cross(direction[:, flat.shape[1] :].unflatten(1, (self.space.rotations, 3)))
+        bent = self.space.rotation_matrices(second) @ turning.mT
+        return torch.cat((own, cotangent[:, self._flat :] + bent.flatten(1)), dim=1)
 
     def curvature(
         self, features: Features, cotangent: Float[Tensor, "batch features"]
     ) -> Float[Tensor, "batch n n"]:
-        """Return the second derivatives in ``q`` of ``cotangent · s(q)``."""
-        own = self.second(features) * cotangent
+        """Return the second derivatives in the coordinates of ``c · s(q)``.
+
+        Those of ``⟨C, R⟩`` are ``M − (tr M) I`` with ``M = Rᵀ C``.
+        """
+        own = features.x[:, : self._flat] * self.bend * cotangent[:, : self._flat]
         if self.turn is None:
-            return torch.diag_embed(self.to_coordinates(own))
-        return (self.selection.T * own.unsqueeze(1)) @ self.selection
-
-
-class EntriesEmbedding(nn.Module):
-    """Features of configurations with rotations: those of the flat part, and nine entries of each.
-
-    Args:
-        coordinates: The coordinates.
-    """
-
-    def __init__(self, *, coordinates: Coordinates) -> None:
-        super().__init__()
-        self._flat = len(coordinates.flat)
-        self.flat = Embedding(angular=coordinates.angular[: self._flat])
-        self._entries = 9 * len(coordinates.rotations)
-
-    @property
-    def size(self) -> int:
-        """Number of features."""
-        return self.flat.size + self._entries
-
-    @override
-    def forward(self, q: Float[Tensor, "batch N"]) -> Features:
-        x, entries = q[:, : self._flat], q[:, self._flat :]
-        flat = self.flat(x)
-        return Features(
-            torch.cat((flat.x, entries), dim=1), torch.cat((flat.dx, torch.ones_like(entries)), 1)
+            flat = torch.diag_embed(own @ self.selection)
+        else:
+            flat = (self.selection.T * own.unsqueeze(1)) @ self.selection
+        if not self.space.rotations:
+            return flat
+        moment = self.space.rotation_matrices(features.x).mT @ self.space.rotation_matrices(
+            cotangent
         )
+        trace = moment.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+        blocks = moment - trace * torch.eye(3).to(moment)
+        for block in blocks.unbind(1):
+            flat = block_diagonal(flat, block)
+        return flat
+
+    def _spread(self, direction: Float[Tensor, "batch n"]) -> Float[Tensor, "batch features"]:
+        """Return the owner's entry for each feature before the entries of rotations."""
+        turned = direction if self.turn is None else direction @ self.turn.T
+        return turned.index_select(1, self.owner)
+
+
+def block_diagonal(
+    first: Float[Tensor, "batch a b"], second: Float[Tensor, "batch c d"]
+) -> Float[Tensor, "batch a+c b+d"]:
+    """Return block diagonal matrices of two blocks."""
+    above = nn.functional.pad(first, (0, second.shape[2]))
+    return torch.cat((above, nn.functional.pad(second, (first.shape[2], 0))), dim=1)
 
 
 def require_flat(coordinates: Coordinates, choice: str, instead: str) -> None:
@@ -152,11 +203,11 @@ def require_one_body(coordinates: Coordinates, choice: str, instead: str) -> Non
         )
 
 
-def features_of(coordinates: Coordinates) -> Embedding | EntriesEmbedding:
+def features_of(coordinates: Coordinates) -> Embedding:
     """Return the embedding of the configurations of some coordinates."""
-    if coordinates.rotations:
-        return EntriesEmbedding(coordinates=coordinates)
-    return Embedding(angular=coordinates.angular)
+    return Embedding(
+        angular=coordinates.angular[: len(coordinates.flat)], rotations=len(coordinates.rotations)
+    )
 
 
 def directions(angular: tuple[bool, ...]) -> Float[Tensor, "n n"]:

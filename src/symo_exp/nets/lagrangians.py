@@ -5,6 +5,10 @@ Another one is :class:`symo_exp.nets.rigid_chain.RigidChain`.
 
 from __future__ import annotations
 
+from torch import Tensor
+from typing_extensions import override
+
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.embedding import require_flat
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
@@ -12,6 +16,8 @@ from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 class NetworkLagrangian(StructuredLagrangian):
     """A network for a Cholesky factor of the inertia and for the potential.
+
+    It reads the nine entries of each rotation.
 
     Args:
         coordinates: Coordinates of the system.
@@ -31,14 +37,26 @@ class NetworkLagrangian(StructuredLagrangian):
         harmonics: int = 0,
         initial_inertia: float | None = 1.0,
     ) -> None:
-        require_flat(coordinates, "lagrangian=network", "lagrangian=rigid_body")
+        flat, rotations = len(coordinates.flat), len(coordinates.rotations)
+        angular = coordinates.angular[:flat]
+        if rotations and harmonics:
+            raise ConfigError(
+                f"lagrangian.harmonics={harmonics}: harmonics are of angles, and the system has "
+                f"the rotation {', '.join(coordinates.rotations)}; set it to 0"
+            )
         super().__init__(
-            angular=coordinates.angular,
+            angular=angular,
+            rotations=rotations,
             width=width,
             depth=depth,
             harmonics=harmonics,
             initial_inertia=initial_inertia,
         )
+        self._coordinates = coordinates
+
+    @override
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        return self._coordinates.input_force(input_matrix, q, u)
 
 
 class PlanarLagrangian(StructuredLagrangian):

@@ -39,6 +39,7 @@ from symo_exp.mechanics.lagrangian import (
     matvec,
     vecmat,
 )
+from symo_exp.mechanics.space import Space
 from symo_exp.nets.affine import bias_gradient, linear, shift, weight_gradient
 from symo_exp.nets.embedding import Embedding, Features
 from symo_exp.nets.factor import FactorHead, HeadPoint
@@ -54,7 +55,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
     """``ℒ`` of ``n`` coordinates by one network; the inertia is positive definite by design.
 
     Args:
-        angular: Which coordinates are angles.
+        angular: Which of the coordinates before the rotations are angles.
         width: Units of a hidden layer.
         depth: Number of hidden layers.
         initial_inertia: Training starts near ``H = initial_inertia · I`` [kg, kg m²] and a weak
@@ -66,6 +67,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         squares: Whether the kinetic energy is a sum of squared speeds (``FactorHead``); speeds and
             potential are then affine in ``s(q)``, as those of rigid links in a plane.
         relative: Whether each angle is relative to the one before (``Embedding``).
+        rotations: Number of rotations, with three coordinates each.
     """
 
     skip: Any
@@ -81,14 +83,15 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         harmonics: int = 0,
         squares: bool = False,
         relative: bool = False,
+        rotations: int = 0,
     ) -> None:
         super().__init__()
         if initial_inertia is not None and not initial_inertia > 0.0:
             raise ConfigError(
                 f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
-        self.embedding = Embedding(angular=angular, relative=relative)
-        self.head = FactorHead(len(angular), squares=squares)
+        self.embedding = Embedding(angular=angular, relative=relative, rotations=rotations)
+        self.head = FactorHead(len(angular) + 3 * rotations, squares=squares)
         self.net = MLP(
             inputs=self.embedding.size,
             outputs=self.head.outputs,
@@ -109,12 +112,17 @@ class StructuredLagrangian(nn.Module, Lagrangian):
                 last.mul_(QUIET)
                 bias.copy_(self.head.outputs_of(math.sqrt(initial_inertia)))
 
+    @property
     @override
-    def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+    def space(self) -> Space:
+        return self.embedding.space
+
+    @override
+    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
         return self.head.mass(self.head.factor(self._outputs(q)))
 
     @override
-    def potential(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, " batch"]:
+    def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
         return self._outputs(q)[:, -1]
 
     def _outputs(self, q: Tensor) -> Tensor:
@@ -124,14 +132,14 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         return outputs + linear(self.harmonics(q).x, self.skip)
 
     @override
-    def gradients(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Gradients:
+    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         at = self.expand(q, v)
         return at.gradients(q, v) if torch.is_grad_enabled() else at.values
 
     @override
     @torch.no_grad()
     def expand(
-        self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> StructuredExpansion:
         features = self.embedding(q.detach())
         *layers, (last, last_bias) = self.net.layers()
@@ -164,7 +172,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         )
         return StructuredExpansion(self, passes)
 
-    def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
+    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         """Return ``H``, ``Ḣ v``, ``ℒ_q`` from a jet, values with their ``n`` derivatives.
 
         ``o_i = ∂o/∂q_i`` give ``L_i``; then ``ℒ_{q_i} = y · L_iᵀ v − V_i`` and
@@ -224,7 +232,7 @@ class StructuredExpansion(Expansion):
         self._lagrangian, self._passes = lagrangian, passes
         self._rates: tuple[Tensor, ...] = ()
         """``∂z_l/∂q`` and ``∂o/∂q``, (B, n, ·) each, once ``curvature`` has computed them."""
-        dq = lagrangian.embedding.to_coordinates(passes.features.dx * passes.feature_cotangent)
+        dq = lagrangian.embedding.to_coordinates(passes.features, passes.feature_cotangent)
         for waves in passes.waves:
             slopes = waves.dx * (passes.output_cotangent @ lagrangian.skip)
             dq = dq + lagrangian.harmonics.to_coordinates(slopes)
@@ -272,8 +280,7 @@ class StructuredExpansion(Expansion):
         """
         embedding, at = self._lagrangian.embedding, self._passes
         weights, biases = zip(*self._lagrangian.net.layers(), strict=True)
-        direction = embedding.spread(a)
-        tangents = [at.features.dx * direction]
+        tangents = [embedding.rate(at.features, a)]
         bends: list[Tensor] = []  # −2 h_l z_l' d_l
         along = [(a.unsqueeze(-1) * rates).sum(1) for rates in self._rates]  # Σ aᵢ ∂z_l/∂qᵢ
         for layer, (h, slope, d) in enumerate(
@@ -305,8 +312,7 @@ class StructuredExpansion(Expansion):
         gradients = skip_gradient, *weight_gradients, *bias_gradients
         if not to_point:
             return None, None, *gradients
-        second = embedding.second(at.features) * at.feature_cotangent * direction
-        configuration = embedding.to_coordinates((back @ weights[0]) * at.features.dx + second)
+        configuration = embedding.to_stored(at.features, back @ weights[0], at.feature_cotangent, a)
         for waves in at.waves:
             slopes = (output_back @ skip) * waves.dx
             bent = (own[-1] @ skip) * waves.x * harmonics.spread(a)

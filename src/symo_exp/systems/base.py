@@ -190,6 +190,10 @@ class LagrangianSystem(System, Lagrangian):
     def space(self) -> Space:
         return self.coordinates.space
 
+    @override
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        return self.coordinates.input_force(input_matrix, q, u)
+
     @cached_property
     def lagrangian(self) -> Lagrangian:
         """The true Lagrangian, with the friction where there is any."""

@@ -27,7 +27,6 @@ from symo_exp.mechanics.bodies import (
     pseudo_inertia,
 )
 from symo_exp.mechanics.dissipation import Dissipation
-from symo_exp.mechanics.lagrangian import matvec
 from symo_exp.mechanics.space import quaternion
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
@@ -92,10 +91,11 @@ class Multibody(LagrangianSystem):
     @cached_property
     @override
     def coordinates(self) -> Coordinates:
-        flat = [joint for joint in self.joints if joint.axes is None]
-        balls = tuple(joint.name for joint in self.joints if joint.axes is not None)
-        angular = [not joint.slides for joint in flat]
-        return Coordinates.of([joint.name for joint in flat], angular, balls)
+        flat = [i for i, joint in enumerate(self.joints) if joint.axes is None]
+        balls = [i for i, joint in enumerate(self.joints) if joint.axes is not None]
+        names, turns = ([self.joints[i].name for i in some] for some in (flat, balls))
+        free = [(flat.index(i), balls.index(k)) for i, k in self.mechanism.get("free", ())]
+        return Coordinates.of(names, [not self.joints[i].slides for i in flat], turns, free)
 
     @property
     @override
@@ -122,23 +122,6 @@ class Multibody(LagrangianSystem):
         free = (-math.inf, math.inf)
         entries = (free,) * (self.coordinates.width - len(flat))
         return (*(joint.limits or free for joint in flat), *entries)
-
-    @override
-    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
-        force, n = u @ input_matrix.T, input_matrix.shape[0]
-        for place, turn in self._bodies_moving_freely:
-            axes = self.space.rotation_matrices(q)[:, turn]
-            inside = matvec(axes, force[:, place : place + 3])
-            force = torch.cat((force[:, :place], inside, force[:, place + 3 : n]), dim=1)
-        return force
-
-    @cached_property
-    def _bodies_moving_freely(self) -> tuple[tuple[int, int], ...]:
-        """For each, the first of its three lengths among the coordinates, and its rotation."""
-        flat = [i for i, joint in enumerate(self.joints) if joint.axes is None]
-        balls = [i for i, joint in enumerate(self.joints) if joint.axes is not None]
-        pairs = self.mechanism.get("free", ())
-        return tuple((flat.index(slide), balls.index(ball)) for slide, ball in pairs)
 
     @cached_property
     def _tree(self) -> Tree:

@@ -56,7 +56,8 @@ class Recorded(System):
     def coordinates(self) -> Coordinates:
         assert self.angular is not None
         turns = tuple(name in self.angular for name in self.names)
-        return Coordinates.of(self.names, turns, self.rotations)
+        one = len(self.rotations) == 1 and turns == (False,) * 3  # a body that moves freely
+        return Coordinates.of(self.names, turns, self.rotations, [(0, 0)] if one else [])
 
 
 def _rotations(given: object, names: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -174,7 +174,7 @@ class Quadrotor(RigidBodySystem):
     thrust: Annotated[float, "N"]
     drag: Annotated[float, "N m"]
 
-    coordinates = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",))
+    coordinates = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",), [(0, 0)])
     inputs = ("front", "left", "behind", "right")
 
     def __post_init__(self) -> None:
