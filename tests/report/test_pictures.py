@@ -144,6 +144,27 @@ def test_axes_carry_units():
     assert figure.title == "t: rollouts of 1.5 s (30 steps of 0.05 s)"
 
 
+def test_axes_of_rotations_are_angles_body_rates_and_moments_of_inertia():
+    system = SYSTEMS["quadrotor"]
+    figures = pictures.run_figures(knowing(system, system), system, made(system), "symo", "t")
+    labels = [{label for p in f.panels for label in (p.x_label, p.y_label)} for f in figures]
+    turns = {f"{word} of R [rad]" for word in ("roll", "pitch", "yaw")}
+    assert turns < labels[0]
+    assert turns | {f"ω_{axis} of R [rad/s]" for axis in "xyz"} < labels[1]
+    assert {"H11 [kg]", "H15 [kg m]", "H66 [kg m²]"} < labels[3]
+
+
+def test_angles_of_rotations_have_gaps_where_they_jump():
+    rollouts = made(SYSTEMS["rigid_body"])
+    turning = torch.linspace(3.0, 3.3, 31).double()[:, None] * torch.eye(3)[2].double()
+    for q in (rollouts.q, rollouts.q_true):
+        q[:] = SYSTEMS["rigid_body"].coordinates.space.of_vector(turning)
+    yaw = [p for p in pictures.trajectories(rollouts, "symo", "t").panels if "yaw" in p.y_label]
+    for panel in yaw:
+        for one in series(panel).values():
+            assert one.y.isna().sum() == 1
+
+
 def test_a_runaway_does_not_hide_the_truth():
     figure = pictures.trajectories(made(SYSTEMS["pendulum"], wrong=1e6), "symo", "t")
     for panel in (panel for panel in figure.panels if not panel.y_log):

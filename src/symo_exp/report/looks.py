@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     import pandas as pd
 
+    from symo_exp.mechanics.types import Coordinates
+
 Pair = tuple[str, str]
 """A method and an integrator by their names in the configuration."""
 
@@ -188,8 +190,23 @@ def axis_label(name: str, *, velocity: bool = False, angular: bool | None = None
         velocity: Whether the label is of the velocity.
         angular: Whether the coordinate is an angle; by its name if not given.
     """
-    label = f"d{symbol(name)}/dt" if velocity else symbol(name)
+    label = symbol(name)
+    if velocity:
+        label = f"d{' ' * (len(label) > len('θ₁₂'))}{label}/dt"
     return f"{label} [{', '.join(unit + '/s' * velocity for unit in _units(name, angular))}]"
+
+
+TURNS, RATES = ("roll", "pitch", "yaw"), ("ω_x", "ω_y", "ω_z")
+"""The angles that show a rotation, and its body rates."""
+
+
+def coordinate_labels(coordinates: Coordinates, *, velocity: bool = False) -> list[str]:
+    """Return the labels of all coordinates or velocities; of rotations, roll, pitch and yaw."""
+    flat, words = len(coordinates.flat), RATES if velocity else TURNS
+    plain = zip(coordinates.flat, coordinates.angular[:flat], strict=True)
+    labels = [axis_label(name, velocity=velocity, angular=turns) for name, turns in plain]
+    unit = "rad/s" if velocity else "rad"
+    return labels + [f"{w} of {name} [{unit}]" for name in coordinates.rotations for w in words]
 
 
 def error_unit(names: Sequence[str], angular: Sequence[bool | None] = ()) -> str:

@@ -16,7 +16,7 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.report import recordings
 from symo_exp.report.animation import animate
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import MEASURED, TRUTH, axis_label, error_unit, look
+from symo_exp.report.looks import MEASURED, TRUTH, coordinate_labels, error_unit, look
 from symo_exp.report.motions import (
     LONG,
     kept,
@@ -97,15 +97,16 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
     """Return the coordinates over time for the best, the median and the worst rollout.
 
     They show the first seconds, the errors below all of the rollout. Angles are wrapped where the
-    truth turns over.
+    truth turns over; those of rotations always are.
     """
     errors, table, pair = _errors(rollouts), _table(rollouts), (method, "")
     chosen = {which: table[table.trajectory == at] for which, at in ranking(errors).items()}
-    panels = []
-    for (name, label), angular in zip(_labels(rollouts), rollouts.coordinates.turning, strict=True):
+    panels, flat = [], len(rollouts.coordinates.flat)
+    labels = zip(_labels(rollouts), rollouts.coordinates.turning, strict=True)
+    for at, ((name, label), angular) in enumerate(labels):
         columns = f"q_{name}", f"q_true_{name}"
         for which, one in chosen.items():
-            turns = angular and np.ptp(one[columns[1]]) > 2 * np.pi
+            turns = angular and (flat <= at or np.ptp(one[columns[1]]) > 2 * np.pi)
             said = f"{which} of {len(errors)}: MSE {errors[one.trajectory.iloc[0]]:.2g}"
             shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
             shown = shown[shown.t <= LONG]
@@ -123,11 +124,11 @@ def phase_portrait(rollouts: Rollouts, method: str, title: str) -> Figure:
     Angles are wrapped to (−π, π].
     """
     table, angular = _table(rollouts), rollouts.coordinates.turning
+    rates = coordinate_labels(rollouts.coordinates, velocity=True)
     panels = [
-        Panel(TRUTH.label if only == "truth" else look(method).label, label,
-              axis_label(name, velocity=True, angular=wrap),
+        Panel(TRUTH.label if only == "truth" else look(method).label, label, rate,
               phase_rows((method, ""), table, name, wrap=wrap), y_log=False, mark="line", only=only)
-        for (name, label), wrap in zip(_labels(rollouts), angular, strict=True)
+        for (name, label), rate, wrap in zip(_labels(rollouts), rates, angular, strict=True)
         for only in ("truth", "ours")
     ]  # fmt: skip
     return Figure(
@@ -169,7 +170,7 @@ def learned_quantities(
     title = f"{title}: learned quantities along a true motion"
     coordinates = system.coordinates
     return learned_figure(
-        "learned", title, {(method, ""): table}, coordinates.names, coordinates.angular
+        "learned", title, {(method, ""): table}, coordinates.names, coordinates.turning
     )
 
 
@@ -203,5 +204,5 @@ def _horizon(rollouts: Rollouts) -> str:
 
 
 def _labels(rollouts: Rollouts) -> list[tuple[str, str]]:
-    names, angular = rollouts.coordinates.names, rollouts.coordinates.turning
-    return [(n, axis_label(n, angular=a)) for n, a in zip(names, angular, strict=True)]
+    coordinates = rollouts.coordinates
+    return list(zip(coordinates.names, coordinate_labels(coordinates), strict=True))

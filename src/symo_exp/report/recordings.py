@@ -15,7 +15,7 @@ from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.rollouts import along
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import MEASURED, TRUTH, Pair, axis_label, symbol
+from symo_exp.report.looks import MEASURED, TRUTH, Pair, coordinate_labels, symbol
 from symo_exp.report.motions import over_time, points, ranking
 
 REFERENCE: Pair = ("reference", "")
@@ -40,9 +40,10 @@ def windows_figure(found: RecordedPredictions, method: str, title: str) -> Figur
     table, errors = _table(found), found.model.rmse(HORIZONS[-1])
     chosen = {which: table[table.window == at] for which, at in ranking(errors).items()}
     above, below = [], []
-    for name, angular in zip(found.coordinates.names, found.coordinates.turning, strict=True):
+    labels = coordinate_labels(found.coordinates)
+    for name, label in zip(found.coordinates.names, labels, strict=True):
         for which, one in chosen.items():
-            label, error = axis_label(name, angular=angular), errors[one.window.iloc[0]]
+            error = errors[one.window.iloc[0]]
             said = f"{which} of {len(errors)}: RMSE {error:.2g}"
             panel = over_time({(method, ""): one}, f"q_{name}", f"q_true_{name}", label, said)
             banded = _with_interval(panel, one, name)
@@ -66,16 +67,16 @@ def dissipation_figure(
         values = along(force, *states).cpu().where(finite, torch.nan)
     which, nodes = ranking(found.model.rmse(HORIZONS[-1]))["median"], np.arange(v.shape[1])
     driven, panels = bool(found.model.windows.u.any()), []
+    speeds = coordinate_labels(found.coordinates, velocity=True)
     for i, (name, angular) in enumerate(
         zip(found.coordinates.names, found.coordinates.turning, strict=True)
     ):
         unit = ("N m" if angular else "N") if driven else "up to a factor"  # free: no force known
         label = f"F of {symbol(name)} [{unit}]"
-        speed = axis_label(name, velocity=True, angular=angular)
         cloud = points(v[..., i].flatten(), values[..., i].flatten(), pair, 10_000)
         line = points(found.model.time_step * nodes, values[which, :, i], pair)
         panels += [
-            Panel("all windows", speed, label, cloud, y_log=False, mark="points"),
+            Panel("all windows", speeds[i], label, cloud, y_log=False, mark="points"),
             Panel("window of median error", "time [s]", label, line, y_log=False, mark="line"),
         ]
     return Figure("dissipation", f"{title}: learned dissipation", "", panels, columns=2)
