@@ -87,7 +87,7 @@ class PlanarLagrangian(StructuredLagrangian):
         harmonics: int = 0,
         initial_inertia: float | None = 1.0,
     ) -> None:
-        require_flat(coordinates, "this lagrangian", "lagrangian=rigid_body")
+        require_flat(coordinates, "this lagrangian", "lagrangian=network or rigid_body")
         super().__init__(
             angular=coordinates.angular,
             width=1,

@@ -113,7 +113,7 @@ class RigidChain(nn.Module, Lagrangian):
             raise ConfigError(
                 f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
-        require_flat(coordinates, "lagrangian=rigid", "lagrangian=rigid_body")
+        require_flat(coordinates, "lagrangian=rigid", "lagrangian=network or rigid_body")
         n = coordinates.n
         self.register_buffer("turns", torch.tensor(coordinates.angular), persistent=False)
         row, column = torch.tril_indices(4, 4)
