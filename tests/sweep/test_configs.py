@@ -38,7 +38,7 @@ def test_every_choice_builds(group, choice, workplace):
     if words == ["system=mujoco"]:
         (workplace / "robot.xml").write_text(PENDULUMS)
         words.append("system.model=robot.xml")
-    if words == ["lagrangian=rigid_body"]:
+    if words[0] in ("lagrangian=rigid_body", "dissipation=body_drag"):
         words.append("system=rigid_body")
     if words == ["system=gymnasium"]:
         pytest.importorskip("imageio")  # Gymnasium's own need
