@@ -19,8 +19,11 @@ Module = TypeVar("Module", bound=nn.Module)
 SAMPLES = 48
 """Rollouts behind an interval: two for each direction of a posterior, or so many samples."""
 SEED = 0
-SMALL = 0.02
-"""Length of a step in parameters beyond which rollouts are extrapolated from a shorter one."""
+SMALL = 1e-5
+"""Length of a step in parameters beyond which rollouts are extrapolated from a shorter one.
+
+Directions that the data hardly determine are long, and rollouts hardly change along them to first
+order; a longer step would take the second order, which the posterior does not describe, for it."""
 
 
 class Interval(NamedTuple):
