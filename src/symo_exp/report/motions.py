@@ -274,9 +274,19 @@ def first(tables: Tables, seconds: float = LONG) -> Tables:
 
 
 def ranking(errors: Tensor) -> dict[str, int]:
-    """Return the indices of the motions that are predicted ``best``, ``median`` and ``worst``."""
+    """Return the indices of the motions that are predicted ``best``, ``median`` and ``worst``.
+
+    There is always a median; of fewer than three motions, the others only if they differ from it.
+    """
     order = errors.argsort(stable=True).tolist()
-    return {"best": order[0], "median": order[(len(order) - 1) // 2], "worst": order[-1]}
+    middle = order[(len(order) - 1) // 2]
+    found = {"best": order[0], "median": middle, "worst": order[-1]}
+    return {which: at for which, at in found.items() if which == "median" or at != middle}
+
+
+def ranked_as(which: str, errors: Tensor) -> str:
+    """Return the rank of a motion among several as the start of a title."""
+    return f"{which} of {len(errors)}: " if len(errors) > 1 else ""
 
 
 def _read(store: Store | None, run_id: str, files: str, study: str) -> pd.DataFrame | None:

@@ -116,5 +116,7 @@ def _legend(panels: Iterable[Panel]) -> dict[str, Line2D]:
     """Return a mark for each name."""
     entries: dict[str, Line2D] = {}
     for panel, trace in ((one, trace) for one in panels for trace in one.traces()):
-        entries.setdefault(trace.name, Line2D([], [], **_style(panel, trace)))
+        style = _style(panel, trace)
+        seen = {"ms": max(style["ms"], 6.0)} if "ms" in style else {}  # a dot is hardly seen alone
+        entries.setdefault(trace.name, Line2D([], [], **style | seen))
     return entries

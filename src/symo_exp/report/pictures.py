@@ -24,6 +24,7 @@ from symo_exp.report.motions import (
     over_time,
     phase_rows,
     points,
+    ranked_as,
     ranking,
     unbroken,
 )  # fmt: skip
@@ -107,7 +108,7 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
         columns = f"q_{name}", f"q_true_{name}"
         for which, one in chosen.items():
             turns = angular and (flat <= at or np.ptp(one[columns[1]]) > 2 * np.pi)
-            said = f"{which} of {len(errors)}: MSE {errors[one.trajectory.iloc[0]]:.2g}"
+            said = ranked_as(which, errors) + f"MSE {errors[one.trajectory.iloc[0]]:.2g}"
             shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
             shown = shown[shown.t <= LONG]
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
@@ -115,7 +116,8 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
     unit = error_unit(names, rollouts.coordinates.turning)
     for one in chosen.values():
         panels.append(over_time({pair: one}, "error", None, f"squared error [{unit}]", log=True))
-    return Figure("trajectories", f"{title}: rollouts of {_horizon(rollouts)}", "", panels)
+    said = f"{title}: rollouts of {_horizon(rollouts)}"
+    return Figure("trajectories", said, "", panels, columns=len(chosen))
 
 
 def phase_portrait(rollouts: Rollouts, method: str, title: str) -> Figure:

@@ -15,8 +15,8 @@ from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.rollouts import along
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import MEASURED, TRUTH, Pair, coordinate_labels, symbol
-from symo_exp.report.motions import over_time, points, ranking
+from symo_exp.report.looks import MEASURED, TRUTH, Pair, coordinate_labels, error_unit, symbol
+from symo_exp.report.motions import over_time, points, ranked_as, ranking
 
 REFERENCE: Pair = ("reference", "")
 Force = Callable[[Tensor, Tensor], Tensor]
@@ -44,15 +44,17 @@ def windows_figure(found: RecordedPredictions, method: str, title: str) -> Figur
     for name, label in zip(found.coordinates.names, labels, strict=True):
         for which, one in chosen.items():
             error = errors[one.window.iloc[0]]
-            said = f"{which} of {len(errors)}: RMSE {error:.2g}"
+            said = f"{ranked_as(which, errors)}RMSE {error:.2g}"
             panel = over_time({(method, ""): one}, f"q_{name}", f"q_true_{name}", label, said)
             banded = _with_interval(panel, one, name)
             above.append(_beside(banded, one, f"q_reference_{name}"))
+    unit = error_unit(found.coordinates.names, found.coordinates.turning).replace("²", "")
     for one in (_with_errors(found, one) for one in chosen.values()):
         said = f"trajectory {one.trajectory.iloc[0]} from {one.start.iloc[0]:.2f} s"
-        panel = over_time({(method, ""): one}, "error", None, "RMS error", said, log=True)
+        panel = over_time({(method, ""): one}, "error", None, f"RMS error [{unit}]", said, log=True)
         below.append(_beside(panel, one, "error_reference"))
-    return Figure("windows", f"{title}: windows of the recordings", "", above + below)
+    said = f"{title}: windows of the recordings"
+    return Figure("windows", said, "", above + below, columns=len(chosen))
 
 
 def dissipation_figure(
