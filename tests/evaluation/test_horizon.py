@@ -7,7 +7,14 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from symo_exp.evaluation.horizon import HORIZONS, cut, predict, predict_whole, tolerance
+from symo_exp.evaluation.horizon import (
+    HORIZONS,
+    cut,
+    predict,
+    predict_whole,
+    tolerance,
+    whole_error,
+)
 from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import fitted_start
@@ -250,3 +257,20 @@ def test_a_prediction_is_usable_while_its_error_is_within_a_tenth_of_the_motion(
     near, far = (dataclasses.replace(true, q=true.q + share * limit) for share in (0.99, 1.01))
     assert (near.usable_seconds(limit) > 1.9).all()
     assert (far.usable_seconds(limit) == 0).all()
+
+
+@EACH_N
+def test_the_error_over_whole_recordings_counts_drift_and_is_bounded_by_the_motion(n):
+    model, motions = swings(n, 5.0, 9.0, 3.0)
+    assert whole_error(model, motions, H, PLACE) < 1e-6
+    assert whole_error(model, motions[2:], H, PLACE) is None
+    (motion,) = steady(6.0, n=n)
+    drift = predict_whole(Off(), [motion], H, PLACE).errors()
+    spread = motion.q.std(0, correction=0).square().mean().sqrt()
+    found = whole_error(Off(), [motion], H, PLACE)
+    nodes = len(motion.q)
+    expected = (drift.sum() / nodes).sqrt().clamp(max=spread).item()
+    assert found == pytest.approx(expected)
+    lost = whole_error(Off(seconds=1.0), motions[:2], H, PLACE)
+    widths = [one.q.var(0, correction=0).mean() for one in motions[:2]]
+    assert lost == pytest.approx(torch.stack(widths).mean().sqrt().item())

@@ -33,6 +33,8 @@ HORIZONS = (0.5, 1.0, 2.0)
 """Times up to which errors are measured [s]; the last is the length of a window."""
 EVERY, RUN_IN = 0.25, 0.2
 """Distance of the starts of windows, and length of the run-in before each [s]."""
+LONG = 2.0 * HORIZONS[-1]
+"""Length from which a recording counts as a whole, too [s]."""
 MOVES, SHARE, ABOVE_NOISE = 0.2, 0.05, 10.0
 """A coordinate moves in a window where its range exceeds so many rad or m, or this share of its
 range in the recordings if that is less, and so many times its noise."""
@@ -234,6 +236,40 @@ def predict_whole(
     begin = fitted_start(model, start, inputs[:, : lead + 1], time_step, space=space)
     path = model.rollout(*begin, inputs)
     return Predictions(time_step, whole, path.q.double().cpu(), path.v.double().cpu())
+
+
+@torch.no_grad()
+def whole_error(
+    model: RollsOut, trajectories: Sequence[Trajectory], time_step: float, place: Tensor
+) -> float | None:
+    """Return the error over whole recordings of 4 s or more; ``None`` if there are none.
+
+    It is the root mean square over recordings [rad, m], each in open loop from its first nodes and
+    at most the standard deviation of its motion: then nothing is known of where it is. A rollout
+    ends where this is certain, as it soon is of a motion that is chaotic.
+    """
+    long = [one for one in trajectories if (len(one.q) - 1) * time_step >= LONG * (1 - 1e-9)]
+    if not long:
+        return None
+    q, v, u = (_padded(field) for field in zip(*long, strict=True))
+    u, space, lead = u.nan_to_num().to(place), space_of(q, v), _run_in(long, time_step)
+    plain, there = space.along(q), q.isfinite().all(2)
+    most = (plain - plain.nanmean(1, keepdim=True)).square().nanmean((1, 2))
+    total, count = torch.zeros_like(most), there.sum(1)
+    given = q[:, : lead + 1].to(place), u[:, : lead + 1]
+    state = fitted_start(model, *given, time_step, space=space)
+    rows, segment = torch.arange(len(q)), round(HORIZONS[-1] / time_step)
+    for k in range(0, q.shape[1] - 1, segment):
+        path = model.rollout(*state, u[rows, k : k + segment + 1])
+        true = q[rows, k + 1 : k + segment + 1]
+        found = path.q[:, 1:].double().cpu()
+        error = squared_error(*comparable(space, found, true)).mean(2)
+        total[rows] += error.where(there[rows, k + 1 : k + segment + 1], 0.0).sum(1)
+        left = (total < most * count)[rows] & there[rows, min(k + segment, q.shape[1] - 1)]
+        rows, state = rows[left], State(path.q[left, -1], path.v[left, -1])
+        if len(rows) == 0:
+            break
+    return float(torch.minimum(total / count, most).mean().sqrt())
 
 
 def _roll_out(

@@ -19,6 +19,7 @@ from symo_exp.evaluation.horizon import (
     predict,
     predict_whole,
     tolerance,
+    whole_error,
 )  # fmt: skip
 from symo_exp.evaluation.intervals import coverage, interval_of
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
@@ -73,7 +74,7 @@ class RecordedPredictions:
 class HeldOutErrors:
     """Score of a training on recordings, by rollouts over held-out motions from fitted starts.
 
-    It is the geometric mean of the errors ``rmse_<T>s`` [rad, m], infinite without a window.
+    It is that of ``held_out_error``.
 
     Args:
         iterations: Of the fit of starts (``fitted_start``).
@@ -96,13 +97,17 @@ def held_out_error(
 ) -> float:
     """Return the geometric mean of the errors ``rmse_<T>s`` [rad, m], infinite without a window.
 
-    ``place`` and ``iterations`` are those of ``predict``.
+    Where there are recordings of 4 s or more, it includes the error over them as a whole
+    (``whole_error``), in which drifts show that windows of 2 s do not. ``place`` and ``iterations``
+    are those of ``predict``.
     """
     windows = cut(trajectories, time_step, run_in=True)
     if windows is None:
         return math.inf
     found = predict(model, windows, time_step, place, iterations)
     errors = [median(found.rmse(seconds)) for seconds in HORIZONS]
+    whole = whole_error(model, trajectories, time_step, place)
+    errors += [] if whole is None else [whole]
     return math.prod(errors) ** (1 / len(errors))
 
 

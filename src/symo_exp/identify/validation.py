@@ -52,8 +52,8 @@ class Trial:
 def fold_error(folder: RunFolder) -> float:
     """Return the smallest error of a training on its held-out part.
 
-    It is the geometric mean of the medians over windows of the errors to 0.5, 1 and 2 s; infinite
-    where the model diverges or no window moves, NaN without a validation.
+    It is that of ``held_out_error``; infinite where the model diverges or no window moves, NaN
+    without a validation.
     """
     losses = [row["val_loss"] for row in read(folder / SERIES) if "val_loss" in row]
     return min((x for x in losses if not math.isnan(x)), default=math.inf if losses else math.nan)
