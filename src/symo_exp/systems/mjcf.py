@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.bodies import Joint
@@ -151,11 +152,26 @@ def _inertial(body: ET.Element, joint: Joint, at: np.ndarray) -> None:
         centre = np.zeros(3)
     if np.linalg.eigvalsh(inertia).min() < POINT:
         inertia = inertia + POINT * np.eye(3)
-    entries = [inertia["xyz".index(a[0]), "xyz".index(a[1])] for a in _ENTRIES]
+    moments, axes = _principal(inertia)
     node.attrib.update(
-        pos=_vector(centre), mass=_number(max(joint.mass, POINT)), fullinertia=_vector(entries)
+        pos=_vector(centre),
+        mass=_number(max(joint.mass, POINT)),
+        diaginertia=_vector(moments),
+        quat=_vector(np.roll(Rotation.from_matrix(axes).as_quat(), 1)),  # scalar first
     )
     body.insert(0, node)
+
+
+def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the principal moments of an inertia and the rotation to their axes.
+
+    MuJoCo 3.3 finds them from ``fullinertia`` to 1e-8 only.
+    """
+    if not (inertia - np.diag(np.diag(inertia))).any():
+        return np.diag(inertia), np.eye(3)
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    return moments, axes
 
 
 def _passes_on(joints: Sequence[Joint], i: int) -> bool:
