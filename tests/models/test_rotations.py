@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 import torch
 
@@ -9,17 +11,23 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.types import Trajectory
+from symo_exp.mechanics.types import Coordinates, Stretches
 from symo_exp.models.base import DynamicsModel
+from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.flows import ExplicitFlow
 from symo_exp.models.horizon import HorizonError
+from symo_exp.models.l_node import LNODE
 from symo_exp.models.starts import fitted_start
 from symo_exp.models.true import TrueOde, TrueVariational
+from symo_exp.nets.drag import LearnedBodyDrag
+from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.table import system as stated
 
 ROOT = Newton(tolerance=1e-12, max_iterations=30)
 NAMES = ["rigid_body", "quadrotor"]
+PIVOT = Coordinates.of(rotations=("R",))
+FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",))
 
 
 def model_of(system: LagrangianSystem, kind: str) -> DynamicsModel:
@@ -84,11 +92,61 @@ def test_what_rotations_do_not_have_is_refused_in_a_line() -> None:
     field = model_of(system, "explicit").flow.field  # type: ignore[union-attr]
     with pytest.raises(ConfigError, match=r"model\.sensitivity=adjoint"):
         ExplicitFlow(field, RK4(), 0.1, sensitivity="adjoint")
-    path = model.rollout(q, v, steps=4)
-    still = torch.zeros(5, 3, dtype=torch.float64)
-    motions = [Trajectory(a, b, still) for a, b in zip(path.q, path.v, strict=True)]
-    stretches = HorizonError(horizon=4).cut(motions)
-    with pytest.raises(ConfigError, match="objective=horizon fits lengths and angles"):
-        HorizonError(horizon=4)(model.flow, stretches)
     with pytest.raises(ConfigError, match=r"q0 has shape|q has shape"):
         model.rollout(v, v, steps=1)
+
+
+def learned(kind: str, free: bool) -> DynamicsModel:
+    """A model of a heavy body with drag, learned in all parameters."""
+    coordinates = FREE if free else PIVOT
+    torch.manual_seed(3)
+    make, integrator = (LNODE, {"integrator": RK4()}) if kind == "explicit" else (
+        E2ESyMo, {"integrator": Galerkin(stages=2), "root": ROOT}
+    )  # fmt: skip
+    return make(
+        partial(LearnedRigidBody, learned_inputs=1), coordinates=coordinates,
+        input_matrix=torch.zeros(coordinates.n, 1), time_step=0.1,
+        dissipation=LearnedBodyDrag, **integrator,
+    ).double()  # fmt: skip
+
+
+def stretches_of(model: DynamicsModel, noise: float) -> Stretches:
+    """Motions of a model under smooth inputs, with noise."""
+    generator = torch.Generator().manual_seed(7)
+    space, n = model.flow.space, model.coordinates.n
+    x, v = torch.randn(2, 3, n, dtype=torch.float64, generator=generator)
+    u = torch.randn(3, 5, 1, dtype=torch.float64, generator=generator)
+    path = model.rollout(space.of_vector(x), v, u)
+    moved = torch.randn(path.v.shape, dtype=torch.float64, generator=generator)
+    unknown = torch.full((3, 2 * n), torch.nan, dtype=torch.float64)
+    return Stretches(space.retract(path.q, noise * moved), u, unknown, 0.2 + moved.abs())
+
+
+@pytest.mark.parametrize("free", [False, True], ids=["pivot", "free"])
+@pytest.mark.parametrize("kind", ["explicit", "variational"])
+def test_the_error_over_many_steps_vanishes_at_the_truth(kind: str, free: bool) -> None:
+    model = learned(kind, free)
+    residuals = HorizonError(horizon=4)(model.flow, stretches_of(model, 0.0))
+    assert float(residuals.values.detach().abs().max()) < 1e-9
+
+
+@pytest.mark.parametrize("free", [False, True], ids=["pivot", "free"])
+@pytest.mark.parametrize("kind", ["explicit", "variational"])
+def test_gradients_over_many_steps_are_those_of_the_loss_with_noise(kind: str, free: bool) -> None:
+    """Backwards, forwards as ``Jᵀr``, and as a difference."""
+    model, objective, size = learned(kind, free), HorizonError(horizon=4), 1e-5
+    samples, parameters = stretches_of(model, 0.02), list(model.parameters())
+    gradient = torch.autograd.grad(objective(model.flow, samples).loss, parameters)
+    flat = torch.cat([g.flatten() for g in gradient])
+    found = objective.linearised(model.flow, samples, parameters)
+    forwards = 2.0 * (found.parameters.flatten(0, 1).T @ found.residuals.flatten())
+    torch.testing.assert_close(
+        forwards / found.residuals.numel(), flat, rtol=1e-6, atol=1e-8 * float(flat.abs().max())
+    )
+    ends = []
+    for sign in (1.0, -2.0):
+        with torch.no_grad():
+            for p, g in zip(parameters, gradient, strict=True):
+                p += sign * size * g / flat.norm()
+            ends.append(objective(model.flow, samples).loss)
+    assert float(flat.norm()) == pytest.approx(float(ends[0] - ends[1]) / (2 * size), rel=1e-2)

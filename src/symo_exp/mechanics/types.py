@@ -140,10 +140,11 @@ class Trajectory(NamedTuple):
 class Stretches(NamedTuple):
     """Samples of many consecutive nodes of configurations and controls, one time step apart."""
 
-    q: Float[Tensor, "samples nodes n"]
+    q: Float[Tensor, "samples nodes N"]
     u: Float[Tensor, "samples nodes m"]
     start: Float[Tensor, "samples 2*n"]
-    """``(q, v)`` near that at the first node, from where a fit begins; not finite if unknown."""
+    """``(q, v)`` near that at the first node, in the chart there, from where a fit begins; not
+    finite if unknown."""
     weight: Float[Tensor, "samples nodes n"]
     """Weight of each squared error."""
 

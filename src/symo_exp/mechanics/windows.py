@@ -34,8 +34,9 @@ def cut_stretches(trajectories: Sequence[Trajectory], steps: int, stride: int) -
         torch.cat([x.new_empty(0, steps + 1, x.shape[1]), *(_cut_at(y, steps, stride) for y in of)])
         for x, of in ((first.q, [one.q for one in long]), (first.u, [one.u for one in long]))
     )
-    unknown = torch.full_like(q[:, 0], torch.nan).repeat(1, 2)
-    return Stretches(q, u, unknown, torch.ones_like(q))
+    n = first.v.shape[1]
+    unknown, ones = q.new_full((len(q), 2 * n), torch.nan), q.new_ones(*q.shape[:2], n)
+    return Stretches(q, u, unknown, ones)
 
 
 def _cut_at(x: Tensor, steps: int, stride: int) -> Tensor:

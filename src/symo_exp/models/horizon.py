@@ -11,12 +11,13 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.geodesic import Ends
 from symo_exp.mechanics.types import Stretches, Trajectory
 from symo_exp.mechanics.windows import cut_stretches
 from symo_exp.models.flows import Flow
 from symo_exp.models.objectives import Objective, Residuals
 from symo_exp.models.robust import huber_weights
-from symo_exp.models.starts import State, closest_start, difference, fitted_start
+from symo_exp.models.starts import State, closest_start, fitted_start
 from symo_exp.nets.affine import Linearised, parameter_jacobian
 from symo_exp.optim.base import EpochOptimizer, concatenated
 
@@ -35,9 +36,9 @@ class HorizonError(Objective):
 
         min_θ Σ_stretches min_{q₀, v₀} Σ_{k=0}^{N} w_k |q̂_k(q₀, v₀; θ) − q_k|²
 
-    Configurations alone are read, by every method. The weights ``w`` are those of Huber's loss at
-    the start of an epoch, with a threshold of ``huber`` standard deviations of the errors of each
-    coordinate (``robust.huber_weights``).
+    Configurations alone are read, by every method. The error of a rotation is a rotation vector.
+    The weights ``w`` are those of Huber's loss at the start of an epoch, with a threshold of
+    ``huber`` standard deviations of the errors of each coordinate (``robust.huber_weights``).
 
     The starts are unknowns of their own, eliminated stretch by stretch (variable projection, Golub
     and Pereyra 1973): their derivatives are ``(I − P) J_θ``, with ``P`` the projection on the
@@ -123,7 +124,8 @@ class HorizonError(Objective):
         whole = Stretches(q[:, :nodes], u[:, :nodes], start, weight[:, :nodes])
         for _ in range(1 if self.huber is None else ROUNDS):
             found = _fit(flow, whole)
-            whole = whole._replace(start=torch.cat(found.start, dim=1))
+            place = flow.space.chart(whole.q[:, 0], found.start.q)
+            whole = whole._replace(start=torch.cat((place, found.start.v), dim=1))
             if self.huber is not None:
                 whole = whole._replace(weight=huber_weights(found.errors, self.huber))
         fields = zip(*(field.split(counts) for field in whole), strict=True)
@@ -159,7 +161,8 @@ class HorizonError(Objective):
         for before, after in zip(found.u[:, :-1].unbind(1), found.u[:, 1:].unbind(1), strict=True):
             q, y, _ = flow.advance(q, y, before, after)
             path.append(q)
-        values = (found.root * difference(torch.stack(path, 1), found.measured)).flatten(1)
+        errors = flow.space.difference(found.measured, torch.stack(path, 1))
+        values = (found.root * errors).flatten(1)
         change = (values - values.detach()).unsqueeze(-1)
         return values.detach() + (change - _projected(by_start, change)).squeeze(-1)
 
@@ -201,16 +204,11 @@ class _Fitted(NamedTuple):
 @torch.no_grad()
 def _fit(flow: Flow, stretches: Stretches) -> _Fitted:
     q, u, begin, weight = stretches
-    if flow.space.rotations:
-        raise ConfigError(
-            "objective=horizon fits lengths and angles only, and the system has rotations; choose "
-            "objective=plain or preconditioned"
-        )
     if not begin.isfinite().all():
-        begin = closest_start(flow, q, u, flow.time_step)
-    start = fitted_start(flow, q, u, flow.time_step, ITERATIONS, weight, begin)
+        begin = closest_start(flow, q, u, flow.time_step, flow.space)
+    start = fitted_start(flow, q, u, flow.time_step, ITERATIONS, weight, begin, flow.space)
     path = flow.rollout(*start, u)
-    errors = difference(path.q, q)
+    errors = flow.space.difference(q, path.q)
     follows = path.converged.all(1) & (errors.abs() < LOST).flatten(1).all(1)
     bounded = errors.nan_to_num(LOST, LOST, -LOST).clamp(-LOST, LOST)
     return _Fitted(start, path.q, path.v, u, q, bounded, weight.sqrt(), follows)
@@ -230,27 +228,35 @@ def _along(
     """Return the derivatives of motions in their starts ``(q₀, y₀)`` and in the parameters.
 
     The steps ``x_{k+1} = F(x_k, θ)`` of the state ``x = (q, y)`` that a rollout carries are
-    linearised all at once; then ``S_{k+1} = F_x S_k + F_θ``, from ``S₀ = (I, 0)`` on. The
-    projection that follows does not depend on the coordinates of the start, ``y₀`` or ``v₀``.
+    linearised all at once, along rotations; then ``S_{k+1} = F_x S_k + F_θ``, from
+    ``S₀ = (I, 0)`` on. The projection that follows does not depend on the coordinates of the
+    start, ``y₀`` or ``v₀``.
     """
-    count, nodes, n = found.q.shape
+    space, (count, nodes, n) = flow.space, found.v.shape
     steps = nodes - 1
-    q = found.q[:, :-1].flatten(0, 1).clone().requires_grad_()
+    q, q_next = (x.flatten(0, 1) for x in (found.q[:, :-1], found.q[:, 1:]))
+    moved = torch.zeros(count * steps, n).to(q).requires_grad_()
     with torch.no_grad():
         y = flow.encode(q, found.v[:, :-1].flatten(0, 1))
     y = y.clone().requires_grad_()
     before, after = found.u[:, :-1].flatten(0, 1), found.u[:, 1:].flatten(0, 1)
-    step = parameter_jacobian(
-        lambda: torch.cat(flow.advance(q, y, before, after)[:2], dim=1), parameters, (q, y)
-    )
-    by_state = torch.cat(step.inputs, dim=2).unflatten(0, (count, steps))
-    by_theta = step.parameters.unflatten(0, (count, steps))
+
+    def step() -> Tensor:
+        reached, carried, _ = flow.advance(space.retract(q, moved), y, before, after)
+        return torch.cat((space.difference(q_next, reached), carried), dim=1)
+
+    slopes = parameter_jacobian(step, parameters, (moved, y))
+    by_state = torch.cat(slopes.inputs, dim=2).unflatten(0, (count, steps))
+    by_theta = slopes.parameters.unflatten(0, (count, steps))
     identity = torch.eye(2 * n).to(q).expand(count, -1, -1)
     start, theta = [identity], [torch.zeros_like(by_theta[:, 0])]
     for k in range(steps):
         start.append(by_state[:, k] @ start[-1])
         theta.append(by_state[:, k] @ theta[-1] + by_theta[:, k])
-    return (
-        torch.stack([s[:, :n] for s in start], 1).flatten(1, 2),
-        torch.stack([s[:, :n] for s in theta], 1).flatten(1, 2),
-    )
+    motions = (torch.stack([s[:, :n] for s in x], 1) for x in (start, theta))
+    if not space.rotations:
+        by_start, by_parameters = motions
+    else:  # of errors along the step from the data
+        turned = Ends.of(space, found.errors.flatten(0, 1)).inverse.unflatten(0, (count, nodes))
+        by_start, by_parameters = (turned @ x for x in motions)
+    return by_start.flatten(1, 2), by_parameters.flatten(1, 2)

@@ -85,7 +85,8 @@ def fitted_start(
         time_step: Time between nodes [s].
         iterations: Trials at most. Most motions need four; those that stick need more.
         weight: ``w``, one if left out.
-        start: ``(q₀, v₀)`` to begin from; that of a parabola through all nodes if left out.
+        start: ``(q₀, v₀)`` to begin from, ``q₀`` in the charts at the first nodes; that of a
+            parabola through all nodes if left out.
         space: The space of configurations.
     """
     plain = space.along(q)
@@ -100,26 +101,23 @@ def closest_start(
     q: Float[Tensor, "batch nodes n"],
     u: Float[Tensor, "batch nodes m"],
     time_step: float,
+    space: Space = FLAT,
 ) -> Float[Tensor, "batch unknowns"]:
     """Return states ``(q₀, v₀)`` to begin a fit from, for motions of many steps.
 
-    Of parabolas through the first 3, 5, 9, … nodes each motion takes that with the least squares.
+    Of parabolas through the first 3, 5, 9, … nodes each motion takes that with the least squares;
+    configurations are in the charts at the first nodes.
     """
     counts = [2**k + 1 for k in range(1, q.shape[1].bit_length()) if 2**k < q.shape[1]]
-    starts = torch.stack([parabola(q[:, :count], time_step) for count in counts])
-    q0, v0 = starts.flatten(0, 1).chunk(2, dim=1)
-    path = model.rollout(q0, v0, u.repeat(len(counts), 1, 1)).q
-    error = difference(path, q.repeat(len(counts), 1, 1))
+    plain, repeats = space.along(q), (len(counts), 1, 1)
+    starts = torch.stack([parabola(plain[:, :count], time_step) for count in counts])
+    place, v0 = starts.flatten(0, 1).chunk(2, dim=1)
+    q0 = space.point(q[:, 0].repeat(len(counts), 1), place)
+    path = model.rollout(q0, v0, u.repeat(repeats)).q
+    error = space.difference(q.repeat(repeats), path)
     cost = error.square().flatten(1).sum(1).nan_to_num(torch.inf, torch.inf)
     chosen = cost.view(len(counts), -1).argmin(0)
     return starts[chosen, torch.arange(len(q), device=q.device)]
-
-
-def difference(
-    found: Float[Tensor, "*batch n"], measured: Float[Tensor, "*batch n"]
-) -> Float[Tensor, "*batch n"]:
-    """Return the error of configurations ``q̂ − q``."""
-    return found - measured
 
 
 class Fit(Rowwise):
@@ -148,7 +146,7 @@ class Fit(Rowwise):
             known = self._model.rollout_slopes(*self.state(x), self._u)
             if known is not None:
                 path, slopes = (y.to(self._q) for y in known)
-                error = difference(path, true).flatten(1)
+                error = (path - true).flatten(1)
                 return FitPoint(root * error, root.unsqueeze(-1) * slopes.flatten(1, 2))
         beside = DIFFERENCE * torch.eye(unknowns).to(x)
         shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
@@ -158,7 +156,7 @@ class Fit(Rowwise):
         moved = self._space.chart(self._q.expand_as(path), path).flatten(2)
         at, plus, minus = moved.split((1, unknowns, unknowns))
         slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
-        error = difference(at[0].view_as(true), true).flatten(1)
+        error = (at[0].view_as(true) - true).flatten(1)
         return FitPoint(root * error, root.unsqueeze(-1) * slopes.nan_to_num(0.0, 0.0, 0.0))
 
 
