@@ -1,4 +1,4 @@
-"""How often 90 % intervals hold the truth, on simulated machines of random constants.
+"""Coverage of 90 % intervals on simulated machines of random constants.
 
     python results/uncertainty/coverage.py SYSTEM FIRST COUNT [--optimizer NAME]
 
