@@ -34,6 +34,7 @@ from symo_exp.mechanics.variational import (
     VariationalIntegrator,
     VariationalMidpoint,
 )
+from tests.mechanics import trace_form
 from tests.mechanics.motions import ROUNDING
 from tests.mechanics.test_galerkin import differences
 
@@ -420,6 +421,53 @@ def drifts(stages: int, steps: int) -> tuple[float, tuple[float, float]]:
     relative = float((spin - spin[0]).norm(dim=1).max() / spin[0].norm())
     halves = [float((x.max() - x.min()) / energy[0].abs()) for x in energy.chunk(2)]
     return relative, (halves[0], halves[1])
+
+
+# Against the trace form
+
+
+def both_forms(h: float) -> list[tuple[Tensor, Tensor]]:
+    """Momenta, residuals over ``h`` and configurations after 0.4 s, geodesic and trace form."""
+    body, space = Body(), Space(1)
+    discrete = DiscreteLagrangian(
+        Geodesic(space=space, stages=1), Controlled(body, torch.eye(3).double()), h
+    )
+    q, v, bend = space.of_vector(drawn(3)), drawn(3, seed=1), drawn(3, seed=2)
+    nodes = [space.retract(q, t * v + t * t * bend) for t in (0.0, h, 2.0 * h)]
+    none = Forces(torch.zeros(4, 3).double(), torch.zeros(4, 3).double())
+    _, after = trace_form.momenta(body, *nodes[:2], h)
+    before, _ = trace_form.momenta(body, *nodes[1:], h)
+    there = [(q, body.momentum(q, v)), (q, body.momentum(q, v))]
+    with torch.no_grad():
+        momentum = discrete.momentum(*nodes[:2], none)
+        residual = discrete.residual(*nodes, none, none) / h
+        for _ in range(round(0.4 / h)):
+            found = discrete.step(ROOT, *there[0], none, there[0][0])
+            there = [(found.q, found.p), trace_form.step(body, *there[1], h)]
+    return [(momentum, after), (residual, (after - before) / h), (there[0][0], there[1][0])]
+
+
+def test_order_two_is_that_of_the_trace_form() -> None:
+    """Momenta, residuals and motions of a heavy body differ at second order."""
+    steps = (0.005, 0.0025)
+    each = zip(*(both_forms(h) for h in steps), strict=True)
+    for pairs in each:
+        apart = [float((mine - theirs).abs().max()) for mine, theirs in pairs]
+        assert apart[1] > ROUNDING
+        assert math.log2(apart[0] / apart[1]) == pytest.approx(2.0, abs=0.01)
+
+
+def test_the_trace_form_keeps_the_momentum_of_a_free_body() -> None:
+    """Over 1000 steps, to rounding: the oracle is what it says."""
+    body, h = Body(), 0.05
+    body.gravity = torch.zeros(3).double()
+    q, v = body.space.of_vector(drawn(3)), drawn(3, seed=1)
+    p = body.momentum(q, v)
+    start = (q.view(-1, 3, 3) @ p.unsqueeze(-1)).squeeze(-1)
+    for _ in range(1000):
+        q, p = trace_form.step(body, q, p, h)
+    end = (q.view(-1, 3, 3) @ p.unsqueeze(-1)).squeeze(-1)
+    assert (end - start).norm(dim=1).max() < 1e-12 * start.norm(dim=1).max()
 
 
 # A flat space, and what has no extension
