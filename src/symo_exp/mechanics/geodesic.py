@@ -118,6 +118,18 @@ class Geodesic(Galerkin):
         return GeodesicExpansion(self.space, at, x[:, : origin.shape[1]])
 
     @override
+    def _each(  # type: ignore[override]
+        self, lagrangian: Controlled, q0: Tensor, q1: Tensor, h: float, forces: Forces | None
+    ) -> Slots:
+        if self.stages > 1 or not torch.is_grad_enabled():
+            return super()._each(lagrangian, q0, q1, h, forces)  # type: ignore[arg-type]
+        space, basis, x = self.space, self._basis, self.space.chart(q0, q1)
+        phi, rate = basis.path(space.origin(q0), x, x.new_zeros(0, *x.shape), h)
+        found = torques(lagrangian, space, *at_points(basis, q0, forces), phi, rate)
+        slopes = basis.slopes(found.gradients, h)
+        return Ends.of(space, x).slots(slopes[-1], basis.total(found.turned, h))
+
+    @override
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
         return super().unknowns(q0, self.space.chart(q0, q1))
 
@@ -377,10 +389,33 @@ class ChartExpansion(Expansion):
 
     def torques(self, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor) -> Torques:
         """Return the first derivatives, differentiable in all arguments and the parameters."""
-        chart = Chart.of(self._space, q)
-        point = self._space.turned(base, q, chart.rotations)
-        at = self._at.gradients(point, matvec(chart.jacobian, v))
-        return _torques(self._controlled, chart, point, u, v, at)
+        return torques(self._controlled, self._space, base, u, q, v, self._at)
+
+
+def torques(
+    controlled: Controlled,
+    space: Space,
+    base: Tensor,
+    u: Tensor | None,
+    q: Tensor,
+    v: Tensor,
+    at: Expansion | None = None,
+) -> Torques:
+    """Return the first derivatives in the charts at ``base``, differentiable in all arguments.
+
+    Args:
+        controlled: ``ℒ`` and its controls.
+        space: The space.
+        base: Configurations at which the intervals start.
+        u: Controls.
+        q: ``φ``.
+        v: ``φ̇``.
+        at: ``ℒ`` around these points, if known.
+    """
+    chart = Chart.of(space, q)
+    point = space.turned(base, q, chart.rotations)
+    gradients = (at or controlled.lagrangian).gradients(point, matvec(chart.jacobian, v))
+    return _torques(controlled, chart, point, u, v, gradients)
 
 
 def _torques(

@@ -341,9 +341,14 @@ def space_of(q: Float[Tensor, "*batch N"], v: Float[Tensor, "*batch n"]) -> Spac
 
 def cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Return ``[x]``, the matrix of ``x ×``."""
-    a, b, c = x.unbind(-1)
-    zero = torch.zeros_like(a)
-    return torch.stack((zero, -c, b, c, zero, -a, -b, a, zero), dim=-1).unflatten(-1, (3, 3))
+    return (x @ _constants(x.dtype, x.device)[1]).unflatten(-1, (3, 3))
+
+
+@cache
+def _constants(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Return the identity, and the entries of ``[e₁]``, ``[e₂]`` and ``[e₃]``, a row each."""
+    one = torch.eye(3, dtype=dtype, device=device)
+    return one, torch.linalg.cross(one.unsqueeze(1), one.unsqueeze(0)).mT.flatten(1)
 
 
 def exponential(phi: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -375,19 +380,27 @@ def quaternion(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
     It is a column of ``4 q qᵀ``, which is linear in the rotation, the one with the largest
     diagonal entry (Shepperd 1978).
     """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in turn.unbind(-2))
-    table = torch.stack(
-        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy,
-         zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx,
-         xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz,
-         yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz),
-        dim=-1,
-    ).unflatten(-1, (4, 4))  # fmt: skip
+    rows = turn.flatten(-2) @ _table_of_products(turn.dtype, turn.device)
+    table = rows.unflatten(-1, (4, 4)) + torch.eye(4, dtype=turn.dtype, device=turn.device)
     place = table.detach().diagonal(dim1=-2, dim2=-1).argmax(-1)
     index = place[..., None, None].expand(*place.shape, 4, 1)
     column = table.gather(-1, index).squeeze(-1)
     column = torch.where(column[..., :1] < 0, -column, column)
     return column / column.norm(dim=-1, keepdim=True)
+
+
+@cache
+def _table_of_products(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "9 16"]:
+    """Return the map from the entries of a rotation to those of ``4 q qᵀ − I``."""
+    found = torch.zeros(3, 3, 4, 4, dtype=dtype, device=device)
+    for i in range(3):
+        found[i, i] = torch.diag(torch.tensor([1.0, *(1.0 if i == k else -1.0 for k in range(3))]))
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for row, column in ((0, i + 1), (i + 1, 0)):  # w times x is that of zy − yz
+            found[k, j, row, column], found[j, k, row, column] = 1.0, -1.0
+        for row, column in ((j + 1, k + 1), (k + 1, j + 1)):
+            found[j, k, row, column] = found[k, j, row, column] = 1.0
+    return found.flatten(2).flatten(0, 1)
 
 
 def of_quaternion(q: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
@@ -414,10 +427,10 @@ def polynomial(
     second: Float[Tensor, " rows"],
 ) -> Float[Tensor, "rows 3 3"]:
     """Return ``I + f₁ [φ] + f₂ [φ]²``."""
-    outer = second[:, None, None] * (phi.unsqueeze(-1) * phi.unsqueeze(-2))
+    one, _ = _constants(phi.dtype, phi.device)
+    outer = (second.unsqueeze(-1) * phi).unsqueeze(-1) * phi.unsqueeze(-2)
     scaled = phi * (first if isinstance(first, float) else first.unsqueeze(-1))
-    diagonal = torch.diag_embed((1.0 - second * s).unsqueeze(-1).expand(-1, 3))
-    return cross(scaled) + outer + diagonal
+    return cross(scaled) + outer + (1.0 - second * s)[:, None, None] * one
 
 
 def polynomial_slope(
@@ -432,8 +445,10 @@ def polynomial_slope(
         [c if isinstance(c, float) else c.unsqueeze(-1) for c in pair] for pair in (first, second)
     )
     along = (phi * x).sum(-1, keepdim=True)
-    change = 2.0 * f1 * torch.linalg.cross(phi, x)
-    change = change + 2.0 * g1 * (phi * along - s.unsqueeze(-1) * x) - 2.0 * g * x
+    one, _ = _constants(phi.dtype, phi.device)
+    change = 2.0 * (g1 * (phi * along - s.unsqueeze(-1) * x) - g * x)
+    if not isinstance(f1, float) or f1:
+        change = change + 2.0 * f1 * torch.linalg.cross(phi, x)
     found = cross(-f * x) + change.unsqueeze(-1) * phi.unsqueeze(-2)
     found = found + (g * phi).unsqueeze(-1) * x.unsqueeze(-2)
-    return found + torch.diag_embed((g * along).expand(-1, 3))
+    return found + (g * along).unsqueeze(-1) * one
