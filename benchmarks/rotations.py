@@ -1,4 +1,4 @@
-"""`python -m benchmarks.rotations`: a step and a rollout on a rotation beside three flat coordinates.
+"""`python -m benchmarks.rotations`: steps and rollouts on a rotation beside flat coordinates.
 
 Both systems have three degrees of freedom, a network of the same width and the same samples in
 number: a chain of three pendulums and a spherical pendulum. Eager, double precision. Writes
