@@ -19,7 +19,7 @@ from symo_exp.errors import ConfigError, Refused, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.config import Settings, resolve
 from symo_exp.job.lines import brief, run_line
-from symo_exp.job.variant import alone, variant
+from symo_exp.job.variant import alone, differences, variant
 from symo_exp.process import phases, stopping
 from symo_exp.report.looks import look
 from symo_exp.runs.folder import PICTURES, SERIES, About, RunFolder
@@ -62,8 +62,7 @@ def job(config: DictConfig) -> float | None:
     settings = resolve(config)
 
     def about() -> About:
-        words = alone(settings, choices, _compose) if sweeper != OURS else typed(hydras)
-        return _about(settings, choices, asked, shlex.join(["python", "-m", "symo_exp", *words]))
+        return _about(settings, choices, asked, typed(hydras) if sweeper == OURS else None)
 
     failure = _do(settings.values, folder, about)
     phases.clear()
@@ -191,9 +190,17 @@ def _compose(overrides: list[str]) -> DictConfig:
 
 
 def _about(
-    settings: Settings, choices: dict[str, Any], asked: Sequence[str], command: str = ""
+    settings: Settings,
+    choices: dict[str, Any],
+    asked: Sequence[str],
+    words: Sequence[str] | None = None,
 ) -> About:
-    """Describe the run; its name contains what its sweep varied: ``E2E-SyMo acrobot n=16``."""
+    """Describe the run; its name contains what its sweep varied: ``E2E-SyMo acrobot n=16``.
+
+    ``words`` are those of its command; ``None``: what repeats it without its sweep.
+    """
+    found = differences(settings, choices, _compose)
+    words = alone(found, settings, choices) if words is None else words
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
     told = [brief(o) for o in varied if not o.startswith(NAMED)]
@@ -202,9 +209,9 @@ def _about(
     return About(
         name=" ".join(filter(None, name)),
         parameters=groups | dict(_parameters(settings.values, settings)),
-        variant=variant(settings, choices, _compose),
+        variant=variant(found, settings, choices),
         sweep=os.environ.get(SWEEP, ""),
-        tags={**revision_tags(), COMMAND: command},
+        tags={**revision_tags(), COMMAND: shlex.join(["python", "-m", "symo_exp", *words])},
     )
 
 

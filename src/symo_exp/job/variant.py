@@ -28,12 +28,11 @@ class Differences(NamedTuple):
     """Settings that tables have columns for, where they are not the usual ones."""
 
 
-def variant(settings: Settings, choices: Mapping[str, Any], compose: Compose) -> str:
+def variant(found: Differences, settings: Settings, choices: Mapping[str, Any]) -> str:
     """Return the preset and each choice and setting that is not its own.
 
     It is empty for what ships, and else like ``"fast, optimizer=lbfgs, net.width=8"``.
     """
-    found = _differences(settings, choices, compose)
     preset = choices.get("preset", "default")
     values = dict(relevant(settings.values))
     changed = [
@@ -43,9 +42,8 @@ def variant(settings: Settings, choices: Mapping[str, Any], compose: Compose) ->
     return ", ".join([*([] if preset == "default" else [str(preset)]), *found.choices, *changed])
 
 
-def alone(settings: Settings, choices: Mapping[str, Any], compose: Compose) -> list[str]:
+def alone(found: Differences, settings: Settings, choices: Mapping[str, Any]) -> list[str]:
     """Return the overrides that repeat a run of a search without the search."""
-    found = _differences(settings, choices, compose)
     chosen = [f"{group}={choices[group]}" for group in CHOSEN if group in choices]
     values = [
         f"{name}={override_value(settings.value(name))}"
@@ -54,7 +52,8 @@ def alone(settings: Settings, choices: Mapping[str, Any], compose: Compose) -> l
     return [*chosen, *found.choices, *values]
 
 
-def _differences(settings: Settings, choices: Mapping[str, Any], compose: Compose) -> Differences:
+def differences(settings: Settings, choices: Mapping[str, Any], compose: Compose) -> Differences:
+    """Return the differences of a run; compositions are what takes the time."""
     chosen = [f"{group}={choices[group]}" for group in CHOSEN if group in choices]
     groups = {
         group: choice
