@@ -11,6 +11,8 @@ from torch import Tensor
 
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.variational import DiscreteLagrangian, Forces, VariationalIntegrator
 
 DURATION = 0.4
 
@@ -41,6 +43,30 @@ def reference(
     x0 = torch.cat(start(n)).ravel()
     solution = solve_ivp(field, (0, duration), x0, method="DOP853", rtol=1e-13, atol=1e-13)
     return torch.as_tensor(solution.y[:n, -1]).unsqueeze(0)
+
+
+TIGHT = Newton(tolerance=1e-13, max_iterations=50)
+
+
+def roll(
+    method: VariationalIntegrator,
+    lagrangian: Lagrangian,
+    q: Tensor,
+    p: Tensor,
+    steps: int,
+    h: float,
+    *,
+    forced: bool = False,
+) -> tuple[Tensor, Tensor]:
+    """Configurations and momenta of a rollout, from node 0."""
+    n, discrete = q.shape[1], DiscreteLagrangian(method, lagrangian, h)
+    configurations, momenta = [q], [p]
+    for k in range(steps):
+        forces = Forces(*(force_at(n, i * h, forced=forced) for i in (k, k + 1)))
+        q, p, _ = discrete.step(TIGHT, q, p, forces, q + h * lagrangian.velocity(q, p))
+        configurations.append(q)
+        momenta.append(p)
+    return torch.stack(configurations), torch.stack(momenta)
 
 
 ROUNDING = 2e-13

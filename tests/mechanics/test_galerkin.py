@@ -13,6 +13,7 @@ from symo_exp.mechanics.variational import (
     VariationalMidpoint,
 )
 from symo_exp.systems.chain import ChainPendulum
+from tests.differences import assert_gradients, slopes
 from tests.learned import learned_lagrangian
 
 ROOT = Newton(tolerance=1e-12, max_iterations=30)
@@ -73,7 +74,7 @@ def test_jacobian_in_the_next_configuration(stages: int, n: int) -> None:
 
             torch.testing.assert_close(
                 jacobian[i],
-                differences(d1, q1[i]),
+                slopes(d1, q1[i]),
                 rtol=1e-6,
                 atol=1e-6 * float(jacobian.abs().max()),
             )
@@ -96,11 +97,11 @@ def test_derivatives_of_residual_root_and_momentum(stages: int, n: int) -> None:
             list(lagrangian.parameters()) if isinstance(lagrangian, torch.nn.Module) else []
         )
 
-        def value(
-            configurations: Tensor, forces: Tensor, *_: Tensor, lagrangian: Lagrangian = lagrangian
-        ) -> Tensor:
-            (a, b, c), (f, g, k) = configurations, forces
-            discrete = DiscreteLagrangian(integrator, lagrangian, h)
+        inputs = [x.clone().requires_grad_() for x in (configurations, forces)]
+        discrete = DiscreteLagrangian(integrator, lagrangian, h)
+
+        def value(inputs=inputs, discrete=discrete) -> Tensor:  # type: ignore[no-untyped-def]
+            (a, b, c), (f, g, k) = inputs
             before, after = Forces(f, g), Forces(g, k)
             residual = discrete.residual(a, b, c, before, after)
             p = discrete.momentum(a, b, before)
@@ -108,19 +109,7 @@ def test_derivatives_of_residual_root_and_momentum(stages: int, n: int) -> None:
             root, _ = discrete.next_configuration(ROOT, b, impulse, 2 * b - a, after)
             return (weight * torch.stack((residual, p, root))).sum()
 
-        inputs = [x.clone().requires_grad_() for x in (configurations, forces)]
-        gradients = torch.autograd.grad(value(*inputs), [*inputs, *parameters], allow_unused=True)
-        for x, gradient in zip([*inputs, *parameters], gradients, strict=True):
-            assert gradient is not None
-            direction = torch.randn(x.shape, dtype=torch.float64)
-            eps, ends = 1e-5, []
-            for sign in (1.0, -1.0):
-                with torch.no_grad():
-                    x += sign * eps * direction
-                    ends.append(value(*inputs))
-                    x -= sign * eps * direction
-            expected = (ends[0] - ends[1]) / (2 * eps)
-            torch.testing.assert_close((gradient * direction).sum(), expected, rtol=2e-6, atol=1e-7)
+        assert_gradients(value, [*inputs, *parameters], eps=1e-5, atol=1e-7, rtol=2e-6)
 
 
 def test_rows_and_replace_keep_every_point() -> None:
@@ -136,13 +125,3 @@ def test_rows_and_replace_keep_every_point() -> None:
         mixed = whole.replace(index, other)
         torch.testing.assert_close(mixed.d2d1()[index], other.d2d1())
         torch.testing.assert_close(mixed.d2d1()[[0, 2, 4]], whole.d2d1()[[0, 2, 4]])
-
-
-def differences(function, x: Tensor, eps: float = 1e-5) -> Tensor:  # type: ignore[no-untyped-def]
-    columns = []
-    for i in range(len(x)):
-        e = torch.zeros_like(x)
-        e[i] = eps
-        with torch.no_grad():
-            columns.append((function(x + e) - function(x - e)) / (2 * eps))
-    return torch.stack(columns, dim=1)

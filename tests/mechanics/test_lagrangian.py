@@ -6,55 +6,53 @@ import torch
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.systems.chain import ChainPendulum
+from tests.differences import slopes
+from tests.dissipative import dissipative_chain, dissipative_net, dragged_net
 from tests.learned import learned_lagrangian
 
 STEP = 1e-5
+CONSERVATIVE = {
+    "chain": ChainPendulum,
+    "learned": lambda n: learned_lagrangian(tuple(i % 2 == 0 for i in range(n))),
+}
+DISSIPATIVE = {"friction": dissipative_chain, "net": dissipative_net, "drag": dragged_net}
 
 
-def lagrangians(n: int) -> dict[str, Lagrangian]:
-    angular = tuple(i % 2 == 0 for i in range(n))
-    return {"chain": ChainPendulum(n), "learned": learned_lagrangian(angular)}
+def state(n):
+    generator = torch.Generator().manual_seed(7)
+    return torch.randn(2, 6, n, dtype=torch.float64, generator=generator)
 
 
-CASES = [(n, kind) for n in (1, 2, 3) for kind in ("chain", "learned")]
-
-
-@pytest.fixture(params=CASES, ids=lambda case: f"{case[1]}-{case[0]}")
+@pytest.fixture(params=[(n, kind) for n in (1, 2, 3) for kind in CONSERVATIVE], ids=str)
 def case(request):
     n, kind = request.param
-    generator = torch.Generator().manual_seed(7)
-    q, v = torch.randn(2, 6, n, dtype=torch.float64, generator=generator)
-    return lagrangians(n)[kind], q, v
+    return CONSERVATIVE[kind](n), *state(n)
 
 
 def value(lagrangian, q, v):
     return lagrangian.kinetic(q, v) - lagrangian.potential(q)
 
 
-def central(function, x, i):
-    shift = torch.zeros_like(x)
-    shift[:, i] = STEP
-    return (function(x + shift) - function(x - shift)) / (2 * STEP)
-
-
 def test_gradients_are_the_slopes_of_the_lagrangian(case):
     lagrangian, q, v = case
     gradients = lagrangian.gradients(q, v)
-    for i in range(q.shape[1]):
-        slope = central(lambda x: value(lagrangian, x, v), q, i)
-        torch.testing.assert_close(gradients.q[:, i].detach(), slope.detach(), atol=1e-8, rtol=1e-8)
-        slope = central(lambda x: value(lagrangian, q, x), v, i)
-        torch.testing.assert_close(gradients.v[:, i].detach(), slope.detach(), atol=1e-8, rtol=1e-8)
+    exact = {"atol": 1e-8, "rtol": 1e-8}
+    by_q = slopes(lambda x: value(lagrangian, x, v), q, STEP)
+    torch.testing.assert_close(gradients.q.detach(), by_q, **exact)
+    by_v = slopes(lambda x: value(lagrangian, q, x), v, STEP)
+    torch.testing.assert_close(gradients.v.detach(), by_v, **exact)
 
 
-def test_curvature_is_the_slope_of_the_gradients(case):
-    lagrangian, q, v = case
-    curvature = lagrangian.expand(q, v).curvature()
-    for j in range(q.shape[1]):
-        dq = central(lambda x: lagrangian.expand(x, v).values.q, q, j)
-        dv = central(lambda x: lagrangian.expand(x, v).values.v, q, j)
-        torch.testing.assert_close(curvature.qq[:, :, j], dq, atol=1e-8, rtol=1e-8)
-        torch.testing.assert_close(curvature.vq[:, :, j], dv, atol=1e-8, rtol=1e-8)
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("kind", CONSERVATIVE | DISSIPATIVE)
+def test_curvature_is_the_slope_of_the_gradients(kind, n):
+    lagrangian, (q, v) = (CONSERVATIVE | DISSIPATIVE)[kind](n), state(n)
+    curvature, exact = lagrangian.expand(q, v).curvature(), {"atol": 1e-8, "rtol": 1e-8}
+    for part in (0, 1):
+        by_q = slopes(lambda x, part=part: lagrangian.gradients(x, v)[part], q, STEP)
+        torch.testing.assert_close((curvature.qq, curvature.vq)[part], by_q, **exact)
+    by_v = slopes(lambda x: lagrangian.gradients(q, x).q, v, STEP)
+    torch.testing.assert_close(curvature.qv, by_v, **exact)
 
 
 def test_rates_are_those_along_the_motion(case):

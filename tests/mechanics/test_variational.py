@@ -1,49 +1,47 @@
 """Variational integrators: order, symplecticity, momentum, energy, and their derivatives."""
 
+from functools import partial
+
 import pytest
 import torch
 
 from symo_exp.mechanics.euler_lagrange import acceleration
-from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.variational import DiscreteLagrangian, Forces
 from symo_exp.systems.chain import ChainPendulum
+from tests.differences import assert_gradients, slopes
+from tests.dissipative import dissipative_chain, dissipative_net, dragged_net
 from tests.learned import learned_lagrangian
-from tests.mechanics.motions import force_at, order, reference, refinement, start
+from tests.mechanics.motions import TIGHT, force_at, order, reference, refinement, roll, start
 from tests.tables import explicit_integrators, systems, variational_integrators
 
 METHODS = variational_integrators()
-TIGHT = Newton(tolerance=1e-13, max_iterations=50)
-
-
-def roll(method, lagrangian, q, p, steps, h, forced=False):
-    """Configurations and momenta of a rollout, from node 0."""
-    n, discrete = q.shape[1], DiscreteLagrangian(method, lagrangian, h)
-    configurations, momenta = [q], [p]
-    for k in range(steps):
-        forces = Forces(*(force_at(n, i * h, forced=forced) for i in (k, k + 1)))
-        q, p, _ = discrete.step(TIGHT, q, p, forces, q + h * lagrangian.velocity(q, p))
-        configurations.append(q)
-        momenta.append(p)
-    return torch.stack(configurations), torch.stack(momenta)
+MOTIONS = {
+    "free": (ChainPendulum, False),
+    "forced": (ChainPendulum, True),
+    "with friction": (partial(dissipative_chain, rest_velocity=4.0), True),
+}
+USUAL = [("forced", 1), ("free", 3), ("with friction", 1), ("with friction", 3)]
+"""Kinds of motion at numbers of coordinates; the others are tested among the long proofs."""
 
 
 @pytest.mark.parametrize(
-    ("n", "forced"),
-    [(1, True), (3, False), *(pytest.param(n, forced, marks=pytest.mark.slow)
-                              for n, forced in ((1, False), (2, False), (2, True), (3, True)))],
+    ("kind", "n"),
+    [pytest.param(kind, n, marks=[pytest.mark.slow] * ((kind, n) not in USUAL))
+     for kind in MOTIONS for n in (1, 2, 3)],
 )  # fmt: skip
 @pytest.mark.parametrize("name", METHODS)
 @torch.no_grad()
-def test_order_of_convergence(name, n, forced):
-    method, chain = METHODS[name], ChainPendulum(n)
+def test_order_of_convergence(name, kind, n):
+    make, forced = MOTIONS[kind]
+    method, lagrangian = METHODS[name], make(n)
     q, v = start(n)
     duration, counts = refinement(method.order, n)
 
     def integrate(steps):
-        p = chain.momentum(q, v)
-        return roll(method, chain, q, p, steps, duration / steps, forced)[0][-1]
+        p = lagrangian.momentum(q, v)
+        return roll(method, lagrangian, q, p, steps, duration / steps, forced=forced)[0][-1]
 
-    slope = order(integrate, reference(chain, n, forced=forced, duration=duration), counts)
+    slope = order(integrate, reference(lagrangian, n, forced=forced, duration=duration), counts)
     assert slope == pytest.approx(method.order, abs=0.3)
 
 
@@ -154,27 +152,32 @@ def test_momentum_form_solves_the_discrete_euler_lagrange_equations(name):
     assert residual.abs().max() < 1e-12
 
 
+LAGRANGIANS = {
+    "learned": lambda n: learned_lagrangian(tuple(i % 2 == 1 for i in range(n))),
+    "friction": dissipative_chain,
+    "learned friction": dissipative_net,
+    "drag": dragged_net,
+}
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("kind", LAGRANGIANS)
 @pytest.mark.parametrize("name", METHODS)
-def test_jacobian_of_the_residual(name, n):
-    method, h, step = METHODS[name], 0.1, 1e-6
-    lagrangian = learned_lagrangian(tuple(i % 2 == 1 for i in range(n)))
-    q0, q1 = torch.randn(2, 5, n, dtype=torch.float64)
-    q1 = q0 + 0.1 * q1
+def test_jacobian_of_the_residual(name, kind, n):
+    method, lagrangian, h = METHODS[name], LAGRANGIANS[kind](n), 0.1
+    generator = torch.Generator().manual_seed(5)
+    q0, v = torch.randn(2, 7, n, dtype=torch.float64, generator=generator)
+    q1 = q0 + h * v
     jacobian = method.expand(lagrangian, q0, q1, h).d2d1()
-    for j in range(n):
-        shift = torch.zeros_like(q1)
-        shift[:, j] = step
-        ahead, behind = (method.expand(lagrangian, q0, q1 + s * shift, h) for s in (1, -1))
-        slope = (ahead.values.d1 - behind.values.d1) / (2 * step)
-        torch.testing.assert_close(jacobian[:, :, j], slope, atol=1e-6, rtol=1e-6)
+    slope = slopes(lambda x: method.expand(lagrangian, q0, x, h).values.d1, q1, 1e-6)
+    torch.testing.assert_close(jacobian, slope, atol=1e-6, rtol=1e-6)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize("name", METHODS)
 def test_gradients_of_the_next_configuration(name, n):
     """Implicit derivatives in configuration, impulse and parameters, against finite differences."""
-    method, h, eps = METHODS[name], 0.1, 1e-6
+    method, h = METHODS[name], 0.1
     lagrangian = learned_lagrangian((True,) * n, width=6)
     q = torch.randn(4, n, dtype=torch.float64, requires_grad=True)
     v = torch.randn(4, n, dtype=torch.float64)
@@ -188,14 +191,4 @@ def test_gradients_of_the_next_configuration(name, n):
         assert root.converged.all()
         return (weight * configuration).sum()
 
-    gradients = torch.autograd.grad(objective(), parameters)
-    for x, gradient in zip(parameters, gradients, strict=True):
-        direction = torch.randn_like(x)
-        with torch.no_grad():
-            x += eps * direction
-            ahead = objective()
-            x -= 2 * eps * direction
-            behind = objective()
-            x += eps * direction
-        slope = (ahead - behind) / (2 * eps)
-        torch.testing.assert_close((gradient * direction).sum(), slope, atol=1e-7, rtol=1e-6)
+    assert_gradients(objective, parameters, eps=1e-6, atol=1e-7, rtol=1e-6)

@@ -12,6 +12,7 @@ from symo_exp.mechanics.types import Windows
 from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.training.learner import Learner
+from tests.differences import assert_gradients
 from tests.models.methods import H, combinations, flows, learner, make, pairwise, windows
 from tests.tables import variational_integrators
 
@@ -22,20 +23,9 @@ FLOWS = pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows())
 
 @PAIRWISE
 def test_gradient_of_the_loss_against_finite_differences(method, integrator, n):
-    model, data, eps = learner(method, integrator, n), windows(n), 1e-6
+    model, data = learner(method, integrator, n), windows(n)
     parameters = [p for p in model.parameters() if p.requires_grad]
-    gradients = torch.autograd.grad(model.loss(data), parameters, allow_unused=True)
-    for x, gradient in zip(parameters, gradients, strict=True):
-        direction = torch.randn_like(x)
-        with torch.no_grad():
-            x += eps * direction
-            ahead = model.loss(data)
-            x -= 2 * eps * direction
-            behind = model.loss(data)
-            x += eps * direction
-        slope = (ahead - behind) / (2 * eps)
-        computed = torch.zeros(()) if gradient is None else (gradient * direction).sum()
-        torch.testing.assert_close(computed.to(slope), slope.detach(), atol=1e-7, rtol=1e-5)
+    assert_gradients(lambda: model.loss(data), parameters, eps=1e-6, atol=1e-7, rtol=1e-5)
 
 
 @pytest.mark.parametrize("objective", [Residual, PreconditionedResidual])

@@ -10,28 +10,20 @@ from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.space import Space
-from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.types import Coordinates, Trajectories
+from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedBodyDrag, LearnedDrag
 from symo_exp.nets.lagrangians import NetworkLagrangian
-from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.training.learner import Learner
-from tests.dissipative import dissipative_net, dragged_net, machine_friction, machine_net
-from tests.learned import assert_each_sample_alone, learned_lagrangian
+from tests.dissipative import machine_friction
+from tests.nets.test_closed_forms import BODIES, TURNING, moved
 from tests.systems.models import mjcf, read
-
-
-@pytest.mark.parametrize("make", [dissipative_net, dragged_net, machine_net])
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(n, make):
-    lagrangian = make(n)
-    q, v = torch.randn(2, 4, n, dtype=torch.float64)
-    assert_each_sample_alone(lagrangian, q, v)
 
 
 @pytest.mark.parametrize(
@@ -129,9 +121,7 @@ def test_friction_of_a_simulated_machine_is_recovered(law):
     u = 4.0 * torch.sin((1.5 + phase[:, None]) * time + 3.0 * phase[:, None])
     path = truth.rollout(q, v, u)
     assert path.converged.all()
-    nodes = [slice(0, -2), slice(1, -1), slice(2, None)]
-    fields = [x[:, s].flatten(0, 1) for x in (path.q, path.v, u) for s in nodes]
-    samples = Windows(*fields[:3], *fields[4:6], *fields[6:])
+    samples = cut_windows(Trajectories(path.q, path.v, u).each())
     torch.manual_seed(0)
     torch.set_default_dtype(torch.float64)
     try:
@@ -154,23 +144,9 @@ def test_friction_of_a_simulated_machine_is_recovered(law):
     assert (found - expected).abs().max() < 0.05 * expected.abs().max()
 
 
-def body_drag(coordinates: Coordinates) -> LearnedBodyDrag:
-    torch.manual_seed(1)
-    found = LearnedBodyDrag(coordinates=coordinates).double()
-    with torch.no_grad():
-        found.roots.add_(0.5 * torch.randn_like(found.roots))
-    return found
-
-
-BODIES = [
-    Coordinates.of(rotations=("R",)),
-    Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",)),
-]
-
-
-@pytest.mark.parametrize("coordinates", BODIES, ids=["pivot", "free"])
+@pytest.mark.parametrize("coordinates", BODIES.values(), ids=BODIES)
 def test_the_drag_of_a_body_takes_energy_and_turns_with_the_world(coordinates):
-    drag, n = body_drag(coordinates), coordinates.n
+    drag, n = moved(LearnedBodyDrag(coordinates=coordinates), 0.5), coordinates.n
     q = coordinates.space.of_vector(torch.randn(20, n, dtype=torch.float64))
     v = torch.randn(20, n, dtype=torch.float64)
     force = drag.force(q, v)
@@ -188,36 +164,17 @@ def test_the_drag_of_a_body_takes_energy_and_turns_with_the_world(coordinates):
     torch.testing.assert_close(drag.force(turned_q, turned_v), turned_force)
 
 
-@pytest.mark.parametrize("coordinates", BODIES, ids=["pivot", "free"])
-def test_derivatives_of_the_drag_of_a_body_are_those_of_each_sample_alone(coordinates):
-    n = coordinates.n
-    conservative = LearnedRigidBody(coordinates=coordinates).double()
-    lagrangian = DissipativeLagrangian(conservative, body_drag(coordinates))
-    q = coordinates.space.of_vector(torch.randn(4, n, dtype=torch.float64))
-    assert_each_sample_alone(lagrangian, q, torch.randn(4, n, dtype=torch.float64))
-
-
 def test_the_drag_of_a_body_is_refused_for_other_coordinates():
     with pytest.raises(ConfigError, match="dissipation=body_drag is for one body"):
         LearnedBodyDrag(coordinates=Coordinates(("a",), (True,)))
 
 
-TURNING = [
-    Coordinates.of(rotations=("R",)),
-    Coordinates.of(("x", "a"), (False, True), ("R",)),
-    Coordinates.of(("x", "y", "z"), (False,) * 3, ("R", "S")),
-]
-
-
 @pytest.mark.parametrize("coordinates", TURNING, ids=lambda c: str(c.n))
 @pytest.mark.parametrize("make", [LearnedDissipation, MachineFriction])
 def test_a_network_of_rotations_takes_energy_and_has_its_derivatives(make, coordinates):
-    """Along ``R exp φ``, and sample by sample."""
+    """Along ``R exp φ``."""
     torch.manual_seed(0)
-    friction = make(coordinates=coordinates, width=5).double()
-    with torch.no_grad():
-        for p in friction.parameters():
-            p += 0.3 * torch.randn_like(p)
+    friction = moved(make(coordinates=coordinates, width=5), 0.3)
     space, (x, v) = coordinates.space, torch.randn(2, 6, coordinates.n, dtype=torch.float64)
     q = space.of_vector(x)
     assert ((friction.force(q, v) * v).sum(1) < 0).all()
@@ -225,6 +182,3 @@ def test_a_network_of_rotations_takes_energy_and_has_its_derivatives(make, coord
     entries, expected = Dissipation.derivatives(friction, q, v)
     torch.testing.assert_close(by_q, space.pull(q.unsqueeze(1), entries))
     torch.testing.assert_close(by_v, expected)
-    flat = coordinates.angular[: len(coordinates.flat)]
-    network = learned_lagrangian(flat, rotations=len(coordinates.rotations))
-    assert_each_sample_alone(DissipativeLagrangian(network, friction), q[:3], v[:3])

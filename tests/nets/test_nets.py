@@ -1,99 +1,29 @@
-"""The learned Lagrangian: closed forms against automatic differentiation, and its structure."""
+"""The learned Lagrangian: its structure and its start."""
 
 import pytest
 import torch
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.embedding import Embedding
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 from symo_exp.systems.chain import ChainPendulum
-from tests.learned import assert_each_sample_alone, assert_same, learned_lagrangian
+from tests.learned import learned_lagrangian
+from tests.nets.test_closed_forms import NETWORKS
 from tests.systems.models import DRONE, read
 
-ANGULAR = [(True,), (False,), (False, True), (True, True), (True, False, True), (True,) * 4]
-KINDS = [
-    {},
-    {"harmonics": 2},
-    {"squares": True},
-    {"squares": True, "relative": True},
-    {"relative": True},
-]
-CASES = [
-    *((angular, kind) for angular in ANGULAR for kind in KINDS),
-    *(((True, False), {"depth": depth}) for depth in (1, 3)),
-    *((angular, {"rotations": r}) for angular, r in (((), 1), ((True, False), 1), ((True,), 2))),
-]
 
-
-class Plain(Lagrangian):
-    """The same Lagrangian without its closed forms: the oracle."""
-
-    def __init__(self, learned):
-        self.learned = learned
-
-    @property
-    def space(self):
-        return self.learned.space
-
-    def mass_matrix(self, q):
-        return self.learned.mass_matrix(q)
-
-    def potential(self, q):
-        return self.learned.potential(q)
-
-
-@pytest.fixture(params=CASES, ids=str)
+@pytest.fixture(params=NETWORKS, ids=str)
 def learned(request):
     angular, kind = request.param
     return learned_lagrangian(angular, **kind)
 
 
-def points(learned):
+def test_angles_are_periodic_and_translations_are_not(learned):
     generator = torch.Generator().manual_seed(3)
     q, v = torch.randn(2, 9, learned.head.n, dtype=torch.float64, generator=generator)
-    return learned.space.of_vector(q).requires_grad_(), v.requires_grad_()
-
-
-@pytest.mark.parametrize("quantity", ["gradients", "rates"])
-def test_closed_forms_and_their_derivatives_are_those_of_autograd(learned, quantity):
-    q, v = points(learned)
-    closed, plain = (getattr(x, quantity)(q, v) for x in (learned, Plain(learned)))
-    assert_same(closed, plain, [q, v, *learned.parameters()], 1e-12)
-
-
-def test_each_gradient_can_be_differentiated_alone(learned):
-    q, v = points(learned)
-    for i in range(2):
-        closed = torch.autograd.grad(learned.gradients(q, v)[i].sin().sum(), q)[0]
-        plain = torch.autograd.grad(Plain(learned).gradients(q, v)[i].sin().sum(), q)[0]
-        torch.testing.assert_close(closed, plain, atol=1e-11, rtol=1e-11)
-
-
-def test_curvature_is_that_of_autograd(learned):
-    q, v = (x.detach() for x in points(learned))
-    closed = learned.expand(q, v).curvature()
-    plain = AutodiffExpansion(Plain(learned), q, v).curvature()
-    for mine, oracle in zip(closed, plain, strict=True):
-        torch.testing.assert_close(mine, oracle, atol=1e-11, rtol=1e-11)
-
-
-def test_inertia_is_positive_definite_for_any_weights(learned):
-    with torch.no_grad():
-        for parameter in learned.net.parameters():
-            parameter.normal_(std=3.0)
-        q = 100.0 * torch.randn(200, learned.head.n, dtype=torch.float64)
-        if learned.space.rotations:
-            q = learned.space.of_vector(0.01 * q)
-        mass = learned.mass_matrix(q)
-    assert torch.equal(mass, mass.mT)
-    assert torch.linalg.eigvalsh(mass).min() > 0.0
-
-
-def test_angles_are_periodic_and_translations_are_not(learned):
-    q, v = (x.detach() for x in points(learned))
+    q = learned.space.of_vector(q)
     owner = learned.embedding.owner.tolist()  # an angle owns a cosine and a sine
     for i in range(len(learned.embedding.selection.T)):
         turned = q.clone()
@@ -107,10 +37,6 @@ def test_embedding_lists_translations_then_cosines_then_sines():
     x = Embedding(angular=(True, False, True))(q).x
     expected = [2.0, *torch.cos(q[0, [0, 2]]).tolist(), *torch.sin(q[0, [0, 2]]).tolist()]
     torch.testing.assert_close(x[0], torch.tensor(expected))
-
-
-def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(learned):
-    assert_each_sample_alone(learned, *(x.detach()[:3] for x in points(learned)))
 
 
 def test_harmonics_of_rotations_are_refused():

@@ -1,4 +1,4 @@
-"""The learned rigid body: derivatives, a possible body for any parameters, and recovery."""
+"""The learned rigid body: a possible body for any parameters, and recovery."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from torch import Tensor
 from symo_exp.data.noise import add_noise
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.galerkin import Galerkin
-from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.mechanics.windows import cut_windows
@@ -29,20 +28,13 @@ from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 from symo_exp.training.learner import Learner
-from tests.learned import assert_each_sample_alone
+from tests.nets.test_closed_forms import BODIES, BODY_KINDS, PIVOT
 from tests.tables import explicit_integrators
 
-PIVOT = Coordinates.of(rotations=("R",))
-FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",))
-KINDS: dict[str, dict[str, Any]] = {
-    "parameters": {},
-    "inputs": {"learned_inputs": 2},
-    "networks": {"learned_inputs": 2, "potential_width": 5, "input_width": 4},
-}
 ROOT = Newton(tolerance=1e-12, max_iterations=30)
 
 
-@pytest.fixture(params=[PIVOT, FREE], ids=["pivot", "free"])
+@pytest.fixture(params=BODIES.values(), ids=BODIES)
 def coordinates(request: pytest.FixtureRequest) -> Coordinates:
     found: Coordinates = request.param
     return found
@@ -50,7 +42,7 @@ def coordinates(request: pytest.FixtureRequest) -> Coordinates:
 
 def body(coordinates: Coordinates, kind: str) -> LearnedRigidBody:
     torch.manual_seed(1)
-    return LearnedRigidBody(coordinates=coordinates, **KINDS[kind]).double()
+    return LearnedRigidBody(coordinates=coordinates, **BODY_KINDS[kind]).double()
 
 
 def points(coordinates: Coordinates, rows: int = 3) -> tuple[Tensor, Tensor, Tensor]:
@@ -60,28 +52,11 @@ def points(coordinates: Coordinates, rows: int = 3) -> tuple[Tensor, Tensor, Ten
     return coordinates.space.of_vector(q), v, u
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_derivatives_are_those_of_automatic_differentiation(
+@pytest.mark.parametrize("kind", ["inputs", "networks"])
+def test_forces_of_learned_inputs_have_derivatives_sample_by_sample(
     coordinates: Coordinates, kind: str
 ) -> None:
-    found, (q, v, _) = body(coordinates, kind), points(coordinates)
-    for ours, theirs in (
-        (found.gradients(q, v), Lagrangian.gradients(found, q, v)),
-        (found.rates(q, v), Lagrangian.rates(found, q, v)),
-        (found.expand(q, v).curvature(), AutodiffExpansion(found, q, v).curvature()),
-    ):
-        for mine, oracle in zip(ours, theirs, strict=True):
-            torch.testing.assert_close(mine, oracle)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(
-    coordinates: Coordinates, kind: str
-) -> None:
-    found, (q, v, u) = body(coordinates, kind), points(coordinates)
-    assert_each_sample_alone(found, q, v)
-    if not found.learned_inputs:
-        return
+    found, (q, _, u) = body(coordinates, kind), points(coordinates)
     parameters = list(found.parameters())
     none = torch.zeros(coordinates.n, 2)
     each = parameter_jacobian(lambda: found.input_force(none, q, u), parameters).parameters

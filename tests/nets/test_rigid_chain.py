@@ -1,52 +1,21 @@
-"""The learned chain of rigid bodies: closed forms against autograd, and exact representation."""
+"""The learned chain of rigid bodies: exact representation and settings."""
 
 import pytest
 import torch
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.systems.mujoco import read_mechanism
 from symo_exp.systems.multibody import Multibody
-from tests.learned import assert_each_sample_alone, assert_same
 from tests.systems import models
+from tests.systems.every import points
 from tests.systems.models import read
 from tests.tables import CONF
-
-ANGULAR = [(True,), (False,), (False, True, True), (True, False, True, True), (True,) * 7]
 
 
 def named(angular):
     return Coordinates(tuple(f"q{i}" for i in range(len(angular))), angular)
-
-
-def points(n, count=6):
-    generator = torch.Generator().manual_seed(3)
-    return torch.randn(2, count, n, dtype=torch.float64, generator=generator).unbind()
-
-
-@pytest.fixture(params=ANGULAR, ids=str)
-def chain(request):
-    torch.manual_seed(5)
-    return RigidChain(coordinates=named(request.param)).double()
-
-
-@pytest.mark.parametrize("quantity", ["gradients", "rates"])
-def test_closed_forms_and_their_derivatives_are_those_of_autograd(chain, quantity):
-    q, v = (x.requires_grad_() for x in points(len(chain.turns)))
-    closed = getattr(chain, quantity)(q, v)
-    plain = getattr(Lagrangian, quantity)(chain, q, v)
-    assert_same(closed, plain, [q, v, *chain.parameters()], 1e-11)
-
-
-def test_the_inertia_is_positive_definite(chain):
-    q, _ = points(len(chain.turns), 200)
-    assert torch.linalg.eigvalsh(chain.mass_matrix(q)).min() > 0.0
-
-
-def test_derivatives_sample_by_sample_are_those_of_each_sample_alone(chain):
-    assert_each_sample_alone(chain, *points(len(chain.turns), 3))
 
 
 TRUTHS = {
@@ -90,7 +59,7 @@ def of_truth(system: Multibody) -> RigidChain:
 @pytest.mark.parametrize("name", TRUTHS)
 def test_any_chain_of_rigid_bodies_is_represented_exactly(name):
     system = TRUTHS[name]()
-    q, _ = points(system.coordinates.n)
+    q, *_ = points(system, 6)
     found = of_truth(system)
     torch.testing.assert_close(found.mass_matrix(q), system.mass_matrix(q), rtol=1e-9, atol=1e-9)
     height = found.potential(q) - system.potential(q)  # up to a constant

@@ -186,13 +186,6 @@ class Space:
         flat, phi = self._parts(x)
         return torch.cat((flat, exponential(phi).flatten(-3)), dim=-1)
 
-    def to_vector(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
-        """Return flat coordinates and rotation vectors of configurations."""
-        if not self.rotations:
-            return q
-        flat, turn = self._split(q)
-        return torch.cat((flat, rotation_vector(turn).flatten(-2)), dim=-1)
-
     def of_quaternions(self, x: Float[Tensor, "*batch K"]) -> Float[Tensor, "*batch N"]:
         """Return configurations of flat coordinates and quaternions, the scalar first."""
         if not self.rotations:

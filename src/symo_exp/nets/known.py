@@ -44,19 +44,6 @@ class KnownConstant(Protocol):
         ...
 
 
-class KnownSystem(Protocol):
-    """A system whose equations of motion are known (``symo_exp.systems.base.LagrangianSystem``)."""
-
-    @property
-    def constants(self) -> Mapping[str, Any]:
-        """Its constants by name."""
-        ...
-
-    def with_constants(self, values: Mapping[str, Tensor]) -> Any:
-        """Return the system with other values of its constants."""
-        ...
-
-
 class KnownLagrangian(nn.Module, Lagrangian):
     """A system's own inertia and potential, with its constants as parameters.
 

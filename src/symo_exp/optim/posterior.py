@@ -57,10 +57,6 @@ class Posterior(NamedTuple):
     model_noise: float
     residuals: int
 
-    def covariance(self) -> Float[Tensor, "p p"]:
-        """Return the covariance, without that of the free directions, which is infinite."""
-        return self.directions @ self.directions.T
-
     def informed(self) -> Float[Tensor, "p k"]:
         """Return the directions without their parts that data have no information about.
 
