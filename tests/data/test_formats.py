@@ -233,7 +233,9 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
         ("x.mat", b"nonsense", "cannot be read"),
         ("x.db3", b"nonsense", "ROS bag"),
         ("x.parquet", b"PAR1 nonsense", "cannot be read"),
+        ("empty.parquet", b"", "cannot be read"),
         ("empty.csv", b"", "cannot be read"),
+        ("ragged.csv", b"trajectory,t,q_x,q_theta\n0,0,0,0\n0,0.1,0,0,5\n", "Expected 4 fields"),
         ("bytes.csv", b"\xff\xfe\x00\x81,\n\x9d", "data.path"),
     ],
 )

@@ -138,6 +138,8 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
         (lambda t: t[(t["t"] < 0.19) | (t["t"] > 0.32)], "nothing is left for train; train: gaps"),
         (lambda t: pd.concat([t, t.iloc[:1]]), "trajectory 0 steps by 0 s"),
         (lambda t: t.assign(q_x=t["q_x"].where(t.index != 3)), "q_x is empty or not finite"),
+        (lambda t: t.assign(q_x=t["q_x"].where(t.index != 3, math.inf)), "q_x is empty or not"),
+        (lambda t: t.iloc[:0], "has 0 trajectories, too few"),
         (lambda t: t.assign(q_x="high"), "q_x holds values that are not numbers"),
         (lambda t: t.assign(trajectory=t["trajectory"].where(t.index != 3)), "without a traj"),
         (

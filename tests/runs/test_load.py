@@ -5,7 +5,6 @@ import subprocess
 import sys
 import zipfile
 
-import lightning
 import pytest
 import torch
 import yaml
@@ -20,6 +19,7 @@ from symo_exp.training.learner import Learner
 from symo_exp.use.environments import environment
 from tests.tables import stated
 from tests.tiny import copy_store
+from tests.trainers import quiet_trainer
 
 SYSTEMS = {
     "pendulum": stated("pendulum") | {"mass": 1.5},
@@ -73,10 +73,7 @@ def made(folder, settings):
     )
     n, m = system.input_matrix.shape
     samples = Windows(*(0.1 * torch.randn(4, k) for k in (n, n, n, n, n, m, m, m)))
-    trainer = lightning.Trainer(
-        max_epochs=2, logger=False, accelerator="cpu", enable_progress_bar=False,
-        enable_model_summary=False, enable_checkpointing=False, default_root_dir=folder,
-    )  # fmt: skip
+    trainer = quiet_trainer(2, folder)
     learner = Learner(model, optimizer=lambda p: torch.optim.Adam(p, lr=1e-3))
     trainer.fit(learner, train_dataloaders=Epoch([samples]))
     RunFolder(folder).write_config(settings)
@@ -183,29 +180,41 @@ def edited(folder, change):
 
 
 HARM = {"_target_": "os.mkdir", "path": "harm"}
+DETOUR = "symo_exp.systems.mujoco_library.os.mkdir"
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "wanted"),
     [
-        lambda c: c["model"].update(root=HARM),
-        lambda c: c["model"].update(_target_="subprocess.run"),
-        lambda c: c["model"].update(fallback=[{"deep": HARM}]),
-        lambda c: c["system"].update(HARM),
-        lambda c: c["model"].update(root={**HARM, "_target_": "symo_exp.systems.base.os.mkdir"}),
-        lambda c: c["model"].update(root={**HARM, "_target_": "symo_exp.systems.base.math.sqrt"}),
-        lambda c: c["model"].update(root={"_target_": "symo_exp.mechanics.lagrangian.matvec"}),
-        lambda c: c["model"].update(root={"_target_": "torch.hub.load", "repo": "x"}),
-        lambda c: c["model"].update(_target_=["os.mkdir"]),
-        lambda c: c["model"].update(_target_="symo_exp.models.nothing.Here"),
-        lambda c: c["model"].update(root="${oc.create:{_target_: os.mkdir, path: harm}}"),
-        lambda c: c.pop("model"),
-        lambda c: c.update(system=3),
+        (lambda c: c["model"].update(root=HARM), "os.mkdir is refused"),
+        (lambda c: c["model"].update(_target_="subprocess.run"), "subprocess.run is refused"),
+        (lambda c: c["model"].update(fallback=[{"deep": HARM}]), "os.mkdir is refused"),
+        (lambda c: c["system"].update(HARM), "os.mkdir is refused"),
+        (lambda c: c["model"].update(root={**HARM, "_target_": DETOUR}), "os.mkdir is refused"),
+        (
+            lambda c: c["model"].update(root={"_target_": "symo_exp.mechanics.lagrangian.matvec"}),
+            "matvec is refused",
+        ),
+        (
+            lambda c: c["model"].update(root={"_target_": "torch.hub.load", "repo": "x"}),
+            "torch.hub.load is refused",
+        ),
+        (lambda c: c["model"].update(_target_=["os.mkdir"]), "['os.mkdir'] is refused"),
+        (
+            lambda c: c["model"].update(_target_="symo_exp.models.nothing.Here"),
+            "has no attribute 'nothing'",
+        ),
+        (
+            lambda c: c["model"].update(root="${oc.create:{_target_: os.mkdir, path: harm}}"),
+            "holds an unresolved setting",
+        ),
+        (lambda c: c.pop("model"), "it has no model"),
+        (lambda c: c.update(system=3), "it has no system"),
     ],
 )
-def test_a_configuration_runs_nothing_but_models(folder, change, monkeypatch, tmp_path):
+def test_a_configuration_runs_nothing_but_models(folder, change, wanted, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    edited(folder, change)
+    assert wanted in edited(folder, change)
     assert not (tmp_path / "harm").exists()
 
 
