@@ -8,6 +8,7 @@ from pathlib import Path
 import symo_exp
 
 ROOT = Path(symo_exp.__file__).parent
+PLUGINS = ROOT.parent / "hydra_plugins"
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 # package: (packages of ours it may import, third parties it may import)
@@ -70,8 +71,9 @@ RULES = {
 
 
 DOCUMENTED = {"_replace", "_fields", "_asdict", "_make"}
-LOOPS = {"fit_loop", "epoch_loop", "validate_loop", "manual_optimization"}
 PRIVATE_NAME = re.compile(r"_[a-z]\w*(?<!_)|_(foreach|fused)_\w+")
+INTERNAL_NAME = re.compile(r"\w+_loop|\w+_connector|\w+_progress|manual_optimization")
+"""Attributes of Lightning's loops: without an underscore, and without a promise to stay."""
 
 
 def imports(file: Path) -> Iterator[str]:
@@ -88,7 +90,7 @@ def imports(file: Path) -> Iterator[str]:
 
 
 def foreign_attributes(file: Path) -> Iterator[str]:
-    """Private attributes that the file uses and does not define, and the loops of Lightning.
+    """Private attributes that the file uses and does not define, and internal ones of Lightning.
 
     Attributes with an underscore that are documented are no private ones: those of named tuples
     and Hydra's keys, as ``_target_``.
@@ -106,7 +108,7 @@ def foreign_attributes(file: Path) -> Iterator[str]:
         if isinstance(word, ast.Constant) and isinstance(word.value, str)
     }
     yield from sorted(name for name in used - own - DOCUMENTED if PRIVATE_NAME.fullmatch(name))
-    yield from sorted(used & LOOPS)
+    yield from sorted(name for name in used if INTERNAL_NAME.fullmatch(name))
 
 
 def files(package: str) -> list[Path]:

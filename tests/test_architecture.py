@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from tests.architecture import (
+    PLUGINS,
     ROOT,
     RULES,
     files,
@@ -88,7 +89,7 @@ PRIVATE = re.compile(r"(?:hydra|submitit|lightning|mlflow|omegaconf|loky|joblib)
 def test_libraries_are_used_by_their_public_interface():
     """No mock in the sources, no private module but of torch's compiler, and that in one file."""
     compilers = set()
-    for file in [*ROOT.rglob("*.py"), *ROOT.parent.glob("hydra_plugins/*.py")]:
+    for file in [*ROOT.rglob("*.py"), *PLUGINS.glob("*.py")]:
         for name in imports(file):
             assert not PRIVATE.match(name), f"{file} imports {name}"
             if name.startswith(("torch._inductor", "torch._dynamo", "torch.fx.experimental")):
@@ -109,8 +110,8 @@ PRIVATE_ATTRIBUTES = {
 
 def test_attributes_of_libraries_are_public():
     found = {
-        file.relative_to(ROOT).as_posix(): names
-        for file in ROOT.rglob("*.py")
+        (file.relative_to(ROOT) if file.is_relative_to(ROOT) else file).as_posix(): names
+        for file in (*ROOT.rglob("*.py"), *PLUGINS.glob("*.py"))
         if (names := set(foreign_attributes(file)))
     }
     assert found == PRIVATE_ATTRIBUTES
