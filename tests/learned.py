@@ -1,6 +1,7 @@
 """A learned Lagrangian whose derivatives are well scaled enough for finite differences."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -9,6 +10,17 @@ from torch import Tensor
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
+
+
+@contextmanager
+def double_precision() -> Iterator[None]:
+    """Have new tensors and modules in float64."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(before)
 
 
 def learned_lagrangian(

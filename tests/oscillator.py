@@ -11,6 +11,7 @@ from torch import Tensor
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
 from symo_exp.mechanics.windows import cut_windows
+from symo_exp.models.flows import Rollout, Step
 
 
 @dataclass(frozen=True)
@@ -57,19 +58,6 @@ def data(system: Oscillator, h: float, steps: int = 30, batch: int = 3) -> Data:
     trajectories = Trajectories(q, v, torch.zeros_like(q[..., :1]))
     samples = cut_windows(trajectories.each())
     return Data(samples, samples, trajectories)
-
-
-class Step(NamedTuple):
-    q: Tensor
-    v: Tensor
-    converged: Tensor
-    iterations: Tensor
-
-
-class Rollout(NamedTuple):
-    q: Tensor
-    v: Tensor
-    converged: Tensor
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,15 @@ def systems() -> dict[str, Any]:
     return {name: instantiate(stated(name)) for name in known_systems()}
 
 
+def arguments_of(system: Any) -> dict[str, Any]:
+    """What every model is told of a system."""
+    return {
+        "coordinates": system.coordinates,
+        "input_matrix": system.input_matrix,
+        "time_step": system.time_step,
+    }
+
+
 @cache
 def known_systems() -> list[str]:
     """Names of the systems that a file states whole; others are known by a recording or a model."""

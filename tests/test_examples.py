@@ -4,20 +4,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 import torch
 
 from examples.planning import HOLD, Planner
+from symo_exp.models.flows import Rollout
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "swing_up.py"
-
-
-class Motion(NamedTuple):
-    q: torch.Tensor
-    v: torch.Tensor
-    converged: torch.Tensor
 
 
 class Pendulum:
@@ -33,7 +27,7 @@ class Pendulum:
             q = q + self.time_step * v
             nodes.append((q, v))
         q, v = (torch.stack(x, dim=1) for x in zip(*nodes, strict=True))
-        return Motion(q, v, torch.ones(q.shape[:2], dtype=torch.bool)[:, 1:])
+        return Rollout(q, v, torch.ones(q.shape[:2], dtype=torch.bool)[:, 1:])
 
     def linearize(self, q, v, u=None):
         h, bend = self.time_step, torch.cos(q)

@@ -20,6 +20,7 @@ from symo_exp.systems.table import system as stated
 from symo_exp.thesis.draws import Published
 from symo_exp.thesis.solver import SolveIvp
 from tests.data.small import ready, small
+from tests.trainers import quiet_trainer
 from tests.unknown import Unknown
 
 
@@ -227,23 +228,11 @@ class Spy(lightning.LightningModule):
         return torch.optim.SGD(self.parameters(), lr=1e-3)
 
 
-def fit(model: Spy, data: lightning.LightningDataModule, epochs: int = 2) -> Spy:
-    trainer = lightning.Trainer(
-        max_epochs=epochs,
-        accelerator="cpu",
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        num_sanity_val_steps=0,
-    )
-    trainer.fit(model, datamodule=data)
-    return model
-
-
 @pytest.mark.filterwarnings("ignore")
-def test_every_model_gets_the_same_batches_from_the_trainer() -> None:
-    one, two = (fit(Spy(width), small(batch_size=5)) for width in (1, 7))
+def test_every_model_gets_the_same_batches_from_the_trainer(tmp_path: Path) -> None:
+    one, two = Spy(1), Spy(7)
+    for model in (one, two):
+        quiet_trainer(2, tmp_path).fit(model, datamodule=small(batch_size=5))
     assert len(one.seen) == 8
     assert equal(tuple(one.seen), tuple(two.seen))
     data = ready(batch_size=5)
@@ -284,13 +273,6 @@ def test_bad_values_are_refused_before_anything_is_made(changes: dict, message: 
 def test_a_system_whose_equations_are_unknown_cannot_be_simulated() -> None:
     with pytest.raises(ConfigError, match=r"data=simulated.*Unknown.*data=recorded"):
         small(system=Unknown(time_step=0.1))
-
-
-def test_default_sizes_are_those_of_the_thesis() -> None:
-    data = datamodule.TrajectoryData(system=stated("cartpole"), n_traj=128)
-    sizes = data.recipe()["trajectories"]
-    assert sizes == {"train": 128, "val": 128, "test": 128, "integration": 16}
-    assert (data.n_steps, data.integration_steps, data.batch_size) == (32, 500, 512)
 
 
 def test_trajectories_start_where_windows_do() -> None:

@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 import torch
 
-from symo_exp.data.base import central_differences
 from symo_exp.data.noise import add_noise
 from symo_exp.data.recorded import RecordedData, write_recordings
 from symo_exp.errors import ConfigError
@@ -112,9 +111,3 @@ def test_noise_turns_rotations_by_its_size() -> None:
     turns = [x.q[:, 3:].view(-1, 3, 3) for x in (clean[0], noisy[0])]
     assert 0.5e-2 < float(angle(*turns).square().mean().sqrt()) / 3**0.5 < 2e-2
     torch.testing.assert_close(turns[1] @ turns[1].mT, torch.eye(3).double().expand_as(turns[1]))
-
-
-def test_central_differences_are_body_rates() -> None:
-    path, space = motion(), stated("quadrotor").coordinates.space
-    found = central_differences(path.q[0], H, space)
-    assert (found - path.v[0])[1:-1].abs().max() < 0.03 * path.v[0].abs().max()

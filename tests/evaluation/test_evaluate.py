@@ -24,6 +24,7 @@ from symo_exp.nets.mlp import MLP
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver
 from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
+from tests.tables import arguments_of
 from tests.unknown import Unknown
 
 H = 0.1
@@ -181,10 +182,7 @@ def test_unknown_systems_have_no_measures_of_the_truth(model: partial, tmp_path:
     write_recordings(path, truth, chain.coordinates, chain.time_step)
     sets = RecordedData(system=system, path=path)
     sets.setup()
-    learned = model(
-        integrator=RK4(), coordinates=system.coordinates,
-        input_matrix=system.input_matrix, time_step=system.time_step,
-    )  # fmt: skip
+    learned = model(integrator=RK4(), **arguments_of(system))
     found = evaluate(learned, system, sets)
     windows = {*found.recorded.model.measures()}
     windows |= {f"constant_velocity_{name}" for name in windows} | {"windows", "window_s"}

@@ -15,7 +15,7 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.true import TrueOde, TrueVariational
 from symo_exp.systems.base import System
-from tests.tables import systems
+from tests.tables import arguments_of, systems
 
 # test MSE over the sampling box of the thesis: variational midpoint, order 4, RK4
 FLOORS = {
@@ -37,10 +37,7 @@ def data(name: str) -> TrajectoryData:
 
 
 def given(system: System) -> dict:
-    return {
-        "lagrangian": system, "coordinates": system.coordinates,
-        "input_matrix": system.input_matrix, "time_step": system.time_step,
-    }  # fmt: skip
+    return {"lagrangian": system, **arguments_of(system)}
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,9 @@ from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.optim.posterior import posterior
 from symo_exp.systems.simulation import Solver, simulate
+from tests.learned import double_precision
 from tests.systems.every import SYSTEMS
+from tests.tables import arguments_of
 
 SIGMA = 1e-3
 
@@ -34,9 +36,7 @@ def table(system, *, forced, fixed=()):
     ).double()
     model = TrueVariational(
         lagrangian=lagrangian,
-        coordinates=system.coordinates,
-        input_matrix=system.input_matrix,
-        time_step=system.time_step,
+        **arguments_of(system),
         integrator=Galerkin(stages=2),
         root=Newton(),
     ).double()
@@ -53,10 +53,8 @@ def table(system, *, forced, fixed=()):
 
 @pytest.fixture(autouse=True)
 def double():
-    before = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(before)
+    with double_precision():
+        yield
 
 
 def test_a_driven_pendulum_is_determined_up_to_one_scale():

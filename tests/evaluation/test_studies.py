@@ -20,17 +20,14 @@ from symo_exp.models.node import NODE
 from symo_exp.models.true import TrueOde, TrueVariational
 from symo_exp.nets.mlp import MLP
 from tests.oscillator import oscillator
-from tests.tables import systems
+from tests.tables import arguments_of, systems
 
 SYSTEMS = systems()
 ROOT = Newton(tolerance=1e-12, max_iterations=50)
 
 
-def given(system, lagrangian=None, **other):
-    return {
-        "lagrangian": lagrangian or system, "coordinates": system.coordinates,
-        "input_matrix": system.input_matrix, "time_step": system.time_step, **other,
-    }  # fmt: skip
+def given(system, lagrangian=None):
+    return {"lagrangian": lagrangian or system, **arguments_of(system)}
 
 
 def variational(system, integrator=None, **other):
@@ -169,10 +166,7 @@ def test_learned_quantities_are_compared_with_the_true_ones():
 
 def test_a_method_without_a_lagrangian_has_no_learned_quantities():
     system = SYSTEMS["pendulum"]
-    node = NODE(
-        net=partial(MLP, width=4, depth=2), integrator=RK4(), coordinates=system.coordinates,
-        input_matrix=system.input_matrix, time_step=system.time_step,
-    )  # fmt: skip
+    node = NODE(net=partial(MLP, width=4, depth=2), integrator=RK4(), **arguments_of(system))
     assert LearnedQuantities(name="learned", steps=3)(node, system, None).columns == {}
     moved = Motion(name="long", steps=3, count=1)(node, system, None)
     assert moved.columns["log_volume"].isfinite().all()

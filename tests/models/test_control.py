@@ -39,51 +39,6 @@ def test_derivatives_of_a_step_are_those_of_finite_differences(method, integrato
     torch.testing.assert_close(torch.cat((a, b), dim=2), expected, atol=2e-7, rtol=1e-6)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
-@pytest.mark.parametrize(("method", "integrator"), [("node", "rk4"), ("l_node", "dopri5")])
-def test_explicit_derivatives_are_those_of_autograd(method, integrator, n):
-    model, data = make(method, integrator, n), windows(n)
-    x = torch.cat((data.q, data.v, data.u), dim=1)
-    summed = torch.autograd.functional.jacobian(lambda x: state_map(model, n)(x).sum(0), x)
-    found = torch.cat(model.linearize(data.q, data.v, data.u), dim=2)
-    torch.testing.assert_close(found, summed.permute(1, 0, 2))
-
-
-@pytest.mark.parametrize("n", [1, 2])
-def test_implicit_derivatives_are_those_of_an_unrolled_newton_iteration(n):
-    """Both the iteration and its derivatives by autograd."""
-    model, data = make("symo", "midpoint", n), windows(n)
-    lagrangian, h, force = model.lagrangian, model.time_step, model.input_matrix
-
-    def midpoint(q0, q1):
-        p, q = lagrangian.momentum, 0.5 * (q0 + q1)
-        middle = torch.func.grad(
-            lambda q, v: 0.5 * v @ p(q[None], v[None])[0] - lagrangian.potential(q[None])[0],
-            argnums=0,
-        )
-        v = (q1 - q0) / h
-        return 0.5 * h * torch.func.vmap(middle)(q, v), p(q, v)
-
-    def residual(q0, p0, u, q1):
-        dq, p = midpoint(q0, q1)
-        return p0 + dq - p + 0.5 * h * u @ force.T
-
-    def step(x):
-        q, v, u = (y[None] for y in x.split((n, n, 1)))
-        p, q1 = lagrangian.momentum(q, v), q + h * v
-        for _ in range(8):
-            g = residual(q, p, u, q1)
-            slope = torch.func.jacrev(lambda y, q=q, p=p, u=u: residual(q, p, u, y[None])[0])(q1[0])
-            q1 = q1 - torch.linalg.solve(slope, g[0])
-        dq, momentum = midpoint(q, q1)
-        after = momentum + dq + 0.5 * h * u @ force.T
-        return torch.cat((q1, lagrangian.velocity(q1, after)), dim=1)[0]
-
-    found = torch.cat(model.linearize(data.q, data.v, data.u), dim=2)
-    for row, x in enumerate(torch.cat((data.q, data.v, data.u), dim=1)[:2]):
-        torch.testing.assert_close(found[row], torch.func.jacrev(step)(x), rtol=1e-7, atol=1e-9)
-
-
 def test_derivatives_do_not_depend_on_the_sensitivity_of_training():
     data = windows(2)
     direct, adjoint = (

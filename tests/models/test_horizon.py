@@ -21,6 +21,7 @@ from symo_exp.systems.table import system as stated
 from symo_exp.training.learner import Learner
 from tests.jobs import refusal
 from tests.models.methods import flows, make, pairwise
+from tests.tables import arguments_of
 
 STEPS = 4
 EVERY = pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows()))
@@ -114,9 +115,7 @@ def identified(method, optimizer, *, outliers, huber=1.345):
         kind, arguments = METHODS[method]
         return system, kind(
             partial(KnownLagrangian, system=system, fixed=["gravity"]),
-            coordinates=system.coordinates,
-            input_matrix=system.input_matrix,
-            time_step=system.time_step,
+            **arguments_of(system),
             **arguments,
         ).double()
 

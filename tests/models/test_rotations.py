@@ -23,6 +23,7 @@ from symo_exp.nets.drag import LearnedBodyDrag
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.table import system as stated
+from tests.tables import arguments_of
 
 ROOT = Newton(tolerance=1e-12, max_iterations=30)
 NAMES = ["rigid_body", "quadrotor"]
@@ -31,10 +32,7 @@ FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",))
 
 
 def model_of(system: LagrangianSystem, kind: str) -> DynamicsModel:
-    shared = {
-        "coordinates": system.coordinates, "input_matrix": system.input_matrix,
-        "time_step": system.time_step,
-    }  # fmt: skip
+    shared = arguments_of(system)
     if kind == "explicit":
         return TrueOde(system, integrator=RK4(), **shared).double()
     return TrueVariational(system, integrator=Galerkin(stages=2), root=ROOT, **shared).double()

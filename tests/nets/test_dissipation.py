@@ -22,8 +22,10 @@ from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.training.learner import Learner
 from tests.dissipative import machine_friction
+from tests.learned import double_precision
 from tests.nets.test_closed_forms import BODIES, TURNING, moved
 from tests.systems.models import mjcf, read
+from tests.tables import arguments_of
 
 
 @pytest.mark.parametrize(
@@ -109,11 +111,11 @@ LAWS = {
 def test_friction_of_a_simulated_machine_is_recovered(law):
     """A driven pendulum; the force to 5 % of its largest value, from motions without noise."""
     formula, options = LAWS[law]
-    h, system = 0.02, ChainPendulum(1)
+    h = 0.02
+    system = ChainPendulum(1, time_step=h)
     truth = TrueVariational(
-        lagrangian=DissipativeLagrangian(system, Law(formula)), coordinates=system.coordinates,
-        input_matrix=system.input_matrix, time_step=h, integrator=Galerkin(stages=2),
-        root=Newton(tolerance=1e-11, max_iterations=30), evaluation_dtype="float64",
+        lagrangian=DissipativeLagrangian(system, Law(formula)), **arguments_of(system),
+        integrator=Galerkin(stages=2), root=Newton(tolerance=1e-11, max_iterations=30),
     ).double()  # fmt: skip
     generator = torch.Generator().manual_seed(7)
     q, v, phase = torch.randn(3, 4, 1, dtype=torch.float64, generator=generator)
@@ -123,16 +125,13 @@ def test_friction_of_a_simulated_machine_is_recovered(law):
     assert path.converged.all()
     samples = cut_windows(Trajectories(path.q, path.v, u).each())
     torch.manual_seed(0)
-    torch.set_default_dtype(torch.float64)
-    try:
+    with double_precision():
         model = SyMo(
-            coordinates=system.coordinates, input_matrix=system.input_matrix, time_step=h,
-            objective=PreconditionedResidual(), integrator=Galerkin(stages=2), root=Newton(),
+            **arguments_of(system), objective=PreconditionedResidual(),
+            integrator=Galerkin(stages=2), root=Newton(),
             lagrangian=partial(NetworkLagrangian, width=2, depth=1, harmonics=1),
             dissipation=lambda *, coordinates: MachineFriction(coordinates=coordinates, **options),
         )  # fmt: skip
-    finally:
-        torch.set_default_dtype(torch.float32)
     learner, optimizer = Learner(model), LevenbergMarquardt(model.parameters())
     for _ in range(60):
         optimizer.epoch(learner, [samples])

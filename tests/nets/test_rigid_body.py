@@ -28,8 +28,10 @@ from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 from symo_exp.training.learner import Learner
+from tests.differences import assert_gradients
+from tests.learned import double_precision
 from tests.nets.test_closed_forms import BODIES, BODY_KINDS, PIVOT
-from tests.tables import explicit_integrators
+from tests.tables import arguments_of, explicit_integrators
 
 ROOT = Newton(tolerance=1e-12, max_iterations=30)
 
@@ -118,16 +120,11 @@ def learner(stages: int) -> Learner:
     """SyMo of a rigid body in float64."""
     system = stated("rigid_body")
     torch.manual_seed(0)
-    before = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    try:
+    with double_precision():
         model = SyMo(
-            LearnedRigidBody, coordinates=system.coordinates, input_matrix=system.input_matrix,
-            time_step=system.time_step, integrator=Galerkin(stages=stages), root=ROOT,
-            objective=PreconditionedResidual(),
+            LearnedRigidBody, integrator=Galerkin(stages=stages), root=ROOT,
+            objective=PreconditionedResidual(), **arguments_of(system),
         )  # fmt: skip
-    finally:
-        torch.set_default_dtype(before)
     return Learner(model)
 
 
@@ -166,16 +163,13 @@ def test_inertia_and_centre_are_recovered_from_noisy_poses() -> None:
 @pytest.mark.parametrize("name", ["rigid_body", "spherical_pendulum", "quadrotor"])
 @pytest.mark.parametrize("method", ["node", "l_node", "symo", "e2e_symo"])
 def test_every_method_has_a_loss_and_its_gradient(name: str, method: str) -> None:
-    """Gradients of all parameters, against differences along a random direction."""
+    """Gradients of all parameters, against differences along random directions."""
     system = stated(name)
     q, v, u = system.points(4, seed=0)
     path = simulate(system, q, v, u, 2, Solver())
     samples = cut_windows(path.each())
     torch.manual_seed(0)
-    shared = {
-        "coordinates": system.coordinates, "input_matrix": system.input_matrix,
-        "time_step": system.time_step,
-    }  # fmt: skip
+    shared = arguments_of(system)
     rk4, galerkin = explicit_integrators()["rk4"], {"integrator": Galerkin(stages=2), "root": ROOT}
     made = {
         "node": lambda: NODE(partial(MLP, width=6, depth=1), integrator=rk4, **shared),
@@ -184,15 +178,7 @@ def test_every_method_has_a_loss_and_its_gradient(name: str, method: str) -> Non
         "e2e_symo": lambda: E2ESyMo(LearnedRigidBody, **galerkin, **shared),
     }
     model = made[method]().double()
-    loss = model.objective(model.flow, samples).loss
-    parameters = list(model.parameters())
-    gradients = torch.autograd.grad(loss, parameters)
-    directions = [torch.randn_like(p) for p in parameters]
-    ends = []
-    for sign in (1.0, -2.0):
-        with torch.no_grad():
-            for p, d in zip(parameters, directions, strict=True):
-                p += sign * 1e-5 * d
-            ends.append(model.objective(model.flow, samples).loss)
-    found = sum(float((g * d).sum()) for g, d in zip(gradients, directions, strict=True))
-    assert found == pytest.approx(float(ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-9)
+    assert_gradients(
+        lambda: model.objective(model.flow, samples).loss, list(model.parameters()), eps=1e-5,
+        atol=1e-9, rtol=1e-4,
+    )  # fmt: skip

@@ -8,13 +8,15 @@ import torch
 
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.types import Coordinates, Trajectories
+from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.objectives import PreconditionedResidual, RootError, StateError
 from symo_exp.models.symo import SyMo
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.training.learner import Learner
+from tests.learned import double_precision
 
 H = 0.02
 
@@ -22,8 +24,7 @@ H = 0.02
 def slides(n, *, inertia, friction):
     """A chain of slides, each a body on the one before."""
     torch.manual_seed(0)
-    torch.set_default_dtype(torch.float64)
-    try:
+    with double_precision():
         return SyMo(
             coordinates=Coordinates(tuple("abc"[:n]), (False,) * n), input_matrix=torch.eye(n),
             time_step=H, objective=PreconditionedResidual(), integrator=Galerkin(stages=2),
@@ -33,8 +34,6 @@ def slides(n, *, inertia, friction):
             ),
             dissipation=partial(LearnedDissipation, start=friction),
         )  # fmt: skip
-    finally:
-        torch.set_default_dtype(torch.float32)
 
 
 def motions(model, *, forced=True, count=8):
@@ -45,9 +44,7 @@ def motions(model, *, forced=True, count=8):
     held = 5.0 * torch.randn(count, 1, n, dtype=torch.float64, generator=generator)
     u = (held if forced else torch.zeros_like(held)).expand(-1, steps, -1)
     path = model.for_evaluation().rollout(q, v, u)
-    nodes = [slice(0, -2), slice(1, -1), slice(2, None)]
-    fields = [x[:, s].flatten(0, 1) for x in (path.q, path.v, u) for s in nodes]
-    return Windows(*fields[:3], *fields[4:6], *fields[6:])
+    return cut_windows(Trajectories(path.q, path.v, u).each())
 
 
 def trained(model, samples, *, force_epochs, epochs=60):

@@ -3,9 +3,7 @@
 import copy
 import math
 from itertools import pairwise
-from types import SimpleNamespace
 
-import lightning
 import pytest
 import torch
 from torch import nn
@@ -18,6 +16,7 @@ from symo_exp.optim.lbfgs import LBFGS
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.optim.total_least_squares import TotalLeastSquares
 from tests.models.methods import learner, windows
+from tests.trainers import quiet_trainer
 
 
 def halves(n, samples=24):
@@ -192,13 +191,9 @@ def test_a_training_stops_when_the_optimizer_is_finished(tmp_path):
     model = learner(
         "symo", "midpoint", 2, optimizer=lambda p: LevenbergMarquardt(p, patience=1), scheduler=None
     )
-    data = SimpleNamespace(train=[halves(2)], val=[windows(2, 7)])
-    trainer = lightning.Trainer(
-        max_epochs=200, accelerator="cpu", logger=False, enable_checkpointing=False,
-        enable_progress_bar=False, enable_model_summary=False, inference_mode=False,
-        default_root_dir=tmp_path, num_sanity_val_steps=0,
-    )  # fmt: skip
-    loaders = [torch.utils.data.DataLoader(x, batch_size=None) for x in (data.train, data.val)]
+    parts = [halves(2)], [windows(2, 7)]
+    trainer = quiet_trainer(200, tmp_path)
+    loaders = [torch.utils.data.DataLoader(x, batch_size=None) for x in parts]
     before = model.loss(windows(2, 7)).item()
     trainer.fit(model, *loaders)
     assert trainer.current_epoch < 200

@@ -24,7 +24,8 @@ from symo_exp.optim.banded import Chain
 from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.training.learner import Learner
-from tests.tables import explicit_integrators
+from tests.learned import double_precision
+from tests.tables import arguments_of, explicit_integrators
 
 H = 0.05
 NOISE = 5e-3
@@ -36,11 +37,10 @@ def lengths(*nodes, n=2, noise=0.0):
     truth = DissipativeLagrangian(
         ChainPendulum(n), Friction(0.2 * torch.eye(n).double(), torch.full((n,), 0.3), 0.1)
     )
-    system = ChainPendulum(n)
+    system = ChainPendulum(n, time_step=H)
     model = TrueVariational(
-        lagrangian=truth, coordinates=system.coordinates, input_matrix=system.input_matrix,
-        time_step=H, integrator=Galerkin(stages=2), root=ROOT, evaluation_dtype="float64",
-    ).double()  # fmt: skip
+        lagrangian=truth, integrator=Galerkin(stages=2), root=ROOT, **arguments_of(system)
+    ).double()
     generator = torch.Generator().manual_seed(7)
     q, v, u = torch.randn(3, len(nodes), n, dtype=torch.float64, generator=generator)
     inputs = (3.0 * u).unsqueeze(1).expand(-1, max(nodes), -1)
@@ -52,17 +52,12 @@ def lengths(*nodes, n=2, noise=0.0):
 
 def symo(n=2, **settings):
     torch.manual_seed(0)
-    system = ChainPendulum(n)
-    before = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    try:
+    with double_precision():
         return SyMo(
-            coordinates=system.coordinates, input_matrix=system.input_matrix, time_step=H,
             objective=PreconditionedResidual(), integrator=Galerkin(stages=2), root=ROOT,
-            lagrangian=partial(NetworkLagrangian, width=4, depth=1, harmonics=2), **settings,
+            lagrangian=partial(NetworkLagrangian, width=4, depth=1, harmonics=2),
+            **arguments_of(ChainPendulum(n, time_step=H)), **settings,
         )  # fmt: skip
-    finally:
-        torch.set_default_dtype(before)
 
 
 def friction(**settings):

@@ -2,12 +2,12 @@
 
 import copy
 
-import lightning
 import torch
 
 from symo_exp.models.objectives import Objective, Residuals
 from symo_exp.optim.base import minibatches
 from tests.models.methods import learner, windows
+from tests.trainers import quiet_trainer
 
 
 class Quiet(Objective):
@@ -24,11 +24,8 @@ def test_metrics_of_an_epoch_are_those_of_its_steps(tmp_path):
     )
     twin, data = copy.deepcopy(model), windows(2, 12)
     batches = [[data.rows(slice(0, 4)), data.rows(slice(4, 12))]]
-    trainer = lightning.Trainer(
-        max_epochs=2, accelerator="cpu", logger=False, enable_checkpointing=False,
-        enable_progress_bar=False, enable_model_summary=False, default_root_dir=tmp_path,
-    )  # fmt: skip
-    trainer.fit(model, torch.utils.data.DataLoader(batches, batch_size=None))
+    loader = torch.utils.data.DataLoader(batches, batch_size=None)
+    quiet_trainer(2, tmp_path).fit(model, loader)
     told = model.epoch_metrics
     assert {"train_loss", "lr", "step_ms", "training_seconds", "peak_memory", "rows"} == set(told)
     assert all(type(value) is float for value in told.values())

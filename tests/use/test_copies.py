@@ -15,21 +15,14 @@ from symo_exp.systems.simulation import Solver
 from symo_exp.use.environments import VectorEnvironment, environment
 from tests.models.methods import flows, make
 from tests.systems.every import SYSTEMS
+from tests.tables import arguments_of
 
 FINE = Solver("RK45", rtol=1e-10, atol=1e-11)
 
 
 def model_of(system, method="symo", integrator="midpoint"):
     """An untrained model of a system, as loaded."""
-    n = system.coordinates.n
-    model = make(
-        method,
-        integrator,
-        n,
-        coordinates=system.coordinates,
-        input_matrix=system.input_matrix,
-        time_step=system.time_step,
-    ).for_evaluation()
+    model = make(method, integrator, system.coordinates.n, **arguments_of(system)).for_evaluation()
     model.system = system
     return model
 
