@@ -1,5 +1,6 @@
 """Content of the wheel."""
 
+import re
 import subprocess
 import sys
 import zipfile
@@ -24,5 +25,5 @@ def test_the_wheel_carries_settings_and_sweeps(tmp_path):
 def test_tested_versions_are_pinned_and_torch_without_a_build_tag():
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pins = [line for line in lines if not line.startswith("#")]
-    assert "torch==2.13.0" in pins
+    assert any(re.fullmatch(r"torch==[\d.]+", line) for line in pins)
     assert all("==" in line and "://" not in line and not line.startswith("-") for line in pins)

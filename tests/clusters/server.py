@@ -87,11 +87,6 @@ class Server:
                 process.wait()
         self._processes.clear()
 
-    def wait(self) -> None:
-        """Until one of them ends by itself."""
-        while all(process.poll() is None for process in self._processes):
-            time.sleep(0.5)
-
     def _run(self, name: str, words: Sequence[object], **options: Any) -> None:
         with (self.folder / f"{name}.log").open("ab") as log:
             # a session of its own: Ctrl-C in a terminal is for us to pass on

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import resource
@@ -13,6 +14,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from mlflow import MlflowClient
+from mlflow.entities import Run
+
+from symo_exp.tracking.store import connect, find
 
 # a server that has imported everything, used nothing of it, and forks
 _context = multiprocessing.get_context("forkserver")
@@ -93,6 +98,19 @@ def go(folder: Path, *words: str, env: Mapping[str, str] | None = None) -> tuple
     """The exit code of a command, and what it said."""
     command = Command(folder, *words, env=env)
     return command.wait(), command.said
+
+
+def stored(folder: Path) -> tuple[MlflowClient, list[Run]]:
+    """The client of the store of a folder, and the runs that it has of the default experiment."""
+    client = connect(find(None, folder / "mlruns"))
+    (experiment,) = client.search_experiments(filter_string="name = 'default'")
+    return client, list(client.search_runs([experiment.experiment_id]))
+
+
+def statuses(folder: Path) -> list[str]:
+    """How the runs of a folder ended, in alphabetical order."""
+    files = folder.glob("outputs/*/*-*/outcome.json")
+    return sorted(json.loads(path.read_text())["status"] for path in files)
 
 
 def _run(

@@ -8,8 +8,7 @@ import torch
 
 from symo_exp.runs.folder import RunFolder
 from symo_exp.runs.series import TIME, read
-from symo_exp.tracking.store import connect, find
-from tests.faults.commands import Command, go
+from tests.faults.commands import Command, go, stored
 from tests.tiny import TINY, copy_store
 
 WORDS = [
@@ -51,10 +50,8 @@ def left(folder):
     """All that a run leaves, but for times and names."""
     (run,) = map(RunFolder, (folder / "outputs" / "default").glob("*-pendulum-*"))
     checkpoint = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)
-    client = connect(find(None, folder / "mlruns"))
-    experiment = client.get_experiment_by_name("default")
-    wanted = f"tags.`symo_exp.run` = '{run.about().identity}'"
-    (row,) = client.search_runs([experiment.experiment_id], wanted)
+    client, runs = stored(folder)
+    (row,) = [r for r in runs if r.data.tags.get("symo_exp.run") == run.about().identity]
     assert row.info.status == "FINISHED"
     assert run.published()["run_id"] == row.info.run_id
     told = {
@@ -71,8 +68,7 @@ def left(folder):
         "told": told,
         "parameters": {k: v for k, v in row.data.params.items() if k != "resume"},
         "artifacts": sorted(f.path for f in client.list_artifacts(row.info.run_id)),
-        "open": [r.info.run_id for r in client.search_runs([experiment.experiment_id])
-                 if r.info.status in ("RUNNING", "SCHEDULED")],
+        "open": [r.info.run_id for r in runs if r.info.status in ("RUNNING", "SCHEDULED")],
     }  # fmt: skip
 
 

@@ -1,13 +1,11 @@
 """SIGINT and SIGTERM: the first ends a run after its epoch, the second at once."""
 
-import json
 import signal
 import time
 
 import pytest
 
-from symo_exp.tracking.store import connect, find
-from tests.faults.commands import Command, go
+from tests.faults.commands import Command, go, statuses, stored
 from tests.faults.test_kills import WORDS, left
 from tests.tiny import copy_store
 
@@ -21,13 +19,6 @@ def started(folder, *words):
     return command
 
 
-def status(folder):
-    client = connect(find(None, folder / "mlruns"))
-    experiment = client.get_experiment_by_name("default")
-    (run,) = client.search_runs([experiment.experiment_id])
-    return run.info.status, run.data.tags.get("reason")
-
-
 @pytest.mark.parametrize(
     "signum", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
 )
@@ -39,9 +30,10 @@ def test_one_signal(signum, tmp_path, database):
     assert f"interrupted by {signum.name}" in command.said
     assert command.said.count("stopping after this epoch; rerun the command") == 1
     assert "Traceback" not in command.said
-    assert status(tmp_path) == ("KILLED", f"interrupted by {signum.name}")
-    (outcome,) = tmp_path.glob("outputs/*/*-*/outcome.json")
-    assert json.loads(outcome.read_text())["status"] == "interrupted"
+    _, (run,) = stored(tmp_path)
+    told = run.info.status, run.data.tags["reason"]
+    assert told == ("KILLED", f"interrupted by {signum.name}")
+    assert statuses(tmp_path) == ["interrupted"]
 
     again = Command(tmp_path, *ENDLESS)  # it goes on from there
     again.wait_for(lambda: "going on after epoch" in again.said)
@@ -90,9 +82,5 @@ def test_a_sweep_side_by_side(signum, group, tmp_path):
     command.wait_for(lambda: len([*tmp_path.rglob("last.ckpt")]) == 2)
     command.signal(signum, group=group)
     assert command.wait() == 128 + signum
-    found = [
-        json.loads(path.read_text())["status"]
-        for path in tmp_path.glob("outputs/*/*-*/outcome.json")
-    ]
-    assert found == ["interrupted", "interrupted"]
+    assert statuses(tmp_path) == ["interrupted", "interrupted"]
     assert command.said.count("waiting: seed=") == 2

@@ -7,7 +7,7 @@ import pytest
 
 from symo_exp.runs.folder import RunFolder
 from symo_exp.tracking.store import connect, find
-from tests.faults.commands import Command, go
+from tests.faults.commands import Command, go, stored
 from tests.tiny import TINY
 
 WORDS = [*TINY, "model=node", "pictures=false"]
@@ -37,12 +37,6 @@ def test_a_store_of_a_newer_mlflow(sweep, store, tmp_path):
         database.execute("update alembic_version set version_num = 'from_the_future'")
     one_line(*go(tmp_path, *WORDS, *sweep), exit_code=2, words="cannot be opened")
     assert not [*tmp_path.rglob("*.ckpt")]
-
-
-def test_a_file_that_is_no_store(tmp_path):
-    (tmp_path / "mlruns").mkdir()
-    (tmp_path / "mlruns" / "mlflow.db").write_text("my diary")
-    one_line(*go(tmp_path, *WORDS), exit_code=2, words="not an SQLite database")
 
 
 @pytest.mark.slow
@@ -77,8 +71,7 @@ def test_a_store_that_is_lost_while_a_run_trains(store, tmp_path):
     code, said = go(tmp_path, *LONG)
     assert code == 0, said
     assert run.published()
-    client = connect(store)
-    (run,) = client.search_runs([client.get_experiment_by_name("default").experiment_id])
+    client, (run,) = stored(tmp_path)
     assert run.info.status == "FINISHED"
     steps = [row.step for row in client.get_metric_history(run.info.run_id, "train_loss")]
     assert steps == sorted({*range(100), *range(100, 400, 5), 399})

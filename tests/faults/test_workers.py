@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from symo_exp.tracking.store import connect, find
-from tests.faults.commands import PATIENCE, Command, go
+from tests.faults.commands import PATIENCE, Command, go, statuses, stored
 from tests.tiny import TINY
 
 WORDS = [
@@ -36,9 +35,7 @@ def outcomes(folder):
 
 def tracked(folder):
     """Status and reason of each job's run, by seed."""
-    client = connect(find(None, folder / "mlruns"))
-    experiment = client.get_experiment_by_name("default")
-    runs = client.search_runs([experiment.experiment_id])
+    _, runs = stored(folder)
     return {
         int(r.data.params["seed"]): (r.info.status, r.data.tags.get("reason"))
         for r in runs
@@ -68,24 +65,25 @@ class Assassin(threading.Thread):
                 self.killed.append(pid)
 
 
-def test_a_worker_is_killed_once(tmp_path):
-    assassin = Assassin(tmp_path, seed=1, times=1)
+def swept_and_killed(tmp_path, times):
+    """The exit code of a sweep and what it said, after a job was killed so many times."""
+    assassin = Assassin(tmp_path, seed=1, times=times)
     assassin.start()
-    code, said = go(tmp_path, *WORDS, *SWEEP)
-    assert len(assassin.killed) == 1
+    end = go(tmp_path, *WORDS, *SWEEP)
+    assert len(assassin.killed) == times
+    return end
+
+
+def test_a_worker_is_killed_once(tmp_path):
+    code, said = swept_and_killed(tmp_path, times=1)
     assert code == 0, said
     assert "a worker was killed" in said
-    assert {k: o["status"] for k, o in outcomes(tmp_path).items()} == dict.fromkeys(
-        range(4), "finished"
-    )
+    assert statuses(tmp_path) == ["finished"] * 4
     assert tracked(tmp_path) == dict.fromkeys(range(4), ("FINISHED", None))
 
 
 def test_a_job_whose_process_is_killed_each_time_has_failed(tmp_path):
-    assassin = Assassin(tmp_path, seed=1, times=2)
-    assassin.start()
-    code, said = go(tmp_path, *WORDS, *SWEEP)
-    assert len(assassin.killed) == 2
+    code, said = swept_and_killed(tmp_path, times=2)
     assert code == 1, said
     reason = "its process was killed, perhaps for want of memory"
     assert f"failed: seed=1: {reason} (log: " in said
@@ -107,6 +105,4 @@ def test_a_job_that_runs_out_of_memory_does_not_stop_the_others(launcher, tmp_pa
     assert "memory" in line
     log = Path(line.rpartition("(log: ")[2].rstrip(")"))
     assert "Traceback" in log.read_text()
-    files = tmp_path.glob("outputs/default/node-*/outcome.json")
-    found = [json.loads(p.read_text())["status"] for p in files]
-    assert sorted(found) == ["failed", "finished", "finished"]
+    assert statuses(tmp_path) == ["failed", "finished", "finished"]

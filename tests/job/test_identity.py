@@ -2,7 +2,7 @@
 
 import pytest
 
-from symo_exp.job.job import _about
+from symo_exp.job.job import describe_job
 from tests.jobs import job_of, jobs_of, planned
 
 
@@ -47,7 +47,7 @@ def test_a_folder_belongs_to_what_is_computed(workplace):
 )
 def test_a_run_says_how_it_differs_from_what_ships(words, told, workplace):
     with planned(*words, "logger=none") as (_, (job,)):
-        assert _about(job.settings, job.choices, job.overrides).variant == told
+        assert describe_job(job.settings, job.choices, job.overrides).variant == told
 
 
 @pytest.mark.parametrize(
@@ -62,5 +62,5 @@ def test_a_run_is_named_by_what_its_sweep_varies(varied, name, workplace, monkey
     monkeypatch.setenv("SYMO_EXP_VARIED", varied)
     words = ["model=symo", "system=acrobot", "data.n_traj=16", "seed=3", "optimizer.lr=1e-3"]
     with planned(*words, "logger=none") as (_, (job,)):
-        about = _about(job.settings, job.choices, words)
+        about = describe_job(job.settings, job.choices, words)
     assert about.name == name

@@ -62,7 +62,7 @@ def job(config: DictConfig) -> float | None:
     settings = resolve(config)
 
     def about() -> About:
-        return _about(settings, choices, asked, typed(hydras) if sweeper == OURS else None)
+        return describe_job(settings, choices, asked, typed(hydras) if sweeper == OURS else None)
 
     failure = _do(settings.values, folder, about)
     phases.clear()
@@ -189,7 +189,7 @@ def _compose(overrides: list[str]) -> DictConfig:
     return hydra.compose("config", overrides, return_hydra_config=True)
 
 
-def _about(
+def describe_job(
     settings: Settings,
     choices: dict[str, Any],
     asked: Sequence[str],
@@ -197,7 +197,11 @@ def _about(
 ) -> About:
     """Describe the run; its name contains what its sweep varied: ``E2E-SyMo acrobot n=16``.
 
-    ``words`` are those of its command; ``None``: what repeats it without its sweep.
+    Args:
+        settings: Resolved settings of the job.
+        choices: The choice of each group.
+        asked: Overrides on the command line.
+        words: Words of its command; ``None``: those that repeat it without its sweep.
     """
     found = differences(settings, choices, _compose)
     words = alone(found, settings, choices) if words is None else words
