@@ -1,6 +1,6 @@
 """A learned Lagrangian whose derivatives are well scaled enough for finite differences."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -53,6 +53,20 @@ def assert_same(
         torch.testing.assert_close(mine, oracle, atol=tolerance, rtol=tolerance)
     for mine, oracle in zip(pullback(closed), pullback(plain), strict=True):
         torch.testing.assert_close(mine, oracle, atol=10 * tolerance, rtol=10 * tolerance)
+
+
+def assert_jacobian(function: Callable[[], Tensor], parameters: Sequence[Tensor]) -> None:
+    """The Jacobian by samples has the rows of one backward pass for each number."""
+    values, jacobian, _ = parameter_jacobian(function, parameters)
+    expected = function()
+    torch.testing.assert_close(values, expected)
+    for sample in range(expected.shape[0]):
+        for k in range(expected.shape[1]):
+            row = torch.autograd.grad(
+                expected[sample, k], parameters, retain_graph=True, materialize_grads=True
+            )
+            flat = torch.cat([x.flatten() for x in row])
+            torch.testing.assert_close(jacobian[sample, k], flat, rtol=1e-9, atol=1e-12)
 
 
 def assert_each_sample_alone(lagrangian: Lagrangian, q: Tensor, v: Tensor) -> None:

@@ -132,10 +132,13 @@ def test_a_long_log_is_split_in_time(seconds: float, tmp_path: Path, caplog) -> 
     assert any("split in time" in record.getMessage() for record in caplog.records)
 
 
-@pytest.mark.parametrize("settings", [{"n_val": 1}, {"val": [""], "test": [""]}])
-def test_a_log_is_not_split_where_parts_are_given(settings: dict, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"n_val": 1}, "too few"), ({"val": [""], "test": [""]}, "is named twice")],
+)
+def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: Path) -> None:
     motion().to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(ConfigError):
+    with pytest.raises(ConfigError, match=message):
         load(tmp_path / "log.csv", **settings)
 
 

@@ -21,7 +21,7 @@ def test_a_folder_belongs_to_what_is_computed(workplace):
     def folder(*words):
         return job_of(*words).folder.path
 
-    same = ["trainer.progress=false", "logger=none", "pictures=false", "study=forced"]
+    same = ["trainer.progress=false", "logger=none", "pictures=false", "study=[long_term,forced]"]
     assert folder("seed=1") == folder("seed=1", *same) == folder("-m", "seed=1")
     assert folder("data.noise_std=0") == folder("data.noise_std=0.0") == folder()
     names = [folder(), folder("seed=1"), folder("data.n_traj=8"), folder("optimizer.lr=1e-3")]

@@ -12,19 +12,10 @@ from tests.tiny import TINY
 SHORT = ["study.forced.steps=4", "study.forced.count=1"]
 
 
-def folder_of(*words):
-    return job_of(*words).folder
-
-
-def test_a_study_changes_no_folder(workplace):
-    folders = {folder_of(*w).path for w in ([], ["study=forced"], ["study=[long_term,forced]"])}
-    assert len(folders) == 1
-
-
 @pytest.mark.usefixtures("with_a_store")
 def test_a_finished_run_is_studied_without_training_it_again(workplace, capsys):
     words = ["model=node", "pictures=false", *TINY]
-    folder = folder_of(*words)
+    folder = job_of(*words).folder
     assert main([*words, "study=learned_quantities"]) == 0
     # a NODE has learned no energy; that it was asked for is kept all the same
     assert [path.name for path in (folder / "studies").iterdir()] == ["learned_quantities.json"]

@@ -1,6 +1,7 @@
 """Variational integrators: order, symplecticity, momentum, energy, and their derivatives."""
 
 from functools import partial
+from itertools import cycle
 
 import pytest
 import torch
@@ -152,6 +153,12 @@ def test_momentum_form_solves_the_discrete_euler_lagrange_equations(name):
     assert residual.abs().max() < 1e-12
 
 
+def drawn(count, n):
+    """So many random rows of numbers, seven each."""
+    generator = torch.Generator().manual_seed(5)
+    return torch.randn(count, 7, n, dtype=torch.float64, generator=generator)
+
+
 LAGRANGIANS = {
     "learned": lambda n: learned_lagrangian(tuple(i % 2 == 1 for i in range(n))),
     "friction": dissipative_chain,
@@ -165,30 +172,40 @@ LAGRANGIANS = {
 @pytest.mark.parametrize("name", METHODS)
 def test_jacobian_of_the_residual(name, kind, n):
     method, lagrangian, h = METHODS[name], LAGRANGIANS[kind](n), 0.1
-    generator = torch.Generator().manual_seed(5)
-    q0, v = torch.randn(2, 7, n, dtype=torch.float64, generator=generator)
-    q1 = q0 + h * v
-    jacobian = method.expand(lagrangian, q0, q1, h).d2d1()
-    slope = slopes(lambda x: method.expand(lagrangian, q0, x, h).values.d1, q1, 1e-6)
+    q0, v, *ends = drawn(4, n)
+    q1, forces = q0 + h * v, Forces(*ends)
+    jacobian = method.expand(lagrangian, q0, q1, h, forces).d2d1()
+    slope = slopes(lambda x: method.expand(lagrangian, q0, x, h, forces).values.d1, q1, 1e-6)
     torch.testing.assert_close(jacobian, slope, atol=1e-6, rtol=1e-6)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
-@pytest.mark.parametrize("name", METHODS)
-def test_gradients_of_the_next_configuration(name, n):
-    """Implicit derivatives in configuration, impulse and parameters, against finite differences."""
-    method, h = METHODS[name], 0.1
-    lagrangian = learned_lagrangian((True,) * n, width=6)
-    q = torch.randn(4, n, dtype=torch.float64, requires_grad=True)
-    v = torch.randn(4, n, dtype=torch.float64)
-    impulse = lagrangian.momentum(q, v).detach().requires_grad_()
-    weight = torch.randn(4, n, dtype=torch.float64)
-    parameters = [q, impulse, *lagrangian.net.parameters()]
+USUAL_N = dict(zip(METHODS, cycle((1, 2, 3))))
 
-    def objective():
-        discrete, guess = DiscreteLagrangian(method, lagrangian, h), q.detach() + h * v
-        configuration, root = discrete.next_configuration(TIGHT, q, impulse, guess)
+
+@pytest.mark.parametrize(
+    ("name", "n"),
+    [pytest.param(name, n, marks=[pytest.mark.slow] * (n != USUAL_N[name]))
+     for name in METHODS for n in (1, 2, 3)],
+)  # fmt: skip
+@pytest.mark.parametrize("make", [ChainPendulum, LAGRANGIANS["learned"]])
+def test_gradients_of_residual_momentum_and_next_configuration(make, name, n):
+    """In configurations, forces and parameters."""
+    lagrangian, h = make(n), 0.1
+    discrete = DiscreteLagrangian(METHODS[name], lagrangian, h)
+    q, v, *forces = 0.5 * drawn(5, n)
+    weight = torch.randn(3, *q.shape, dtype=torch.float64)
+    inputs = [torch.stack((q, q + h * v, q + 2.1 * h * v)), torch.stack(forces)]
+
+    def value():
+        (a, b, c), (f, g, k) = inputs
+        before, after = Forces(f, g), Forces(g, k)
+        residual = discrete.residual(a, b, c, before, after)
+        p = discrete.momentum(a, b, before)
+        impulse = p + discrete.impulses(after)[0]
+        reached, root = discrete.next_configuration(TIGHT, b, impulse, 2 * b - a, after)
         assert root.converged.all()
-        return (weight * configuration).sum()
+        return (weight * torch.stack((residual, p, reached))).sum()
 
-    assert_gradients(objective, parameters, eps=1e-6, atol=1e-7, rtol=1e-6)
+    parameters = lagrangian.parameters() if isinstance(lagrangian, torch.nn.Module) else ()
+    every = [*(x.requires_grad_() for x in inputs), *parameters]
+    assert_gradients(value, every, eps=1e-5, atol=1e-7, rtol=2e-6)

@@ -7,6 +7,7 @@ from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Windows
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.nets.affine import parameter_jacobian
+from tests.learned import assert_jacobian
 from tests.models.methods import learner, pairwise, windows
 
 CASES = [
@@ -17,7 +18,8 @@ CASES = [
 
 @pytest.mark.parametrize(("method", "integrator", "n", "overrides"), CASES)
 def test_jacobian_by_samples(method, integrator, n, overrides):
-    check(learner(method, integrator, n, **overrides), windows(n))
+    model, data = learner(method, integrator, n, **overrides), windows(n)
+    assert_jacobian(lambda: model.residuals(data), list(model.parameters()))
 
 
 def test_jacobian_by_samples_where_some_have_no_root():
@@ -29,21 +31,7 @@ def test_jacobian_by_samples_where_some_have_no_root():
     model.flow.root = Newton(tolerance=1e-9, max_iterations=1)
     failed = model.objective(model.flow, data).statistics["newton_failed"]
     assert 0 < failed < 1
-    check(fit, data)
-
-
-def check(model, data):
-    parameters = list(model.parameters())
-    values, jacobian, _ = parameter_jacobian(lambda: model.residuals(data), parameters)
-    expected = model.residuals(data)
-    torch.testing.assert_close(values, expected)
-    for sample in range(expected.shape[0]):
-        for k in range(expected.shape[1]):
-            row = torch.autograd.grad(
-                expected[sample, k], parameters, retain_graph=True, materialize_grads=True
-            )
-            flat = torch.cat([x.flatten() for x in row])
-            torch.testing.assert_close(jacobian[sample, k], flat, rtol=1e-9, atol=1e-12)
+    assert_jacobian(lambda: fit.residuals(data), list(fit.parameters()))
 
 
 def test_a_parameter_used_outside_of_tracked_functions_is_refused():

@@ -71,7 +71,7 @@ def chain(angular: tuple[bool, ...]) -> Lagrangian:
 
 
 def body(coordinates: Coordinates, **kind: Any) -> Lagrangian:
-    return LearnedRigidBody(coordinates=coordinates, **kind).double()
+    return moved(LearnedRigidBody(coordinates=coordinates, **kind), 0.3)
 
 
 CONSERVATIVE: dict[str, tuple[Callable[[], Lagrangian], int]] = {

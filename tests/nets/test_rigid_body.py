@@ -20,7 +20,6 @@ from symo_exp.models.l_node import LNODE
 from symo_exp.models.node import NODE
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
-from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
@@ -29,7 +28,7 @@ from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 from symo_exp.training.learner import Learner
 from tests.differences import assert_gradients
-from tests.learned import double_precision
+from tests.learned import assert_jacobian, double_precision
 from tests.nets.test_closed_forms import BODIES, BODY_KINDS, PIVOT
 from tests.tables import arguments_of, explicit_integrators
 
@@ -59,14 +58,8 @@ def test_forces_of_learned_inputs_have_derivatives_sample_by_sample(
     coordinates: Coordinates, kind: str
 ) -> None:
     found, (q, _, u) = body(coordinates, kind), points(coordinates)
-    parameters = list(found.parameters())
     none = torch.zeros(coordinates.n, 2)
-    each = parameter_jacobian(lambda: found.input_force(none, q, u), parameters).parameters
-    for row in range(len(q)):
-        for i in range(coordinates.n):
-            force = found.input_force(none, q[row : row + 1], u[row : row + 1])[0, i]
-            alone = torch.autograd.grad(force, parameters, materialize_grads=True)
-            torch.testing.assert_close(each[row, i], torch.cat([g.flatten() for g in alone]))
+    assert_jacobian(lambda: found.input_force(none, q, u), list(found.parameters()))
 
 
 def test_any_parameters_are_a_possible_body(coordinates: Coordinates) -> None:

@@ -1,11 +1,11 @@
 """A store of its own for each test."""
 
-import shutil
 from pathlib import Path
 
 import pytest
 
 from symo_exp.tracking.store import Store, find
+from tests.tiny import copy_store
 
 
 @pytest.fixture(autouse=True)
@@ -16,6 +16,5 @@ def _no_ambient_tracking(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def store(database: Path, tmp_path: Path) -> Store:
-    (tmp_path / "mlruns").mkdir()
-    shutil.copy(database, tmp_path / "mlruns" / "mlflow.db")
+    copy_store(database, tmp_path)
     return find(None, tmp_path / "mlruns")

@@ -135,7 +135,7 @@ DAMAGE = {
     "flipped": lambda path, _: flip(path),
     "text": lambda path, _: path.write_text("my diary"),
     "code": lambda path, _: torch.save(Pickled(), path),
-    "other": lambda path, _: torch.save({"state_dict": {}}, path),
+    "other": lambda path, _: torch.save({"state_dict": {"a": 1}}, path),
     "another version": lambda path, _: without_prefix(path),
     "another seed": lambda path, m: another(path, f"{SYMO} seed=1", m),
     "another model": lambda path, m: another(path, f"{SYMO} net.width=6", m),

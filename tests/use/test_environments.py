@@ -48,15 +48,9 @@ def test_stepping_is_simulating(name: str) -> None:
     for control in controls[:-1]:
         observation, reward, *_ = env.step(control)
         observations.append(observation)
-    start = torch.from_numpy(observations[0]).unsqueeze(0)
-    exact = simulate(
-        system,
-        start[:, :n],
-        start[:, n:],
-        torch.from_numpy(controls).unsqueeze(0),
-        10,
-        Solver("DOP853", rtol=1e-12, atol=1e-13),
-    )
+    start, u = (torch.from_numpy(x).unsqueeze(0) for x in (observations[0], controls))
+    tight = Solver("DOP853", rtol=1e-12, atol=1e-13)
+    exact = simulate(system, start[:, :n], start[:, n:], u, 10, tight)
     expected = torch.cat([exact.q[0], exact.v[0]], 1).numpy()
     np.testing.assert_allclose(np.stack(observations), expected, rtol=1e-7, atol=1e-7)
     assert np.abs(np.diff(expected, axis=0)).max() > 1e-2
