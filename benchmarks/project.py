@@ -171,7 +171,7 @@ class Project:
 
 
 def trained_weights(name: str, method: str) -> list[Layer]:
-    """Where E2E-SyMo is after 2000 steps on 32 trajectories; a training takes 16,000 larger ones.
+    """E2E-SyMo after 2000 steps on 32 trajectories; a training takes 16,000 larger ones.
 
     Its Lagrangian serves every method that has one. NODE keeps its initial weights, which decide
     nothing about its cost.

@@ -42,7 +42,7 @@ def direct(needs: dict[str, set[str]]) -> dict[str, set[str]]:
 
 
 def places(needs: dict[str, set[str]]) -> dict[str, tuple[float, float]]:
-    """Where each box stands; within a layer each is near those that it imports."""
+    """Return the places of the boxes; within a layer each is near those that it imports."""
     at: dict[str, tuple[float, float]] = {}
     rank = layers(needs)
     for y in range(max(rank.values()) + 1):

@@ -26,7 +26,7 @@ COMMAND = re.compile(
     r"(?:python3? (?:-m (?:symo_exp|benchmarks)\b|[\w/]+\.py\b)|symo-exp |make [a-z]|pip install |"
     r"\.ci/run|[\w/]+\.sh\b|mlflow |sudo |\. \.venv)[^\n]*"
 )
-"""What counts as a command where it stands in running text."""
+"""A command in running text."""
 
 
 class Command(NamedTuple):

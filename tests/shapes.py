@@ -21,7 +21,7 @@ def begin() -> None:
 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """What jaxtyping's import hook puts around each function."""
+    """Wrapper that jaxtyping's import hook puts around each function."""
     check = beartype(function)
 
     @functools.wraps(function)

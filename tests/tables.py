@@ -33,7 +33,7 @@ def explicit_integrators() -> dict[str, Any]:
 
 @cache
 def variational_integrators() -> dict[str, Any]:
-    """Name to variational integrator, at convergence: what measures are taken with."""
+    """Name to variational integrator, at convergence, as for measures."""
     return {name: found.converged() for name, found in _integrators("variational").items()}
 
 

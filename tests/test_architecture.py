@@ -20,7 +20,7 @@ from tests.architecture import (
 
 EVERYBODYS = {"errors", "files", "imports", "shell", "shipped", "code"}
 CONFIG_HOMES = {"cli", "job", "sweep", "identify", "runs"}
-"""Where objects of Hydra and OmegaConf may be seen; `runs` builds a model from its file."""
+"""Packages in which objects of Hydra and OmegaConf may occur; `runs` builds models from files."""
 
 
 @pytest.mark.parametrize("package", RULES)

@@ -125,7 +125,7 @@ EVERY = list(on_pages())
 
 
 def reason(line: str) -> str | None:
-    """Why a command is not run, if so."""
+    """Return the reason why a command is not run, ``None`` if it is."""
     return next((why for part, why in NOT_RUN.items() if part in line), None)
 
 
@@ -135,7 +135,7 @@ def test_pages_have_commands():
 
 
 @pytest.mark.parametrize("part", NOT_RUN)
-def test_what_is_not_run_is_on_a_page(part):
+def test_commands_that_are_not_run_are_on_a_page(part):
     assert any(part in command.line for command in EVERY)
 
 
@@ -184,7 +184,7 @@ def trained(tmp_path_factory, home):
 
 @pytest.fixture
 def folder(tmp_path, trained):
-    """What a reader has: a copy of the repository, files of their own, and a run."""
+    """A copy of the repository with files of a reader's own and a run."""
     for name in ("recordings", "examples", "benchmarks"):
         (tmp_path / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "results", tmp_path / "results")
@@ -298,7 +298,7 @@ def hints(output: str) -> list[str]:
 
 
 def failures(lines: list[str], place: Path, home: Path) -> list[str]:
-    """Run lines in order, each followed by what it prints; return what fails with its output."""
+    """Run lines in order, each followed by the commands that it prints; return the failures."""
     failed, done = [], set()
     queue = list(lines)
     while queue:

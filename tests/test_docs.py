@@ -46,7 +46,7 @@ def test_the_tutorial_is_kept_without_what_it_gives():
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
 
 
-def test_what_is_cited_is_this_version():
+def test_the_cited_version_is_this_one():
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     (thesis,) = (one for one in cited["references"] if one["type"] == "thesis")
     assert cited["version"] == symo_exp.__version__

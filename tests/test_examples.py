@@ -1,4 +1,4 @@
-"""The planner of the examples: what it finds is a minimum; and the example as it is typed."""
+"""The planner of the examples: its result is a minimum; and the example as it is typed."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Recordings of environments: what was done and seen, in a table that trains."""
+"""Recordings of environments: a table of inputs and motions that can be trained on."""
 
 import shlex
 
@@ -78,7 +78,7 @@ def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
         (["symo_exp/Pendulum-v0", "--out", "no/where.csv"], "cannot be written"),
     ],
 )
-def test_what_cannot_be_recorded_ends_in_a_line(words, reason, workplace, capsys):
+def test_recordings_that_cannot_be_made_are_refused_in_one_line(words, reason, workplace, capsys):
     (workplace / "empty.py").write_text("")
     (workplace / "broken.py").write_text("1 / 0\n")
     (workplace / "wide.py").write_text("def policy(observation):\n    return [0, 0]\n")

@@ -35,7 +35,7 @@ def last_row(table):
     return [cell.strip() for cell in table.strip().splitlines()[-1].strip("|").split("|")]
 
 
-def test_what_noise_makes_of_the_losses(runs, scripts):
+def test_the_table_of_losses_under_noise(runs, scripts):
     import noise
 
     run, level, *_, share = last_row(noise.table(runs, "pendulum"))
@@ -43,7 +43,7 @@ def test_what_noise_makes_of_the_losses(runs, scripts):
     assert float(share) > 0.0
 
 
-def test_what_the_drawn_trajectories_decide(runs, scripts, monkeypatch):
+def test_the_table_of_drawn_trajectories(runs, scripts, monkeypatch):
     import draws
 
     monkeypatch.setattr(draws, "TRAJECTORIES", 4)

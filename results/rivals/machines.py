@@ -54,7 +54,7 @@ class Rival(Protocol):
 
     NAME: str
     GIVEN: str
-    """What it knows of the machine."""
+    """The knowledge about the machine that a package is given."""
 
     def candidates(self, machine: Machine) -> Iterable[tuple[str, Callable[[], RollsOut]]]:
         """Yield settings in words, and how to fit a model with them, the likely ones first."""

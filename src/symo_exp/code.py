@@ -17,7 +17,7 @@ from symo_exp.errors import ConfigError
 COMMANDS = "symo_exp", "torch", "lightning"
 """The packages that a ``_target_`` of a command may name."""
 MODELS = "symo_exp.systems", "symo_exp.models", "symo_exp.mechanics", "symo_exp.nets"
-"""Those that a ``_target_`` of a stored model may name."""
+"""The packages that a ``_target_`` of a stored model may name."""
 
 _folders: list[Path] = []
 

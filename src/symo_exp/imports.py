@@ -12,9 +12,9 @@ from contextlib import contextmanager
 def first_import(module: str) -> Iterator[None]:
     """Suspend garbage collection while ``module`` is imported for the first time.
 
-    What PyTorch, Lightning and MLflow create on import lives until the process ends. Collecting
-    garbage there is pointless and costs a sixth of the import, a part of every later collection,
-    and one to two seconds at exit.
+    The objects that PyTorch, Lightning and MLflow create on import live until the process ends.
+    Collecting garbage there is pointless and costs a sixth of the import, a part of every later
+    collection, and one to two seconds at exit.
     """
     if module in sys.modules or not gc.isenabled():
         yield

@@ -204,7 +204,7 @@ def _policy(given: str, env: Any, seed: int) -> Policy:
 
 
 def _told(path: Path, plant: Plant, episodes: Sequence[Episode]) -> str:
-    """Return what was recorded, and the command that learns from it."""
+    """Return a summary of the recording and the command that learns from it."""
     h = float(np.median(np.concatenate([np.diff(episode.t) for episode in episodes])))
     angles = [n for n, turns in zip(plant.coordinates, plant.angular, strict=True) if turns]
     angular = {0: "none", len(plant.coordinates): "all"}.get(

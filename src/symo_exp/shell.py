@@ -27,7 +27,7 @@ def install_command(extra: str) -> str:
 
 
 def override_value(value: Any, *, nested: bool = False) -> str:
-    """Spell a value as an override of Hydra has it; a string stands as it is, unless nested."""
+    """Write a value as in an override of Hydra; a string is unchanged unless it is nested."""
     if isinstance(value, Mapping):
         items = (f"{key}: {override_value(x, nested=True)}" for key, x in value.items())
         return "{" + ", ".join(items) + "}"

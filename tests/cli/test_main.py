@@ -114,7 +114,7 @@ ENDS = [
     # composing, checking and building a job each find some
     *[row for row in BAD if row[0] in ("modle=symo", "+data.x=1", "-m data.n_traj=8,16,0")],
 ]  # fmt: skip
-"""What the command line itself gets wrong, before there is a job, and some of the others."""
+"""Errors of the command line itself, before there is a job, and some others."""
 
 
 def nothing_is_left(workplace):
@@ -197,7 +197,7 @@ ONE = [*QUIET, "model=e2e_symo"]
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """Where a run was done, and what was said of it."""
+    """Folder and output of a run."""
     place, said = tmp_path_factory.mktemp("finished"), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
         patch.chdir(place)

@@ -1,4 +1,4 @@
-"""PostgreSQL with an MLflow server before it, as docs/clusters.md tells to set up; for a test."""
+"""PostgreSQL with an MLflow server before it, set up for a test as docs/clusters.md describes."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Server:
 
 
 def _programs() -> Path:
-    """Where PostgreSQL is: Debian keeps it off the PATH."""
+    """Return the folder of PostgreSQL, which Debian keeps off the PATH."""
     found = shutil.which("initdb")
     places = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda p: int(p.parent.name))
     if found is None and not places:

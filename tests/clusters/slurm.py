@@ -56,7 +56,7 @@ class Cluster:
         self.env = {"SLURM_CONF": str(folder / "slurm.conf")}
 
     def ask(self, *words: str) -> str:
-        """What a command of SLURM says."""
+        """Return the output of a command of SLURM."""
         env = {**os.environ, **self.env}
         return subprocess.run(words, env=env, check=True, capture_output=True, text=True).stdout
 
@@ -65,7 +65,7 @@ class Cluster:
         return self.ask("squeue", "--noheader", "--array", "--format=%i").split()
 
     def minutes(self, job: str) -> int:
-        """How long a job has been running, rounded down."""
+        """Return the time for which a job has been running, rounded down."""
         start = self.ask("squeue", "--noheader", "--format=%S", f"--jobs={job}").strip()
         return int((datetime.now() - datetime.fromisoformat(start)).total_seconds() // 60)
 
@@ -74,12 +74,12 @@ class Cluster:
         self.ask("scontrol", "update", f"JobId={job}", f"TimeLimit={minutes}")
 
     def restarts(self, job: str) -> int:
-        """How often a job was queued again."""
+        """Return the number of times that a job was queued again."""
         return int(self.ask("scontrol", "show", "job", job).partition("Restarts=")[2].split()[0])
 
 
 def missing() -> str:
-    """Why no cluster can be started here; empty if one can."""
+    """Return the reason why no cluster can be started here; empty if one can."""
     absent = [program for program in PROGRAMS if shutil.which(program) is None]
     if absent:
         return f"no {', '.join(absent)} here: apt-get install slurmctld slurmd slurm-client munge"

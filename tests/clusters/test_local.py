@@ -1,4 +1,4 @@
-"""Sweeps through submitit on this machine: what befalls one job does not stop the others."""
+"""Sweeps through submitit on this machine: a job that fails does not stop the others."""
 
 import importlib.util
 import json
@@ -26,7 +26,7 @@ WORDS = [
 
 
 def trains(folder, seed):
-    """Whether that job has opened its run and come through an epoch."""
+    """Return whether the job has opened its run and finished an epoch."""
     running = outcomes(folder).get(seed, {}).get("status") == "running"
     return running and any(
         json.loads((path.parents[1] / "run.json").read_text())["parameters"]["seed"] == seed

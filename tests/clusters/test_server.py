@@ -81,7 +81,7 @@ def test_eight_jobs_and_a_restart(server, tmp_path):
         assert {f.path for f in client.list_artifacts(run)} >= {"config.yaml", "checkpoints"}
 
 
-def test_what_was_told_is_there_after_a_restart(server):
+def test_logged_values_are_there_after_a_restart(server):
     client = connect(find(server.address, "."))
     experiment = client.create_experiment("one")
     server.stop()

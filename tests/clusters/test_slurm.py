@@ -32,7 +32,7 @@ def slurm(tmp_path_factory):
 
 
 def runs(folder):
-    """What each run of the sweep left in its folder, by its number of epochs and its seed."""
+    """The folder of each run of the sweep, by its number of epochs and its seed."""
     found = {}
     for path in folder.glob("outputs/sweep/*-*/outcome.json"):
         run = path.parent
@@ -67,7 +67,7 @@ def weights(run):
 
 
 def epochs_in(seconds, folder):
-    """How many epochs a run does here in that time."""
+    """Return the number of epochs that a run does on this machine in a time [s]."""
     folder.mkdir()
     assert go(folder, *WORDS, "trainer.max_epochs=2000")[0] == 0
     ((run, _),) = runs(folder).values()
@@ -134,7 +134,7 @@ def test_a_job_that_is_killed(slurm, tmp_path):
     assert outcome["process"]["slurm_job"].endswith("_1")
     os.kill(int(outcome["process"]["pid"]), signal.SIGKILL)
     log = run / "symo_exp.log"
-    command.wait_for(lambda: log.exists() and "going on after epoch" in log.read_text())
+    command.wait_for(lambda: log.exists() and "resuming after epoch" in log.read_text())
     assert "a worker was killed" in command.said
     command.signal(signal.SIGINT)
     assert command.wait() == 130, command.said
@@ -145,7 +145,7 @@ def test_a_job_that_is_killed(slurm, tmp_path):
 
 
 def test_a_sweep_that_is_interrupted(slurm, tmp_path):
-    """What runs finishes its epoch, what waits does not begin."""
+    """Running jobs finish their epoch, waiting jobs do not begin."""
     words = [*ENDLESS, "-m", "seed=0,1,2,3"]
     command = Command(tmp_path, *words, env=slurm.env)
     command.wait_for(lambda: len([*tmp_path.rglob("last.ckpt")]) == 2)
@@ -157,7 +157,7 @@ def test_a_sweep_that_is_interrupted(slurm, tmp_path):
 
 
 def test_a_graphics_processor_is_asked_for_on_the_node(slurm, tmp_path):
-    """Where the command is typed there need be none."""
+    """The node on which the command is typed needs no GPU."""
     words = [*WORDS, "-m", "seed=0", "hydra/launcher=submitit_slurm_gpu", "hydra.launcher.mem_gb=1"]
     code, said = go(tmp_path, *words, "trainer=cpu", env=slurm.env)
     assert code == 0, said

@@ -148,7 +148,7 @@ def test_rows_that_a_compiled_rollout_cannot_finish_are_as_uncompiled():
         torch.testing.assert_close(found[2:], expected[2:])
 
 
-def test_what_cannot_be_compiled_is_said(caplog):
+def test_a_rollout_that_cannot_be_compiled_is_reported(caplog):
     model, data = make("symo", "midpoint", 2, root=Broyden(tolerance=1e-12)), windows(2)
     compile_rollout(model)
     (line,) = said(caplog)
@@ -180,7 +180,7 @@ def test_a_compiler_that_fails_is_said_once_and_done_without(caplog):
     assert said(caplog) == [f"the {what} is not compiled: no such compiler" for what in whats]
 
 
-def test_whatever_goes_wrong_in_the_compiler_is_its_own_error_and_one_line(monkeypatch):
+def test_every_failure_of_the_compiler_is_one_error_of_one_line(monkeypatch):
     def compile(*_, **__):
         raise OSError("no space left on device\nand a long tail")
 

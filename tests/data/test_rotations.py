@@ -1,4 +1,4 @@
-"""Recordings with quaternions: what is read, in whatever form, and what is refused."""
+"""Recordings with quaternions: reading in every form, and refusals."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_velocities_come_from_poses_and_times_are_resampled(tmp_path: Path) -> N
         (lambda f: f.rename(columns={"v_R_x": "v_S_x"}), {}, "v_S_x belongs to no coordinate"),
     ],
 )
-def test_what_is_no_rotation_is_refused_in_a_line(
+def test_matrices_that_are_no_rotations_are_refused_in_one_line(
     change: Any, settings: dict[str, Any], text: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigError, match=text) as error:

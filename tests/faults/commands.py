@@ -31,8 +31,10 @@ _started: list[Command] = []
 
 @pytest.fixture(autouse=True)
 def nothing_goes_on() -> Iterator[None]:
-    """What a test has left running, as one that failed, is killed: it would keep the cores from
-    the next test, and at the end pytest from ending."""
+    """Kill commands that a failed test has left running.
+
+    They would take cores from the next test and keep pytest from ending.
+    """
     yield
     for command in _started:
         if command.process.is_alive():
@@ -95,7 +97,7 @@ class Command:
 
 
 def go(folder: Path, *words: str, env: Mapping[str, str] | None = None) -> tuple[int, str]:
-    """The exit code of a command, and what it said."""
+    """Return the exit code of a command and its output."""
     command = Command(folder, *words, env=env)
     return command.wait(), command.said
 

@@ -29,7 +29,7 @@ def mounted(folder, *options):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What the run leaves where there is room."""
+    """The folder of the run on a disk with space."""
     folder = tmp_path_factory.mktemp("whole")
     code, said = go(folder, *WORDS)
     assert code == 0, said
@@ -81,7 +81,7 @@ def test_a_disk_that_is_full_for_a_while(disk, whole):
     filler.unlink()
     code, said = go(disk, *words)
     assert code == 0, said
-    assert "going on after epoch" in said
+    assert "resuming after epoch" in said
 
 
 @pytest.mark.slow

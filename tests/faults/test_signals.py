@@ -36,7 +36,7 @@ def test_one_signal(signum, tmp_path, database):
     assert statuses(tmp_path) == ["interrupted"]
 
     again = Command(tmp_path, *ENDLESS)  # it goes on from there
-    again.wait_for(lambda: "going on after epoch" in again.said)
+    again.wait_for(lambda: "resuming after epoch" in again.said)
     again.signal(signum)
     assert again.wait() == 128 + signum
 

@@ -67,7 +67,7 @@ def test_durations(text, seconds):
 
 
 @pytest.mark.parametrize("text", ["", "soon", "-1s", "0", "5 days", "1.2.3s", "nan"])
-def test_what_is_no_duration_is_refused(text):
+def test_invalid_durations_are_refused(text):
     with pytest.raises(ConfigError, match="budget="):
         plans.seconds_of(text)
 

@@ -84,7 +84,7 @@ def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so
         (["data.path=unclear.csv"], "system.angular"),
     ],
 )
-def test_what_cannot_be_searched_is_refused_in_a_line(words, wanted, workplace, capsys):
+def test_searches_that_cannot_be_made_are_refused_in_one_line(words, wanted, workplace, capsys):
     table().to_csv("mine.csv", index=False)
     table(name="a").to_csv("unclear.csv", index=False)
     assert main(["-cn", "machine", *words]) == 2

@@ -7,7 +7,7 @@ from tests.jobs import job_of, jobs_of, planned
 
 
 def test_values_are_set_as_hydra_sets_them(workplace):
-    """What the composer saves by sharing files changes nothing of what comes out."""
+    """Files that the composer shares do not change the composed configuration."""
     words = ["model=node", "system=acrobot", "data.n_traj=8", "net.width=7", "seed=3",
              "optimizer.lr=1e-3", "data.solver={rtol: 1e-3}"]  # fmt: skip
     shared = jobs_of(*words, "learner.gradient_clip=1,2")

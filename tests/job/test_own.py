@@ -23,7 +23,7 @@ FILES = {
         r"^`mine/(\S+)`\n\n```\w+\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.S | re.M
     )
 }
-"""What the pages tell to write, and where."""
+"""Files that the pages ask to write, by their paths."""
 ADDED = {
     "system": "system=spring model=symo",
     "integrator": "integrator=heun model=node",
@@ -107,7 +107,7 @@ def test_they_are_listed(mine, capsys):
     assert "A mass on a spring that stiffens." in told
 
 
-def test_without_a_word_nothing_of_it_runs(mine, workplace, capsys, monkeypatch):
+def test_no_code_of_a_folder_runs_unless_it_is_given(mine, workplace, capsys, monkeypatch):
     monkeypatch.setattr("symo_exp.code._folders", [])
     (mine / "mine_system.py").write_text("open('harm', 'w').close()\n")
     assert main(["--config-dir", "mine_own", "system=spring", "model=node", *QUIET]) == 2

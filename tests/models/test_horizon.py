@@ -1,4 +1,4 @@
-"""The error over many steps: zero at the truth, its derivatives, robust, and what it recovers."""
+"""The error over many steps: zero at the truth, its derivatives, robustness and recovery."""
 
 from functools import partial
 

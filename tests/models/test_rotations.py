@@ -81,7 +81,7 @@ def test_a_fitted_start_is_that_of_the_motion() -> None:
     torch.testing.assert_close(start.v, v, rtol=0, atol=1e-4)
 
 
-def test_what_rotations_do_not_have_is_refused_in_a_line() -> None:
+def test_features_that_rotations_lack_are_refused_in_one_line() -> None:
     system = stated("rigid_body")
     model = model_of(system, "variational")
     q, v, _ = system.points(2, seed=0)

@@ -1,4 +1,4 @@
-"""Learned dissipation: derivatives, settings, and what it can represent."""
+"""Learned dissipation: derivatives, settings, and forces that it represents."""
 
 from functools import partial
 

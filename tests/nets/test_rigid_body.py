@@ -86,7 +86,9 @@ def test_any_parameters_are_a_possible_body(coordinates: Coordinates) -> None:
         ({"coordinates": PIVOT, "input_width": 4}, r"set lagrangian\.learned_inputs"),
     ],
 )
-def test_what_is_no_rigid_body_is_refused_in_a_line(given: dict[str, Any], text: str) -> None:
+def test_arguments_of_no_rigid_body_are_refused_in_one_line(
+    given: dict[str, Any], text: str
+) -> None:
     with pytest.raises(ConfigError, match=text) as error:
         LearnedRigidBody(**given)
     assert "\n" not in str(error.value)

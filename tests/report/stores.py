@@ -22,7 +22,7 @@ IDENTITIES = map(str, itertools.count())
 
 
 def cell_of(given: dict[str, Any]) -> dict[str, Any]:
-    """The columns that say what a run is; what is not given is as in the defaults."""
+    """The columns of the settings of a run; those that are not given are the defaults."""
     cell = {
         "system": "pendulum", "method": "symo", "integrator": "midpoint", "n_traj": 32,
         "noise_std": 0.0, "seed": 0, "optimizer": "adam", **given,

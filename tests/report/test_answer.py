@@ -44,7 +44,7 @@ def test_there_is_a_sentence_for_each_question_that_the_runs_can_answer():
     assert asked[1].startswith("**From noisy data** (noise 0.1, 32 trajectories)")
 
 
-def test_who_is_best_by_how_much_and_where_not():
+def test_the_best_method_its_margin_and_exceptions_are_stated():
     def value(pair, seed, system):
         return (1.0 if pair == SYMO else 5.0 if pair[0] == "node" else 50.0) * (2 + seed)
 
@@ -69,7 +69,7 @@ def test_chance_is_no_winner():
 
 
 @pytest.mark.parametrize("lost", [math.inf, math.nan])
-def test_who_diverges_is_last_and_all_may(lost):
+def test_methods_that_diverge_are_last(lost):
     lines, (table,) = answers(made(lambda pair, *_: lost if pair == SYMO else 1.0), Compared(""))
     assert not any("**SyMo**" in line for line in lines)
     row = table.rows.set_index("").loc["SyMo"]
@@ -121,7 +121,7 @@ def test_methods_that_were_not_run_on_all_systems_are_in_the_heat_map_of_theirs(
     }  # fmt: skip
 
 
-def test_who_is_given_velocities_is_said_where_it_is_unfair():
+def test_methods_that_are_given_velocities_are_named_where_others_are_not():
     runs = made(lambda *_: 1.0)
     assert not any("velocities" in line for line in said(runs))
     finding = [pair for pair in PAIRS if pair[1] == "midpoint"]

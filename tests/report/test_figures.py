@@ -130,7 +130,7 @@ def test_published_values_and_several_integrators_have_legends():
     assert ["ours", "published"] in [legend.get("values") for legend in legends]
 
 
-def test_what_can_be_switched_off_is_what_there_are_several_of():
+def test_only_series_with_alternatives_can_be_switched_off():
     boxes = toggles(FIGURES)
     assert set(boxes["method"]) >= {look(name).label for name in (*METHODS, *TRUE, "mine")}
     assert set(boxes["source"]) == {"ours", "floor", "truth"}
@@ -206,7 +206,7 @@ def rows(source, y, method=""):
     return pd.DataFrame({"x": x, "y": y, "source": source, "method": method, "integrator": ""})
 
 
-def test_what_diverges_leaves_the_picture_and_not_its_scale():
+def test_divergent_series_leave_the_picture_without_changing_its_scale():
     truth, lost = rows("truth", np.sin(np.arange(50.0))), rows("ours", [1e6] * 50, "symo")
     panel = Panel("", "t", "q", pd.concat([truth, lost]), y_log=False)
     low, high = panel.limits()

@@ -80,7 +80,7 @@ def series(panel):
     return {one.source: one.rows for one in panel.traces()}
 
 
-def test_what_a_system_or_a_run_does_not_have_is_not_drawn(tmp_path):
+def test_quantities_that_a_system_or_run_lacks_are_not_drawn(tmp_path):
     unseen = SYSTEMS["pendulum"]
     unseen = SimpleNamespace(coordinates=unseen.coordinates, skeleton=lambda q: None)
     rollouts = dataclasses.replace(made(SYSTEMS["pendulum"]), energy=None)

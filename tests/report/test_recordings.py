@@ -75,7 +75,7 @@ def test_a_dissipation_is_drawn_over_velocity_and_time(n):
         )
 
 
-def test_what_is_lost_is_drawn_as_far_as_it_goes(tmp_path):
+def test_lost_predictions_are_drawn_until_they_are_lost(tmp_path):
     model, measures, found = recorded(2, lost=True, dissipation=DAMPED)
     assert measures["pooled_rmse_2s"] > 1e100
     made = recordings.recording_figures(model, found, "node", "lost")

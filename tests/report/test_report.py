@@ -107,7 +107,7 @@ def test_recordings_without_sizes_or_truth_are_reported(tmp_path):
     assert "| arm | 8 | defaults | NODE, midpoint | 1 | 2.00e-4 |\n" in table
 
 
-def test_what_is_unfinished_is_told_and_that_there_is_nothing(tmp_path):
+def test_unfinished_runs_and_empty_stores_are_reported(tmp_path):
     rows = [row(system="acrobot", status="FAILED", reason="out of memory")]
     text = (made(tmp_path, rows) / "report.md").read_text()
     assert "1 runs: 1 failed" in text

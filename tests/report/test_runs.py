@@ -88,7 +88,7 @@ def test_only_what_is_asked_for(store):
     assert runs.read_runs(store).run_id.nunique() == 4
 
 
-def test_what_is_not_there_is_said_in_a_line(store, tmp_path):
+def test_missing_stores_and_experiments_are_one_line(store, tmp_path):
     add_run(store, experiment="other")
     with pytest.raises(ConfigError, match=r"no experiment 'thesis' in .*; there are: other"):
         runs.read_runs(store, ["thesis"])
@@ -122,7 +122,7 @@ def test_saved_runs_are_the_same_again(tmp_path, name):
 
 
 @pytest.mark.parametrize(("column", "written"), [("value", "much"), ("started", "once")])
-def test_what_is_no_number_or_no_time_is_said_in_a_line(tmp_path, column, written):
+def test_values_that_are_no_numbers_or_times_are_one_line(tmp_path, column, written):
     table = runs.tidy([row()])[runs.SAVED].astype(object)
     table.loc[0, column] = written
     table.to_csv(tmp_path / "edited.csv", index=False)

@@ -31,7 +31,7 @@ def test_numbers_are_what_they_are_however_spelt():
     assert len({digest(x) for x in (one, *others)}) == 4
 
 
-def test_what_changes_no_number_does_not_count():
+def test_settings_that_change_no_number_do_not_change_the_digest():
     settings = {"seed": 0, "data": {"n_traj": 8, "cache_dir": "a"}, "logger": {"x": 1}}
     assert digest(settings) == digest({"seed": 0, "data": {"n_traj": 8, "cache_dir": "b"}})
 
@@ -55,7 +55,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_rubbish(folder):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"status": "finished", "x": 1}'])
-def test_what_cannot_be_read_is_as_if_it_were_not_there(text, folder):
+def test_unreadable_files_count_as_missing(text, folder):
     folder.record("finished")
     (folder / "outcome.json").write_text(text)
     (folder / "run.json").write_text(text)
@@ -170,7 +170,7 @@ def test_a_quantity_may_come_later_and_not_always(path):
     assert rows(path) == [*expected, {"epoch": 3, "b": 5.0}]
 
 
-def test_what_is_cut_off_is_written_anew(path):
+def test_rows_that_are_cut_off_are_written_again(path):
     series = Series(path)
     for epoch in range(5):
         series.append(epoch, {"x": float(epoch)})
@@ -202,7 +202,7 @@ def test_rows_wait_for_a_disk_that_is_full(path, monkeypatch):
     assert [row["x"] for row in read(path)] == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_whatever_byte_a_kill_leaves_last_the_rest_is_sound(path):
+def test_complete_rows_are_read_wherever_a_kill_cut_the_file(path):
     series = Series(path)
     for epoch in range(3):
         series.append(epoch, {"x": float(epoch)})

@@ -98,7 +98,7 @@ def motion(model, n, m):
 
 @pytest.fixture(scope="module")
 def directory(tmp_path_factory, database):
-    """Where runs are tracked."""
+    """The tracking store."""
     place = tmp_path_factory.mktemp("place")
     copy_store(database, place)
     return place / "mlruns"
@@ -236,7 +236,7 @@ def test_a_model_that_is_not_learned_needs_no_weights(folder):
     assert after.v.item() > 0.1
 
 
-def test_what_is_missing_is_said(folder, tmp_path):
+def test_missing_files_of_a_run_are_named(folder, tmp_path):
     assert "no config.yaml" in sentence(folder)
     RunFolder(folder).write_config(config())
     assert "has the run been trained?" in sentence(folder)

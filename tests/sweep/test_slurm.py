@@ -17,7 +17,7 @@ SLURM = {"_target_": "hydra_plugins.hydra_submitit_launcher.submitit_launcher.Sl
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What is asked; the queue answers with two jobs, with one, with none."""
+    """The requests to a queue that answers with two jobs, with one, with none."""
     words, answers = [], ["7_0\n7_1\n", "7_1\n", ""]
 
     def run(command, **_):

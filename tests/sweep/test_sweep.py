@@ -1,4 +1,4 @@
-"""Sweeps: failed jobs, their parent in the store, and what is not run again."""
+"""Sweeps: failed jobs, their parent in the store, and jobs that are not repeated."""
 
 import contextlib
 import io
@@ -18,7 +18,7 @@ RATES = "optimizer.lr=1e-3,1e30,1e-4"
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory, database):
-    """Where a sweep was done one of whose runs fails, its exit code and what was said of it."""
+    """Folder, exit code and output of a sweep in which one run fails."""
     place, said = tmp_path_factory.mktemp("swept"), io.StringIO()
     copy_store(database, place)
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
@@ -61,7 +61,7 @@ def test_a_multirun_is_one_parent_with_its_children(swept):
     )
 
 
-def test_what_is_finished_is_not_done_again(swept, workplace, capsys, monkeypatch):
+def test_finished_jobs_are_not_repeated(swept, workplace, capsys, monkeypatch):
     shutil.copytree(swept[0] / "outputs", workplace / "outputs")
     words = [*SWEPT, "logger=none"]
     known = {f: f.stat().st_mtime_ns for f in workplace.rglob("metrics.json")}

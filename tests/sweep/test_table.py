@@ -42,7 +42,7 @@ def test_the_table_fits_and_the_best_of_each_column_is_marked(tmp_path):
     assert units.startswith("* the best; MSE in m², rad²; energy in J²; inertia in kg²")
 
 
-def test_what_no_run_has_has_no_column_and_a_failure_is_told(tmp_path):
+def test_measures_of_no_run_have_no_column_and_failures_have_a_reason(tmp_path):
     folders = [made(tmp_path / "a", test_mse=1.0), made(tmp_path / "b", status="failed")]
     header, first, second, units, failed = table(["seed=0", "seed=1"], folders).splitlines()
     assert header.split() == ["test", "time"]

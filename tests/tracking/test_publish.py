@@ -82,7 +82,7 @@ def test_a_run_appears_grows_and_is_finished(view, folder, store):
 
 
 @pytest.mark.parametrize("forget", [False, True])
-def test_whoever_publishes_again_sends_nothing_twice(forget, view, folder, store):
+def test_publishing_again_sends_nothing_twice(forget, view, folder, store):
     """Another process knows nothing of the first; one whose folder forgot neither."""
     grow(folder, 20)
     view.publish(folder)
@@ -113,7 +113,7 @@ def test_a_run_that_was_killed_and_goes_on_is_one_run(view, folder, store):
     [("failed", "FAILED"), ("refused", "FAILED"), ("interrupted", "KILLED"),
      ("waiting", "SCHEDULED")],
 )  # fmt: skip
-def test_how_it_ended_and_why(status, told, view, folder, store):
+def test_status_and_reason_are_published(status, told, view, folder, store):
     folder.record(status, "a reason")
     view.publish(folder)
     (run,) = runs(store)

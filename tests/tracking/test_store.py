@@ -125,7 +125,7 @@ def test_mlflow_s_own_experiment_becomes_the_first_of_ours(store):
     assert {e.name for e in connect(store).search_experiments()} == {"e", "f"}
 
 
-def test_what_somebody_has_logged_to_default_stays_there(store):
+def test_runs_that_others_logged_to_default_stay_there(store):
     store = as_it_was_made(store)
     connect(store).create_run("0")
     assert experiment_id(store, "e") != "0"

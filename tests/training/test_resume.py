@@ -32,7 +32,7 @@ def _hear(caplog):
 
 
 def resumed(caplog):
-    found = [r.message for r in caplog.records if r.message.startswith("going on after epoch")]
+    found = [r.message for r in caplog.records if r.message.startswith("resuming after epoch")]
     return [int(message.split()[-1]) for message in found]
 
 
@@ -55,7 +55,7 @@ def test_a_training_interrupted_twice_ends_with_the_same_bits(
 
 
 def series(folder):
-    """All rows, but for what clocks say."""
+    """Return all rows without times."""
     clocks = {TIME, "step_ms", "training_seconds", "peak_memory"}
     rows = read(folder / "series.csv")
     assert [row[EPOCH] for row in rows] == list(range(len(rows)))

@@ -98,7 +98,7 @@ class Command:
 
         Raises:
             ConfigError: If a job under another sweeper than ours is refused.
-            Exception: What Hydra raises, which would otherwise print it and exit.
+            Exception: Any error of Hydra, which would otherwise print it and exit.
         """
         if self.runs:
             phases.say("reading the configuration")

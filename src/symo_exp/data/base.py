@@ -57,7 +57,7 @@ class DataModule(lightning.LightningDataModule, ABC):
     """
 
     recorded: ClassVar[bool] = False
-    """Whether the motions were measured."""
+    """True if the motions were measured."""
     time_step: float
     """Distance of the nodes [s]."""
     cut: Callable[[Sequence[Trajectory]], TrainingSamples]

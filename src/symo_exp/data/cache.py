@@ -113,7 +113,7 @@ def _read(
     except (zipfile.BadZipFile, zlib.error) as error:
         reason = f"damaged ({error})"
     if report:
-        log.warning("Cached data %s: %s; making it again", path, reason)
+        log.warning("Cached data %s: %s; it is generated again", path, reason)
     return None
 
 

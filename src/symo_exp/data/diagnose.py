@@ -56,7 +56,7 @@ class Diagnosis:
 
     @property
     def fixes_scale(self) -> bool:
-        """Whether inputs determine the inertia, not only its ratio to the forces."""
+        """True if inputs determine the inertia, not only its ratio to the forces."""
         if not self.driven or self.explained is None or self.free is None:
             return self.driven
         return self.explained - self.free >= HELP * (1 - self.free)
@@ -113,7 +113,7 @@ class Diagnosis:
             return "scale: no inputs, so the Lagrangian and friction are known up to a factor"
         if not self.fixes_scale:
             return "scale: the inputs explain next to nothing, so the inertia's scale is doubtful"
-        return "scale: the inputs fix that of the inertia"
+        return "scale: the inputs determine the scale of the inertia"
 
 
 Motion = tuple[np.ndarray, np.ndarray]

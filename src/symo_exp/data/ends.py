@@ -61,7 +61,7 @@ def _ended(trajectory: Trajectory, ends: Sequence[Range]) -> Trajectory:
 
 
 def _together(trajectories: Sequence[Trajectory]) -> Trajectories:
-    """Those that last for as many nodes as keep the most in all."""
+    """Return trajectories of one length, which keeps the most nodes in all."""
     lengths = torch.tensor([len(one.q) for one in trajectories])
     usable = [int(x) for x in lengths.unique() if x >= FEWEST]
     nodes = max(usable, key=lambda x: x * int((lengths >= x).sum()))

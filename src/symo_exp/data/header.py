@@ -30,7 +30,7 @@ class Header(NamedTuple):
     Attributes:
         names: Names in the order of the file; a column that is set aside begins with a dot.
         seconds: Unit of the times [s].
-        notes: What was read differently from how it stands in the file, a line each.
+        notes: Differences of the table from the file, a line each.
     """
 
     names: tuple[str, ...]

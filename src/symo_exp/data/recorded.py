@@ -30,13 +30,13 @@ __all__ = ["RecordedData", "central_differences", "write_recordings"]
 log = logging.getLogger(__name__)
 
 TIME_TOLERANCE = 1e-3
-"""How far a recorded step may be from ``system.time_step``, as a share of it, to be one."""
+"""Largest relative difference of a recorded step that equals ``system.time_step``."""
 SLOW = 0.5
 """Steps [s] from which times are taken for those of another unit."""
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
 UNIT = 1e-3
-"""How far the norm of a quaternion may be from 1."""
+"""Largest difference of the norm of a quaternion from 1."""
 BATCHES = 8
 """In an epoch, unless their size is given."""
 

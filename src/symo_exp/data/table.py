@@ -25,7 +25,7 @@ class Recording(NamedTuple):
     Attributes:
         label: Its name.
         part: The split it belongs to, ``""`` where none is given.
-        samples: What was measured.
+        samples: The measured samples.
     """
 
     label: str
@@ -39,7 +39,7 @@ class RecordingTable(NamedTuple):
     Attributes:
         recordings: The trajectories.
         unread: Columns that were not read.
-        notes: What was read differently from how it stands in the files, a line each.
+        notes: Differences of the table from the files, a line each.
     """
 
     recordings: tuple[Recording, ...]

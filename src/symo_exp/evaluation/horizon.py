@@ -71,7 +71,7 @@ class Predictions:
 
     Attributes:
         time_step: Distance of the nodes [s].
-        windows: What was predicted.
+        windows: The predicted windows.
         q: Predicted configurations.
         v: Predicted velocities.
     """

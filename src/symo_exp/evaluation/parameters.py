@@ -1,4 +1,4 @@
-"""The physical parameters of a learned model: values, uncertainty and what data determine."""
+"""The physical parameters of a learned model: values, uncertainty and determination by data."""
 
 from __future__ import annotations
 

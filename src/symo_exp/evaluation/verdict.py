@@ -14,7 +14,7 @@ measures do not say it."""
 
 
 def verdict(measures: Mapping[str, float]) -> str | None:
-    """Return what a model of recordings is good for, ``None`` where its measures do not say.
+    """Return the verdict on a model of recordings, ``None`` if its measures do not decide.
 
     A model is *good* if its error stays within a tenth of the motion over windows of 2 s, or of
     what a shorter recording has (median over windows), *usable* to the time until which it does,

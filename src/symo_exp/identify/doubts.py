@@ -12,11 +12,11 @@ HORIZONS = ("0.5s", "1s", "2s")
 BETTER = 0.5
 """Share of constant velocity's error above which, over all horizons, there is no model."""
 LITTLE = 10.0
-"""Length of recordings that is little [s]."""
+"""Length below which recordings are short [s]."""
 
 
 def hopeless(measures: Mapping[str, float]) -> bool:
-    """Whether a model is hardly better than constant velocity over any horizon."""
+    """Return whether a model is hardly better than constant velocity over every horizon."""
     pairs = [
         (measures[f"rmse_{t}"], measures[f"constant_velocity_rmse_{t}"])
         for t in HORIZONS
@@ -26,7 +26,7 @@ def hopeless(measures: Mapping[str, float]) -> bool:
 
 
 def doubts(machine: Machine) -> Iterator[str]:
-    """Yield what the recordings show that keeps a model from being found."""
+    """Yield properties of the recordings that may prevent a model from being found."""
     if not machine.moves:
         yield "nothing moves by more than its noise"
     elif machine.explained is None:
@@ -38,6 +38,6 @@ def doubts(machine: Machine) -> Iterator[str]:
             "units differ"
         )
     if machine.seconds < LITTLE:
-        yield f"{machine.seconds:.2g} s are little to learn from"
+        yield f"the recordings are short: {machine.seconds:.2g} s"
     if machine.delay:
         yield f"inputs seem to act {1e3 * machine.delay:g} ms after they are recorded"

@@ -1,4 +1,4 @@
-"""The plan of a search: what a budget is spent on, decided before the first run starts."""
+"""The plan of a search: the use of its budget, decided before the first run starts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PATIENCE = 4.0
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done, and what it should take.
+    """The stages of a search and their planned times.
 
     Args:
         budget: Wall time [s].
@@ -53,7 +53,7 @@ class Plan:
         epochs: Epochs for each epsilon.
         names: Candidates of the first round.
         variations: How many variations of the best candidate are tried.
-        key: What the plan was made for.
+        key: Digest of the arguments that the plan depends on.
         without: Stages that are left out, since the search has grossly overrun its budget.
     """
 

@@ -1,4 +1,4 @@
-"""What the recordings of a machine say before anything is trained."""
+"""Properties of a machine that are inferred from its recordings before training."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ USUAL_REST = 0.1
 SLOW = 0.3
 """Share of the usual one below which it is lowered."""
 Sampled = tuple[Samples, np.ndarray, np.ndarray]
-"""What was sampled, nodes a time step apart, and configurations there."""
+"""Samples, nodes a time step apart, and configurations at the nodes."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Machine:
         delay: Of the inputs [s], if one explains the motion better than none; else 0.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
         moves: Whether any coordinate moves by more than its noise.
-        notes: What was inferred, a line each.
+        notes: The inferred properties, a line each.
     """
 
     settings: tuple[str, ...]

@@ -58,7 +58,7 @@ HOPELESS = 4.0
 ITERATIONS = 5
 """Of the fit of starts in validations: more refine those of motions that stick alone."""
 OVERRUN = 2.0
-"""What is left of a search is left out where it has taken so many times the time planned."""
+"""Multiple of the planned time after which further stages of a search are left out."""
 
 
 class Search:
@@ -278,9 +278,10 @@ class Search:
         return self._trials.setdefault(candidate.name, Trial(candidate))
 
     def _in_time(self, share: float, stage: str) -> bool:
-        """Whether a stage is done: not if the search has grossly overrun this share of its budget.
+        """Return whether there is time for a stage: the search has not far exceeded this share.
 
-        It says so, and the plan keeps it: the same command leaves out the same again.
+        A stage that is left out is printed and kept in the plan: the same command leaves it out
+        again.
         """
         if stage in self._plan.without:
             return False
@@ -325,7 +326,7 @@ class Search:
             print(f"the last fit {folder.outcome().status}: {folder.outcome().reason}")
             return 1
         if (done := len(read(folder / SERIES))) < epochs:
-            print(f"the last fit was ended by the clock after {done} of {epochs} epochs")
+            print(f"the last fit ran out of time after {done} of {epochs} epochs")
         self._link(folder)
         measures = folder.measures()
         label = verdict(measures) or "not judged"
@@ -343,7 +344,7 @@ class Search:
 
     def _print_doubts(self) -> None:
         for line in doubts(self._machine):
-            print(f"  perhaps why: {line}")
+            print(f"  possible reason: {line}")
 
     def _no_model(self) -> int:
         if self._trials:
@@ -466,7 +467,7 @@ def _by_key(overrides: Sequence[str]) -> dict[str, str]:
 def _told(trial: Trial) -> str:
     if trial.reasons:
         return f"failed: {next(iter(trial.reasons.values()))}"
-    ended = f", {trial.overran} ended by the clock" if trial.overran else ""
+    ended = f", {trial.overran} ran out of time" if trial.overran else ""
     return (
         f"error {trial.mean():.3g} over {len(trial.errors)} fold(s), {trial.seconds:.0f} s{ended}"
     )

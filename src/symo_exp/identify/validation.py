@@ -23,7 +23,7 @@ WORST, LEAST = 10.0, 1e-12
 
 @dataclass
 class Trial:
-    """A candidate and what its folds gave.
+    """A candidate and the results of its folds.
 
     ``errors`` are those of the folds that ended well, ``reasons`` say why the others did not;
     ``overran`` is how many were ended by the clock.
@@ -38,7 +38,7 @@ class Trial:
 
     @property
     def failed(self) -> bool:
-        """Whether a fold ended badly."""
+        """True if a fold failed."""
         return bool(self.reasons)
 
     def mean(self, folds: Iterable[int] | None = None) -> float:
@@ -83,7 +83,7 @@ def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
 
 
 def beats(one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]) -> bool:
-    """Whether the errors ``one`` are smaller by more than one standard error."""
+    """Return whether the errors ``one`` are smaller by more than one standard error."""
     mean, spread = compared(one, other, folds)
     return mean < -spread
 

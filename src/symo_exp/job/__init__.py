@@ -1,1 +1,1 @@
-"""One run: checked, built, trained, measured, kept."""
+"""One run: checks, construction, training, measures, saving."""

@@ -40,7 +40,7 @@ def check_settings(settings: Settings, known: Mapping[str, Any]) -> None:
 
     Args:
         settings: The settings of a run.
-        known: What the chosen files alone have, unresolved.
+        known: The settings of the chosen files alone, unresolved.
     """
     code.add(settings.values["code"])
     _check_node(settings.values, known, settings.references)
@@ -168,7 +168,7 @@ def _parameters(target: Any, path: str) -> Mapping[str, Any]:
 
 
 def _free(hint: Any) -> bool:
-    """Whether a setting is a mapping whose keys are the user's."""
+    """Return whether a setting is a mapping whose keys are the user's."""
     kinds = {typing.get_origin(option) for option in (hint, *typing.get_args(hint))}
     return Mapping in kinds
 

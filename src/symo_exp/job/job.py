@@ -32,10 +32,10 @@ log = logging.getLogger(__name__)
 SWEEP, VARIED = "SYMO_EXP_SWEEP", "SYMO_EXP_VARIED"
 """Environment variables: the identity of the sweep that a job belongs to, and what it varies."""
 NAMED = "model=", "system=", "data.n_traj="
-"""What the name of a run has anyway."""
+"""Settings that are in the name of every run."""
 OURS = "hydra_plugins.symo_exp_sweeper.SymoExpSweeper"
 READS_FOLDERS = "hydra_plugins.symo_exp_"
-"""How the sweepers begin that read a run's folder, not the number that it returns."""
+"""Prefix of the sweepers that read a run's folder and not the number that it returns."""
 
 
 def job(config: DictConfig) -> float | None:
@@ -153,7 +153,7 @@ def _end(folder: RunFolder, tracker: Any, status: Any, reason: str, seconds: flo
     try:
         folder.record(status, reason, seconds)
     except OSError as error:  # a full disk
-        log.error("%s: how the run ended (%s) is not kept: %s", folder, status, error)
+        log.error("%s: the status of the run (%s) cannot be written: %s", folder, status, error)
         with suppress(OSError):
             folder.forget_outcome()
         return
@@ -168,8 +168,8 @@ def publish(tracker: Any, folder: RunFolder) -> str:
     except Exception as error:
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         log.warning(
-            "%s: the tracking store is away (%s); the run is uploaded when the command is given "
-            "again", folder, reason,
+            "%s: the tracking store is unavailable (%s); the run is uploaded when the command is "
+            "given again", folder, reason,
         )  # fmt: skip
         return ""
 

@@ -18,7 +18,7 @@ UNITS = {
     "inertia_mse": "inertia in kg², kg² m², kg² m⁴", "rmse_2s": "to 2 s: RMSE in m, rad",
 }  # fmt: skip
 SHORT = "test_mse", "integration_mse", "rmse_2s"
-"""Those of a line."""
+"""The measures in the line of a run."""
 ROWS = 40
 """Physical parameters that are shown."""
 
@@ -60,7 +60,7 @@ def brief(label: str) -> str:
 
 
 def duration(seconds: float) -> str:
-    """In the unit that a human would choose."""
+    """Return a duration in a suitable unit."""
     for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 1.5 * size:
             return f"{seconds / size:.0f} {unit}"

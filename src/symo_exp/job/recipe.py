@@ -1,4 +1,4 @@
-"""The stages of a run: build what the configuration names, train, measure, keep."""
+"""The stages of a run: building the parts, training, measuring, saving."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def perform(
     """Do a run from the last checkpoint on.
 
     Args:
-        parts: What ``build`` returned.
+        parts: The result of ``build``.
         settings: The resolved settings.
         folder: Where all files go.
         about: Name and parameters of the run.
@@ -150,7 +150,9 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
 def _reference(settings: Mapping[str, Any], system: Any, data: Any) -> Any:
     reference = make(settings, "reference")
     if not data.recorded:
-        raise ConfigError("reference: models of recordings are held to it, with data=recorded")
+        raise ConfigError(
+            "reference: only models of recordings have one; give data=recorded or reference=none"
+        )
     check_fit(reference, *system.input_matrix.shape)
     return reference
 
@@ -183,7 +185,7 @@ def default_dtype(name: str) -> Iterator[None]:
 
 
 def _announce(tracker: Any, folder: RunFolder) -> None:
-    """Open the run in the store, or log that the store is away."""
+    """Open the run in the store, or log that the store is unavailable."""
     try:
         tracker.publish(folder)
     except Exception as error:
@@ -214,7 +216,7 @@ def _train(parts: Parts, folder: Path) -> None:
             learner.load_state_dict(saved.state["state_dict"])
         return
     if saved is not None:
-        log.info("going on after epoch %d", saved.state["epoch"] + 1)
+        log.info("resuming after epoch %d", saved.state["epoch"] + 1)
     path = None if saved is None else str(saved.path)
     parts.trainer.fit(learner, datamodule=parts.data, ckpt_path=path)
     stopping.raise_if_requested()

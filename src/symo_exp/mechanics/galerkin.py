@@ -383,7 +383,7 @@ class GalerkinExpansion(DiscreteExpansion):
 
     @property
     def dissipates(self) -> bool:
-        """Whether there is friction, which bends within a step: updates may go too far."""
+        """True if there is friction, which varies within a step: updates may go too far."""
         return self.at.dissipates
 
     def imbalance(self) -> Float[Tensor, " batch"]:

@@ -335,7 +335,7 @@ class ChartExpansion(Expansion):
 
     @property
     def dissipates(self) -> bool:  # type: ignore[override]
-        """Whether there is a dissipative force."""
+        """True if there is a dissipative force."""
         return self._at.dissipates
 
     @override

@@ -76,7 +76,7 @@ class Expansion(Rowwise, ABC):
         """
 
     dissipates: ClassVar[bool] = False
-    """Whether there is a dissipative force ``F_d``."""
+    """True if there is a dissipative force ``F_d``."""
 
     def damping(self) -> Float[Tensor, "batch n n"]:
         """Return ``∂F_d/∂v``, or its stiff part, without a graph."""

@@ -79,7 +79,7 @@ class DiscreteExpansion(Rowwise, ABC):
 
 
 class VariationalIntegrator(ABC):
-    """A rule that makes a discrete Lagrangian and discrete forces of continuous ones.
+    """A rule that turns a Lagrangian and forces into discrete ones.
 
     Integrators that resolve the motion between two configurations need the ``forces`` there (none
     if left out); impulses on the configurations themselves come from ``impulses``.
@@ -88,13 +88,13 @@ class VariationalIntegrator(ABC):
     name: str
     order: int
     iterates = False
-    """Whether it solves for the motion between two configurations."""
+    """True if it solves for the motion between two configurations."""
     space: Space = FLAT
     """The space of the configurations that it takes."""
     stages: int | None = None
     """Number of Gauss points of its extension to rotations, ``None`` if it has none."""
     has_hessian = False
-    """Whether its expansions have a ``hessian``; several steps are then solved at once."""
+    """True if its expansions have a ``hessian``; several steps are then solved at once."""
 
     @abstractmethod
     def slots(

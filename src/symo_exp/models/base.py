@@ -21,7 +21,7 @@ from symo_exp.models.uncertainty import Interval, ModelPosterior, interval, samp
 
 
 class DynamicsModel(nn.Module):
-    """The motion of a mechanical system with coordinates ``q`` (n) and controls ``u`` (m).
+    """A model of a mechanical system with coordinates ``q`` (n) and controls ``u`` (m).
 
     Of a system with rotations, configurations ``q`` have N numbers, the nine entries of each
     rotation after the lengths and angles, row by row; ``v`` has n, body rates for a rotation.
@@ -54,18 +54,18 @@ class DynamicsModel(nn.Module):
         self.compiled: dict[str, Callable[..., Any]] = {}
         """Functions that replace uncompiled ones: "rollout" replaces ``flow.advance``."""
         self.posterior: ModelPosterior | None = None
-        """What training leaves open about the parameters, where it was least squares."""
+        """Posterior of the parameters, if they were estimated by least squares."""
         self.system: Any = None
         """The system of a model that was loaded from a run."""
 
     @property
     def learns(self) -> bool:
-        """Whether there is anything to train."""
+        """True if there is anything to train."""
         return any(True for _ in self.parameters())
 
     @property
     def reads_velocity(self) -> bool:
-        """Whether predictions start from measured velocities."""
+        """True if predictions start from measured velocities."""
         return self.flow.reads_velocity
 
     @property
@@ -141,7 +141,7 @@ class DynamicsModel(nn.Module):
         steps: int | None = None,
         level: float = 0.9,
     ) -> Interval:
-        """Return the configurations between which the motion lies with probability ``level``.
+        """Return bounds between which the configurations lie with probability ``level``.
 
         The interval is that of the posterior of the parameters, by linearisation or, of more than
         24 parameters, by samples; where errors of held-out recordings exceed it, widened by these.

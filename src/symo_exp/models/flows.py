@@ -70,9 +70,9 @@ class Flow(nn.Module, ABC):
     """
 
     reads_velocity: ClassVar[bool]
-    """Whether predictions start from measured velocities, or from configurations alone."""
+    """True if predictions start from measured velocities, or from configurations alone."""
     branch_free = False
-    """Whether no operation of a step depends on values, as those of a root finder do."""
+    """True if no operation of a step depends on values, as those of a root finder do."""
     input_matrix: Float[Tensor, "n m"]
     """``B`` of the generalised force ``F = B u``."""
     lagrangian: Lagrangian | None
@@ -318,7 +318,7 @@ class VariationalFlow(Flow):
 
     @property
     def solves_stretches(self) -> bool:
-        """Whether several steps can be solved at once."""
+        """True if several steps can be solved at once."""
         root = self.rollout_root
         rows = isinstance(root, Newton) and root.stopping == "row"
         return rows and self.integrator.has_hessian and not self.space.rotations

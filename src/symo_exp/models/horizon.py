@@ -189,7 +189,7 @@ class _Fitted(NamedTuple):
     root: Float[Tensor, "stretches nodes n"]
     """``√w``."""
     follows: Bool[Tensor, " stretches"]
-    """Those that are not lost."""
+    """Stretches that are not lost."""
 
     def values(self) -> Float[Tensor, "stretches errors"]:
         """Return the residuals ``√w (q̂ − q)``."""

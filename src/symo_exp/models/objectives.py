@@ -57,7 +57,7 @@ class Objective(ABC):
     """``(flow, windows) → residuals``, differentiable in the parameters of the flow."""
 
     consecutive: ClassVar[bool] = True
-    """Whether samples are windows of three consecutive nodes."""
+    """True if samples are windows of three consecutive nodes."""
 
     @abstractmethod
     def __call__(self, flow: Any, windows: Any) -> Residuals:

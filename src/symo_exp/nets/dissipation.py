@@ -1,4 +1,4 @@
-"""Learned dissipation: friction by its coefficients, and what they cannot say by a network."""
+"""Learned dissipation: coefficients of friction, and a network for the rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Physical numbers that a learned Lagrangian or dissipation stands for."""
+"""Physical parameters of a learned Lagrangian or dissipation."""
 
 from __future__ import annotations
 
@@ -218,5 +218,5 @@ def _inertia(a: Any, b: Any) -> str:
 
 
 def _units(angular: bool) -> tuple[str, str]:
-    """Those of viscous and of dry friction."""
+    """Return the units of viscous and of dry friction."""
     return ("N m s/rad", "N m") if angular else ("N s/m", "N")

@@ -42,7 +42,7 @@ class Problem(Equations, Protocol):
 
     @property
     def reads_velocity(self) -> bool:
-        """Whether residuals depend on measured velocities."""
+        """True if residuals depend on measured velocities."""
         ...
 
     def parameters(self) -> Iterable[Tensor]:
@@ -80,7 +80,7 @@ class EpochOptimizer(Optimizer, ABC):
     """
 
     reads_trajectories: ClassVar[bool] = False
-    """Whether ``epoch`` is given whole trajectories instead of mini batches."""
+    """True if ``epoch`` is given whole trajectories instead of mini batches."""
 
     def __init__(self, params: Iterable[Tensor], *, patience: int, tolerance: float = 0.0) -> None:
         if patience < 1:

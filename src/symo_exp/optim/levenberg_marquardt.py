@@ -74,7 +74,7 @@ class LevenbergMarquardt(EpochOptimizer):
         super().__init__(params, patience=patience)
         if any(p.dtype != torch.float64 for p in self.parameters):
             raise ConfigError(
-                "Levenberg-Marquardt squares the condition of the problem: it needs dtype=float64"
+                "Levenberg-Marquardt squares the condition number: it needs dtype=float64"
             )
         self.trials, self.chunk, self.initial_damping = trials, chunk, damping
         self.memory |= {"damping": damping, "loss": math.inf, "asked": math.inf}

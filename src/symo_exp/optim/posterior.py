@@ -91,7 +91,7 @@ def posterior(
     Args:
         residuals: Residuals of a batch of windows, those that were made small.
         parameters: The parameters, float64, at their estimate.
-        trajectories: What they were estimated from.
+        trajectories: The trajectories of the estimate.
         velocities: Whether residuals read velocities.
         epsilon: ``ε`` of total least squares; ``None`` for Levenberg-Marquardt.
         velocity_weight: Noise of velocities over that of configurations [1/s].

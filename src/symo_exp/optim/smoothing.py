@@ -63,8 +63,8 @@ class Found(NamedTuple):
 
     metrics: dict[str, float]
     ended: bool
-    """Whether further steps would find nothing: none was accepted at the largest damping, and noise
-    and priors no longer change."""
+    """True if further steps are pointless: none was accepted at the largest damping, and noise and
+    priors no longer change."""
 
 
 class SmoothingObjective:

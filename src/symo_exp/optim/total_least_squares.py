@@ -32,7 +32,7 @@ class Stage(NamedTuple):
 
     epsilon: float | None
     late: bool = False
-    """Whether the late parameters move as well."""
+    """True if the late parameters move as well."""
     start: int = 0
     """Index of the start: 0 from the initial parameters, 1 after steps of Adam, others after steps
     of Adam from newly drawn parameters."""
@@ -101,7 +101,9 @@ class TotalLeastSquares(EpochOptimizer):
         if not 0 <= input_weight < float("inf"):
             raise ConfigError(f"optimizer.input_weight={input_weight}: expected 0 or more")
         if any(p.dtype != torch.float64 for p in self.parameters):
-            raise ConfigError("total least squares squares its condition: it needs dtype=float64")
+            raise ConfigError(
+                "total least squares squares the condition number: it needs dtype=float64"
+            )
         self.start, self.epochs, self.damping = start, epochs, damping
         self.warm_up, self.seed = warm_up, seed
         self.velocity_weight, self.input_weight = velocity_weight, input_weight

@@ -111,7 +111,7 @@ def make_way() -> None:
     """Have the launcher queue this job again, which ends the process.
 
     Raises:
-        Exception: What the launcher raises, for instance if the job was queued too often.
+        Exception: Any error of the launcher, for instance if the job was queued too often.
     """
     if _requeue is not None:
         for signum in SIGNALS:  # the cluster sends them to what leaves the node

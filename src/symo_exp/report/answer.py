@@ -1,4 +1,4 @@
-"""The answer of a report: the best method for each question, by how much and how surely."""
+"""The answer of a report: the best method for each question, its margin and how certain it is."""
 
 from __future__ import annotations
 

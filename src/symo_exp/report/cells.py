@@ -13,7 +13,7 @@ from symo_exp.report.runs import CELL
 
 SUMMARY = ["seeds", "median", "low", "high", "seconds"]
 DEFAULTS = "defaults"
-"""What a reader calls the settings of runs that change none."""
+"""Printed name of the settings of runs that change none."""
 
 
 class Compared(NamedTuple):

@@ -59,7 +59,7 @@ class Trace(NamedTuple):
 
     @property
     def band(self) -> bool:
-        """Whether there is a band around the line."""
+        """True if there is a band around the line."""
         return "low" in self.rows and bool((self.rows.low < self.rows.high).any())
 
 

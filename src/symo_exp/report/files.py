@@ -16,7 +16,7 @@ def write_report(
     """Write the files of a report below ``out``, replacing those of an earlier one.
 
     Args:
-        report: What to write.
+        report: The content to write.
         out: The folder, made if need be.
         formats: Of the figures: any of ``png``, ``pdf``, ``svg``.
         page: Whether ``index.html`` is written.

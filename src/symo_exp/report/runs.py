@@ -141,7 +141,7 @@ def _finished(about: Mapping[str, Any], measures: Mapping[str, float]) -> Mappin
 def _in_store(store: Store, experiments: Sequence[str]) -> Iterator[Row]:
     if store.database is not None and not store.database.exists():
         raise ConfigError(
-            f"no tracking store at {store.database}: say which with --tracking-uri or --directory"
+            f"no tracking store at {store.database}: choose one with --tracking-uri or --directory"
         )
     check(store, timeout=5.0)
     client = connect(store)

@@ -24,7 +24,7 @@ class Cell(NamedTuple):
 
     @property
     def best(self) -> bool:
-        """Whether the cell has the best rank."""
+        """True if the cell has the best rank."""
         return self.shade == 1
 
 

@@ -46,7 +46,7 @@ FILES = (
     CONFIG, SERIES, CHECKPOINT, MEASURES, PARAMETERS, POSTERIOR, ROLLOUTS, WINDOWS, PICTURES,
     STUDIES,
 )  # fmt: skip
-"""What a store keeps of a run besides its numbers."""
+"""Files of a run that a store keeps."""
 ABOUT, OUTCOME, PUBLISHED = "run.json", "outcome.json", "published.json"
 
 DIED = "its process was killed, perhaps for want of memory"

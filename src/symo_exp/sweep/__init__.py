@@ -1,1 +1,1 @@
-"""Many runs: jobs composed and checked, launched, watched, summed up."""
+"""Many runs: jobs composed and checked, launched, watched, summarised."""

@@ -43,7 +43,7 @@ def expand(arguments: Sequence[str], params: Mapping[str, Any] | None = None) ->
 
     Args:
         arguments: Overrides of the command line, which have the last word.
-        params: What the file of a sweep varies. A key such as ``model,integrator`` has a list of
+        params: Settings that a sweep file varies. A key such as ``model,integrator`` has a list of
             pairs; of these the ones are taken that agree with the command line, and where none
             agrees, the values of the command line alone.
     """
@@ -144,8 +144,8 @@ class Composer:
             fits = [o for o in others if OmegaConf.select(self.files(o), name) is not None]
             if fits:
                 raise ConfigError(
-                    f"{group}={job.choices[group]} does not go with model={job.choices['model']}; "
-                    f"what does: {', '.join(fits)}"
+                    f"{group}={job.choices[group]} does not fit model={job.choices['model']}; "
+                    f"possible: {', '.join(fits)}"
                 )
 
     def _merge(self, overrides: Sequence[str]) -> DictConfig:

@@ -51,7 +51,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
 
 
 def _verdicts(names: Sequence[str], found: Sequence[Mapping[str, float]]) -> list[str]:
-    """Return what models of recordings are good for, beside the baseline, a line each."""
+    """Return the verdicts on models of recordings beside the baseline, a line each."""
     lines = []
     for name, measures in zip(names, found, strict=True):
         told = [text for text in (verdict(measures), comparison(measures)) if text]

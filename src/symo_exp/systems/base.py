@@ -79,13 +79,13 @@ class Linkage(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class System(ABC):
-    """What is known of a mechanical system, in SI units.
+    """A mechanical system as far as it is known, in SI units.
 
     A system is a frozen dataclass; ``conf/system`` holds the values of its fields. A physical
     parameter names its unit, ``mass: Annotated[float, "kg"]``, and is positive; a vector,
-    ``Annotated[Vector, "m"]``, has three finite entries. ``time_step`` is
-    the distance ``h`` [s] of the nodes of a trajectory, ``box`` where motions start. What is not
-    known is ``None``, and whatever would need it is left out.
+    ``Annotated[Vector, "m"]``, has three finite entries. ``time_step`` is the distance ``h`` [s] of
+    the nodes of a trajectory, ``box`` the ranges of initial states and inputs. Unknown parts are
+    ``None``; measures and pictures that need them are left out.
     """
 
     time_step: float
@@ -274,7 +274,7 @@ class LagrangianSystem(System, Lagrangian):
 
     @cached_property
     def _analytic(self) -> bool:
-        """Whether this system's functions allow the complex step, tried at points of the box."""
+        """True if this system's functions allow the complex step, tried at points of the box."""
         q, v, _ = self.points(8, seed=0)
         return complex_step.applies(self, q, v)
 

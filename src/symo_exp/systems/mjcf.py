@@ -35,7 +35,7 @@ def mjcf(
         mechanism: Joints, gravity and inputs; a fluid is left out.
         name: Name of the model.
         damping: Viscous friction (n, n), symmetric and positive semidefinite, in the place of the
-            joints' own. What couples joints is written as damped fixed tendons.
+            joints' own. Damping between joints is written as damped fixed tendons.
         friction: Dry friction ``c`` along directions ``a``, of ``-c sign(a . v) a``, likewise.
         comments: Lines for the head of the file.
     """

@@ -1,4 +1,4 @@
-"""Tables of chapter 6: results beside the published ones, statements, and what has been run."""
+"""Tables of chapter 6: results beside the published ones, statements, and cells that were run."""
 
 from __future__ import annotations
 

@@ -41,9 +41,7 @@ def thesis_report(
                 tables=[chapter.agreement(theirs)]),
         Section("chapter", "Tables of chapter 6", tables=[*chapter.chapter_tables(usual, theirs)]),
     ]  # fmt: skip
-    last = Section(
-        "progress", "What of chapter 6 has been run", tables=[*chapter.progress(runs)], folded=True
-    )
+    last = Section("progress", "Runs of chapter 6", tables=[*chapter.progress(runs)], folded=True)
     parts = [first, *filter(None, own), *others, last]
     return Report(TITLE, source, parts, runs, {"published.csv": theirs})
 

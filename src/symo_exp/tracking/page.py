@@ -20,7 +20,7 @@ RESULTS = "train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse
 """The measures of a description."""
 VIEW = "mlflow.sharedViewState.symo_exp"
 LOCAL = "http://127.0.0.1:5000"
-"""Where MLflow serves what lies in a file."""
+"""Address of MLflow's server for a store that is a file."""
 
 
 def description(about: About, outcome: Outcome, measures: Mapping[str, float]) -> str:

@@ -1,7 +1,7 @@
 """MLflow as a view of run folders: ``publish(folder)`` updates the store.
 
 It can be called at any time, any number of times and from any process: while a run trains, at its
-end, or when the command is repeated. What the store has is not sent again; the folder holds all
+end, or when the command is repeated. Nothing that the store has is sent again; the folder holds all
 state. A call to MLflow takes 5 to 30 ms, about the same for one row as for fifty, so that series
 are sent in batches; synchronously, because rows that MLflow queues itself are lost when the
 process is killed.
@@ -150,7 +150,7 @@ class MlflowView:
         return kept + rows[-1:] if last and rows and rows[-1] not in kept else kept
 
     def show(self, varied: Sequence[str]) -> None:
-        """Set up the page of the experiment for a sweep, unless the store is away."""
+        """Set up the page of the experiment for a sweep, unless the store is unavailable."""
         try:
             self.check()
             show(self.store, experiment_id(self.store, self._experiment), varied)
@@ -159,7 +159,7 @@ class MlflowView:
                 raise
 
     def page(self) -> str:
-        """Return the page of the experiment, empty while the store is away."""
+        """Return the page of the experiment, empty while the store is unavailable."""
         try:
             self.check()
             return page(self.store, experiment_id(self.store, self._experiment))

@@ -53,7 +53,7 @@ class Store:
 
     uri: str
     artifacts: str | None
-    """Where a new experiment keeps its files; ``None`` leaves it to the server."""
+    """Folder of the files of a new experiment; ``None``: the server chooses one."""
     database: Path | None
     """The file of an SQLite store."""
 

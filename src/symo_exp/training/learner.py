@@ -81,7 +81,7 @@ class Learner(lightning.LightningModule):
 
     @property
     def reads_velocity(self) -> bool:
-        """Whether the objective depends on measured velocities."""
+        """True if the objective depends on measured velocities."""
         return self.model.reads_velocity
 
     def residuals(self, windows: TrainingSamples) -> Float[Tensor, "samples residuals"]:

@@ -32,5 +32,5 @@ class StopOverrun(lightning.Callback):
         elapsed = time.process_time() - self._start
         if elapsed > self._seconds and not trainer.should_stop:
             epoch = trainer.current_epoch + 1
-            log.warning("ended after %.0f s, in epoch %d: it overran its time", elapsed, epoch)
+            log.warning("ended after %.0f s, in epoch %d: time limit exceeded", elapsed, epoch)
             trainer.should_stop = True

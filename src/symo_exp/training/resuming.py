@@ -23,7 +23,7 @@ class Saved(NamedTuple):
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to train."""
+        """True if nothing is left to train."""
         return bool(self.state["complete"])
 
 

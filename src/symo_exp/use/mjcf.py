@@ -30,7 +30,7 @@ Coupled = list[tuple[float, list[float]]]
 def write_bodies(model: DynamicsModel, path: Path) -> Path:
     """Write the rigid bodies of a model as MJCF (``.xml``) or URDF (``.urdf``).
 
-    What the file cannot hold is named in a comment at its head and in a line of the log.
+    Parts that the file cannot represent are named in a comment at its head and in the log.
 
     Raises:
         ConfigError: If the model does not consist of rigid bodies.
@@ -77,8 +77,8 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
 def linkage(lagrangian: Any, names: tuple[str, ...]) -> Linkage:
     """Return the rigid bodies of a Lagrangian; refuse one that has none."""
     raise ConfigError(
-        f"{type(lagrangian).__name__} does not consist of rigid bodies, which is what .xml and "
-        ".urdf hold; learn with lagrangian=rigid or lagrangian=known, or write .pt2"
+        f"{type(lagrangian).__name__} does not consist of rigid bodies, which .xml and .urdf "
+        "require; learn with lagrangian=rigid or lagrangian=known, or write .pt2"
     )
 
 

@@ -1,4 +1,4 @@
-"""Runs from Python, as the command does them."""
+"""Runs from Python, equal to those of the command line."""
 
 from __future__ import annotations
 
@@ -59,9 +59,9 @@ class Run:
 
 
 def run(*words: str, **settings: Any) -> Run | list[Run]:
-    """Do what ``python -m symo_exp WORDS`` does.
+    """Run the command ``python -m symo_exp WORDS`` in this process.
 
-    A run that is finished already is not done again::
+    A run that is finished already is not repeated::
 
         symo_exp.run("model=symo", "data.n_traj=16")
         symo_exp.run(model="symo", **{"data.n_traj": 16})
@@ -69,21 +69,21 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
     Args:
         *words: Words of the command line.
         **settings: Settings and choices of files by name; numbers, truth values, ``None``, lists
-            and dictionaries are written as the command line has them, strings stand as they are.
+            and dictionaries are written as on the command line, strings are taken unchanged.
 
     Returns:
         The run, or all runs in order where ``-m`` or ``-cn NAME`` makes a sweep.
 
     Raises:
-        ConfigError: For bad input, before anything runs.
-        RuntimeError: For a run that fails.
-        KeyboardInterrupt: Where it is stopped.
+        ConfigError: For invalid input, before anything runs.
+        RuntimeError: If a run fails.
+        KeyboardInterrupt: If it is interrupted.
     """
     command = Command(
         [*words, *(f"{key}={override_value(value)}" for key, value in settings.items())]
     )
     if not command.runs:
-        raise ConfigError(f"{' '.join(command.options)} does not ask for a run")
+        raise ConfigError(f"{' '.join(command.options)} does not start a run")
     with watched() as folders:
         try:
             codes = [one.execute() for one in command.several() or [command]]
