@@ -241,20 +241,24 @@ class Multibody(LagrangianSystem):
         reach = sum(float(((places[a] - places[b]) @ view.T).norm()) for a, b in links)
         if self.space.rotations:
             reach = sum(float((places[a] - places[b]).norm()) for a, b in links)
-        far = 0.0
+        path: dict[int, float] = {}  # lengths of bars from the first point to the joints
         for i in seen:
+            before = joints[i].parent if joints[i].parent in path else seen[0]
+            bar = float((anchors[i] - anchors[before]).norm())
+            path[i] = path.get(before, 0.0) + bar
             if joints[i].axes is not None and joints[i].mass > 0.0:
                 arms = self._arms(i)
                 links += [(len(of), len(of) + k) for k in (1, 2, 3)]
                 places = torch.cat((places, centres[i : i + 1], centres[i] + arms))
                 of += [i] * 4
-                far = max(far, float((centres[i] - anchors[i]).norm() + arms.norm(dim=1).max()))
+                out = float((centres[i] - anchors[i]).norm() + arms.norm(dim=1).max())
+                reach = max(reach, path[i] + out)
         poses = self._tree.poses(q.double().unsqueeze(0))
         there = Poses(poses.turn[:, of], poses.shift[:, of]).of(places)[0]
         size = float(torch.linalg.matrix_norm(view, 2))
         rail = not hidden and joints[0].slides
         rail = rail and abs(float(view[0] @ column(joints, "axis")[0])) > 0.9
-        reach = max(size * (reach + far), 1e-3)
+        reach = max(size * reach, 1e-3)
         return Skeleton(there @ view.T, tuple(links), (0,) if rail else (), reach)
 
     def _arms(self, i: int) -> Float[Tensor, "3 3"]:

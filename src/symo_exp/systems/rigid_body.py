@@ -204,7 +204,7 @@ class Quadrotor(RigidBodySystem):
     def frame(self) -> tuple[Tensor, tuple[tuple[int, int], ...], float]:
         arm = self.arm
         points = [(0, 0, 0), (arm, 0, 0), (0, arm, 0), (-arm, 0, 0), (0, -arm, 0), (0, 0, arm / 2)]
-        return torch.tensor(points, dtype=torch.float64), ((1, 3), (2, 4), (0, 5)), 8.0 * arm
+        return torch.tensor(points, dtype=torch.float64), ((1, 3), (2, 4), (0, 5)), 3.0 * arm
 
 
 def body_of(mass: float, centre: Vector, moments: Vector) -> Float[Tensor, "4 4"]:
