@@ -191,6 +191,7 @@ def folder(tmp_path, trained):
     shutil.copytree(trained, tmp_path / "outputs")
     write_log(tmp_path / "mine.csv")
     write_flight(tmp_path / "flight.csv")
+    write_archives(tmp_path)
     for name in ("arm.xml", "robot.xml"):
         (tmp_path / name).write_text(ARM)
     (tmp_path / "controller.py").write_text(CONTROLLER)
@@ -224,6 +225,34 @@ def write_flight(file: Path) -> None:
             "q_R_x": 0.0, "q_R_y": 0.0, "q_R_z": np.sin(half), "u_yaw": torque,
         }))  # fmt: skip
     pd.concat(flights).to_csv(file, index=False)
+
+
+def write_archives(place: Path) -> None:
+    """Write motions in the layout of SE3HamDL: turning about z, and rising without turning."""
+    random = np.random.default_rng(0)
+    for name, h, nodes, flat in (("pendulum", 0.05, 20, 0), ("quadrotor", 1 / 240, 5, 3)):
+        t, arrays = h * np.arange(nodes)[:, None], {}
+        for part in ("x", "test_x"):
+            u = random.normal(size=(2, 1, 16))
+            turn = np.zeros((2, nodes, 16, 3, 3))
+            theta = 0.0 * u * t if flat else 0.5 * u * t**2 + random.normal(size=(2, 1, 16))
+            turn[..., 0, 0] = turn[..., 1, 1] = np.cos(theta)
+            turn[..., 1, 0], turn[..., 0, 1], turn[..., 2, 2] = np.sin(theta), -np.sin(theta), 1.0
+            x, v, w = (
+                np.zeros((2, nodes, 16, flat)),
+                np.zeros((2, nodes, 16, flat)),
+                0.0 * turn[..., 0],
+            )
+            controls = np.zeros((2, nodes, 16, 4 if flat else 1))
+            controls[..., 0] = u
+            if flat:
+                x[..., 2], v[..., 2] = 1.0 + 0.5 * u * t * (t + h), u * t
+            else:
+                w[..., 2] = u * t
+            arrays[part] = np.concatenate(
+                (x, turn.reshape(*w.shape[:3], 9), v, w, controls), axis=3
+            )
+        np.savez(place / f"se3hamdl_{name}.npz", t=t[:, 0], **arrays)
 
 
 def shell(line: str, place: Path, home: Path) -> subprocess.CompletedProcess[str]:

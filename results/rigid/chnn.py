@@ -1,8 +1,8 @@
 """The gyroscope and the chains of CHNN (Finzi, Wang, Wilson 2020), simulated; errors of models.
 
-python chnn.py simulate gyroscope gyroscope.parquet
-python chnn.py errors gyroscope outputs/gyroscope gyroscope.parquet
-python chnn.py simulate 2 chain2.parquet --train 10
+python results/rigid/chnn.py simulate gyroscope gyroscope.parquet
+python results/rigid/chnn.py errors gyroscope outputs/gyroscope gyroscope.parquet
+python results/rigid/chnn.py simulate 2 few.parquet --train 10
 """
 
 from __future__ import annotations

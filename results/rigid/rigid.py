@@ -1,8 +1,8 @@
 """Rigid bodies: published data as tables, and the errors of trained models on them.
 
-python rigid.py simulate liefvin.npz
-python rigid.py convert liefvin.npz liefvin.parquet
-python rigid.py errors outputs/liefvin liefvin.npz --nodes 10
+python results/rigid/rigid.py simulate liefvin.npz
+python results/rigid/rigid.py convert liefvin.npz liefvin.parquet
+python results/rigid/rigid.py errors outputs/liefvin liefvin.npz --nodes 10
 """
 
 from __future__ import annotations
