@@ -74,6 +74,8 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_candidate("absolute angles", 1.1, "absolute", NEIGHBOURS))
     elif machine.n > 1 and sum(machine.angular) > 1:
         found.append(_candidate("absolute angles", 1.1, "absolute", FRICTION))
+    if not machine.driven:  # bearings: dry friction may be too little to be found
+        found += [_viscous(candidate) for candidate in found]
     if chain and machine.n > 2:
         found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=2.0))
     network = _candidate("network", 4.0, "network", FRICTION, cost=1.5, starts=2)
@@ -106,7 +108,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
             if settings.get(_switch(kind)) != "true":
                 yield _with_kinds(candidate, (kind,), more, machine)
     if settings["dissipation"] == "friction":
-        yield candidate.changed("viscous friction only", -0.3, dissipation="viscous")
+        yield _viscous(candidate)
+    if settings["dissipation"] in ("friction", "viscous"):
         yield _with_learned_friction(candidate)
     if machine.driven:
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight="100")
@@ -149,6 +152,10 @@ def _with_kinds(
 def _switch(kind: str) -> str:
     """Return the setting that switches a kind of friction on."""
     return f"dissipation.{kind.partition(' ')[0].lower()}"
+
+
+def _viscous(candidate: Candidate) -> Candidate:
+    return candidate.changed("viscous friction only", -0.3, dissipation="viscous")
 
 
 def _with_learned_friction(candidate: Candidate) -> Candidate:

@@ -1,0 +1,40 @@
+"""How much faster rollouts are that solve ten steps at once, and how much they differ.
+
+    python results/machines/stretches.py RUN
+
+Predicts the windows of the validation part of a run as its validations do, first step by step.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+import symo_exp
+from symo_exp.evaluation.horizon import cut, predict
+from symo_exp.identify.search import ITERATIONS
+from symo_exp.models.flows import VariationalFlow
+
+
+def main(run: str) -> None:
+    model, config = symo_exp.load(run), OmegaConf.load(Path(run) / "config.yaml")
+    system = instantiate(config.system)
+    data = instantiate(config.data, _partial_=True)(system=system)
+    windows = cut(data.load().val, system.time_step, run_in=True)
+    assert windows is not None
+    errors, times = [], []
+    for together in (False, True):
+        VariationalFlow.solves_stretches = together  # type: ignore[method-assign, assignment]
+        start = time.process_time()
+        found = predict(model, windows, system.time_step, model.input_matrix, ITERATIONS)
+        times.append(time.process_time() - start)
+        errors.append(float(found.errors().nanmean().sqrt()))
+    change = errors[1] / errors[0] - 1
+    print(f"{times[0]:.2f} s step by step, {times[1]:.2f} s ten at once: {times[0] / times[1]:.1f} "
+          f"times faster; the error changes by {change:.1e} of itself")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
