@@ -21,7 +21,7 @@ REFERENCE = 0.37
 """Time of ``_exercise`` on the machine on which ``NODE`` and ``MEASURING`` were measured [s]."""
 NODE = 30e-6
 """Time of an epoch of links in a plane, midpoint rule, a node and coordinate [s]."""
-VALIDATION = 0.4
+VALIDATION = 0.2
 """Time of the rollouts of a validation, a coordinate [s]; hardly more with more windows."""
 STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
