@@ -97,6 +97,8 @@ def ladder(machine: Machine) -> list[Candidate]:
 def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     """Yield candidates that differ from one in a single respect, the most promising first."""
     settings = candidate.settings
+    if settings["dissipation"] == "viscous":
+        yield candidate.changed("dry friction", 0.3, dissipation="friction")
     if settings["integrator"] == "midpoint":
         yield candidate.changed("Galerkin order 4", 0.3, 2.5, integrator="galerkin4")
     if machine.delay:
@@ -155,7 +157,7 @@ def _switch(kind: str) -> str:
 
 
 def _viscous(candidate: Candidate) -> Candidate:
-    return candidate.changed("viscous friction only", -0.3, dissipation="viscous")
+    return candidate.changed("viscous friction", -0.3, dissipation="viscous")
 
 
 def _with_learned_friction(candidate: Candidate) -> Candidate:
