@@ -227,14 +227,10 @@ def predict_whole(
 
     The start is fitted to the configurations of the first 0.2 s.
     """
-    lead = min(_run_in(trajectories, time_step), min(len(one.q) for one in trajectories) - 1)
-    q, v, u = (_padded(field) for field in zip(*trajectories, strict=True))
+    q, v, u, start = _started(model, trajectories, time_step, place)
     count = torch.arange(len(trajectories))
-    whole = PredictionWindows(count, torch.zeros_like(count), 0, q, v, u.nan_to_num())
-    start, inputs = whole.q[:, : lead + 1].to(place), whole.u.to(place)
-    space = space_of(q, v)
-    begin = fitted_start(model, start, inputs[:, : lead + 1], time_step, space=space)
-    path = model.rollout(*begin, inputs)
+    whole = PredictionWindows(count, torch.zeros_like(count), 0, q, v, u)
+    path = model.rollout(*start, u.to(place))
     return Predictions(time_step, whole, path.q.double().cpu(), path.v.double().cpu())
 
 
@@ -251,13 +247,11 @@ def whole_error(
     long = [one for one in trajectories if (len(one.q) - 1) * time_step >= LONG * (1 - 1e-9)]
     if not long:
         return None
-    q, v, u = (_padded(field) for field in zip(*long, strict=True))
-    u, space, lead = u.nan_to_num().to(place), space_of(q, v), _run_in(long, time_step)
+    q, v, u, state = _started(model, long, time_step, place)
+    u, space = u.to(place), space_of(q, v)
     plain, there = space.along(q), q.isfinite().all(2)
     most = (plain - plain.nanmean(1, keepdim=True)).square().nanmean((1, 2))
     total, count = torch.zeros_like(most), there.sum(1)
-    given = q[:, : lead + 1].to(place), u[:, : lead + 1]
-    state = fitted_start(model, *given, time_step, space=space)
     rows, segment = torch.arange(len(q)), round(HORIZONS[-1] / time_step)
     for k in range(0, q.shape[1] - 1, segment):
         path = model.rollout(*state, u[rows, k : k + segment + 1])
@@ -270,6 +264,17 @@ def whole_error(
         if len(rows) == 0:
             break
     return float(torch.minimum(total / count, most).mean().sqrt())
+
+
+def _started(
+    model: RollsOut, trajectories: Sequence[Trajectory], time_step: float, place: Tensor
+) -> tuple[Tensor, Tensor, Tensor, State]:
+    """Return padded ``q``, ``v`` and ``u``, and the state that fits the first 0.2 s of each."""
+    q, v, u = (_padded(field) for field in zip(*trajectories, strict=True))
+    u = u.nan_to_num()
+    lead = min(_run_in(trajectories, time_step), min(len(one.q) for one in trajectories) - 1)
+    given = q[:, : lead + 1].to(place), u[:, : lead + 1].to(place)
+    return q, v, u, fitted_start(model, *given, time_step, space=space_of(q, v))
 
 
 def _roll_out(

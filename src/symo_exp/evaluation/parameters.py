@@ -62,7 +62,8 @@ def physical_parameters(
     """
     with torch.enable_grad():
         found = readings(lagrangian, coordinates)
-        if not driven and not isinstance(_conservative(lagrangian), KnownLagrangian):
+        conservative = getattr(lagrangian, "conservative", lagrangian)
+        if not driven and not isinstance(conservative, KnownLagrangian):
             found = [_without_scale(reading) for reading in found]
         gradients = [_gradient(reading, parameters) for reading in found]
     if posterior is None:
@@ -94,10 +95,6 @@ def physical_parameters(
             rows.append(Parameter(reading.name, value, reading.unit, deviation, "yes", ""))
     free = [i for i, own in enumerate(partners) if own and float(found[i].value.detach()) > 0.0]
     return rows + _products([found[i] for i in free], slopes[free], along[free], posterior)
-
-
-def _conservative(lagrangian: Any) -> Any:
-    return getattr(lagrangian, "conservative", lagrangian)
 
 
 def _without_scale(reading: Reading) -> Reading:
