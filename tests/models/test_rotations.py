@@ -17,7 +17,7 @@ from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.flows import ExplicitFlow
 from symo_exp.models.horizon import HorizonError
 from symo_exp.models.l_node import LNODE
-from symo_exp.models.starts import fitted_start
+from symo_exp.models.starts import Fit, fitted_start
 from symo_exp.models.true import TrueOde, TrueVariational
 from symo_exp.nets.drag import LearnedBodyDrag
 from symo_exp.nets.rigid_body import LearnedRigidBody
@@ -79,6 +79,30 @@ def test_a_fitted_start_is_that_of_the_motion() -> None:
     start = fitted_start(model, path.q, controls, system.time_step, space=system.space)
     torch.testing.assert_close(start.q, q, rtol=0, atol=1e-6)
     torch.testing.assert_close(start.v, v, rtol=0, atol=1e-4)
+
+
+class OnlyRollsOut:
+    """A model that does not know the derivatives of its rollouts."""
+
+    def __init__(self, model: DynamicsModel) -> None:
+        self.rollout = model.rollout
+
+
+@pytest.mark.parametrize("kind", ["explicit", "variational"])
+@pytest.mark.parametrize("name", NAMES)
+def test_derivatives_of_a_fit_are_those_of_differences(name: str, kind: str) -> None:
+    system = stated(name)
+    model, space = model_of(system, kind), system.space
+    q, v, u = system.points(3, seed=1)
+    controls = u.unsqueeze(1).expand(-1, 6, -1)
+    measured = model.rollout(q, v, controls).q
+    x = torch.cat((space.origin(q), v), dim=1) + 0.3 * torch.sin(torch.arange(2.0 * v.shape[1]))
+    weight = torch.ones(*measured.shape[:2], v.shape[1], dtype=torch.float64)
+    found, expected = (
+        Fit(one, measured, controls, weight, space).at(x) for one in (model, OnlyRollsOut(model))
+    )
+    torch.testing.assert_close(found.residual, expected.residual, rtol=0, atol=1e-10)
+    torch.testing.assert_close(found.slopes, expected.slopes, rtol=1e-6, atol=1e-7)
 
 
 def test_features_that_rotations_lack_are_refused_in_one_line() -> None:

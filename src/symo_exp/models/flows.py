@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import torch
@@ -38,6 +38,7 @@ from symo_exp.mechanics.variational import (
 )
 from symo_exp.models.adjoint import adjoint_step
 from symo_exp.models.fields import Field
+from symo_exp.nets.affine import parameter_jacobian
 
 Carried = tuple[Tensor, Tensor, Tensor]
 """The state ``(q, y)`` of a rollout at a node, and which rows have converged."""
@@ -130,9 +131,51 @@ class Flow(nn.Module, ABC):
     ) -> tuple[Float[Tensor, "batch nodes n"], Float[Tensor, "batch nodes n 2n"]] | None:
         """Return the configurations of rollouts and their derivatives in ``(q, v)``.
 
-        ``None`` if there is no closed form, or a root is not found.
+        Those of rotations are along ``retract``. ``None`` if there is no closed form, or a root is
+        not found.
         """
-        return None
+        if not self.space.rotations:
+            return None
+        path, n = self.rollout(q, v, u), v.shape[1]
+        if not path.converged.all():
+            return None
+        moved, v = torch.zeros_like(v).requires_grad_(), v.clone().requires_grad_()
+        carried = parameter_jacobian(
+            lambda: self.encode(self.space.retract(q, moved), v), (), (moved, v)
+        )
+        one = torch.eye(2 * n).to(q).expand(len(q), -1, -1)
+        slopes = [torch.cat((one[:, :n], torch.cat(carried.inputs, dim=2)), dim=1)]
+        for step in self.step_slopes(path.q, path.v, u)[0].unbind(1):
+            slopes.append(step @ slopes[-1])
+        return path.q, torch.stack([x[:, :n] for x in slopes], 1)
+
+    def step_slopes(
+        self,
+        q: Float[Tensor, "batch nodes N"],
+        v: Float[Tensor, "batch nodes n"],
+        u: Float[Tensor, "batch nodes m"],
+        parameters: Sequence[Tensor] = (),
+    ) -> tuple[Float[Tensor, "batch steps 2n 2n"], Float[Tensor, "batch steps 2n p"]]:
+        """Return the derivatives of each step of a rollout in its state and in the parameters.
+
+        The state is ``(q, y)``, what a rollout carries; derivatives are along ``retract``.
+        """
+        space, (count, nodes, n) = self.space, v.shape
+        here, there = (x.flatten(0, 1) for x in (q[:, :-1], q[:, 1:]))
+        before, after = (x.flatten(0, 1) for x in (u[:, :-1], u[:, 1:]))
+        moved = torch.zeros(len(here), n).to(q).requires_grad_()
+        with torch.no_grad():
+            y = self.encode(here, v[:, :-1].flatten(0, 1))
+        y = y.clone().requires_grad_()
+
+        def step() -> Tensor:
+            reached, carried, _ = self.advance(space.retract(here, moved), y, before, after)
+            return torch.cat((space.difference(there, reached), carried), dim=1)
+
+        found = parameter_jacobian(step, parameters, (moved, y))
+        shape = (count, nodes - 1)
+        by_state = torch.cat(found.inputs, dim=2).unflatten(0, shape)
+        return by_state, found.parameters.unflatten(0, shape)
 
     def encode(self, q: Tensor, v: Tensor) -> Tensor:
         """Return ``y`` of a state: the velocity, unless a flow carries something else."""
@@ -300,7 +343,7 @@ class VariationalFlow(Flow):
     @torch.no_grad()
     def rollout_slopes(self, q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor] | None:
         if not self.solves_stretches:
-            return None
+            return super().rollout_slopes(q, v, u)
         (batch, n), at = q.shape, self.lagrangian.expand(q, v)
         p, identity = at.values.v, torch.eye(n).to(q).expand(batch, n, n)
         top = torch.cat((identity, torch.zeros_like(identity)), dim=2)

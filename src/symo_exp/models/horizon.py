@@ -18,7 +18,7 @@ from symo_exp.models.flows import Flow
 from symo_exp.models.objectives import Objective, Residuals
 from symo_exp.models.robust import huber_weights
 from symo_exp.models.starts import State, closest_start, fitted_start
-from symo_exp.nets.affine import Linearised, parameter_jacobian
+from symo_exp.nets.affine import Linearised
 from symo_exp.optim.base import EpochOptimizer, concatenated
 
 LOST = 10.0
@@ -233,24 +233,10 @@ def _along(
     start, ``y₀`` or ``v₀``.
     """
     space, (count, nodes, n) = flow.space, found.v.shape
-    steps = nodes - 1
-    q, q_next = (x.flatten(0, 1) for x in (found.q[:, :-1], found.q[:, 1:]))
-    moved = torch.zeros(count * steps, n).to(q).requires_grad_()
-    with torch.no_grad():
-        y = flow.encode(q, found.v[:, :-1].flatten(0, 1))
-    y = y.clone().requires_grad_()
-    before, after = found.u[:, :-1].flatten(0, 1), found.u[:, 1:].flatten(0, 1)
-
-    def step() -> Tensor:
-        reached, carried, _ = flow.advance(space.retract(q, moved), y, before, after)
-        return torch.cat((space.difference(q_next, reached), carried), dim=1)
-
-    slopes = parameter_jacobian(step, parameters, (moved, y))
-    by_state = torch.cat(slopes.inputs, dim=2).unflatten(0, (count, steps))
-    by_theta = slopes.parameters.unflatten(0, (count, steps))
-    identity = torch.eye(2 * n).to(q).expand(count, -1, -1)
+    by_state, by_theta = flow.step_slopes(found.q, found.v, found.u, parameters)
+    identity = torch.eye(2 * n).to(found.q).expand(count, -1, -1)
     start, theta = [identity], [torch.zeros_like(by_theta[:, 0])]
-    for k in range(steps):
+    for k in range(nodes - 1):
         start.append(by_state[:, k] @ start[-1])
         theta.append(by_state[:, k] @ theta[-1] + by_theta[:, k])
     motions = (torch.stack([s[:, :n] for s in x], 1) for x in (start, theta))

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.mechanics.geodesic import Ends
 from symo_exp.mechanics.roots import Rule, iterate
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import FLAT, Space
@@ -142,12 +143,13 @@ class Fit(Rowwise):
         batch, unknowns = x.shape
         root = self._weight.sqrt().flatten(1)
         true = self._space.origin(self._q)
-        if isinstance(self._model, KnowsSlopes) and not self._space.rotations:
+        if isinstance(self._model, KnowsSlopes):
             known = self._model.rollout_slopes(*self.state(x), self._u)
             if known is not None:
                 path, slopes = (y.to(self._q) for y in known)
-                error = (path - true).flatten(1)
-                return FitPoint(root * error, root.unsqueeze(-1) * slopes.flatten(1, 2))
+                error = self._space.difference(self._q, path)
+                slopes = self._in_charts(slopes, x, error)
+                return FitPoint(root * error.flatten(1), root.unsqueeze(-1) * slopes.flatten(1, 2))
         beside = DIFFERENCE * torch.eye(unknowns).to(x)
         shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
         starts = (x + shifts[:, None]).flatten(0, 1)
@@ -158,6 +160,18 @@ class Fit(Rowwise):
         slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
         error = (at[0].view_as(true) - true).flatten(1)
         return FitPoint(root * error, root.unsqueeze(-1) * slopes.nan_to_num(0.0, 0.0, 0.0))
+
+    def _in_charts(
+        self, slopes: Float[Tensor, "batch nodes n 2n"], x: Tensor, error: Tensor
+    ) -> Float[Tensor, "batch nodes n 2n"]:
+        """Return derivatives along steps of rotations as those of ``error`` in ``x``."""
+        if not self._space.rotations:
+            return slopes
+        by_error = Ends.of(self._space, error.flatten(0, 1)).inverse
+        by_start = torch.linalg.inv(Ends.of(self._space, x.chunk(2, dim=1)[0]).inverse)
+        place, v = slopes.chunk(2, dim=3)
+        slopes = torch.cat((place @ by_start.unsqueeze(1), v), dim=3)
+        return by_error.unflatten(0, error.shape[:2]) @ slopes
 
 
 class FitPoint(Rowwise):

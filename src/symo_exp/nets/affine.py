@@ -91,6 +91,7 @@ class Linearised(NamedTuple):
     inputs: tuple[Float[Tensor, "samples residuals size"], ...]
 
 
+@torch.enable_grad()
 def parameter_jacobian(
     function: Callable[[], Float[Tensor, "samples residuals"]],
     parameters: Sequence[Tensor],
@@ -113,8 +114,7 @@ def parameter_jacobian(
         raise RuntimeError("parameter_jacobian cannot be nested")
     _record = _Record()
     try:
-        with torch.enable_grad():
-            residuals = function()
+        residuals = function()
         samples, count = residuals.shape
         jacobian = residuals.new_zeros(samples, count, sum(p.numel() for p in parameters))
         by_input = tuple(residuals.new_zeros(samples, count, x.shape[1]) for x in inputs)
