@@ -246,7 +246,8 @@ def identify(number: int, folder: Path, budget: str, extra: list[str]) -> dict[s
     if done.returncode == 0:
         from symo_exp.runs.folder import RunFolder
 
-        row |= RunFolder(best).measures() | true_errors(machine, table, best)
+        found = RunFolder(best).measures() | true_errors(machine, table, best)
+        row = {**found, **row}  # the noise of the machine, not its estimate
     return {name: row.get(name, "") for name in COLUMNS}
 
 

@@ -53,6 +53,23 @@ def test_written_recordings_are_read_back(system: System, suffix: str, tmp_path:
     assert sum(len(batch.q) for batch in data.batches(0)) == 24
 
 
+@pytest.mark.parametrize(("part", "setting"), [("train", "seconds"), ("val", "val_seconds")])
+def test_a_part_is_reduced_and_the_others_are_not(part: str, setting: str, tmp_path: Path) -> None:
+    system, path = stated("cartpole"), tmp_path / "mine.parquet"
+    write_recordings(path, trajectories(system, steps=60), system.coordinates, system.time_step)
+    whole = recorded(system, path, n_val=2)
+    some = recorded(system, path, n_val=2, **{setting: 30 * system.time_step})
+    lengths = [
+        {
+            name: sum(len(t.q) for t in getattr(one.load(), name))
+            for name in ("train", "val", "test")
+        }
+        for one in (whole, some)
+    ]
+    assert {name for name in lengths[0] if lengths[0][name] != lengths[1][name]} == {part}
+    assert lengths[1][part] == pytest.approx(30, abs=4)
+
+
 @pytest.fixture
 def table(tmp_path: Path) -> pd.DataFrame:
     system = stated("cartpole")

@@ -90,8 +90,9 @@ def test_thinned_recordings_are_seen_from_beginning_to_end():
     assert np.diff(middles).max() < 1.5
 
 
-def test_thinned_pieces_are_no_shorter_than_a_second():
+@pytest.mark.parametrize("shortest", [1.0, 4.0])
+def test_thinned_pieces_are_not_too_short(shortest):
     recordings = [recording(str(k), 10.0) for k in range(20)]
-    found = thinned(recordings, 5.0)
+    found = thinned(recordings, 5.0 * shortest, shortest)
     assert len(found) == 5
-    assert all(np.ptp(r.samples.t) > 0.95 for r in found)
+    assert all(np.ptp(r.samples.t) > 0.95 * shortest for r in found)

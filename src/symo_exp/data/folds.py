@@ -17,6 +17,8 @@ GAP = 0.5
 """Left out between neighbouring blocks of one recording [s], at most a tenth of a block."""
 SHORTEST = 1.0
 """Length of the pieces that data are reduced to [s], where recordings are not shorter."""
+MEASURED = 8.0
+"""Length of the pieces that validation data are reduced to [s]: windows and a whole motion."""
 GOLDEN = 0.6180339887498949
 """Multiples of it, modulo 1, are spread evenly over the unit interval, however many there are."""
 Parts = dict[str, list[Recording]]
@@ -59,16 +61,18 @@ def deal(durations: Sequence[float], count: int) -> list[list[int]]:
     return [sorted(fold) for fold in folds]
 
 
-def thinned(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
+def thinned(
+    recordings: Sequence[Recording], seconds: float, shortest: float = SHORTEST
+) -> list[Recording]:
     """Return a piece of each recording, the same share of all, that together last ``seconds``.
 
     Each begins elsewhere in its recording, since motions often differ along recordings. Where
-    pieces would be shorter than ``SHORTEST``, only every so many recordings have one.
+    pieces would be shorter than ``shortest`` [s], only every so many recordings have one.
     """
     total = sum(map(_duration, recordings))
     if seconds >= total:
         return list(recordings)
-    most = max(1, int(seconds / SHORTEST))
+    most = max(1, int(seconds / shortest))
     if len(recordings) > most:
         chosen = np.linspace(0, len(recordings), most, endpoint=False).astype(int)
         recordings = [recordings[i] for i in chosen]

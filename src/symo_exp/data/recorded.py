@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
-from symo_exp.data.folds import folded, thinned
+from symo_exp.data.folds import MEASURED, folded, thinned
 from symo_exp.data.formats import Location, few, shown
 from symo_exp.data.header import UNITS
 from symo_exp.data.parts import divided, uninterrupted, with_every_part
@@ -84,7 +84,8 @@ class RecordedData(DataModule):
             end of the shortest.
         fold: Division of the training and validation parts for a cross-validation
             (``data.folds.folded``); ``None``: none.
-        seconds: Length of the training part at most; ``None``: all of it.
+        seconds: Length of the training part at most [s]; ``None``: all of it.
+        val_seconds: Length of the validation part at most [s]; ``None``: all of it.
         input_delay: From the record of an input to its force [s].
         batch_size: ``None``: an eighth of the samples.
 
@@ -114,6 +115,7 @@ class RecordedData(DataModule):
         n_integration: int = 16,
         fold: Sequence[int] | str | None = None,
         seconds: float | None = None,
+        val_seconds: float | None = None,
         input_delay: float = 0.0,
         batch_size: int | None = None,
         noise_std: float = 0.0,
@@ -145,6 +147,9 @@ class RecordedData(DataModule):
             parts["train"] = thinned(
                 parts["train"], real("data.seconds", seconds, low=system.time_step)
             )
+        if val_seconds is not None:
+            most = real("data.val_seconds", val_seconds, low=system.time_step)
+            parts["val"] = thinned(parts["val"], most, MEASURED)
         cut = {name: uninterrupted(part, system.time_step) for name, part in parts.items()}
         parts = {name: pieces for name, (pieces, _) in cut.items()}
         gaps = [f"{name}: {note}" for name, (_, note) in cut.items() if note]

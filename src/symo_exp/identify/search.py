@@ -396,6 +396,7 @@ class Search:
                 "measures=false",
                 f"learner.validation.iterations={ITERATIONS}",
                 f"data.seconds={plan.seconds:g}",
+                f"data.val_seconds={plans.MEASURED:g}",
                 f"trainer.time_limit={plan.limit(candidate, nodes, machine.n):.0f}",
                 *plan.overrides(candidate),
                 *candidate.overrides(),
