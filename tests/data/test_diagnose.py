@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from symo_exp.data.diagnose import Diagnosis, diagnose, encoder_of, noise_of
+from symo_exp.data.diagnose import Diagnosis, diagnose, encoder_of, input_gains, noise_of
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver, simulate_driven
@@ -48,6 +48,19 @@ def test_inputs_that_move_a_machine_explain_its_motion(n: int) -> None:
     assert untold.explained == pytest.approx(driven.free)
     assert not untold.driven
     assert not untold.fixes_scale
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("told", [1.0, 1e-3])
+def test_the_gains_of_inputs_tell_the_inertia_that_they_move(n: int, told: float) -> None:
+    """Within a factor of 3; it is that of the lightest coordinates."""
+    system, clean = motions(n, 5.0)
+    q = torch.tensor(np.concatenate([q for q, _ in clean]))
+    true = (torch.linalg.inv(system.mass_matrix(q)) @ system.input_matrix).mean(0)
+    gains = input_gains([(q, told * u) for q, u in clean], system.coordinates, H)
+    assert gains is not None
+    assert gains.shape == true.shape
+    assert 1 / 3 < told * np.linalg.norm(gains) / float(true.norm()) < 3
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

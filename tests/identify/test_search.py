@@ -106,7 +106,8 @@ def test_a_machine_at_rest_has_no_model_and_a_reason(noise, workplace, capsys):
 
 
 @pytest.mark.parametrize("delay", [-0.02, 0.0, 0.03])
-def test_the_delay_of_an_input_is_found(delay, workplace):
+@pytest.mark.parametrize("inertia", [2e-3, 1.0, 90.0])
+def test_the_delay_of_an_input_and_the_inertia_that_it_moves_are_found(delay, inertia, workplace):
     rng = np.random.default_rng(0)
     h = 0.005
     t = np.arange(0.0, 20.0, h)
@@ -120,12 +121,20 @@ def test_the_delay_of_an_input_is_found(delay, workplace):
         v += h * (force(now) - 4.0 * np.sin(q) - 0.3 * v)
         q += h * v
     q = np.array(motion) + 1e-4 * rng.normal(size=len(t))
-    frame = pd.DataFrame({"t": t, "q_theta": q, "u_theta": force(t + delay)})
+    frame = pd.DataFrame({"t": t, "q_theta": q, "u_theta": inertia * force(t + delay)})
     frame.to_csv("driven.csv", index=False)
     assert noise_of([q]) < 1e-3
     found = examine({"path": "driven.csv"})
     assert found.delay == pytest.approx(delay, abs=0.005)
     assert found.driven
+    settings = dict(setting.split("=") for setting in found.settings)
+    assert float(settings["lagrangian.initial_inertia"]) == pytest.approx(inertia, rel=0.3)
+    assert float(settings["dissipation.start"]) == pytest.approx(0.01 * inertia, rel=0.3)
+
+
+def test_nothing_is_told_of_the_inertia_of_a_free_machine(workplace):
+    table().to_csv("mine.csv", index=False)
+    assert not any("inertia" in setting for setting in examine({"path": "mine.csv"}).settings)
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,25 @@ def test_training_starts_near_the_given_inertia(angular, initial_inertia):
     assert spectrum.max() < 10.0
 
 
+@pytest.mark.parametrize("initial_inertia", [1e-3, 50.0])
+@pytest.mark.parametrize("angular", [(True,), (False, True), (True,) * 3])
+def test_the_initial_inertia_is_the_scale_of_inertia_and_potential(angular, initial_inertia):
+    """So that free motions at the start of training do not depend on it."""
+    q = 2.0 * torch.pi * torch.rand(20, len(angular), dtype=torch.float64)
+    scale = {"squares": {}, "factor": {}}
+    for kind in scale:
+        for inertia in (1.0, initial_inertia):
+            torch.manual_seed(0)
+            learned = StructuredLagrangian(
+                angular=angular, width=8, initial_inertia=inertia, squares=kind == "squares"
+            ).double()
+            mass = learned.mass_matrix(q).diagonal(dim1=1, dim2=2)
+            scale[kind][inertia] = mass / inertia, learned.potential(q) / inertia
+    for kind, tolerance in (("squares", 1e-4), ("factor", 0.5)):
+        one, other = scale[kind].values()
+        torch.testing.assert_close(one, other, rtol=tolerance, atol=1e-6)
+
+
 def test_an_inertia_that_is_not_positive_is_refused():
     with pytest.raises(ConfigError, match="initial_inertia=0"):
         StructuredLagrangian(angular=(True,), width=4, initial_inertia=0.0)

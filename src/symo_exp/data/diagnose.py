@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import comb
 
@@ -196,6 +196,38 @@ def explained_power(
 
     Each row is predicted from the others. ``None`` with fewer than 20 rows or without motion.
     """
+
+    def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return _terms(q, v, u if driven else u[:, :0], coordinates)
+
+    found = _regression(motions, h, terms)
+    return None if found is None else max(0.0, 1.0 - found[0])
+
+
+def input_gains(motions: Sequence[Motion], coordinates: Coordinates, h: float) -> np.ndarray | None:
+    """Return the weak accelerations (n, m) that a unit of each input adds, a mean over places.
+
+    ``None`` as for ``explained_power``.
+    """
+
+    def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.concatenate([_terms(q, v, u[:, :0], coordinates), u], axis=1)
+
+    found = _regression(motions, h, terms)
+    return None if found is None else found[1][-motions[0][1].shape[1] :].T
+
+
+def _regression(
+    motions: Sequence[Motion],
+    h: float,
+    terms: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+) -> tuple[float, np.ndarray] | None:
+    """Regress weak accelerations on weak terms of ``(q, v, u)``, at the best ridge.
+
+    Returns:
+        The mean square of leave-one-out errors over the mean square, and the coefficients (k, n);
+        ``None`` with fewer than 20 rows or without motion.
+    """
     s = np.arange(-HALF, HALF + 1) / (HALF + 1)
     bump = (1 - s**2) ** 3
     rows = []
@@ -203,16 +235,17 @@ def explained_power(
         if len(q) < len(bump) + 2:
             continue
         v, middle = (q[2:] - q[:-2]) / (2 * h), q[1:-1]
-        terms = _terms(middle, v, u[1:-1, : None if driven else 0], coordinates)
-        both = np.concatenate([np.diff(q, 2, axis=0) / h**2, terms], axis=1)
+        both = np.concatenate([np.diff(q, 2, axis=0) / h**2, terms(middle, v, u[1:-1])], axis=1)
         weak = np.lib.stride_tricks.sliding_window_view(both, len(bump), axis=0) @ bump
         rows.append(weak[::HALF])
     table = np.concatenate(rows) if rows else np.empty((0, 1))
-    n = coordinates.n
+    n = motions[0][0].shape[1] if motions else 0
     if len(table) < 20 or not (np.isfinite(table).all() and np.ptp(table[:, :n], axis=0).all()):
         return None
-    target, terms = (x / np.sqrt(np.mean(x**2, axis=0) + 1e-300) for x in np.split(table, [n], 1))
-    return max(0.0, 1.0 - _left_out(terms, target))
+    size = np.sqrt(np.mean(table**2, axis=0) + 1e-300)
+    target, given = np.split(table / size, [n], 1)
+    error, coefficients = _left_out(given, target)
+    return error, coefficients * size[:n] / size[n:, None]
 
 
 def _explained_in_degrees(
@@ -224,16 +257,18 @@ def _explained_in_degrees(
     return explained_power([(q * scale, u) for q, u in motions], coordinates, h, driven=True)
 
 
-def _left_out(x: np.ndarray, y: np.ndarray) -> float:
-    """Mean square of leave-one-out errors of a regression of ``y`` on ``x``, at the best ridge."""
-    left, scales, _ = np.linalg.svd(x, full_matrices=False)
+def _left_out(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
+    """Regress ``y`` on ``x`` at the best ridge: leave-one-out mean square, and coefficients."""
+    left, scales, right = np.linalg.svd(x, full_matrices=False)
     found = []
     for ridge in 10.0 ** np.arange(-8, 3):
-        shrunk = left * (scales**2 / (scales**2 + ridge * len(x)))
+        share = scales**2 / (scales**2 + ridge * len(x))
+        shrunk = left * share
         weight = np.maximum(1 - np.sum(shrunk * left, axis=1), 1e-9)
         error = (y - shrunk @ (left.T @ y)) / weight[:, None]
-        found.append(float(np.mean(error**2)))
-    return min(found)
+        found.append((float(np.mean(error**2)), share / np.maximum(scales, 1e-300)))
+    least, inverse = min(found, key=lambda one: one[0])
+    return least, right.T @ (inverse[:, None] * (left.T @ y))
 
 
 def _terms(q: np.ndarray, v: np.ndarray, u: np.ndarray, coordinates: Coordinates) -> np.ndarray:

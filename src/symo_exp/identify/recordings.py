@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import explained_power, noise_of
+from symo_exp.data.diagnose import POOR, Motion, explained_power, input_gains, noise_of
 from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part
@@ -46,6 +46,8 @@ USUAL_REST = 0.1
 """That of machines that are not slow [rad/s, m/s]: the default of dissipation.rest_velocity."""
 SLOW = 0.3
 """Share of the usual one below which it is lowered."""
+DAMPING = 0.01
+"""Friction at the start of training over the inertia [1/s]."""
 Sampled = tuple[Samples, np.ndarray, np.ndarray]
 """Samples, nodes a time step apart, and configurations at the nodes."""
 
@@ -157,6 +159,11 @@ def examine(
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} m/s or rad/s")
     left = _unexplained(motions, angles, time_step, DELAYS if driven else np.zeros(1))
     delay, line = _delay(left)
+    if driven and left and 1.0 - left[delay] > POOR:
+        light = _inertia(_pairs(motions, time_step, delay), angles, time_step, system("none"))
+        settings += [f"lagrangian.initial_inertia={light:.2g}"]
+        settings += [f"dissipation.start={DAMPING * light:.2g}"]
+        notes.append(f"scale: training starts with an inertia of {light:.2g}, as inputs suggest")
     return Machine(
         settings=tuple(settings),
         angular=tuple(which),
@@ -284,18 +291,38 @@ def _unexplained(
     motions: Sequence[Sampled], angular: np.ndarray, h: float, delays: np.ndarray
 ) -> dict[float, float]:
     """Return the share of the accelerations' power that inputs with each delay do not explain."""
-    n = len(angular)
-    coordinates = Coordinates(tuple(map(str, range(n))), tuple(map(bool, angular)))
     left = {}
     for delay in map(float, delays):
-        pairs = [
-            (q, averaged(samples.t, delayed(samples, delay).u, nodes, h))
-            for samples, nodes, q in motions
-        ]
-        share = explained_power(pairs, coordinates, h, driven=True) if pairs else None
+        pairs = _pairs(motions, h, delay)
+        share = explained_power(pairs, _coordinates(angular), h, driven=True) if pairs else None
         if share is not None:
             left[round(delay, 4)] = 1.0 - share
     return left
+
+
+def _inertia(pairs: Sequence[Motion], angular: np.ndarray, h: float, machine: Recorded) -> float:
+    """Return the inertia that the inputs move, that of the lightest coordinates [kg, kg m²].
+
+    A training that starts with too much inertia does not find its way: the accelerations due to the
+    inputs are then lost among those of the potential and of friction.
+    """
+    gains = input_gains(pairs, _coordinates(angular), h)
+    assert gains is not None
+    assert machine.input_matrix is not None
+    size = float(np.linalg.norm(gains))
+    return float(machine.input_matrix.norm()) / size if size > 0 else 1.0
+
+
+def _pairs(motions: Sequence[Sampled], h: float, delay: float) -> list[Motion]:
+    """Return configurations and inputs, which act ``delay`` after their record, at the nodes."""
+    return [
+        (q, averaged(samples.t, delayed(samples, delay).u, nodes, h))
+        for samples, nodes, q in motions
+    ]
+
+
+def _coordinates(angular: np.ndarray) -> Coordinates:
+    return Coordinates(tuple(map(str, range(len(angular)))), tuple(map(bool, angular)))
 
 
 def _delay(left: Mapping[float, float]) -> tuple[float, str]:

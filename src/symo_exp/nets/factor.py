@@ -83,6 +83,13 @@ class FactorHead(nn.Module):
         outputs[own] = math.log(math.expm1(diagonal)) if self.soft else diagonal
         return outputs
 
+    def scales_of(self, diagonal: float) -> Float[Tensor, " outputs"]:
+        """Return the sizes of small changes of the outputs that matter as much as at ``L = I``."""
+        scales = torch.full((self.outputs,), diagonal)
+        scales[: self.soft] *= math.expm1(-1.0) / math.expm1(-diagonal)  # slopes of the softplus
+        scales[-1] = diagonal**2
+        return scales
+
     def factor(self, outputs: Float[Tensor, "*batch outputs"]) -> Float[Tensor, "*batch n r"]:
         """Return ``L``."""
         diagonal = nn.functional.softplus(outputs[..., : self.soft])

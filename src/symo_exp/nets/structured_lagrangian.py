@@ -58,10 +58,11 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         angular: Which of the coordinates before the rotations are angles.
         width: Units of a hidden layer.
         depth: Number of hidden layers.
-        initial_inertia: Training starts near ``H = initial_inertia · I`` [kg, kg m²] and a weak
-            potential. With ``None`` the last layer starts uniform in ``±1/√inputs``, PyTorch's
-            default, as in the published code of the thesis; Xavier weights, as in its text, often
-            lead to a nearly singular ``H`` and diverging accelerations.
+        initial_inertia: Training starts near ``H = initial_inertia · I`` [kg, kg m²] and a
+            potential that is weak relative to it. With ``None`` the last layer starts uniform in
+            ``±1/√inputs``, PyTorch's default, as in the published code of the thesis; Xavier
+            weights, as in its text, often lead to a nearly singular ``H`` and diverging
+            accelerations.
         harmonics: Largest number of angles that a harmonic couples; 0: no harmonics. Their weights
             ``S`` start at zero.
         squares: Whether the kinetic energy is a sum of squared speeds (``FactorHead``); speeds and
@@ -109,8 +110,9 @@ class StructuredLagrangian(nn.Module, Lagrangian):
             nn.init.uniform_(bias, -bound, bound)
         else:
             with torch.no_grad():
-                last.mul_(QUIET)
-                bias.copy_(self.head.outputs_of(math.sqrt(initial_inertia)))
+                diagonal = math.sqrt(initial_inertia)
+                last.mul_(QUIET * self.head.scales_of(diagonal).unsqueeze(-1))
+                bias.copy_(self.head.outputs_of(diagonal))
 
     @property
     @override
