@@ -17,9 +17,10 @@ from symo_exp.models.l_node import LNODE
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
 from symo_exp.models.true import TrueVariational
-from symo_exp.nets.affine import linear
+from symo_exp.nets.affine import linear, repeated
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.lagrangians import NetworkLagrangian
+from symo_exp.nets.roles import mark, mark_squares
 from symo_exp.optim.banded import Chain
 from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.systems.chain import ChainPendulum
@@ -131,6 +132,42 @@ def test_steps_never_raise_the_objective_and_stages_end():
     losses = [float(x["train_loss"]) for x in found]
     for start in (losses[:6], losses[6:12]):
         assert start == sorted(start, reverse=True)
+
+
+class Falling(nn.Module):
+    """Accelerations ``exp(b) − s² cos 5q``, of which data may want a negative ``s²``."""
+
+    reads_velocity = False
+
+    def __init__(self, n, squares):
+        super().__init__()
+        self.log = nn.Parameter(torch.full((n,), -1.0, dtype=torch.float64))
+        self.root = nn.Parameter(torch.full((n,), 0.1, dtype=torch.float64)) if squares else None
+        if self.root is not None:
+            mark_squares(self.root)
+        mark(self.parameters(), "coefficient")
+
+    def residuals(self, windows):
+        rise = repeated(self.log, len(windows.q)).exp()
+        if self.root is not None:
+            square = repeated(self.root, len(windows.q)).square()
+            rise = rise - square * torch.cos(5.0 * windows.q)
+        return windows.q_prev - 2.0 * windows.q + windows.q_next - H**2 * rise
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_square_that_data_want_to_be_negative_keeps_nothing_else_from_them(n):
+    """It ends at zero, after as many epochs as a model takes that does not have it."""
+    path = torch.rand(2, n, dtype=torch.float64, generator=torch.Generator().manual_seed(n))
+    for _ in range(60):
+        force = 2.0 + 0.5 * torch.cos(5.0 * path[-1])
+        path = torch.cat((path, (2.0 * path[-1] - path[-2] + H**2 * force)[None]))
+    data = [Trajectory(path, torch.zeros_like(path), torch.zeros(len(path), 0))]
+    with_square, without = Falling(n, True), Falling(n, False)
+    for model in (with_square, without):
+        train(model, data, epsilons=(0.3,), starts=1, start=2, epochs=8)
+    torch.testing.assert_close(with_square.log, without.log, atol=2e-3, rtol=0)
+    assert float(with_square.root.square().max()) < 1e-2
 
 
 def test_training_continues_from_the_best_start():

@@ -16,7 +16,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
 from symo_exp.nets.embedding import features_of
 from symo_exp.nets.mlp import MLP
-from symo_exp.nets.roles import mark
+from symo_exp.nets.roles import mark, mark_squares
 
 VELOCITY = 5.0
 """Velocity [rad/s] that a network sees as 1."""
@@ -70,8 +70,10 @@ class LearnedDissipation(nn.Module, Dissipation):
         root = math.sqrt(start)
         if viscous:
             self.viscous_root = nn.Parameter(self._triangle.flat(root * torch.eye(n)))
+            mark_squares(self.viscous_root, self._triangle.flat(torch.eye(n)).bool())
         if coulomb:
             self.coulomb_root = nn.Parameter(torch.full((n,), root))
+            mark_squares(self.coulomb_root)
             self.rest = nn.Parameter(torch.zeros(n))
             self._rest_velocity, self._least_rest = rest_velocity, 0.2
         if width > 0:
@@ -250,6 +252,7 @@ class MachineFriction(LearnedDissipation):
             self.tilts = nn.Parameter(torch.zeros(2 * n))
         if stribeck:
             self.breakaway_root = nn.Parameter(torch.full((n,), math.sqrt(start)))
+            mark_squares(self.breakaway_root)
             self.fading = nn.Parameter(torch.zeros(n))
         if constant:
             self.constant = nn.Parameter(torch.zeros(n))

@@ -18,7 +18,7 @@ from symo_exp.nets.affine import linear, repeated
 from symo_exp.nets.dissipation import Triangle
 from symo_exp.nets.embedding import Features, require_flat, require_one_body
 from symo_exp.nets.harmonics import Harmonics
-from symo_exp.nets.roles import mark
+from symo_exp.nets.roles import mark, mark_squares
 
 
 class LearnedDrag(nn.Module, Dissipation):
@@ -112,6 +112,7 @@ class LearnedBodyDrag(nn.Module, Dissipation):
         root = self._triangle.flat(math.sqrt(start) * torch.eye(3))
         self.roots = nn.Parameter(root.repeat(self._matrices))
         mark([self.roots], "coefficient")
+        mark_squares(self.roots, root.bool().repeat(self._matrices))
 
     @override
     def force(

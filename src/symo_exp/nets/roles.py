@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
+import torch
 from torch import Tensor
 
 Role = Literal["coefficient", "late"]
@@ -29,6 +30,19 @@ def is_coefficient(parameter: Tensor) -> bool:
 def is_late(parameter: Tensor) -> bool:
     """Return whether a parameter is optimised after the others."""
     return vars(parameter).get("symo_exp_role") == "late"
+
+
+def mark_squares(parameter: Tensor, entries: Tensor | None = None) -> None:
+    """Mark entries of a parameter, all if left out, whose squares the model depends on."""
+    chosen = torch.ones_like(parameter, dtype=torch.bool) if entries is None else entries
+    vars(parameter)["symo_exp_squares"] = chosen
+
+
+def are_squares(parameter: Tensor) -> Tensor:
+    """Return which entries of a parameter the model depends on by their squares."""
+    none = torch.zeros_like(parameter, dtype=torch.bool)
+    found: Tensor = vars(parameter).get("symo_exp_squares", none)
+    return found
 
 
 def start(parameter: Tensor) -> Tensor:

@@ -9,6 +9,11 @@ parameters, and ``x = y − J_xᵀ S⁻¹ (e + J_θ δ)`` puts the nodes back. T
 ``descent``): ``½ r''`` along it joins ``e``. The nodes are then put back once more with the
 residuals there. ``S`` is banded: everything takes time linear in the nodes.
 
+Where the model depends on ``θ_i²`` and the gradient ``g`` drives ``θ_i`` to zero, ``g_i/θ_i`` joins
+the diagonal: a part of the second derivative that Gauss-Newton leaves out. Without it the steps of
+``θ_i`` grow like ``1/θ_i``, and with them the damping of all parameters, so that friction that is
+not there keeps the others from the data.
+
 A refused step is tried again with more damping: ``λ`` of the parameters or, if the nodes alone do
 not find their way, ``μ |x − x_before|²``, since dry friction bends the residuals within a step.
 """
@@ -25,7 +30,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.nets.affine import parameter_jacobian
-from symo_exp.nets.roles import is_coefficient, is_late
+from symo_exp.nets.roles import are_squares, is_coefficient, is_late
 from symo_exp.optim.banded import BandFactor, Chain
 from symo_exp.optim.base import Problem
 from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
@@ -86,6 +91,8 @@ class SmoothingObjective:
         sizes = torch.tensor([p.numel() for p in owner.parameters])
         self._group = torch.repeat_interleave(torch.arange(len(sizes)), sizes)
         self._flat = torch.tensor([is_coefficient(p) for p in owner.parameters])
+        self.squares = torch.cat([are_squares(p).flatten() for p in owner.parameters])
+        """Parameters of which the model depends on the squares."""
         moves = [late or not is_late(p) for p in owner.parameters]
         self.moves = torch.tensor(moves)[self._group]
         """Parameters that move."""
@@ -204,10 +211,12 @@ class NodesAndParameters(Descent):
         prior = self._memory["noise"] * self._objective.precision
         diagonal = self._at.gram.diagonal()
         damping = self._memory["damping"] * (diagonal + 1e-6 * diagonal.amax())
-        factor, info = torch.linalg.cholesky_ex(self._at.gram + torch.diag(prior + damping))
+        slope = (self._at.gradient + prior * self.theta) * self._objective.moves
+        bent = torch.where(self._objective.squares, slope / self.theta, 0.0)
+        bent = bent.nan_to_num(0.0).clamp(min=0.0)
+        factor, info = torch.linalg.cholesky_ex(self._at.gram + torch.diag(prior + bent + damping))
         if int(info) != 0:
             return None
-        slope = (self._at.gradient + prior * self.theta) * self._objective.moves
         return ReducedEquations(self, self._at, factor, damping, slope)
 
     @override
