@@ -44,7 +44,7 @@ BODIES = {"pivot": PIVOT, "free": FREE}
 BODY_KINDS: dict[str, dict[str, Any]] = {
     "parameters": {},
     "inputs": {"learned_inputs": 2},
-    "networks": {"learned_inputs": 2, "potential_width": 5, "input_width": 4},
+    "networks": {"learned_inputs": 2, "potential_width": 5, "input_width": 4, "radius": 0.5},
 }
 TURNING = [
     PIVOT,

@@ -166,6 +166,8 @@ def test_the_drag_of_a_body_takes_energy_and_turns_with_the_world(coordinates):
 def test_the_drag_of_a_body_is_refused_for_other_coordinates():
     with pytest.raises(ConfigError, match="dissipation=body_drag is for one body"):
         LearnedBodyDrag(coordinates=Coordinates(("a",), (True,)))
+    with pytest.raises(ConfigError, match=r"dissipation\.radius=0"):
+        LearnedBodyDrag(coordinates=Coordinates.of(rotations=("R",)), radius=0.0)
 
 
 @pytest.mark.parametrize("coordinates", TURNING, ids=lambda c: str(c.n))

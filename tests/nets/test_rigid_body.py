@@ -20,6 +20,7 @@ from symo_exp.models.l_node import LNODE
 from symo_exp.models.node import NODE
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
+from symo_exp.nets.drag import LearnedBodyDrag
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
@@ -83,6 +84,7 @@ def test_any_parameters_are_a_possible_body(coordinates: Coordinates) -> None:
             "lagrangian=rigid_body is for one body",
         ),
         ({"coordinates": PIVOT, "initial_inertia": 0.0}, r"lagrangian\.initial_inertia=0"),
+        ({"coordinates": PIVOT, "radius": -0.1}, r"lagrangian\.radius=-0.1"),
         ({"coordinates": PIVOT, "input_width": 4}, r"set lagrangian\.learned_inputs"),
     ],
 )
@@ -98,6 +100,24 @@ def test_another_number_of_inputs_is_refused() -> None:
     found, (q, _, u) = body(PIVOT, "inputs"), points(PIVOT)
     with pytest.raises(ConfigError, match="the system has 1 input"):
         found.input_force(torch.zeros(3, 1), q, u[:, :1])
+
+
+def test_the_radius_is_the_unit_of_length_of_the_parameters(coordinates: Coordinates) -> None:
+    q, v, u = points(coordinates)
+    radius, forces, bodies, drags = 0.1, [], [], []
+    for unit in (radius, 1.0):
+        torch.manual_seed(1)
+        found = LearnedRigidBody(coordinates=coordinates, learned_inputs=2, radius=unit).double()
+        bodies.append(found.rigid_body(q))
+        forces.append(found.input_force(torch.zeros(coordinates.n, 2), q, u))
+        drags.append(LearnedBodyDrag(coordinates=coordinates, radius=unit).double().force(q, v))
+    small, large = bodies
+    torch.testing.assert_close(small.mass, large.mass)
+    torch.testing.assert_close(small.moment, radius * large.moment)
+    torch.testing.assert_close(small.inertia, radius**2 * large.inertia)
+    for one, other in (forces, drags):
+        torch.testing.assert_close(one[:, :-3], other[:, :-3])
+        torch.testing.assert_close(one[:, -3:], radius**2 * other[:, -3:])
 
 
 # Recovery

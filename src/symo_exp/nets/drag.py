@@ -99,16 +99,27 @@ class LearnedBodyDrag(nn.Module, Dissipation):
 
     Args:
         coordinates: A rotation, or a position of three lengths and a rotation.
-        start: Initial diagonal of the matrices [N s/m, N s²/m², N m s, N m s²].
+        start: Initial diagonal of the matrices [N s/m, N s²/m²; of torques N s radius, N s²
+            radius].
+        radius: Unit of length of the parameters [m], as in ``LearnedRigidBody``.
     """
 
-    def __init__(self, *, coordinates: Coordinates, start: float = 0.01) -> None:
+    units: Tensor
+
+    def __init__(
+        self, *, coordinates: Coordinates, start: float = 0.01, radius: float = 1.0
+    ) -> None:
         super().__init__()
         require_one_body(coordinates, "dissipation=body_drag", "dissipation=viscous")
         if not start > 0.0:
             raise ConfigError(f"dissipation.start={start}: expected above 0")
+        if not radius > 0.0:
+            raise ConfigError(f"dissipation.radius={radius}: expected above 0 m")
         self._triangle = Triangle(3)
         self._matrices = 2 * coordinates.n // 3
+        units = torch.ones(coordinates.n // 3, 1, 1)
+        units[-1] = radius**2
+        self.register_buffer("units", units, persistent=False)
         root = self._triangle.flat(math.sqrt(start) * torch.eye(3))
         self.roots = nn.Parameter(root.repeat(self._matrices))
         mark([self.roots], "coefficient")
@@ -118,9 +129,7 @@ class LearnedBodyDrag(nn.Module, Dissipation):
     def force(
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
-        linear, quadratic = (
-            self._matrix(repeated(self.roots, len(v))).unflatten(1, (2, -1)).unbind(1)
-        )
+        linear, quadratic = self._matrix(repeated(self.roots, len(v))).unbind(1)
         rate = in_body(q, v).unflatten(1, (-1, 3))
         speed = torch.linalg.vector_norm(rate, dim=-1, keepdim=True)
         wrench = matvec(linear, rate) + speed * matvec(quadratic, rate)
@@ -128,10 +137,11 @@ class LearnedBodyDrag(nn.Module, Dissipation):
 
     def coefficients(self) -> Float[Tensor, "2 parts 3 3"]:
         """Return the linear and the quadratic matrices, of the force, if any, and the torque."""
-        return self._matrix(self.roots.unsqueeze(0))[0].unflatten(0, (2, -1))
+        return self._matrix(self.roots.unsqueeze(0))[0]
 
-    def _matrix(self, roots: Float[Tensor, "batch entries"]) -> Float[Tensor, "batch parts 3 3"]:
+    def _matrix(self, roots: Float[Tensor, "batch entries"]) -> Float[Tensor, "batch 2 parts 3 3"]:
         square = self._triangle.square(roots.unflatten(1, (self._matrices, -1)).flatten(0, 1))
         d = square.diagonal(dim1=-2, dim2=-1).square()
         unit = torch.tril(square, -1) + torch.eye(3).to(d)
-        return (unit * d.unsqueeze(-2) @ unit.mT).unflatten(0, (-1, self._matrices))
+        found = (unit * d.unsqueeze(-2) @ unit.mT).unflatten(0, (-1, 2, self._matrices // 2))
+        return self.units * found

@@ -36,13 +36,17 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
 
     Args:
         coordinates: A rotation, or a position of three lengths and a rotation.
-        initial_inertia: Inertia at the start of training [kg, kg m²]; 1 if null.
+        initial_inertia: Inertia at the start of training [kg, kg radius²]; 1 if null.
         learned_inputs: Number of inputs whose matrix is learned; 0: the system's is taken.
         potential_width: Hidden units of a network for the potential; 0: gravity.
         input_width: Hidden units of a network for the input matrix; 0: it is constant.
+        radius: Radius of gyration near which training starts [m]: the unit of length of the
+            parameters, so that those of a small body are about as large as each other.
     """
 
     place: Tensor
+    lengths: Tensor
+    units: Tensor
 
     def __init__(
         self,
@@ -52,6 +56,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         learned_inputs: int = 0,
         potential_width: int = 0,
         input_width: int = 0,
+        radius: float = 1.0,
     ) -> None:
         super().__init__()
         require_one_body(coordinates, "lagrangian=rigid_body", "another lagrangian")
@@ -59,6 +64,8 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
             raise ConfigError(
                 f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
+        if not radius > 0.0:
+            raise ConfigError(f"lagrangian.radius={radius}: expected above 0 m")
         if input_width and not learned_inputs:
             raise ConfigError(
                 f"lagrangian.input_width={input_width}: a network for the input matrix needs the "
@@ -69,6 +76,11 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         place = torch.full((4, 4), TRIANGLE)
         place[row, column] = torch.arange(TRIANGLE)
         self.register_buffer("place", place, persistent=False)
+        lengths = torch.tensor([radius, radius, radius, 1.0])
+        self.register_buffer("lengths", lengths, persistent=False)
+        units = torch.ones(coordinates.n)
+        units[-3:] = radius**2
+        self.register_buffer("units", units, persistent=False)
         root = math.sqrt(0.5 * (initial_inertia or 1.0))  # J = 2 Λ Λᵀ of equal second moments
         moments = 0.1 * root * torch.randn(TRIANGLE)
         moments[row == column] += root
@@ -95,7 +107,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         batch = len(like)
         moments = repeated(self.moments, batch)
         padded = torch.cat((moments, torch.zeros_like(moments[:, :1])), dim=1)
-        factor = padded[:, self.place]
+        factor = padded[:, self.place] * self.lengths.unsqueeze(1)
         gravity = moments.new_zeros(batch, 3)
         if self.gravity is not None:
             gravity = repeated(self.gravity, batch)
@@ -115,7 +127,8 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         else:
             assert self.inputs is not None
             entries = repeated(self.inputs, len(q))
-        return in_world(q, matvec(entries.unflatten(1, (-1, u.shape[1])), u))
+        wrench = matvec(entries.unflatten(1, (-1, u.shape[1])), u)
+        return in_world(q, self.units * wrench)
 
     @override
     def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
