@@ -19,7 +19,15 @@ from symo_exp.compile import (
 from symo_exp.compile.inductor import CompilerError, lower
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.models.objectives import Objective, Residual, Residuals
-from tests.models.methods import flows, learner, make, pairwise, windows
+from tests.models.methods import (
+    combinations,
+    flows,
+    learned,
+    learner,
+    make,
+    pairwise,
+    windows,
+)
 
 
 def said(caplog):
@@ -58,6 +66,9 @@ def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
 
     expected = step()
     compile_training(model, validation=True)
+    with torch.no_grad():  # a batch of another size comes first
+        model.validation_loss(windows(2, samples=9))
+    model.loss_and_gradients(windows(2, samples=9))
     for _ in range(2):
         model.load_state_dict(before)
         with torch.no_grad():
@@ -93,14 +104,18 @@ def traced_only(monkeypatch):
             [step for step, n in zip(x.stride(), x.shape, strict=True) if n > 1] for x in tensors
         ]
 
+    graphs = []
+
     def lower(graph, example):
         def kernel(*tensors):
             assert layouts(tensors) == layouts(example)
             return graph(*tensors)
 
+        graphs.append(graph)
         return kernel
 
     monkeypatch.setattr(program, "lower", lower)
+    return graphs
 
 
 @pytest.mark.usefixtures("traced_only")
@@ -117,6 +132,42 @@ def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator, n):
     for other in (model.for_evaluation(), pickle.loads(pickle.dumps(model))):
         assert not other.compiled
         torch.testing.assert_close(other.rollout(*starts[0]), expected[0])
+
+
+@pytest.mark.parametrize("method", learned())
+def test_one_graph_is_for_any_number_of_rows_and_another_for_one_row(method, traced_only):
+    model = learner(method, dict(combinations())[method], 2)
+
+    def at(samples):
+        loss = model.loss_and_gradients(windows(2, samples=samples))
+        return loss, [parameter.grad.clone() for parameter in model.parameters()]
+
+    sizes = (64, 5, 2, 1)
+    expected = [at(samples) for samples in sizes]
+    compile_training(model)
+    found = [at(sizes[0])]
+    pieces = len(traced_only)
+    found += [at(samples) for samples in sizes[1:]]
+    torch.testing.assert_close(found, expected, atol=1e-12, rtol=1e-7)
+    assert len(traced_only) == 2 * pieces
+
+
+class Weighted(Residual):
+    """An objective of a user's own, which depends on the number of rows."""
+
+    def __call__(self, flow, windows):
+        values, _ = super().__call__(flow, windows)
+        return Residuals(values * torch.arange(1, len(values) + 1).to(values)[:, None], {})
+
+
+def test_what_depends_on_the_number_of_rows_has_a_graph_for_each(traced_only):
+    model = learner("symo", "midpoint", 1, objective=Weighted())
+    batches = [windows(1, samples=samples) for samples in (5, 7, 5, 1)]
+    expected = [model.loss_and_gradients(batch) for batch in batches]
+    compile_training(model)
+    found = [model.loss_and_gradients(batch) for batch in batches]
+    torch.testing.assert_close(found, expected, atol=0, rtol=1e-9)
+    assert len(traced_only) == 3
 
 
 @needs_compiler

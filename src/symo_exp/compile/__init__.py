@@ -12,7 +12,12 @@ from typing import Any
 
 from torch import Tensor
 
-from symo_exp.compile.inductor import CompilerError, compiler_available, kernel_cache
+from symo_exp.compile.inductor import (
+    CompilerError,
+    OpenRowsError,
+    compiler_available,
+    kernel_cache,
+)
 from symo_exp.compile.newton import RootLoss, VariationalAdvance
 from symo_exp.compile.program import Program
 from symo_exp.compile.trainable import Trainable
@@ -45,35 +50,46 @@ def compile_training(learner: Trainable, *, validation: bool = False) -> None:
         learner: The learner.
         validation: Whether to compile the validation loss, too.
     """
-    step, loss = _loss(learner, gradients=True), _loss(learner, gradients=False)
-    assert step is not None
-    assert loss is not None
+
+    def step(*, open_rows: bool) -> Callable[..., Any]:
+        found = _loss(learner, gradients=True, open_rows=open_rows)
+        assert found is not None
+        return found
+
+    def loss(*, open_rows: bool) -> Callable[..., Any]:
+        found = _loss(learner, gradients=False, open_rows=open_rows)
+        assert found is not None
+        return lambda windows: found(windows)[0]
+
     _install(learner.compiled, "training step", step, learner.uncompiled_training)
     if validation:
-        _install(learner.compiled, "validation", lambda windows: loss(windows)[0], learner.loss)
+        _install(learner.compiled, "validation", loss, learner.loss)
 
 
 def compile_rollout(model: DynamicsModel) -> None:
     """Compile the steps of ``model.rollout`` at its next call.
 
-    Compilation takes up to a minute for each new number of trajectories and precision, some seconds
-    in later processes; steps then take a fraction of their time. The motion is the same to the
-    tolerance of the roots. If a step cannot be compiled, a line is logged and nothing changes.
+    Compilation takes up to a minute for one trajectory or for several, in each precision, and some
+    seconds in later processes; steps then take a fraction of their time. The motion is the same to
+    the tolerance of the roots. If a step cannot be compiled, a line is logged and nothing changes.
     """
     flow = model.flow
-    advance: Callable[..., Any] | None = None
-    if model.learns and isinstance(flow, ExplicitFlow):
-        advance = Program(model, flow.advance)
-    elif model.learns and isinstance(flow, VariationalFlow) and _branch_free(flow):
-        advance = VariationalAdvance(model, flow)
-    if advance is None:
+    if not model.learns or not (
+        isinstance(flow, ExplicitFlow) or (isinstance(flow, VariationalFlow) and _branch_free(flow))
+    ):
         log.warning("a step of this rollout is not a fixed sequence of operations: not compiled")
         return
 
-    def contiguous(*arguments: Tensor) -> Any:  # kernels belong to one layout of each tensor
-        return advance(*(x.contiguous() for x in arguments))
+    def step(*, open_rows: bool) -> Callable[..., Any]:
+        advance: Callable[..., Any]
+        if isinstance(flow, VariationalFlow):
+            advance = VariationalAdvance(model, flow, open_rows=open_rows)
+        else:
+            advance = Program(model, flow.advance, open_rows=open_rows)
+        # Kernels belong to one layout of each tensor.
+        return lambda *arguments: advance(*(x.contiguous() for x in arguments))
 
-    _install(model.compiled, "rollout", contiguous, flow.advance)
+    _install(model.compiled, "rollout", step, flow.advance)
 
 
 def _branch_free(flow: VariationalFlow) -> bool:
@@ -84,15 +100,22 @@ def _branch_free(flow: VariationalFlow) -> bool:
 def _install(
     place: dict[str, Callable[..., Any]],
     what: str,
-    compiled: Callable[..., Any],
+    build: Callable[..., Callable[..., Any]],
     other: Callable[..., Any],
 ) -> None:
-    """Put a compiled function in place, or the other one for good if the compiler fails."""
+    """Put a compiled function in place, or the other one for good if the compiler fails.
+
+    One that cannot be compiled for all numbers of rows at once is compiled for each of them.
+    """
+    compiled = build(open_rows=True)
 
     def call(*arguments: Any) -> Any:
         nonlocal compiled
         try:
             return compiled(*arguments)
+        except OpenRowsError:
+            compiled = build(open_rows=False)
+            return call(*arguments)
         except CompilerError as error:
             log.warning("the %s is not compiled: %s", what, error)
             compiled = other
@@ -102,7 +125,7 @@ def _install(
 
 
 def _loss(
-    learner: Trainable, *, gradients: bool
+    learner: Trainable, *, gradients: bool, open_rows: bool = True
 ) -> Callable[[Windows], tuple[Tensor, Statistics]] | None:
     """Return the compiled map from windows to loss and statistics, ``None`` if there is none.
 
@@ -113,7 +136,7 @@ def _loss(
     if isinstance(objective, RootError) and isinstance(flow, VariationalFlow):
         if not isinstance(flow.root, Newton) or flow.integrator.iterates:
             return None
-        return RootLoss(learner, flow, objective, gradients=gradients)
+        return RootLoss(learner, flow, objective, gradients=gradients, open_rows=open_rows)
     if not objective.branch_free(flow):
         return None
 
@@ -121,7 +144,7 @@ def _loss(
         residuals = objective(flow, windows)
         return residuals.loss, dict(residuals.statistics)
 
-    program = Program(model, loss, gradients=gradients)
+    program = Program(model, loss, gradients=gradients, open_rows=open_rows)
 
     def call(windows: Windows) -> tuple[Tensor, Statistics]:
         value, statistics = program(windows)

@@ -27,12 +27,19 @@ it. It is built separately and optimised less, which shortens compilation and no
 not merged into products of matrices (``addmm``)."""
 logging.getLogger("torch._inductor.ir").setLevel(logging.ERROR)  # which solver is called how
 
+TYPICAL_ROWS = 128
+"""Number of rows that the compiler optimises for if it is left open."""
+
 flatten, unflatten = pytree.tree_flatten, pytree.tree_unflatten
 """Nested objects to their tensors and back."""
 
 
 class CompilerError(RuntimeError):
     """Raised if the compiler fails, and not the function that it compiles."""
+
+
+class OpenRowsError(Exception):
+    """Raised if a function cannot be traced once for all numbers of rows."""
 
 
 def compiler_available() -> bool:
@@ -46,19 +53,70 @@ def kernel_cache() -> Path:
     return Path(own) if own else Path.home() / ".cache" / "symo_exp" / "kernels"
 
 
+def stand_ins(fixed: Sequence[Tensor], batched: Sequence[Tensor], rows: int | None) -> list[Tensor]:
+    """Return tensors without data, with which a function of ``fixed`` and ``batched`` is traced.
+
+    Args:
+        fixed: Tensors whose shapes are part of the graph, such as parameters.
+        batched: Tensors whose leading dimension, where it has the size ``rows``, is the batch, or
+            results of another trace, which are returned as they are.
+        rows: Number of rows, which is left open: the graph is the same for all batches.
+            ``None``: all shapes are part of the graph.
+    """
+    from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
+    from torch.fx.experimental.symbolic_shapes import (
+        DimDynamic,
+        ShapeEnv,
+        StatelessSymbolicContext,
+    )
+
+    mode = _mode(batched) or FakeTensorMode(
+        shape_env=ShapeEnv(),
+        allow_non_fake_inputs=True,  # constants of the model
+    )
+
+    def stand_in(x: Tensor, size: int | None) -> Tensor:
+        if isinstance(x, FakeTensor):
+            return x
+        sizes = [DimDynamic.STATIC] * x.ndim
+        if size is not None and x.shape[:1] == (size,):
+            sizes[0] = DimDynamic.DUCK  # all of these are the same unknown
+            shape = (TYPICAL_ROWS, *x.shape[1:])
+            x = torch.empty_strided(shape, x.stride(), dtype=x.dtype, device=x.device)
+        return mode.from_tensor(x, symbolic_context=StatelessSymbolicContext(dynamic_sizes=sizes))
+
+    return [*(stand_in(x, None) for x in fixed), *(stand_in(x, rows) for x in batched)]
+
+
 def trace(function: Callable[..., list[Tensor]], example: Sequence[Tensor]) -> torch.fx.GraphModule:
-    """Return the operations of a function of tensors, with the cheaper kernels in place."""
+    """Return the operations of a function of stand-ins, with the cheaper kernels in place.
+
+    Raises:
+        OpenRowsError: If the operations depend on a number of rows that was left open.
+    """
     from torch.fx.experimental.proxy_tensor import make_fx
 
-    return make_fx(function, decomposition_table=CHEAPER)(*example)
+    mode = _mode(example)
+    known = len(mode.shape_env.guards)  # the compiler has left its own there
+    with mode:
+        graph = make_fx(function, decomposition_table=CHEAPER)(*example)
+    if len(mode.shape_env.guards) > known:
+        raise OpenRowsError
+    return graph
+
+
+def _mode(tensors: Sequence[Tensor]) -> Any:
+    """Return what the stand-ins among some tensors have in common, ``None`` if there are none."""
+    from torch._guards import detect_fake_mode
+
+    return detect_fake_mode(tensors)
 
 
 def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..., list[Tensor]]:
-    """Return a graph as kernels for the shapes and layouts of ``example``.
+    """Return a graph as kernels for the shapes and layouts of the stand-ins in ``example``.
 
     Kernels are cached on disk: a later process with the same graph, such as another job of a sweep,
-    spends seconds here instead of a minute. All inputs are tensors of fixed shapes, so that nothing
-    is checked at a call.
+    spends seconds here instead of a minute.
 
     Raises:
         CompilerError: If the compiler fails.
@@ -68,11 +126,13 @@ def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..
     # The graph is sound, so every error here is the compiler's: a missing lowering, a broken g++ or
     # a full disk. They have no common class.
     try:
+        from torch._guards import TracingContext, tracing
         from torch._inductor import standalone_compile
 
-        return standalone_compile(
-            graph, [*example], dynamic_shapes="from_example_inputs", options=OPTIONS
-        )
+        with tracing(TracingContext(_mode(example))):
+            return standalone_compile(
+                graph, [*example], dynamic_shapes="from_tracing_context", options=OPTIONS
+            )
     except Exception as error:
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         raise CompilerError(reason) from error

@@ -13,9 +13,13 @@ def mm(a: Tensor, b: Tensor) -> Tensor:
     """Return ``A B``, a tall and narrow product as ``(Bᵀ Aᵀ)ᵀ``.
 
     That takes the library a fifth of the time if ``Bᵀ`` is contiguous, and seven times as long if
-    it is not. Layers with few inputs or outputs have such products.
+    it is not. Layers with few inputs or outputs have such products. An open number of rows counts
+    as large.
     """
-    if not 8 * b.shape[1] <= min(a.shape):
+    narrow = b.shape[1]
+    if not isinstance(narrow, int) or any(
+        isinstance(size, int) and size < 8 * narrow for size in a.shape
+    ):
         return NotImplemented  # the tracer keeps the operation
     return (b.T.contiguous() @ a.T).T
 
@@ -47,7 +51,7 @@ def column_sums(
     """Return ``Σᵢ xᵢⱼ`` as ``1ᵀ X``, along the rows; the compiler would sum down the columns."""
     if x.ndim != 2 or dim != [0] or dtype is not None or not x.is_floating_point():
         return NotImplemented
-    total = x.new_ones(1, len(x)) @ x
+    total = x.new_ones(1, x.shape[0]) @ x
     return total if keepdim else total.squeeze(0)
 
 

@@ -72,7 +72,7 @@ def iterate_branch_free(
     at, together = problem.at(x), root.stopping == "batch"
     jacobian = at.jacobian()
     step = solve(jacobian, -at.residual)
-    norm = joint_norm(at.residual).expand(len(x)) if together else row_norm(at.residual)
+    norm = joint_norm(at.residual).expand(x.shape[0]) if together else row_norm(at.residual)
     near = norm <= root.tolerance
     settled = (step.abs() <= rounding(x)).all(-1)
     last = torch.zeros_like(settled) if together else settled
@@ -99,19 +99,26 @@ class RootLoss:
         flow: Its flow.
         objective: Its objective.
         gradients: Whether a call leaves gradients in the parameters.
+        open_rows: Whether kernels are for any number of rows, as of ``Program``.
     """
 
     most_iterations = 5
 
     def __init__(
-        self, learner: Trainable, flow: VariationalFlow, objective: RootError, *, gradients: bool
+        self,
+        learner: Trainable,
+        flow: VariationalFlow,
+        objective: RootError,
+        *,
+        gradients: bool,
+        open_rows: bool,
     ) -> None:
         self._learner, self._gradients = learner, gradients
         model = learner.model
         self._flow, self._objective = flow, objective
-        self._start = Program(model, self._first_step)
-        self._iterate = Program(model, self._next_step)
-        self._finish = Program(model, self._loss_at, gradients=gradients)
+        self._start = Program(model, self._first_step, open_rows=open_rows)
+        self._iterate = Program(model, self._next_step, open_rows=open_rows)
+        self._finish = Program(model, self._loss_at, gradients=gradients, open_rows=open_rows)
 
     def __call__(self, windows: Windows) -> tuple[Tensor, Statistics]:
         """Return the loss and the statistics of a batch."""
@@ -136,7 +143,7 @@ class RootLoss:
             problem, root, self._objective.initial_guess(self._flow, windows)
         )
         at = iterate_branch_free(problem, root, guess.next, guess)
-        return before, impulse, at, at.found.all()
+        return before, impulse.contiguous(), at, at.found.all()
 
     def _next_step(self, windows: Windows, impulse: Tensor, last: Iterate) -> tuple[Any, ...]:
         problem = self._problem(windows, impulse)
@@ -163,14 +170,16 @@ class VariationalAdvance:
     Args:
         model: Owner of the parameters.
         flow: Its flow.
+        open_rows: Whether kernels are for any number of rows, as of ``Program``.
     """
 
     first_iterations, most_iterations = 2, 10
 
-    def __init__(self, model: nn.Module, flow: VariationalFlow) -> None:
+    def __init__(self, model: nn.Module, flow: VariationalFlow, *, open_rows: bool) -> None:
         assert isinstance(flow.rollout_root, Newton)
         self._flow, self._root = flow, flow.rollout_root
-        self._start, self._iterate = Program(model, self._first), Program(model, self._next)
+        self._start = Program(model, self._first, open_rows=open_rows)
+        self._iterate = Program(model, self._next, open_rows=open_rows)
 
     def __call__(self, *given: Tensor) -> tuple[Tensor, ...]:
         """Advance ``(q, p, u, u_next)``, each (batch, ·), by a time step."""

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from symo_exp.compile.inductor import flatten, lower, trace, unflatten
+from symo_exp.compile.inductor import flatten, lower, stand_ins, trace, unflatten
 
 
 class Packed(NamedTuple):
@@ -25,6 +25,8 @@ class Packed(NamedTuple):
 
     tensors: list[Tensor]
     structure: Any
+    traced: list[Tensor] | None = None
+    """What stood for the tensors when the piece that made them was traced."""
 
     def open(self) -> Any:
         """Return the object itself."""
@@ -32,38 +34,55 @@ class Packed(NamedTuple):
 
 
 class Program:
-    """A function of tensors over a model's parameters, compiled once for each set of shapes.
+    """A function of tensors over a model's parameters, compiled once for all numbers of rows.
 
     Arguments are tensors, named tuples of them, or ``Packed`` objects, which the function receives
     opened. It returns a tuple; a call returns a tuple with everything but tensors ``Packed``.
 
     Args:
         model: Owner of the parameters.
-        function: The function.
+        function: The function. Single tensors that it returns are no arguments of other programs
+            unless they are contiguous.
         gradients: Whether the first result is a loss whose gradients a call leaves in the
             parameters.
+        open_rows: Whether kernels are for any number of rows above one; otherwise, and for a single
+            row, each shape has its own.
+
+    Raises:
+        OpenRowsError: By a call, if the operations depend on the number of rows and it was left
+            open.
     """
 
     def __init__(
-        self, model: nn.Module, function: Callable[..., tuple[Any, ...]], *, gradients: bool = False
+        self,
+        model: nn.Module,
+        function: Callable[..., tuple[Any, ...]],
+        *,
+        gradients: bool = False,
+        open_rows: bool = True,
     ) -> None:
-        self._call = _Call(model, function)
-        self._named, self._gradients = dict(self._call.named_parameters()), gradients
+        self._model, self._function = model, function
+        self._named, self._gradients = dict(_Call(model, function).named_parameters()), gradients
         self._parameters = list(self._named.values())
+        self._open = open_rows
         self._compiled: dict[tuple[Any, ...], Callable[..., tuple[Any, ...]]] = {}
 
     def __call__(self, *arguments: Any) -> tuple[Any, ...]:
         """Call the function; it is compiled at the first call with such shapes."""
         # The first argument is the batch; all other shapes follow from its shapes.
-        key = tuple([(x.shape, x.dtype, x.device) for x in _tensors(arguments[0])])
+        batch = _tensors(arguments[0])
+        rows = len(batch[0])
+        fixed = None if self._open and rows > 1 else rows
+        key = (fixed, *[(x.shape[1:], x.dtype, x.device) for x in batch])
         if key not in self._compiled:
-            self._compiled[key] = self._compile([_packed(x) for x in arguments])
+            given = [_packed(x) for x in arguments]
+            self._compiled[key] = self._compile(given, rows if fixed is None else None)
         tensors = [*self._parameters]
         for x in arguments:
             tensors.extend(_tensors(x))
         return self._compiled[key](tensors)
 
-    def _compile(self, arguments: list[Packed]) -> Callable[..., tuple[Any, ...]]:
+    def _compile(self, arguments: list[Packed], rows: int | None) -> Callable[..., tuple[Any, ...]]:
         results: list[Packed] = []
 
         def run(*tensors: Tensor) -> list[Tensor]:
@@ -76,9 +95,13 @@ class Program:
             results[:] = map(_packed, found)
             return [*(tensor for x in results for tensor in x.tensors), *gradients]
 
-        example = [*self._parameters, *(tensor for x in arguments for tensor in x.tensors)]
+        given = [tensor for x in arguments for tensor in x.traced or x.tensors]
+        example = stand_ins(self._parameters, given, rows)
         with torch.no_grad():
-            kernel = lower(trace(run, example), example)
+            graph = trace(run, example)
+            constants = [getattr(graph, x.target) for x in graph.graph.find_nodes(op="get_attr")]
+            assert not any(x is y for x in constants for y in self._parameters)
+            kernel = lower(graph, example)
         alone = [isinstance(x.open(), Tensor) for x in results]
         ends = [0, *accumulate(len(x.tensors) for x in results)]
         places = list(zip(alone, results, ends, ends[1:], strict=False))
@@ -90,20 +113,28 @@ class Program:
                 for parameter, gradient in zip(self._parameters, found[ends[-1] :], strict=True):
                     parameter.grad = gradient
             return tuple(
-                [found[i] if one else Packed(found[i:j], x.structure) for one, x, i, j in places]
+                [
+                    found[i] if one else Packed(found[i:j], x.structure, x.tensors)
+                    for one, x, i, j in places
+                ]
             )
 
         return call
 
     def _run(self, named: dict[str, Tensor], arguments: list[Any]) -> tuple[Any, list[Tensor]]:
-        with torch.set_grad_enabled(self._gradients):
-            found = torch.func.functional_call(self._call, named, tuple(arguments))
+        """Return what the function finds, and gradients, at parameters ``named``."""
+
+        def evaluate() -> tuple[Any, list[Tensor]]:  # gradients, too, may read parameters
+            found = self._function(*arguments)
             if not self._gradients:
                 return found, []
             loss, *rest = found
             gradients = torch.autograd.grad(loss, list(named.values()), materialize_grads=True)
-        # Laid out like the parameters: a fused optimiser reads memory, not strides.
-        return (loss.detach(), *rest), [gradient.contiguous() for gradient in gradients]
+            # Laid out like the parameters: a fused optimiser reads memory, not strides.
+            return (loss.detach(), *rest), [gradient.contiguous() for gradient in gradients]
+
+        with torch.set_grad_enabled(self._gradients):
+            return torch.func.functional_call(_Call(self._model, evaluate), named, ())
 
 
 def _tensors(x: Any) -> Any:

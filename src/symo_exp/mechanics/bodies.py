@@ -170,7 +170,7 @@ class Tree:
         shifts: list[Tensor] = []
         for i, joint in enumerate(self._joints):
             root = joint.parent < 0
-            before = one.expand(len(q), 3, 3) if root else turns[joint.parent]
+            before = one.expand(q.shape[0], 3, 3) if root else turns[joint.parent]
             shift = torch.zeros_like(before[:, 0]) if root else shifts[joint.parent]
             if joint.slides:
                 turns.append(before)

@@ -102,7 +102,7 @@ class Galerkin(VariationalIntegrator):
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> GalerkinExpansion:
         problem = InnerEquations(self._basis, lagrangian, q0, q1, h, forces)
-        start = q0.new_zeros(len(q0), (self.stages - 1) * q0.shape[1])
+        start = q0.new_zeros(q0.shape[0], (self.stages - 1) * q0.shape[1])
         if self.stages == 1:
             return problem.at(start).expansion
         rule = InnerSteps(max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps))

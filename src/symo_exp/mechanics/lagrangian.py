@@ -251,7 +251,7 @@ def jacobian(
 ) -> Float[Tensor, "batch k n"]:
     """Return ``∂y_bi/∂x_bj`` of a function that acts row by row."""
     if not y.requires_grad:  # a constant inertia
-        return x.new_zeros(len(x), y.shape[1], x.shape[1])
+        return x.new_zeros(x.shape[0], y.shape[1], x.shape[1])
     rows = [
         torch.autograd.grad(y[:, i].sum(), x, retain_graph=True, allow_unused=True)[0]
         for i in range(y.shape[1])

@@ -72,12 +72,12 @@ class RigidBodyLagrangian(Lagrangian):
     @override
     def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
         body, (turn, free) = self.rigid_body(q), _place(q)
-        inertia = body.inertia.expand(len(q), 3, 3)
+        inertia = body.inertia.expand(q.shape[0], 3, 3)
         if not free:
             return inertia
         one = torch.eye(3, dtype=q.dtype, device=q.device)
         mixed = -turn @ cross(body.moment)
-        above = torch.cat(((body.mass.unsqueeze(-1) * one).expand(len(q), 3, 3), mixed), dim=2)
+        above = torch.cat(((body.mass.unsqueeze(-1) * one).expand(q.shape[0], 3, 3), mixed), dim=2)
         return torch.cat((above, torch.cat((mixed.mT, inertia), dim=2)), dim=1)
 
     @override
@@ -161,7 +161,7 @@ class _Motion(NamedTuple):
     @staticmethod
     def of(body: BodyParameters, q: Tensor, v: Tensor) -> _Motion:
         turn, free = _place(q)
-        gravity = vecmat(body.gravity.expand(len(q), 3), turn)
+        gravity = vecmat(body.gravity.expand(q.shape[0], 3), turn)
         if not free:
             return _Motion(body, turn, v, gravity, None, None, None)
         velocity, omega = v[:, :3], v[:, 3:]

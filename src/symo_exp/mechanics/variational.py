@@ -292,7 +292,7 @@ class DiscreteLagrangian:
         forces = Forces(*(torch.cat(pair) for pair in zip(before, after, strict=True)))
         slots = self.slots(torch.cat((q_prev, q)), torch.cat((q, q_next)), forces)
         f_minus, f_plus = self.impulses(after)[0], self.impulses(before)[1]
-        return slots.d2[: len(q)] + slots.d1[len(q) :] + f_plus + f_minus
+        return slots.d2[: q.shape[0]] + slots.d1[q.shape[0] :] + f_plus + f_minus
 
     def next_configuration(
         self,

@@ -264,7 +264,7 @@ class MachineFriction(LearnedDissipation):
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         found = super().force(q, v)
-        return found if self.constant is None else found + repeated(self.constant, len(v))
+        return found if self.constant is None else found + repeated(self.constant, v.shape[0])
 
     def asymmetry(self) -> tuple[Tensor, Tensor] | None:
         """Return ``a`` and ``e``, (n,) each, if friction is asymmetric."""
@@ -287,7 +287,7 @@ class MachineFriction(LearnedDissipation):
         assert self.viscous_root is not None
         assert self.coulomb_root is not None
         assert self.rest is not None
-        batch = len(rate)
+        batch = rate.shape[0]
         unit, d = self._factors(repeated(self.viscous_root, batch))
         dry, rest = self._dry(repeated(self.coulomb_root, batch), repeated(self.rest, batch))
         t = torch.tanh(rate / rest)

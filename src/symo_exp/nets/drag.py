@@ -58,7 +58,7 @@ class LearnedDrag(nn.Module, Dissipation):
     ) -> Float[Tensor, "batch n"]:
         along = self._along(self.harmonics(q))
         speed = matvec(along, v)
-        rate = nn.functional.softplus(repeated(self.viscous, len(v))) + speed.abs()
+        rate = nn.functional.softplus(repeated(self.viscous, v.shape[0])) + speed.abs()
         return -vecmat(rate * speed, along)
 
     @torch.no_grad()
@@ -129,7 +129,7 @@ class LearnedBodyDrag(nn.Module, Dissipation):
     def force(
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
-        linear, quadratic = self._matrix(repeated(self.roots, len(v))).unbind(1)
+        linear, quadratic = self._matrix(repeated(self.roots, v.shape[0])).unbind(1)
         rate = in_body(q, v).unflatten(1, (-1, 3))
         speed = torch.linalg.vector_norm(rate, dim=-1, keepdim=True)
         wrench = matvec(linear, rate) + speed * matvec(quadratic, rate)

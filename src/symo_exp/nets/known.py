@@ -117,7 +117,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
         if not by_sample():
             found: tuple[Tensor, Tensor] = self.system.with_constants(self.constants()).terms(q)
             return found
-        parameters = repeated(self.logarithms, len(q)), repeated(self.factors, len(q))
+        parameters = repeated(self.logarithms, q.shape[0]), repeated(self.factors, q.shape[0])
         return torch.func.vmap(self._of_one)(*parameters, q)
 
     @override
@@ -246,7 +246,7 @@ class KnownFriction(nn.Module, Dissipation):
     def force(
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
-        viscous, coulomb = self.coefficients(len(v))
+        viscous, coulomb = self.coefficients(v.shape[0])
         found = -viscous * v - coulomb * torch.tanh(v / self.rest_velocity)
         return found if self.drag is None else found + self.drag.force(q, v)
 

@@ -104,7 +104,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
 
     @override
     def rigid_body(self, like: Float[Tensor, "batch N"]) -> BodyParameters:
-        batch = len(like)
+        batch = like.shape[0]
         moments = repeated(self.moments, batch)
         padded = torch.cat((moments, torch.zeros_like(moments[:, :1])), dim=1)
         factor = padded[:, self.place] * self.lengths.unsqueeze(1)
@@ -126,7 +126,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
             entries = self.input_net(q[:, -9:])
         else:
             assert self.inputs is not None
-            entries = repeated(self.inputs, len(q))
+            entries = repeated(self.inputs, q.shape[0])
         wrench = matvec(entries.unflatten(1, (-1, u.shape[1])), u)
         return in_world(q, self.units * wrench)
 

@@ -57,7 +57,7 @@ class CompileTraining(lightning.Callback):
     @override
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
         if self._compiled:  # it happens in the first epoch
-            phases.say("compiling the training step: once for each size, up to a minute")
+            phases.say("compiling the training step: once for a system and network, up to a minute")
 
     @override
     def on_train_epoch_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
@@ -85,12 +85,9 @@ class CompileTraining(lightning.Callback):
 
     def _made(self, trainer: lightning.Trainer) -> Path | None:
         """Return the file that marks the kernels of this training as present."""
-        datamodule: Any = getattr(trainer, "datamodule", None)
-        if datamodule is None:
+        if getattr(trainer, "datamodule", None) is None:
             return None
-        sizes = sorted({len(windows.q) for windows in datamodule.batches(0)})
-        name = "-".join([self._settings, torch.__version__, *map(str, sizes)])
-        return kernel_cache() / "made" / name
+        return kernel_cache() / "made" / f"{self._settings}-{torch.__version__}"
 
 
 def watches_much(trainer: lightning.Trainer) -> bool:
