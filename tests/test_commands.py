@@ -36,6 +36,7 @@ NOT_RUN = {
     "results/hardware/refit.py": "takes half an hour and has no budget to cut",
     "results/rivals/run.py": "needs the packages of `make rivals` in an environment of their own",
     "results/uncertainty/coverage.py": "takes minutes to an hour and has no budget to cut",
+    "import drifts": "takes ten minutes for each order",
     "results/thesis/draws.py": "simulates 256 long trajectories; tests/test_results.py runs it",
 }
 """Parts of commands that are not run here, and why."""
@@ -192,6 +193,7 @@ def folder(tmp_path, trained):
     write_log(tmp_path / "mine.csv")
     write_flight(tmp_path / "flight.csv")
     write_archives(tmp_path)
+    write_nanobench(tmp_path / "nanobench.parquet")
     for name in ("arm.xml", "robot.xml"):
         (tmp_path / name).write_text(ARM)
     (tmp_path / "controller.py").write_text(CONTROLLER)
@@ -253,6 +255,21 @@ def write_archives(place: Path) -> None:
                 (x, turn.reshape(*w.shape[:3], 9), v, w, controls), axis=3
             )
         np.savez(place / f"se3hamdl_{name}.npz", t=t[:, 0], **arrays)
+
+
+def write_nanobench(file: Path) -> None:
+    """Write flights in the layout of NanoBench: up and down without turning, every 0.01 s."""
+    t, flights = 0.01 * np.arange(400), []
+    for k, part in enumerate(("train", "train", "val", "test")):
+        rate = 4.0 + k
+        columns = {"trajectory": f"flight{k}", "split": part, "t": t, "vbat": 3.7, "quat_w": 1.0}
+        columns |= dict.fromkeys(("p_x", "p_y", "quat_x", "quat_y", "quat_z", "v_x", "v_y"), 0.0)
+        columns |= dict.fromkeys(("w_x", "w_y", "w_z"), 0.0)
+        columns |= {"p_z": 1.0 + 0.2 * np.sin(rate * t), "v_z": 0.2 * rate * np.cos(rate * t)}
+        force = 1.0 - 0.2 * rate**2 * np.sin(rate * t) / 9.81
+        columns |= {f"u_{i}": 40000.0 * np.sqrt(force) for i in range(1, 5)}
+        flights.append(pd.DataFrame(columns))
+    pd.concat(flights).to_parquet(file, index=False)
 
 
 def shell(line: str, place: Path, home: Path) -> subprocess.CompletedProcess[str]:
