@@ -39,7 +39,7 @@ class CompilerError(RuntimeError):
 
 
 class OpenRowsError(Exception):
-    """Raised if a function cannot be traced once for all numbers of rows."""
+    """Raised if a function cannot be compiled once for all numbers of rows."""
 
 
 def compiler_available() -> bool:
@@ -94,11 +94,12 @@ def trace(function: Callable[..., list[Tensor]], example: Sequence[Tensor]) -> t
     Raises:
         OpenRowsError: If the operations depend on a number of rows that was left open.
     """
+    from torch._dispatch.python import enable_python_dispatcher
     from torch.fx.experimental.proxy_tensor import make_fx
 
     mode = _mode(example)
     known = len(mode.shape_env.guards)  # the compiler has left its own there
-    with mode:
+    with mode, enable_python_dispatcher():
         graph = make_fx(function, decomposition_table=CHEAPER)(*example)
     if len(mode.shape_env.guards) > known:
         raise OpenRowsError

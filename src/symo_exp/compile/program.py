@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from symo_exp.compile.inductor import flatten, lower, stand_ins, trace, unflatten
+from symo_exp.compile.inductor import OpenRowsError, flatten, lower, stand_ins, trace, unflatten
 
 
 class Packed(NamedTuple):
@@ -49,8 +49,7 @@ class Program:
             row, each shape has its own.
 
     Raises:
-        OpenRowsError: By a call, if the operations depend on the number of rows and it was left
-            open.
+        OpenRowsError: By a call, if the function cannot be compiled with an open number of rows.
     """
 
     def __init__(
@@ -96,12 +95,14 @@ class Program:
             return [*(tensor for x in results for tensor in x.tensors), *gradients]
 
         given = [tensor for x in arguments for tensor in x.traced or x.tensors]
-        example = stand_ins(self._parameters, given, rows)
-        with torch.no_grad():
-            graph = trace(run, example)
-            constants = [getattr(graph, x.target) for x in graph.graph.find_nodes(op="get_attr")]
-            assert not any(x is y for x in constants for y in self._parameters)
-            kernel = lower(graph, example)
+        try:
+            kernel = self._kernel(run, given, rows)
+        except Exception as error:
+            # Whatever the reason, an older compiler or a function that asks for the number of rows:
+            # with all sizes given, it works or raises again.
+            if rows is not None:
+                raise OpenRowsError from error
+            raise
         alone = [isinstance(x.open(), Tensor) for x in results]
         ends = [0, *accumulate(len(x.tensors) for x in results)]
         places = list(zip(alone, results, ends, ends[1:], strict=False))
@@ -120,6 +121,16 @@ class Program:
             )
 
         return call
+
+    def _kernel(
+        self, run: Callable[..., list[Tensor]], given: list[Tensor], rows: int | None
+    ) -> Callable[..., list[Tensor]]:
+        example = stand_ins(self._parameters, given, rows)
+        with torch.no_grad():
+            graph = trace(run, example)
+            constants = [getattr(graph, x.target) for x in graph.graph.find_nodes(op="get_attr")]
+            assert not any(x is y for x in constants for y in self._parameters)
+            return lower(graph, example)
 
     def _run(self, named: dict[str, Tensor], arguments: list[Any]) -> tuple[Any, list[Tensor]]:
         """Return what the function finds, and gradients, at parameters ``named``."""
