@@ -89,6 +89,16 @@ def test_candidates_differ_and_variations_change_one_respect(n, angular):
             assert len({k.partition(".")[0] for k in differ}) == 1
 
 
+@pytest.mark.parametrize("driven", [True, False])
+def test_the_friction_of_motors_is_varied_first_where_there_are_motors(driven):
+    one = replace(machine(2), driven=driven)
+    base = next(c for c in ladder(one) if c.settings["dissipation"] == "friction")
+    kinds = [c.settings["dissipation"] for c in variations(base, one)]
+    motors = [i for i, kind in enumerate(kinds) if kind == "machine"]
+    learned = kinds.index("learned")
+    assert (max(motors) < learned) if driven else (min(motors) > learned)
+
+
 def test_joined_variations_have_what_both_switch_on():
     one = machine()
     base = ladder(one)[0]

@@ -95,8 +95,17 @@ def ladder(machine: Machine) -> list[Candidate]:
 
 
 def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
-    """Yield candidates that differ from one in a single respect, the most promising first."""
+    """Yield candidates that differ from one in a single respect, the most promising first.
+
+    Without motors, those with the friction of motors are the last.
+    """
     settings = candidate.settings
+    motors = [
+        _with_kinds(candidate, (kind,), more, machine)
+        for kind, more in KINDS.items()
+        if settings["dissipation"] in ("friction", "machine")
+        and settings.get(_switch(kind)) != "true"
+    ]
     if settings["dissipation"] == "viscous":
         yield candidate.changed("dry friction", 0.3, dissipation="friction")
     if settings["integrator"] == "midpoint":
@@ -105,10 +114,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed(
             f"delay {1e3 * machine.delay:g} ms", 0.2, data__input_delay=f"{machine.delay:g}"
         )
-    if settings["dissipation"] in ("friction", "machine"):
-        for kind, more in KINDS.items():
-            if settings.get(_switch(kind)) != "true":
-                yield _with_kinds(candidate, (kind,), more, machine)
+    if machine.driven:
+        yield from motors
     if settings["dissipation"] == "friction":
         yield _viscous(candidate)
     if settings["dissipation"] in ("friction", "viscous"):
@@ -119,6 +126,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed(
             "half the time step", 0.2, 2.0, system__time_step=f"{machine.time_step / 2:g}"
         )
+    if not machine.driven:
+        yield from motors
 
 
 def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:

@@ -191,7 +191,8 @@ class Search:
     def _vary(self, base: Trial) -> None:
         """Try variations of the best candidate, and what is better together."""
         plan = self._plan
-        tried = list(variations(base.candidate, self._machine))[: plan.variations]
+        new = [c for c in variations(base.candidate, self._machine) if c.name not in self._trials]
+        tried = new[: plan.variations]
         first, folds = range(plan.first), range(len(base.errors))
         self._try(tried, first)
         better = [
