@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -130,7 +131,8 @@ def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..
         from torch._guards import TracingContext, tracing
         from torch._inductor import standalone_compile
 
-        with tracing(TracingContext(_mode(example))):
+        with tracing(TracingContext(_mode(example))), warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # of PyTorch about its own functions
             return standalone_compile(
                 graph, [*example], dynamic_shapes="from_tracing_context", options=OPTIONS
             )
