@@ -34,7 +34,7 @@ ROWS = 4096
 class HorizonError(Objective):
     """``√w_k (q̂_k − q_k)`` over stretches of ``N`` steps, from the start that fits each best.
 
-        min_θ Σ_stretches min_{q₀, v₀} Σ_{k=0}^{N} w_k |q̂_k(q₀, v₀; θ) − q_k|²
+    ``min_θ Σ_stretches min_{q₀, v₀} Σ_{k=0}^{N} w_k |q̂_k(q₀, v₀; θ) − q_k|²``
 
     Configurations alone are read, by every method. The error of a rotation is a rotation vector.
     The weights ``w`` are those of Huber's loss at the start of an epoch, with a threshold of
