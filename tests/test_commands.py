@@ -293,7 +293,7 @@ def shortened(line: str) -> str:
         words = [first_number(word) for word in line.split(" ")]
         found = [settings for pattern, settings in SHORT if re.search(pattern, f"{line} ")]
         more = " ".join(found).split()
-        more += [word for word in swept(line) if not keys([word]) & keys(words)]
+        more += [word for word in swept(line) if not keys([word]) & keys([*words, *more])]
         line = " ".join([*(word for word in words if not keys([word]) & keys(more)), *more])
     if "results/hardware/run.sh" in line:
         line = re.sub(r"^SETTINGS=\S+ ", "", re.sub(r" \d[\d,]* ", " 0 ", line))
