@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from torch import Tensor
@@ -40,27 +41,25 @@ log = logging.getLogger(__name__)
 
 def trains_compiled(learner: Trainable) -> bool:
     """Return whether the loss of a learner can be compiled."""
-    return _loss(learner, gradients=False) is not None
+    flow, objective = learner.model.flow, learner.objective
+    if isinstance(objective, RootError) and isinstance(flow, VariationalFlow):
+        return isinstance(flow.root, Newton) and not flow.integrator.iterates
+    return objective.branch_free(flow)
 
 
 def compile_training(learner: Trainable, *, validation: bool = False) -> None:
     """Compile the training step of a learner at its next call.
 
     Args:
-        learner: The learner.
+        learner: The learner, of which ``trains_compiled`` is true.
         validation: Whether to compile the validation loss, too.
     """
 
-    def step(*, open_rows: bool) -> Callable[..., Any]:
-        found = _loss(learner, gradients=True, open_rows=open_rows)
-        assert found is not None
-        return found
-
     def loss(*, open_rows: bool) -> Callable[..., Any]:
         found = _loss(learner, gradients=False, open_rows=open_rows)
-        assert found is not None
         return lambda windows: found(windows)[0]
 
+    step = partial(_loss, learner, gradients=True)
     _install(learner.compiled, "training step", step, learner.uncompiled_training)
     if validation:
         _install(learner.compiled, "validation", loss, learner.loss)
@@ -125,20 +124,16 @@ def _install(
 
 
 def _loss(
-    learner: Trainable, *, gradients: bool, open_rows: bool = True
-) -> Callable[[Windows], tuple[Tensor, Statistics]] | None:
-    """Return the compiled map from windows to loss and statistics, ``None`` if there is none.
+    learner: Trainable, *, gradients: bool, open_rows: bool
+) -> Callable[[Windows], tuple[Tensor, Statistics]]:
+    """Return the compiled map from windows to loss and statistics.
 
     With ``gradients`` a call leaves them in the parameters.
     """
     model, objective = learner.model, learner.objective
     flow = model.flow
     if isinstance(objective, RootError) and isinstance(flow, VariationalFlow):
-        if not isinstance(flow.root, Newton) or flow.integrator.iterates:
-            return None
         return RootLoss(learner, flow, objective, gradients=gradients, open_rows=open_rows)
-    if not objective.branch_free(flow):
-        return None
 
     def loss(windows: Windows) -> tuple[Tensor, dict[str, Tensor]]:
         residuals = objective(flow, windows)

@@ -71,11 +71,11 @@ class Program:
         # The first argument is the batch; all other shapes follow from its shapes.
         batch = _tensors(arguments[0])
         rows = len(batch[0])
-        fixed = None if self._open and rows > 1 else rows
-        key = (fixed, *[(x.shape[1:], x.dtype, x.device) for x in batch])
+        is_open = self._open and rows > 1
+        key = (None if is_open else rows, *[(x.shape[1:], x.dtype, x.device) for x in batch])
         if key not in self._compiled:
             given = [_packed(x) for x in arguments]
-            self._compiled[key] = self._compile(given, rows if fixed is None else None)
+            self._compiled[key] = self._compile(given, rows if is_open else None)
         tensors = [*self._parameters]
         for x in arguments:
             tensors.extend(_tensors(x))

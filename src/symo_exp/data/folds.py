@@ -17,7 +17,7 @@ GAP = 0.5
 """Left out between neighbouring blocks of one recording [s], at most a tenth of a block."""
 SHORTEST = 1.0
 """Length of the pieces that data are reduced to [s], where recordings are not shorter."""
-MEASURED = 8.0
+VALIDATED = 8.0
 """Length of the pieces that validation data are reduced to [s]: windows and a whole motion."""
 GOLDEN = 0.6180339887498949
 """Multiples of it, modulo 1, are spread evenly over the unit interval, however many there are."""

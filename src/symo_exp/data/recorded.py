@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
-from symo_exp.data.folds import MEASURED, folded, thinned
+from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, few, shown
 from symo_exp.data.header import UNITS
 from symo_exp.data.parts import divided, uninterrupted, with_every_part
@@ -149,7 +149,7 @@ class RecordedData(DataModule):
             )
         if val_seconds is not None:
             most = real("data.val_seconds", val_seconds, low=system.time_step)
-            parts["val"] = thinned(parts["val"], most, MEASURED)
+            parts["val"] = thinned(parts["val"], most, VALIDATED)
         cut = {name: uninterrupted(part, system.time_step) for name, part in parts.items()}
         parts = {name: pieces for name, (pieces, _) in cut.items()}
         gaps = [f"{name}: {note}" for name, (_, note) in cut.items() if note]

@@ -76,8 +76,7 @@ def _(module: RigidChain, coordinates: Coordinates) -> list[Reading]:
 
 @readings.register
 def _(module: LearnedRigidBody, coordinates: Coordinates) -> list[Reading]:
-    padded = torch.cat((module.moments, torch.zeros_like(module.moments[:1])))
-    factor = padded[module.place] * module.lengths.unsqueeze(1)
+    factor = module.factor(module.moments)
     found = _body("body", factor @ factor.mT)
     return found + ([] if module.gravity is None else _vector("gravity", "m/s^2", module.gravity))
 

@@ -105,13 +105,16 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
     @override
     def rigid_body(self, like: Float[Tensor, "batch N"]) -> BodyParameters:
         batch = like.shape[0]
-        moments = repeated(self.moments, batch)
-        padded = torch.cat((moments, torch.zeros_like(moments[:, :1])), dim=1)
-        factor = padded[:, self.place] * self.lengths.unsqueeze(1)
-        gravity = moments.new_zeros(batch, 3)
+        factor = self.factor(repeated(self.moments, batch))
+        gravity = factor.new_zeros(batch, 3)
         if self.gravity is not None:
             gravity = repeated(self.gravity, batch)
         return BodyParameters.of_pseudo_inertia(factor @ factor.mT, gravity)
+
+    def factor(self, moments: Float[Tensor, "*batch entries"]) -> Float[Tensor, "*batch 4 4"]:
+        """Return ``Λ`` [√kg m, last row √kg] of the pseudo-inertia ``Λ Λᵀ``."""
+        padded = torch.cat((moments, torch.zeros_like(moments[..., :1])), dim=-1)
+        return padded[..., self.place] * self.lengths.unsqueeze(1)
 
     @override
     def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
