@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import torch
-from symo_exp.evaluation.starts import RollsOut
 
 from symo_exp.data.header import header, names
 from symo_exp.data.recorded import RecordedData
 from symo_exp.evaluation.horizon import cut, median, predict
 from symo_exp.mechanics.types import Trajectory
+from symo_exp.models.starts import RollsOut
 from symo_exp.systems.recorded import Recorded
 
 TIME_STEP = 0.02

@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from machines import TIME_STEP, Machine
 from polynomials import Products
-from symo_exp.evaluation.starts import RollsOut
 from sysidentpy.basis_function import Polynomial
 from sysidentpy.model_structure_selection import FROLS
 from sysidentpy.parameter_estimation import LeastSquares
 from torch import Tensor
 
 from symo_exp.evaluation.references import ReferenceRollout
+from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "sysidentpy", "angles are angles"
 

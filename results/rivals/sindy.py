@@ -16,11 +16,11 @@ import pysindy
 import torch
 from machines import TIME_STEP, Machine
 from polynomials import Products
-from symo_exp.evaluation.starts import RollsOut
 from torch import Tensor
 
 from symo_exp.evaluation.references import ReferenceRollout
 from symo_exp.mechanics.explicit import RK4
+from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "pysindy", "angles are angles; velocities and accelerations from the recording"
 SUBSTEPS, REST = 4, 0.1

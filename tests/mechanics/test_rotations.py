@@ -16,7 +16,7 @@ from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.geodesic import Controlled, Geodesic, on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian
+from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.mechanics.space import (
     FLAT,
@@ -56,6 +56,9 @@ class Body(RigidBodyLagrangian):
         return BodyParameters.of_pseudo_inertia(
             self.pseudo[None].to(like), self.gravity[None].to(like)
         )
+
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        return in_world(q, u @ input_matrix.T)
 
 
 class Wheels(Lagrangian):

@@ -39,7 +39,7 @@ NETWORKS = [
 ]  # fmt: skip
 CHAINS = [(True,), (False,), (False, True, True), (True, False, True, True), (True,) * 7]
 PIVOT = Coordinates.of(rotations=("R",))
-FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",))
+FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",), [(0, 0)])
 BODIES = {"pivot": PIVOT, "free": FREE}
 BODY_KINDS: dict[str, dict[str, Any]] = {
     "parameters": {},

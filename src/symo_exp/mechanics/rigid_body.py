@@ -65,10 +65,6 @@ class RigidBodyLagrangian(Lagrangian):
     def space(self) -> Space:
         return Space(rotations=1)
 
-    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
-        """Return the force of controls that act in body axes: forces turn with the body."""
-        return in_world(q, u @ input_matrix.T)
-
     @override
     def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
         body, (turn, free) = self.rigid_body(q), _place(q)

@@ -144,10 +144,9 @@ class Flow(nn.Module, ABC):
             lambda: self.encode(self.space.retract(q, moved), v), (), (moved, v)
         )
         one = torch.eye(2 * n).to(q).expand(len(q), -1, -1)
-        slopes = [torch.cat((one[:, :n], torch.cat(carried.inputs, dim=2)), dim=1)]
-        for step in self.step_slopes(path.q, path.v, u)[0].unbind(1):
-            slopes.append(step @ slopes[-1])
-        return path.q, torch.stack([x[:, :n] for x in slopes], 1)
+        start = torch.cat((one[:, :n], torch.cat(carried.inputs, dim=2)), dim=1)
+        slopes = chained(self.step_slopes(path.q, path.v, u)[0], start)
+        return path.q, slopes[:, :, :n]
 
     def step_slopes(
         self,
@@ -199,6 +198,19 @@ class Flow(nn.Module, ABC):
             nodes.append((advance or self.advance)(*nodes[-1][:2], before, after))
         q, y, converged = (torch.stack(x, 1) for x in zip(*nodes[1:], strict=True))
         return q, y, converged
+
+
+def chained(
+    steps: Float[Tensor, "batch steps k k"],
+    start: Float[Tensor, "batch k columns"],
+    added: Float[Tensor, "batch steps k columns"] | None = None,
+) -> Float[Tensor, "batch nodes k columns"]:
+    """Return ``S₀``, then ``S_{k+1} = F_k S_k + G_k`` at all nodes; ``G`` is zero if left out."""
+    found = [start]
+    for k, step in enumerate(steps.unbind(1)):
+        moved = step @ found[-1]
+        found.append(moved if added is None else moved + added[:, k])
+    return torch.stack(found, 1)
 
 
 class ExplicitFlow(Flow):

@@ -14,7 +14,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.geodesic import Ends
 from symo_exp.mechanics.types import Stretches, Trajectory
 from symo_exp.mechanics.windows import cut_stretches
-from symo_exp.models.flows import Flow
+from symo_exp.models.flows import Flow, chained
 from symo_exp.models.objectives import Objective, Residuals
 from symo_exp.models.robust import huber_weights
 from symo_exp.models.starts import State, closest_start, fitted_start
@@ -235,11 +235,9 @@ def _along(
     space, (count, nodes, n) = flow.space, found.v.shape
     by_state, by_theta = flow.step_slopes(found.q, found.v, found.u, parameters)
     identity = torch.eye(2 * n).to(found.q).expand(count, -1, -1)
-    start, theta = [identity], [torch.zeros_like(by_theta[:, 0])]
-    for k in range(nodes - 1):
-        start.append(by_state[:, k] @ start[-1])
-        theta.append(by_state[:, k] @ theta[-1] + by_theta[:, k])
-    motions = (torch.stack([s[:, :n] for s in x], 1) for x in (start, theta))
+    start = chained(by_state, identity)
+    theta = chained(by_state, torch.zeros_like(by_theta[:, 0]), by_theta)
+    motions = (x[:, :, :n] for x in (start, theta))
     if not space.rotations:
         by_start, by_parameters = motions
     else:  # of errors along the step from the data

@@ -119,7 +119,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
     @override
     def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
         if not self.learned_inputs:
-            return super().input_force(input_matrix, q, u)
+            return self.coordinates.input_force(input_matrix, q, u)
         if u.shape[1] != self.learned_inputs:
             raise ConfigError(
                 f"lagrangian.learned_inputs={self.learned_inputs}: the system has {u.shape[1]} "
