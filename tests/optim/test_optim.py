@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from symo_exp.errors import ConfigError
-from symo_exp.nets.affine import linear, parameter_jacobian
+from symo_exp.nets.affine import Linearised, linear, parameter_jacobian
 from symo_exp.optim import descent, levenberg_marquardt
 from symo_exp.optim.chained import Chained
 from symo_exp.optim.lbfgs import LBFGS
@@ -87,6 +87,61 @@ def test_geodesic_acceleration_takes_fewer_steps(monkeypatch):
     straight, same = epochs()
     assert reached <= same * (1 + 1e-9)
     assert bent < straight
+
+
+class Gram:
+    """Residuals ``⟨A, X Xᵀ⟩ − y``, which determine some directions a thousand times better."""
+
+    def __init__(self, n, seed, wrong=0):
+        torch.manual_seed(seed)
+        root, start, left, right = (
+            torch.randn(size, size, dtype=torch.float64) for size in (n, n, 3 * n * n, n * n)
+        )
+        scales = torch.logspace(0, -3, n * n, dtype=torch.float64)
+        left, right = torch.linalg.qr(left)[0][:, : n * n], torch.linalg.qr(right)[0]
+        rows, self.true = left * scales @ right, root @ root.T
+        y = rows @ self.true.flatten()
+        y[:wrong] += 10.0
+        self.samples = windows(1, len(rows))._replace(q=torch.cat((rows, y[:, None]), dim=1))
+        self.x = nn.Parameter(torch.eye(n, dtype=torch.float64) + 0.1 * start)
+
+    def as_forces(self, windows):
+        return None
+
+    def residuals(self, windows):
+        return windows.q[:, :-1] @ (self.x @ self.x.T).view(-1, 1) - windows.q[:, -1:]
+
+    def linearised(self, windows, parameters):
+        matrices = windows.q[:, :-1].unflatten(1, self.x.shape)
+        slopes = (matrices + matrices.mT) @ self.x.detach()
+        return Linearised(self.residuals(windows).detach(), slopes.flatten(1).unsqueeze(1), ())
+
+    def fitted(self, epochs, **settings):
+        """Return the losses of some epochs."""
+        optimizer = LevenbergMarquardt([self.x], **settings)
+        return [float(optimizer.epoch(self, [self.samples])["train_loss"]) for _ in range(epochs)]
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_shortened_steps_take_fewer_epochs(n):
+    def epochs(shortest):
+        found = [Gram(n, seed).fitted(60, shortest=shortest) for seed in range(4)]
+        assert max(losses[-1] for losses in found) < 1e-20
+        return sum(loss > 1e-20 for losses in found for loss in losses)
+
+    assert epochs(0.03) < 0.9 * epochs(1.0)
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_a_few_wrong_samples_do_not_decide(n):
+    wrong = n * n // 3
+    errors = {}
+    for huber in (None, 3.0):
+        problem = Gram(n, 0, wrong=wrong)
+        problem.fitted(100, huber=huber)
+        errors[huber] = float((problem.x @ problem.x.T - problem.true).detach().abs().max())
+    assert errors[3.0] < 1e-6
+    assert errors[None] > 1e-2
 
 
 @pytest.mark.parametrize("n", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3))])

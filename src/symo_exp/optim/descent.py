@@ -50,6 +50,17 @@ class Move(NamedTuple):
     bend: Tensor | None
     """``½ r''`` along it; ``None`` if the step is straight."""
     predicted: float
+    correction: Tensor | None = None
+    """The part of the step that is of second order."""
+
+    def shortened(self, share: float) -> Move:
+        """Return the move a ``share`` of the way along the parabola of the step."""
+        shorter = self.predicted * share * (2.0 - share)
+        if self.bend is None or self.correction is None:
+            return Move(share * self.step, None, shorter)
+        correction = share**2 * self.correction
+        straight = share * (self.step - self.correction)
+        return Move(straight + correction, share**2 * self.bend, shorter, correction)
 
 
 def accelerated(equations: DampedEquations) -> Move:
@@ -59,19 +70,24 @@ def accelerated(equations: DampedEquations) -> Move:
     correction = equations.correction(bend)
     predicted = equations.predicted(straight)
     if bool(2.0 * equations.length(correction) <= LONGEST * equations.length(straight)):
-        return Move(straight + correction, bend, predicted)
+        return Move(straight + correction, bend, predicted, correction)
     return Move(straight, None, predicted)
 
 
 class Descent(ABC):
     """Trials of one step: the first that lowers the objective is accepted.
 
+    A step that lowers it by less than half of what was predicted is shortened as long as that
+    helps, down to the share ``shortest``. Damping shortens steps too, but first in the directions
+    that the residuals determine weakly, of which a curved valley consists.
+
     Args:
         objective: The objective at the start.
+        shortest: Smallest share of a step; 1: steps are not shortened.
     """
 
-    def __init__(self, objective: float) -> None:
-        self.objective = objective
+    def __init__(self, objective: float, *, shortest: float = 1.0) -> None:
+        self.objective, self.shortest = objective, shortest
 
     @abstractmethod
     def equations(self) -> DampedEquations | None:
@@ -96,8 +112,23 @@ class Descent(ABC):
             if equations is not None:
                 move = accelerated(equations)
                 fall = self.objective - self.take(move)
+                if fall < 0.5 * move.predicted and self.shortest < 1.0:
+                    fall = self._shorter(move, fall)
                 if fall > 0.0:
                     self.accepted(fall / max(move.predicted, 1e-300), first=trial == 0)
                     return True
             self.refused()
         return False
+
+    def _shorter(self, move: Move, fall: float) -> float:
+        """Put the best of shorter moves in place; return by how much it lowers the objective."""
+        best, last, share = move, move, 1.0
+        while share > self.shortest:
+            share *= 0.5
+            last = move.shortened(share)
+            less = self.objective - self.take(last)
+            if less > fall:
+                best, fall = last, less
+            elif fall > 0.0:
+                break
+        return fall if best is last else self.objective - self.take(best)
