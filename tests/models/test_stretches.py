@@ -10,7 +10,7 @@ from symo_exp.models.flows import Flow, VariationalFlow
 from symo_exp.systems.chain import ChainPendulum
 from tests.differences import slopes as slopes_of
 from tests.dissipative import dissipative_chain, dissipative_net, machine_net
-from tests.tables import variational_integrators
+from tests.tables import systems, variational_integrators
 
 H, STEPS = 0.02, 23
 KINDS = {
@@ -19,15 +19,28 @@ KINDS = {
     "learned": dissipative_net,
     "machine": machine_net,
 }
+TURNING = {name: x for name, x in systems().items() if x.coordinates.space.rotations}
 METHODS = variational_integrators()
 every_case = pytest.mark.parametrize(
     ("kind", "name", "n"),
-    [(kind, name, 1 + i % 3) for i, (kind, name) in enumerate(itertools.product(KINDS, METHODS))],
+    [(kind, name, 1 + i % 3) for i, (kind, name) in enumerate(itertools.product(KINDS, METHODS))]
+    + [
+        (kind, name, TURNING[kind].coordinates.n)
+        for kind, name in itertools.product(TURNING, METHODS)
+        if METHODS[name].stages is not None
+    ],
 )
 
 
 def flow_and_starts(kind, name, n, **root):
     found = Newton(tolerance=1e-12, max_iterations=50, **root)
+    if kind in TURNING:
+        truth = TURNING[kind]
+        flow = VariationalFlow(
+            truth.lagrangian, METHODS[name], H, truth.input_matrix, root=found
+        ).double()
+        q, v, u = truth.points(6 * (STEPS + 1), seed=3)
+        return flow, q[:6], v[:6], u.view(6, STEPS + 1, -1)
     matrix = torch.eye(n, dtype=torch.float64)
     flow = VariationalFlow(KINDS[kind](n), METHODS[name], H, matrix, root=found).double()
     generator = torch.Generator().manual_seed(3)
@@ -51,9 +64,13 @@ def test_slopes_are_those_of_differences(kind, name, n):
     flow, q, v, u = flow_and_starts(kind, name, n)
     path, slopes = flow.rollout_slopes(q, v, u)
     torch.testing.assert_close(path, flow.rollout(q, v, u).q, atol=1e-9, rtol=1e-9)
-    by_differences = slopes_of(
-        lambda x: flow.rollout(*x.split(n, dim=1), u).q, torch.cat((q, v), dim=1), 1e-6
-    )
+    n, space = v.shape[1], flow.space
+
+    def moved(x):
+        there = flow.rollout(space.retract(q, x[:, :n]), v + x[:, n:], u).q
+        return space.difference(path, there)
+
+    by_differences = slopes_of(moved, torch.zeros(len(v), 2 * n, dtype=torch.float64), 1e-6)
     torch.testing.assert_close(slopes, by_differences, atol=1e-4, rtol=1e-4)
 
 

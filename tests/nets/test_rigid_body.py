@@ -13,7 +13,7 @@ from symo_exp.data.noise import add_noise
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.l_node import LNODE
@@ -158,6 +158,42 @@ def test_inertia_and_centre_are_recovered_from_exact_poses() -> None:
     for _ in range(25):
         optimizer.epoch(found, [windows])
     assert inertia_error(found) < 1e-6
+
+
+def pendulum(seed: int) -> SyMo:
+    """A body on a pivot with one input to be learned, before training."""
+    torch.manual_seed(seed)
+    with double_precision():
+        return SyMo(
+            partial(LearnedRigidBody, learned_inputs=1), coordinates=PIVOT, time_step=0.02,
+            input_matrix=torch.zeros(3, 1), integrator=Galerkin(stages=1), root=ROOT,
+            objective=PreconditionedResidual(),
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("axis", range(3))
+def test_a_pendulum_about_any_axis_is_found_from_any_start(axis: int, seed: int) -> None:
+    """Large inertias about the other axes must not hide torques about these."""
+    truth, across = pendulum(0), (axis + 1) % 3
+    with torch.no_grad():
+        factor = torch.diag(torch.tensor([0.2, 0.2, 0.2, 1.0]).double())
+        factor[3, across] = 0.5
+        row, column = torch.tril_indices(4, 4)
+        truth.lagrangian.moments.copy_(factor[row, column])
+        truth.lagrangian.gravity.zero_()[across] = 9.81
+        truth.lagrangian.inputs.zero_()[axis] = 1.0
+    phi, rates = torch.zeros(2, 8, 3).double()
+    phi[:, axis] = torch.linspace(-3.0, 3.0, 8)
+    rates[:, axis] = torch.linspace(1.0, -1.0, 8)
+    u = torch.tensor([0.0, 1.5, -2.0, 0.5, -1.0, 2.0, -0.5, 1.0]).double()
+    u = u[:, None, None].expand(-1, 12, 1)
+    path = truth.for_evaluation().rollout(truth.flow.space.of_vector(phi), rates, u)
+    windows = cut_windows(Trajectories(path.q, path.v, u).each())
+    found = Learner(pendulum(seed))
+    optimizer = LevenbergMarquardt(found.parameters())
+    losses = [float(optimizer.epoch(found, [windows])["train_loss"]) for _ in range(20)]
+    assert losses[-1] < 1e-20
 
 
 @pytest.mark.slow

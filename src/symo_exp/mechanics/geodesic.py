@@ -278,6 +278,21 @@ class Torques(NamedTuple):
     """``exp(φ) M``, in the axes at the start of the interval."""
 
 
+class ChartDerivatives(NamedTuple):
+    """Derivatives at Gauss points."""
+
+    curvature: Curvature
+    """Those of ``ℓ``."""
+    turned_q: Float[Tensor, "rows n n"]
+    """Those of ``exp(φ) M`` in ``φ``."""
+    turned_v: Float[Tensor, "rows n n"]
+    """Those of ``exp(φ) M`` in ``φ̇``."""
+    moment_q: Float[Tensor, "rows n n"]
+    """Those of ``M`` along ``retract`` of the configuration."""
+    momentum_q: Float[Tensor, "rows n n"]
+    """Those of ``ℒ_v`` along it."""
+
+
 class ChartExpansion(Expansion):
     """``ℓ`` around rows of Gauss points.
 
@@ -348,13 +363,14 @@ class ChartExpansion(Expansion):
 
     @override
     def curvature(self, before: Expansion | None = None) -> Curvature:
-        return self.derivatives()[0]
+        assert before is None or isinstance(before, ChartExpansion)
+        return self.derivatives(before).curvature
 
-    def derivatives(self) -> tuple[Curvature, Tensor, Tensor]:
-        """Return the second derivatives of ``ℓ``, and those of ``exp(φ) M`` in ``φ`` and ``φ̇``."""
+    def derivatives(self, before: ChartExpansion | None = None) -> ChartDerivatives:
+        """Return the derivatives of ``ℓ_φ``, ``ℓ_φ̇`` and ``exp(φ) M``."""
         chart, p = self.chart, self._at.values.v
         turning, rate = chart.jacobian, chart.rate_slope(self._v)
-        along = self._at.curvature()
+        along = self._at.curvature(None if before is None else before._at)
         moment, moment_q = self._moment(along.qq)
         mass = self._at.mass()
         by_q = moment_q @ turning + along.qv @ rate  # of M
@@ -369,7 +385,15 @@ class ChartExpansion(Expansion):
         )
         blocks = self._space.blocks(cross(self._space.vectors(moment)), moment.shape[1], 0.0)
         by_q = chart.turn @ (by_q - blocks @ turning)
-        return curvature, by_q, chart.turn @ m_by_v
+        return ChartDerivatives(curvature, by_q, chart.turn @ m_by_v, moment_q, along.vq)
+
+    def by_turn(self, found: ChartDerivatives) -> Torques:
+        """Return the derivatives of ``torques`` in turns of ``q₀``, (rows, n, n)."""
+        chart, turning, rate = self.chart, self.chart.jacobian, self.chart.rate_slope(self._v)
+        turns = chart.turn.mT * self._space.turns(self._v)  # in the axes at the points
+        moment_q, p_q = found.moment_q @ turns, found.momentum_q @ turns
+        by_q = turning.mT @ moment_q + rate.mT @ p_q
+        return Torques(Gradients(by_q, turning.mT @ p_q), chart.turn @ moment_q)
 
     def _moment(self, by_q: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``M`` with the controls, and its derivative along the configuration."""
@@ -493,12 +517,29 @@ class GeodesicExpansion(DiscreteExpansion):
         self._condense()
         return self
 
+    @override
+    def hessian(self, before: DiscreteExpansion | None = None) -> Tensor:
+        assert before is None or isinstance(before, GeodesicExpansion)
+        ends, at = self._ends, self._at
+        found = self._points.derivatives(None if before is None else before._points)
+        turned = self._points.by_turn(found)
+        slopes, total = at.basis.slopes(turned.gradients, at.h), at.basis.total(turned.turned, at.h)
+        first, final = total - ends.inverse @ slopes[-1], ends.inverse.mT @ slopes[-1]
+        by_turn = torch.cat((first.unsqueeze(0), slopes[1:-1], final.unsqueeze(0))).unsqueeze(1)
+        w, turns = self._in_chart(found), self._space.turns(self._x)
+        # at a fixed end a turn of the start moves the end's coordinates, too
+        start = w[:, :1] * ~turns + by_turn - w[:, -1:] @ (ends.inverse.mT * turns)
+        return torch.cat((start, w[:, 1:-1], w[:, -1:] @ ends.inverse), dim=1)
+
     def _derivatives(self) -> Float[Tensor, "variables variables batch n n"]:
         """Return the derivatives of ``D₁``, the inner equations and ``D₂`` in ``(c, x)``."""
+        return self._in_chart(self._points.derivatives())[:, 1:]
+
+    def _in_chart(self, found: ChartDerivatives) -> Float[Tensor, "variables variables batch n n"]:
+        """Return the derivatives of ``D₁``, the inner equations and ``D₂`` in ``(φ₀, c, x)``."""
         at, ends = self._at, self._ends
-        curvature, by_q, by_v = self._points.derivatives()
-        w = at.basis.hessian(curvature, self._points.mass(), at.h)[1:, 1:]
-        total = at.basis.total_slopes(by_q, by_v, at.h)[1:]
+        w = at.basis.hessian(found.curvature, self._points.mass(), at.h)[1:]
+        total = at.basis.total_slopes(found.turned_q, found.turned_v, at.h)
         last = at.values.d2
         first, final = total - ends.inverse @ w[-1], ends.inverse.mT @ w[-1]
         first = torch.cat((first[:-1], first[-1:] - ends.start_slope(last)))

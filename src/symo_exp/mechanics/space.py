@@ -22,7 +22,7 @@ from functools import cache
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 TERMS = 16
@@ -302,6 +302,11 @@ class Space:
         """Return the flat part and the vectors of the rotations of a tangent."""
         flat = x.shape[-1] - 3 * self.rotations
         return x[..., :flat], x[..., flat:].unflatten(-1, (self.rotations, 3))
+
+    def turns(self, x: Float[Tensor, "*batch n"]) -> Bool[Tensor, " n"]:
+        """Return which components of tangents are of rotations."""
+        n = x.shape[-1]
+        return torch.arange(n, device=x.device) >= n - 3 * self.rotations
 
     def vectors(self, x: Float[Tensor, "rows n"]) -> Float[Tensor, "rows*r 3"]:
         """Return the vectors of all rotations of tangents, a row each."""

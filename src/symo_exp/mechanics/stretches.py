@@ -5,6 +5,7 @@ on all of its nodes. Its Jacobian couples neighbouring nodes only: a step maps c
 ``(q_k, p_k)`` to changes of ``(q_{k+1}, p_{k+1})``, one small product each, and what is costly,
 the evaluation of the Lagrangian, happens for all steps in one batch. The iterations are about as
 many as those of the worst single step, so that a stretch takes a fraction of the time of its steps.
+Changes of rotations are along ``Space.retract``.
 """
 
 from __future__ import annotations
@@ -18,16 +19,17 @@ from typing_extensions import override
 
 from symo_exp.mechanics.roots import Rule, rounding
 from symo_exp.mechanics.rows import Rowwise
+from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import DiscreteExpansion, DiscreteLagrangian, Forces
 
 
 class StretchMatching(Rowwise):
     """The equations ``p_k + D₁L_d(q_k, q_{k+1}) + f⁻ = 0`` of all steps of a stretch.
 
-    Unknowns are those of each step (``VariationalIntegrator.unknowns``), one step after another.
+    Unknowns are, one step after another, its end and the inner unknowns of the integrator.
 
     Args:
-        discrete: ``L_d``, of lengths and angles.
+        discrete: ``L_d``.
         q: Configuration at the start of the stretch.
         p: Momentum there.
         forces: The generalised force over each step.
@@ -38,31 +40,39 @@ class StretchMatching(Rowwise):
     def __init__(
         self,
         discrete: DiscreteLagrangian,
-        q: Float[Tensor, "batch n"],
+        q: Float[Tensor, "batch N"],
         p: Float[Tensor, "batch n"],
         forces: Forces,
     ) -> None:
         self._discrete, self._q, self._p, self._forces = discrete, q, p, forces
 
-    def start(self, path: Float[Tensor, "batch steps n"]) -> Float[Tensor, "batch unknowns"]:
+    def start(self, path: Float[Tensor, "batch steps N"]) -> Float[Tensor, "batch unknowns"]:
         """Return the unknowns at an initial guess of the nodes."""
         before = torch.cat((self._q.unsqueeze(1), path[:, :-1]), dim=1)
-        unknowns = self._discrete.integrator.unknowns(before.flatten(0, 1), path.flatten(0, 1))
-        return unknowns.view(len(path), -1)
+        inner = self._discrete.integrator.unknowns(before.flatten(0, 1), path.flatten(0, 1))
+        inner = inner[:, self._p.shape[1] :].unflatten(0, path.shape[:2])
+        return torch.cat((path, inner), dim=2).flatten(1)
+
+    def nodes(self, x: Float[Tensor, "batch unknowns"]) -> Float[Tensor, "batch steps N"]:
+        """Return the configurations among the unknowns."""
+        steps = self._forces.start.shape[1]
+        return x.unflatten(1, (steps, -1))[:, :, : self._q.shape[1]]
 
     def at(self, x: Float[Tensor, "batch unknowns"]) -> StretchPoint:
         """Evaluate the equations; the steps are the outermost part of a row index."""
-        batch, n = self._q.shape
-        steps = self._forces.start.shape[1]
-        x = x.unflatten(1, (steps, -1)).transpose(0, 1)
-        q = torch.cat((self._q.unsqueeze(0), x[:-1, :, :n]))
+        batch, width = self._q.shape
+        steps, space = self._forces.start.shape[1], self._discrete.integrator.space
+        x = x.unflatten(1, (steps, -1)).transpose(0, 1).flatten(0, 1)
+        ends, inner = x[:, :width], x[:, width:]
+        q = torch.cat((self._q, ends[:-batch]))
         forces = Forces(*(f.transpose(0, 1).flatten(0, 1) for f in self._forces))
-        at = self._discrete.expand_at(q.flatten(0, 1), x.flatten(0, 1), forces)
+        unknowns = torch.cat((space.chart(q, ends), inner), dim=1) if space.rotations else x
+        at = self._discrete.expand_at(q, unknowns, forces)
         f0, f1 = self._discrete.impulses(forces)
         p = (at.values.d2 + f1).unflatten(0, (steps, batch))
         before = torch.cat((self._p.unsqueeze(0), p[:-1]))
         mismatch = at.mismatch(before.flatten(0, 1) + f0).unflatten(0, (steps, batch))
-        return StretchPoint(at, mismatch.transpose(0, 1), p.transpose(0, 1))
+        return StretchPoint(at, mismatch.transpose(0, 1), p.transpose(0, 1), space)
 
 
 class StretchPoint(Rowwise):
@@ -72,6 +82,7 @@ class StretchPoint(Rowwise):
         expansion: ``L_d`` around all steps, the steps outermost.
         mismatch: The equations.
         p: Momenta at the ends of the steps.
+        space: The space of configurations.
     """
 
     def __init__(
@@ -79,13 +90,14 @@ class StretchPoint(Rowwise):
         expansion: DiscreteExpansion,
         mismatch: Float[Tensor, "batch steps k"],
         p: Float[Tensor, "batch steps n"],
+        space: Space,
     ) -> None:
-        self.expansion, self.mismatch, self.p = expansion, mismatch, p
+        self.expansion, self.mismatch, self.p, self._space = expansion, mismatch, p, space
 
     @override
     def rows(self, index: Tensor) -> StretchPoint:
         expansion = self.expansion.rows(self._steps(index))
-        return StretchPoint(expansion, self.mismatch[index], self.p[index])
+        return StretchPoint(expansion, self.mismatch[index], self.p[index], self._space)
 
     @override
     def replace(self, index: Tensor, other: StretchPoint) -> StretchPoint:
@@ -93,6 +105,7 @@ class StretchPoint(Rowwise):
             self.expansion.replace(self._steps(index), other.expansion),
             self.mismatch.index_copy(0, index, other.mismatch),
             self.p.index_copy(0, index, other.p),
+            self._space,
         )
 
     def _steps(self, index: Tensor) -> Tensor:
@@ -109,6 +122,27 @@ class StretchPoint(Rowwise):
         batch, n = len(self.p), self.p.shape[2]
         start = self.p.new_zeros(batch, 2 * n, 1)
         return self._along(self.mismatch.unsqueeze(-1), start, before)[0].flatten(1)
+
+    def moved(
+        self, x: Float[Tensor, "batch unknowns"], step: Float[Tensor, "batch changes"]
+    ) -> Float[Tensor, "batch unknowns"]:
+        """Return the unknowns after a step."""
+        if not self._space.rotations:
+            return x + step
+        (_, steps, n), width = self.p.shape, self._space.stored(self.p.shape[2])
+        x, step = x.unflatten(1, (steps, -1)), step.unflatten(1, (steps, -1))
+        nodes = self._space.retract(x[:, :, :width], step[:, :, :n])
+        return torch.cat((nodes, x[:, :, width:] + step[:, :, n:]), dim=2).flatten(1)
+
+    def resolution(self, x: Float[Tensor, "batch unknowns"]) -> Float[Tensor, "batch changes"]:
+        """Return a bound on the effect of roundings of the unknowns on their changes."""
+        if not self._space.rotations:
+            return rounding(x)
+        n, width = self.p.shape[2], self._space.stored(self.p.shape[2])
+        x = x.unflatten(1, (self.p.shape[1], -1))
+        flat = n - 3 * self._space.rotations
+        change = torch.cat((x[:, :, :flat], torch.zeros_like(x[:, :, flat:n])), dim=2)
+        return rounding(torch.cat((change, x[:, :, width:]), dim=2).flatten(1))
 
     def slopes(
         self, start: Float[Tensor, "batch 2n columns"]
@@ -192,8 +226,9 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
         self, x: Tensor, at: StretchPoint, state: StretchState
     ) -> tuple[Tensor, StretchState]:
         step = at.newton_step(state.before)
-        settled = (step.abs() <= rounding(x)).all(-1)
-        return x + step, StretchState(settled, at)
+        there = at.moved(x, step)
+        settled = (step.abs() <= at.resolution(x)).all(-1)
+        return there, StretchState(settled, at)
 
     @override
     def judge(

@@ -356,7 +356,7 @@ class VariationalFlow(Flow):
     def rollout_slopes(self, q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor] | None:
         if not self.solves_stretches:
             return super().rollout_slopes(q, v, u)
-        (batch, n), at = q.shape, self.lagrangian.expand(q, v)
+        (batch, n), at = v.shape, self.lagrangian.expand(q, v)
         p, identity = at.values.v, torch.eye(n).to(q).expand(batch, n, n)
         top = torch.cat((identity, torch.zeros_like(identity)), dim=2)
         slope = torch.cat((top, torch.cat((at.curvature().vq, at.mass()), dim=2)), dim=1)
@@ -376,19 +376,20 @@ class VariationalFlow(Flow):
         """True if several steps can be solved at once."""
         root = self.rollout_root
         rows = isinstance(root, Newton) and root.stopping == "row"
-        return rows and self.integrator.has_hessian and not self.space.rotations
+        return rows and self.integrator.has_hessian
 
     def _stretch(self, q: Tensor, p: Tensor, u: Tensor) -> tuple[Tensor, StretchPoint, Tensor]:
         """Return the nodes after the first, the equations there, and which rows are solutions."""
-        steps, (batch, n) = u.shape[1] - 1, q.shape
+        steps, batch = u.shape[1] - 1, len(q)
         force = self.force(u.flatten(0, 1)).view(batch, steps + 1, -1)
         forces = Forces(force[:, :-1], force[:, 1:])
         problem = StretchMatching(self.discrete, q, p, forces)
         t = self.time_step * torch.arange(1, steps + 1).to(q)
-        guess = q.unsqueeze(1) + t[:, None] * self.decode(q, p).unsqueeze(1)
+        moved = t[:, None] * self.decode(q, p).unsqueeze(1)
+        guess = self.space.retract(q.unsqueeze(1).expand(-1, steps, -1), moved)
         rule = StretchNewton(self.rollout_root.tolerance)
         x, at, state = iterate(problem, problem.start(guess), rule, MOST_UPDATES)
-        return x.view(batch, steps, -1)[:, :, :n], at, rule.converged(at, state)
+        return problem.nodes(x), at, rule.converged(at, state)
 
     def _move(
         self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, guess: Tensor, root: RootFinder

@@ -29,7 +29,8 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
     mass (Wensing, Kim and Slotine 2018), so that every ``Λ`` is a possible body. ``Λ``, the gravity
     ``γ`` and, where they are learned, the input matrix in body axes are parameters. On a pivot the
     products of ``γ`` and the first moment are determined, and with learned inputs or without any
-    all of them up to a common factor.
+    all of them up to a common factor. There ``γ`` is zero at the start: along the axis of a
+    pendulum it has no torque about it, and one across it that a large inertia hides.
 
     Networks of the position and the nine entries of the rotation can replace the potential of
     gravity and the constant input matrix.
@@ -92,7 +93,8 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
                 inputs=coordinates.width, outputs=1, width=potential_width, depth=1
             )
         else:
-            self.gravity = nn.Parameter(torch.tensor([0.0, 0.0, -9.81]))
+            down = torch.tensor([0.0, 0.0, -9.81])
+            self.gravity = nn.Parameter(down if coordinates.n > 3 else torch.zeros(3))
             coefficients.append(self.gravity)
         size = coordinates.n * learned_inputs
         if input_width:
