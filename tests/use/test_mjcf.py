@@ -10,6 +10,7 @@ import torch
 
 import symo_exp
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.bodies import joint_order
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
@@ -17,6 +18,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.systems.mujoco_library import library
 from tests.oscillator import oscillator
@@ -126,6 +128,109 @@ def test_mujoco_has_the_same_motion(case, tmp_path):
         for _ in range(20 * steps):
             mujoco.mj_step(theirs, data)
         np.testing.assert_allclose(data.qpos, a @ path.q[k, -1], rtol=0, atol=1e-6)
+
+
+# Ball joints and free bodies
+
+TURNING = {name: x for name, x in SYSTEMS.items() if x.space.rotations} | {
+    name: models.read(models.shipped(name)) for name in ("ball_arm", "free_body")
+}
+
+
+def learned_body(coordinates, **given):
+    torch.manual_seed(2)
+    found = LearnedRigidBody(coordinates=coordinates, radius=0.5, **given).double()
+    with torch.no_grad():
+        found.gravity.copy_(torch.tensor([1.0, 2.0, -9.0]))
+    friction = KnownFriction(system=replace(SYSTEMS["rigid_body"], viscous=(0.1,) * 3))
+    return found if coordinates.n > 3 else DissipativeLagrangian(found, friction.double())
+
+
+def turning_cases():
+    for name, system in TURNING.items():
+        n = system.coordinates.n
+        system = replace(system, viscous=(0.1,) * n, coulomb=None)
+        lagrangian = perturbed(KnownLagrangian(system=system))
+        friction = KnownFriction(system=system).double()
+        found = DissipativeLagrangian(lagrangian, friction)
+        model = model_of(found, system.coordinates, system.input_matrix, system)
+        yield pytest.param((model, system.linkage.joints), id=name)
+    for name in ("rigid_body", "quadrotor"):
+        system = SYSTEMS[name]
+        for learned in (0, 2):
+            found = learned_body(system.coordinates, learned_inputs=learned)
+            matrix = (
+                torch.zeros(system.coordinates.n, 2).double() if learned else system.input_matrix
+            )
+            model = model_of(found, system.coordinates, matrix)
+            yield pytest.param((model, system.linkage.joints), id=f"learned {name} {learned}")
+
+
+@pytest.mark.parametrize("case", list(turning_cases()))
+def test_mujoco_has_the_same_equations_of_bodies_that_turn(case, tmp_path):
+    model, joints = case
+    file = symo_exp.export(model, tmp_path / "machine.xml")
+    assert "not in this file" not in file.read_text()
+    theirs = mujoco.MjModel.from_xml_path(str(file))
+    theirs.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    data, (n, m), lagrangian = mujoco.MjData(theirs), model.input_matrix.shape, model.lagrangian
+    space, order, exact = model.flow.space, joint_order(joints), {"rtol": 1e-9, "atol": 1e-9}
+    x, v = torch.randn(2, 3, n, generator=torch.Generator().manual_seed(1)).double().unbind()
+    q, u = space.of_vector(x), torch.randn(3, m).double()
+    free = getattr(lagrangian, "conservative", lagrangian)
+    rates = free.rates(q, v)
+    spin = space.coadjoint(v, (rates.mass @ v.unsqueeze(-1)).squeeze(-1))
+    bias = rates.mass_rate_v - rates.q + spin
+    force = free.input_force(model.input_matrix, q, u)
+    passive = 0.0 * v if free is lagrangian else lagrangian.dissipation.force(q, v)
+    numbers, flat = space.to_quaternions(q), n - 3 * space.rotations
+    quaternions, lengths = iter(range(flat, numbers.shape[1], 4)), iter(range(flat))
+    places = []
+    for joint in joints:
+        places += range(k := next(quaternions), k + 4) if joint.axes else [next(lengths)]
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[order] = numbers[k, places], v[k]
+        data.ctrl[:] = u[k]
+        mujoco.mj_forward(theirs, data)
+        mass = np.zeros((n, n))
+        for i, unit in enumerate(np.eye(n)):
+            mujoco.mj_mulM(theirs, data, mass[i], unit)
+        springs = data.qfrc_passive - data.qfrc_damper
+        found = (
+            mass[order][:, order],
+            *(y[order] for y in (data.qfrc_bias - springs, data.qfrc_damper, data.qfrc_actuator)),
+        )
+        for ours, there in zip((rates.mass, bias, passive, force), found, strict=True):
+            np.testing.assert_allclose(there, ours[k].detach(), **exact)
+
+
+def test_friction_that_differs_about_the_axes_of_a_ball_joint_is_told(tmp_path):
+    system = replace(SYSTEMS["rigid_body"], viscous=(0.1, 0.2, 0.6))
+    found = DissipativeLagrangian(KnownLagrangian(system=system), KnownFriction(system=system))
+    model = model_of(found.double(), system.coordinates, system.input_matrix, system)
+    file = symo_exp.export(model, tmp_path / "top.xml")
+    assert "friction of ball joints is its mean" in file.read_text()
+    damping = mujoco.MjModel.from_xml_path(str(file)).dof_damping
+    np.testing.assert_allclose(damping, 0.3, rtol=1e-6)
+
+
+def test_an_input_of_a_ball_joint_and_another_is_told(tmp_path):
+    system = TURNING["ball_arm"]
+    matrix = torch.ones(system.coordinates.n, 1).double()
+    model = model_of(KnownLagrangian(system=system).double(), system.coordinates, matrix)
+    file = symo_exp.export(model, tmp_path / "arm.xml")
+    assert "the input 0 is not in this file" in file.read_text()
+    assert mujoco.MjModel.from_xml_path(str(file)).nu == 0
+
+
+@pytest.mark.parametrize("name", ["machine.urdf", "machine.xml"])
+def test_what_no_file_can_hold_of_a_rotation_is_refused(name, tmp_path):
+    coordinates = SYSTEMS["rigid_body"].coordinates
+    networks = {} if name.endswith("urdf") else {"learned_inputs": 2, "input_width": 3}
+    model = model_of(learned_body(coordinates, **networks), coordinates, torch.zeros(3, 2).double())
+    with pytest.raises(ConfigError, match=r"no ball joints.*\.xml|networks of the rotation"):
+        symo_exp.export(model, tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_network_that_is_left_out_is_reported(tmp_path, caplog):

@@ -101,6 +101,30 @@ def link(
     return Joint(name, slides, parent, axis, anchor, 0.0, mass, centre, inertia)
 
 
+def turning_body(names: Sequence[str], body: Float[Tensor, "4 4"]) -> list[Joint]:
+    """Return the joints of one rigid body that turns about the origin or moves freely.
+
+    Args:
+        names: Names of its lengths, none on a pivot, and of its rotation.
+        body: Its pseudo-inertia about the origin in body axes.
+    """
+    mass, centre, inertia = of_pseudo_inertia(body.detach().double().cpu())
+    one: Axes = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    *lengths, turn = names
+    joints = [
+        link(name, 0.0, axis=axis, slides=True, parent=i - 1)
+        for i, (name, axis) in enumerate(zip(lengths, one, strict=False))
+    ]
+    ball = link(turn, float(mass), _vector(centre), axis=one[2], parent=len(lengths) - 1)
+    x, y, z = map(_vector, inertia)
+    return [*joints, ball._replace(inertia=(x, y, z), axes=one, base=one)]
+
+
+def _vector(x: Float[Tensor, " 3"]) -> Vector:
+    a, b, c = x.tolist()
+    return a, b, c
+
+
 class Hull(NamedTuple):
     """A box with fluid drag: the joint that moves it, its centre, axes and sides."""
 

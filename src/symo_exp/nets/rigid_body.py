@@ -135,6 +135,11 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         wrench = matvec(entries.unflatten(1, (-1, u.shape[1])), u)
         return in_world(q, self.units * wrench)
 
+    def learned_matrix(self) -> Float[Tensor, "n m"]:
+        """Return the learned input matrix in body axes, if it is constant."""
+        assert self.inputs is not None
+        return self.units.unsqueeze(1) * self.inputs.detach().view(-1, self.learned_inputs)
+
     @override
     def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
         if self.potential_net is None:

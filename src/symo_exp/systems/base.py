@@ -70,11 +70,13 @@ class Linkage(NamedTuple):
         joints: The joints with what they carry.
         gravity: Acceleration of gravity [m/s^2] in the axes of the joints.
         matrix: ``A`` in the joint coordinates ``A q``.
+        free: Free bodies, each the first of three slides and the ball joint after them.
     """
 
     joints: Sequence[Joint]
     gravity: tuple[float, float, float]
     matrix: Float[Tensor, "n n"]
+    free: Sequence[tuple[int, int]] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

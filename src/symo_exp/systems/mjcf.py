@@ -2,20 +2,20 @@
 
 A mechanism is what ``Multibody`` takes and ``symo_exp.systems.mujoco`` reads: joints, gravity and
 inputs. Every body of a file has the axes of the world where all coordinates have their reference
-values.
+values, but for those on ball joints, which have the axes that their rotations are of.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.bodies import Joint
+from symo_exp.mechanics.bodies import Joint, freedoms
 
 POINT = 1e-13
 """Least mass [kg] and inertia [kg m^2] of a body that moves: MuJoCo refuses zero."""
@@ -48,27 +48,39 @@ def mjcf(
     )
     ET.SubElement(option, "flag", contact="disable")
     world = ET.SubElement(root, "worldbody")
-    matrix = np.diag([joint.damping for joint in joints])
+    ours = freedoms(joints)
+    first = {i: k for k, (i, axis) in enumerate(ours) if not axis}
+    matrix = np.diag([joints[i].damping for i, _ in ours])
     if damping is not None:
         matrix = np.array(damping, dtype=float)
     own, coupled = _uncoupled(matrix)
     if friction is not None:
         alone = {int(np.flatnonzero(a)[0]): c for c, a in friction if np.count_nonzero(a) == 1}
-        joints = [joint._replace(friction=alone.get(i, 0.0)) for i, joint in enumerate(joints)]
-    bodies: list[tuple[ET.Element, np.ndarray]] = []
+        joints = [
+            joint._replace(friction=alone.get(first[i], 0.0)) for i, joint in enumerate(joints)
+        ]
+    free = _free(joints, mechanism, own)
+    bodies: list[_Frame] = []
     for i, joint in enumerate(joints):
-        inside, at = bodies[joint.parent] if joint.parent >= 0 else (world, np.zeros(3))
+        inside = (
+            bodies[joint.parent] if joint.parent >= 0 else _Frame(world, np.zeros(3), np.eye(3))
+        )
+        if i in free:  # a slide of a free body
+            bodies.append(inside)
+            continue
         shared = joint.parent >= 0 and _passes_on(joints, joint.parent)
         if not shared:
-            place = np.array(joint.anchor)
-            inside = ET.SubElement(
-                inside, "body", name=f"{joint.name}_body", pos=_vector(place - at)
-            )
-            at = place
-        bodies.append((inside, at))
-        _joint(inside, joint, at, float(own[i]))
+            inside = _body(inside, joint)
+        bodies.append(inside)
+        if i in free.values():
+            given = {"name": _free_name(joint), "type": "free"} | _passive(joint, own[first[i]])
+            ET.SubElement(inside.element, "joint", given)
+        else:
+            _joint(inside, joint, float(own[first[i]]))
+        if i in {ball for _, ball in mechanism.get("free", ())}:
+            ET.SubElement(inside.element, "site", name=f"{_free_name(joint)}_origin")
         if not _passes_on(joints, i):
-            _inertial(inside, joint, at)
+            _inertial(inside, joint)
     tendons, actuators = ET.Element("tendon"), ET.Element("actuator")
     for k, (weight, direction) in enumerate(coupled):
         tendon = ET.SubElement(tendons, "fixed", name=f"damper_{k}", damping=_number(weight))
@@ -77,7 +89,7 @@ def mjcf(
         if np.count_nonzero(a) > 1:
             tendon = ET.SubElement(tendons, "fixed", name=f"brake_{k}", frictionloss=_number(loss))
             _coefficients(tendon, joints, a)
-    _actuators(actuators, tendons, joints, mechanism["inputs"])
+    _actuators(actuators, tendons, joints, mechanism)
     root.extend(x for x in (tendons, actuators) if len(x))
     return _text(root)
 
@@ -128,38 +140,103 @@ def urdf(
 _ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
-def _joint(body: ET.Element, joint: Joint, at: np.ndarray, damping: float) -> None:
-    given = {
-        "pos": _vector(np.array(joint.anchor) - at),
-        "axis": _vector(joint.axis),
-        "ref": _number(joint.reference),
+class _Frame(NamedTuple):
+    """A body of the file, with its origin and axes at the reference."""
+
+    element: ET.Element
+    origin: np.ndarray
+    axes: np.ndarray
+
+    def place(self, point: Sequence[float]) -> str:
+        return _vector(self.axes.T @ (np.array(point) - self.origin))
+
+    def turned(self, axes: np.ndarray) -> dict[str, str]:
+        """Attributes of a part with these axes."""
+        own = self.axes.T @ axes
+        return {} if np.array_equal(own, np.eye(3)) else {"quat": _quaternion(own)}
+
+
+def _body(inside: _Frame, joint: Joint) -> _Frame:
+    """Return a new body at the anchor of a joint; that of a ball joint has its axes."""
+    start = axes = np.eye(3)
+    if joint.axes is not None:
+        start, axes = np.array(joint.base), np.array(joint.axes)
+    given = {"name": f"{joint.name}_body", "pos": inside.place(joint.anchor)} | inside.turned(start)
+    return _Frame(ET.SubElement(inside.element, "body", given), np.array(joint.anchor), axes)
+
+
+def _passive(joint: Joint, damping: float) -> dict[str, str]:
+    return {
         "armature": _number(joint.armature),
         "damping": _number(damping),
         "frictionloss": _number(joint.friction),
+    }
+
+
+def _joint(inside: _Frame, joint: Joint, damping: float) -> None:
+    given = {"name": joint.name, "pos": inside.place(joint.anchor)}
+    if joint.axes is not None:
+        ET.SubElement(inside.element, "joint", given | {"type": "ball"} | _passive(joint, damping))
+        return
+    given |= {
+        "type": "slide" if joint.slides else "hinge",
+        "axis": _vector(inside.axes.T @ np.array(joint.axis)),
+        "ref": _number(joint.reference),
+        **_passive(joint, damping),
     }
     if joint.stiffness:
         given |= {"stiffness": _number(joint.stiffness), "springref": _number(joint.rest)}
     if joint.limits:
         given["range"] = _vector(joint.limits)
-    kind = "slide" if joint.slides else "hinge"
-    ET.SubElement(body, "joint", {"name": joint.name, "type": kind} | given)
+    ET.SubElement(inside.element, "joint", given)
 
 
-def _inertial(body: ET.Element, joint: Joint, at: np.ndarray) -> None:
+def _inertial(inside: _Frame, joint: Joint) -> None:
     node = ET.Element("inertial")
-    inertia, centre = np.array(joint.inertia), np.array(joint.centre) - at
-    if joint.mass == 0.0:
-        centre = np.zeros(3)
+    centre = joint.centre if joint.mass > 0.0 else inside.origin.tolist()
+    inertia = inside.axes.T @ np.array(joint.inertia) @ inside.axes
     if np.linalg.eigvalsh(inertia).min() < POINT:
         inertia = inertia + POINT * np.eye(3)
     moments, axes = _principal(inertia)
     node.attrib.update(
-        pos=_vector(centre),
+        pos=inside.place(centre),
         mass=_number(max(joint.mass, POINT)),
         diaginertia=_vector(moments),
-        quat=_vector(np.roll(Rotation.from_matrix(axes).as_quat(), 1)),  # scalar first
+        quat=_quaternion(axes),
     )
-    body.insert(0, node)
+    inside.element.insert(0, node)
+
+
+def _quaternion(axes: np.ndarray) -> str:
+    """Return a rotation as MuJoCo writes it, scalar first."""
+    return _vector(np.roll(Rotation.from_matrix(axes).as_quat(), 1))
+
+
+def _free(
+    joints: Sequence[Joint], mechanism: Mapping[str, Any], damping: np.ndarray
+) -> dict[int, int]:
+    """Return the ball joint of each slide of the free bodies that one free joint can move.
+
+    A free joint has no reference and the same friction and armature in all directions.
+    """
+    ours = freedoms(joints)
+    found: dict[int, int] = {}
+    for start, ball in mechanism.get("free", ()):
+        parts = [joints[i] for i in range(start, ball + 1)]
+        own = {damping[k] for k, (i, _) in enumerate(ours) if start <= i <= ball}
+        same = len(own) == 1 and len({(x.armature, x.friction) for x in parts}) == 1
+        at = [x.reference for x in parts[:3]]
+        if (
+            same
+            and at == list(parts[3].anchor)
+            and np.array_equal(np.array(parts[3].base), np.eye(3))
+        ):
+            found |= dict.fromkeys(range(start, ball), ball)
+    return found
+
+
+def _free_name(joint: Joint) -> str:
+    return joint.name.removesuffix("_R")
 
 
 def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -176,33 +253,70 @@ def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _passes_on(joints: Sequence[Joint], i: int) -> bool:
     """Return whether a joint moves nothing but one other joint, with which it shares a body."""
-    children = [j for j, joint in enumerate(joints) if joint.parent == i]
-    return joints[i].mass == 0.0 and len(children) == 1
+    children = [joint for joint in joints if joint.parent == i]
+    if joints[i].mass > 0.0 or len(children) != 1:
+        return False
+    return joints[i].axes is None and children[0].axes is None
 
 
 def _uncoupled(matrix: np.ndarray) -> tuple[np.ndarray, list[tuple[float, np.ndarray]]]:
-    """Split ``D = diag(own) + Σ w a aᵀ``; without coupling there is no second part."""
+    """Split ``D = diag(own) + Σ w a aᵀ``, the sum over coupled coordinates only."""
     off = matrix - np.diag(np.diag(matrix))
-    if not off.any():
-        return np.diag(matrix), []
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    pairs = zip(values, vectors.T, strict=True)
-    return np.zeros(len(matrix)), [(max(float(w), 0.0), a) for w, a in pairs if w > 0.0]
+    (some,) = np.nonzero(off.any(0) | off.any(1))
+    own, block = np.diag(matrix).copy(), matrix[np.ix_(some, some)]
+    own[some] = 0.0
+    values, vectors = np.linalg.eigh(0.5 * (block + block.T))
+    whole = np.eye(len(matrix))[:, some] @ vectors
+    return own, [(float(w), a) for w, a in zip(values, whole.T, strict=True) if w > 0.0]
+
+
+def unwritten(mechanism: Mapping[str, Any]) -> list[str]:
+    """Return the names of inputs that act on a ball joint and others, which no motor does."""
+    joints = [Joint(**joint) for joint in mechanism["joints"]]
+    names, columns = mechanism["inputs"]["names"], _columns(joints, mechanism["inputs"])
+    moves = [_moves(joints, column, mechanism) for column in columns]
+    return [str(name) for name, move in zip(names, moves, strict=True) if move is None]
+
+
+def _columns(joints: Sequence[Joint], inputs: Mapping[str, Any]) -> np.ndarray:
+    """Return the columns of the input matrix, one in a row."""
+    return np.array(inputs["matrix"], dtype=float).reshape(len(freedoms(joints)), -1).T
+
+
+def _moves(
+    joints: Sequence[Joint], column: np.ndarray, mechanism: Mapping[str, Any]
+) -> dict[str, str] | None:
+    """Return what a motor acts on; nothing for a tendon of it, ``None`` if it cannot be written."""
+    ours = freedoms(joints)
+    driven = {ours[k][0] for k in np.flatnonzero(column)}
+    for start, ball in mechanism.get("free", ()):
+        if driven and driven <= set(range(start, ball + 1)):
+            own = [k for k, (i, _) in enumerate(ours) if start <= i <= ball]
+            return {"site": f"{_free_name(joints[ball])}_origin", "gear": _vector(column[own])}
+        if driven & set(range(start, ball + 1)):
+            return None
+    if len(driven) == 1:
+        (joint,) = driven
+        own = [k for k, (i, _) in enumerate(ours) if i == joint]
+        return {"joint": joints[joint].name, "gear": _vector(column[own])}
+    return None if any(joints[i].axes is not None for i in driven) else {}
 
 
 def _actuators(
-    actuators: ET.Element, tendons: ET.Element, joints: Sequence[Joint], inputs: Mapping[str, Any]
+    actuators: ET.Element,
+    tendons: ET.Element,
+    joints: Sequence[Joint],
+    mechanism: Mapping[str, Any],
 ) -> None:
-    matrix = np.array(inputs["matrix"], dtype=float).reshape(len(joints), -1)
-    ranges = inputs.get("ranges") or [None] * matrix.shape[1]
-    for k, (label, column, limits) in enumerate(
-        zip(inputs["names"], matrix.T, ranges, strict=True)
-    ):
-        motor = ET.SubElement(actuators, "motor", name=str(label))
-        driven = np.flatnonzero(column)
-        if len(driven) == 1:
-            motor.attrib.update(joint=joints[driven[0]].name, gear=_number(column[driven[0]]))
-        else:
+    inputs = mechanism["inputs"]
+    columns = _columns(joints, inputs)
+    ranges = inputs.get("ranges") or [None] * len(columns)
+    for k, (label, column, limits) in enumerate(zip(inputs["names"], columns, ranges, strict=True)):
+        moves = _moves(joints, column, mechanism)
+        if moves is None:
+            continue
+        motor = ET.SubElement(actuators, "motor", {"name": str(label)} | moves)
+        if not moves:
             tendon = ET.SubElement(tendons, "fixed", name=f"input_{k}")
             _coefficients(tendon, joints, column)
             motor.attrib.update(tendon=f"input_{k}")
@@ -211,8 +325,9 @@ def _actuators(
 
 
 def _coefficients(tendon: ET.Element, joints: Sequence[Joint], values: Iterable[float]) -> None:
-    for joint, value in zip(joints, values, strict=True):
-        ET.SubElement(tendon, "joint", joint=joint.name, coef=_number(value))
+    for (i, _), value in zip(freedoms(joints), values, strict=True):
+        if joints[i].axes is None:
+            ET.SubElement(tendon, "joint", joint=joints[i].name, coef=_number(value))
 
 
 def _comment(root: ET.Element, lines: Sequence[str]) -> None:

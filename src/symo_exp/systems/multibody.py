@@ -135,9 +135,7 @@ class Multibody(LagrangianSystem):
 
     @property
     @override
-    def linkage(self) -> Linkage | None:
-        if self.space.rotations:  # which no file is written of
-            return None
+    def linkage(self) -> Linkage:
         names = ("mass", "centre", "inertia", "armature", "stiffness")
         rows = zip(*(x.tolist() for x in self._numbers[:5]), strict=True)
         joints = tuple(
@@ -145,7 +143,8 @@ class Multibody(LagrangianSystem):
             for joint, row in zip(self.joints, rows, strict=True)
         )
         x, y, z = self._numbers[6].tolist()
-        return Linkage(joints, (x, y, z), torch.eye(len(joints)).double())
+        free = [(int(i), int(k)) for i, k in self.mechanism.get("free", ())]
+        return Linkage(joints, (x, y, z), torch.eye(self.coordinates.n).double(), free)
 
     @property
     def constants(self) -> Mapping[str, Constant]:

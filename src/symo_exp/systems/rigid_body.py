@@ -14,12 +14,12 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.bodies import Vector, pseudo_inertia
+from symo_exp.mechanics.bodies import Vector, pseudo_inertia, turning_body
 from symo_exp.mechanics.lagrangian import Rates
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Skeleton
+from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +63,18 @@ class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
     @override
     def constants(self) -> Mapping[str, Constant]:
         return {"body": Constant(self.body, "kg")}
+
+    @property
+    @override
+    def linkage(self) -> Linkage:
+        coordinates, (x, y, z) = self.coordinates, self.acceleration_of_gravity.tolist()
+        joints = turning_body((*coordinates.flat, *coordinates.rotations), self.body)
+        return Linkage(
+            joints,
+            (x, y, z),
+            torch.eye(coordinates.n).double(),
+            [(0, 3)] if len(joints) > 1 else [],
+        )
 
     @override
     def skeleton(self, q: Float[Tensor, " N"]) -> Skeleton:

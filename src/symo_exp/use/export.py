@@ -85,12 +85,13 @@ def export(
     """
     model = run if isinstance(run, DynamicsModel) else load(os.fspath(run))
     path = Path(path)
-    if model.flow.space.rotations:
-        raise ConfigError(
-            f"{path}: models of systems with rotations are not exported; use symo_exp.load"
-        )
     if path.suffix in (".xml", ".urdf"):
         return write_bodies(model, path)
+    if model.flow.space.rotations:
+        raise ConfigError(
+            f"{path}: steps of systems with rotations are not exported; use symo_exp.load, or "
+            "write rigid bodies as .xml"
+        )
     if path.suffix not in (".pt2", ".onnx"):
         raise ConfigError(f"{path}: expected a name that ends in .pt2, .onnx, .xml or .urdf")
     if iterations < 1:

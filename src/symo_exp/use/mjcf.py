@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from functools import singledispatch
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,15 @@ from torch import Tensor
 
 from symo_exp.errors import ConfigError
 from symo_exp.files import write_whole
-from symo_exp.mechanics.bodies import Joint, of_pseudo_inertia
+from symo_exp.mechanics.bodies import Joint, freedoms, of_pseudo_inertia, turning_body
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.models.base import DynamicsModel
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.systems.base import LagrangianSystem, Linkage
-from symo_exp.systems.mjcf import mjcf, urdf
+from symo_exp.systems.mjcf import mjcf, unwritten, urdf
 
 log = logging.getLogger(__name__)
 
@@ -41,22 +43,24 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
     if isinstance(lagrangian, DissipativeLagrangian):
         lagrangian, dissipation = lagrangian.conservative, lagrangian.dissipation
     found = linkage(lagrangian, model.coordinates.names)
+    if path.suffix == ".urdf" and any(joint.axes is not None for joint in found.joints):
+        raise ConfigError(f"{path.name}: a URDF has no ball joints, as this model has; write .xml")
     inverse = torch.linalg.inv(found.matrix)
     damping, friction, missing = passive(dissipation, found.matrix.shape[0])
     damping = inverse.T @ damping @ inverse
+    damping, friction = _of_balls(found.joints, damping, friction, missing)
     along: Coupled = [(c, _tidy(torch.tensor(a).double() @ inverse)) for c, a in friction]
     if not torch.equal(found.matrix, torch.eye(len(inverse)).double()):
         missing.append("joint coordinates are A q with A = " + str(found.matrix.tolist()))
     if path.suffix == ".urdf":
         missing += _beyond_urdf(found, damping, along)
     mechanism = {
-        "joints": [
-            joint._replace(damping=float(damping[i, i]))._asdict()
-            for i, joint in enumerate(_with_friction(found.joints, along))
-        ],
+        "joints": [joint._asdict() for joint in _with_friction(found.joints, damping, along)],
         "gravity": list(found.gravity),
-        "inputs": _inputs(model, inverse),
+        "inputs": _inputs(model, lagrangian, inverse),
+        "free": found.free,
     }
+    missing += [f"the input {name} is not in this file" for name in unwritten(mechanism)]
     for line in missing:
         log.warning("%s: %s", path.name, line)
     if path.suffix == ".urdf":
@@ -78,7 +82,7 @@ def linkage(lagrangian: Any, names: tuple[str, ...]) -> Linkage:
     """Return the rigid bodies of a Lagrangian; refuse one that has none."""
     raise ConfigError(
         f"{type(lagrangian).__name__} does not consist of rigid bodies, which .xml and .urdf "
-        "require; learn with lagrangian=rigid or lagrangian=known, or write .pt2"
+        "require; learn with lagrangian=rigid, rigid_body or known, or write .pt2"
     )
 
 
@@ -108,6 +112,19 @@ def _(lagrangian: RigidChain, names: tuple[str, ...]) -> Linkage:
             )
         )
     return Linkage(joints, _three(lagrangian.gravity), torch.eye(len(names)).double())
+
+
+@linkage.register
+def _(lagrangian: LearnedRigidBody, names: tuple[str, ...]) -> Linkage:
+    if lagrangian.gravity is None or lagrangian.input_net is not None:
+        raise ConfigError(
+            "networks of the rotation are no rigid body, which .xml requires; learn with "
+            "lagrangian.potential_width=0 and input_width=0"
+        )
+    coordinates, factor = lagrangian.coordinates, lagrangian.factor(lagrangian.moments.double())
+    joints = turning_body((*coordinates.flat, *coordinates.rotations), factor @ factor.mT)
+    free = [(0, 3)] if len(joints) > 1 else []
+    return Linkage(joints, _three(lagrangian.gravity), torch.eye(coordinates.n).double(), free)
 
 
 @linkage.register
@@ -182,10 +199,47 @@ def _smooth() -> str:
     return "dry friction is smooth about standstill in the learned model, and abrupt in this file"
 
 
-def _with_friction(joints: Any, along: Coupled) -> list[Joint]:
-    """Return the joints with the dry friction that acts on one of them alone."""
+def _with_friction(joints: Sequence[Joint], damping: Tensor, along: Coupled) -> list[Joint]:
+    """Return the joints with the friction that acts on one of them alone."""
     own = {int(torch.tensor(a).nonzero()[0]): c for c, a in along if sum(x != 0.0 for x in a) == 1}
-    return [joint._replace(friction=own.get(i, 0.0)) for i, joint in enumerate(joints)]
+    first = {i: k for k, (i, axis) in enumerate(freedoms(joints)) if not axis}
+    return [
+        joint._replace(damping=float(damping[first[i], first[i]]), friction=own.get(first[i], 0.0))
+        for i, joint in enumerate(joints)
+    ]
+
+
+def _of_balls(
+    joints: Sequence[Joint], damping: Tensor, friction: Coupled, missing: list[str]
+) -> tuple[Tensor, Coupled]:
+    """Return friction of which that of a ball joint is the same about all axes.
+
+    Where it is not, or couples a ball joint with others, its mean is taken, and told.
+    """
+    ours = freedoms(joints)
+    turning = [k for k, (_, axis) in enumerate(ours) if axis is not None]
+    if not turning:
+        return damping, friction
+    held, dry = damping.clone(), torch.zeros(len(ours)).double()
+    coupled = []
+    for c, a in friction:
+        driven = torch.tensor(a).nonzero().flatten()
+        if len(driven) == 1:
+            dry[driven] += c
+        elif not any(a[k] for k in turning):
+            coupled.append((c, a))
+        else:
+            missing.append("dry friction between a ball joint and others is not in this file")
+    mean = dry.clone()
+    for ball in {ours[k][0] for k in turning}:
+        own = [k for k, (i, _) in enumerate(ours) if i == ball]
+        held[own], held[:, own] = 0.0, 0.0
+        held[own, own], mean[own] = damping[own, own].mean(), dry[own].mean()
+    pairs = (held, damping), (mean, dry)
+    if not all(torch.allclose(x, y, rtol=1e-12, atol=0.0) for x, y in pairs):
+        missing.append("friction of ball joints is its mean over their axes in this file")
+    alone = [(float(c), one.tolist()) for c, one in zip(mean, torch.eye(len(ours)), strict=True)]
+    return held, [*((c, a) for c, a in alone if c > 0.0), *coupled]
 
 
 def _beyond_urdf(found: Linkage, damping: Tensor, along: Coupled) -> list[str]:
@@ -202,8 +256,11 @@ def _beyond_urdf(found: Linkage, damping: Tensor, along: Coupled) -> list[str]:
     return missing
 
 
-def _inputs(model: DynamicsModel, inverse: Tensor) -> dict[str, Any]:
-    matrix = inverse.T @ model.input_matrix.double().cpu()
+def _inputs(model: DynamicsModel, lagrangian: Any, inverse: Tensor) -> dict[str, Any]:
+    matrix = model.input_matrix.double().cpu()
+    if isinstance(lagrangian, LearnedRigidBody) and lagrangian.learned_inputs:
+        matrix = lagrangian.learned_matrix().double()
+    matrix = inverse.T @ matrix
     system = model.system
     names = range(matrix.shape[1]) if system is None else system.inputs
     box = getattr(system, "box", None)
