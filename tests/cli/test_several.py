@@ -69,6 +69,21 @@ def test_a_list_that_cannot_be_is_refused(content, wanted, folder, started, caps
     assert started == []
 
 
+def test_a_sweep_of_ones_own_does_not_hide_one_that_ships(folder, started, capsys):
+    (folder / "tables.yaml").write_text(ONE)
+    assert main(["--config-dir", str(folder), "-cn", "tables"]) == 2
+    assert "tables.yaml has the name of a sweep that ships" in capsys.readouterr().err
+    assert started == []
+
+
+def test_shipped_sweeps_take_choices_from_a_folder_of_ones_own(folder):
+    (folder / "model").mkdir()
+    (folder / "model" / "mine.yaml").write_text("defaults: [node]\n")
+    job = job_of("--config-dir", str(folder), "-cn", "smoke", "model=mine", "integrator=rk4",
+                 "system=pendulum", "data.n_traj=2", "seed=0")  # fmt: skip
+    assert job.choices["model"] == "mine"
+
+
 def test_a_word_that_the_last_cannot_take_is_found_before_the_first(folder, started, capsys):
     (folder / "b.yaml").write_text(ONE.replace("data.n_traj", "data.n_trajs"))
     assert main(["--config-dir", str(folder), "-cn", "both"]) == 2

@@ -50,6 +50,9 @@ class Command:
         self.overrides: list[str] = self._given.overrides
         self.options = [word for word in argv if word not in self.overrides]
         self.name: str | None = self._given.config_name
+        folder = self._given.config_dir
+        self.folder: Path | None = None if folder is None else Path(folder).absolute()
+        """The user's own configuration, which is added to ours."""
         for override in self.overrides:
             if "=" not in override and not override.startswith("~"):
                 raise ConfigError(f"{override} is not a setting with a value: write {override}=...")
@@ -58,27 +61,20 @@ class Command:
                 raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
 
     @property
-    def folder(self) -> Path | None:
-        """Return the folder of the user's own configuration, which is added to ours."""
-        given = self._given.config_dir
-        return None if given is None else Path(given).absolute()
-
-    @property
     def runs(self) -> bool:
         """Return whether the command asks for runs, not for information."""
         given = self._given
         return not (given.cfg or given.info or given.hydra_help or given.shell_completion)
 
-    def named(self, name: str) -> Command:
-        """Return the same command for another sweep."""
-        words = [name if word == self.name else word for word in self.options]
-        return Command([*words, *self.overrides])
-
     def several(self) -> list[Command]:
         """Return one command per sweep if ``-cn NAME`` is a file that lists sweeps."""
-        file = (self.folder or SWEEPS) / f"{self.name}.yaml"
-        if self.name is None or not self.runs or not file.is_file():
+        folders = [SWEEPS] if self.folder is None else [SWEEPS, self.folder]
+        files = [f for folder in folders if (f := folder / f"{self.name}.yaml").is_file()]
+        if len(files) > 1:
+            raise ConfigError(f"{files[1]} has the name of a sweep that ships; rename it")
+        if not files or not self.runs:
             return []
+        (file,) = files
         try:
             content = yaml.safe_load(file.read_text(encoding="utf-8"))
         except (OSError, ValueError, yaml.YAMLError) as error:
@@ -91,7 +87,7 @@ class Command:
         for name in names:
             if name == self.name or not file.with_name(f"{name}.yaml").is_file():
                 raise ConfigError(f"{file} names the sweep {name}, which is not in {file.parent}")
-        return [self.named(name) for name in names]
+        return [Command([*self.options, "-cn", name, *self.overrides]) for name in names]
 
     def execute(self, *extra: str) -> int:
         """Run the command by Hydra and return the exit code.
@@ -109,7 +105,7 @@ class Command:
         os.environ.setdefault("HYDRA_FULL_ERROR", "1")
         entry = hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)
         before = sys.argv
-        sys.argv = [before[0], *self._with_sweeps(), *self._per_job(), *extra]
+        sys.argv = [before[0], *self.options, *self._per_job(), *extra]
         try:
             entry()
         except SystemExit as end:
@@ -134,19 +130,3 @@ class Command:
             per_job = dot and group in swept and value and not value.endswith(")")
             words.append(f"{key}=choice({value})" if per_job else word)
         return words
-
-    def _with_sweeps(self) -> list[str]:
-        """Return the options with the folder of the shipped sweeps.
-
-        Hydra takes one folder besides its own. Where the user's is needed there, ours is left out,
-        or the user's becomes an entry of the search path.
-        """
-        theirs = ["--config-dir", str(SWEEPS)]
-        if self.folder is None:
-            return [*self.options, *theirs]
-        ships, own = ((f / f"{self.name}.yaml").is_file() for f in (SWEEPS, self.folder))
-        if own or not ships:
-            return self.options
-        given = {self._given.config_dir, "--config-dir", "-cd"}
-        rest = [word for word in self.options if word not in given]
-        return [*rest, *theirs, f"hydra.searchpath=['file://{self.folder}']"]

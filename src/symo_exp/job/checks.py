@@ -19,6 +19,7 @@ from symo_exp import code
 from symo_exp.errors import ConfigError
 from symo_exp.job.config import MISSING, Settings
 from symo_exp.job.moved import MOVED
+from symo_exp.shell import override_value
 
 PARTS = ("system", "data", "model", "learner", "trainer", "logger")
 """The parts of every run; each of them names a class."""
@@ -75,7 +76,7 @@ def _check_node(
             if known is None or key not in known:
                 raise unknown_key(name, known or {})
             if isinstance(known[key], bool) and not isinstance(value, bool):
-                raise ConfigError(f"{name}={_spell(value)}: expected true or false")
+                raise ConfigError(f"{name}={override_value(value)}: expected true or false")
         elif key not in _INSTANTIATE_KEYS:
             if key not in parameters:
                 raise unknown_key(name, parameters)
@@ -83,7 +84,7 @@ def _check_node(
                 raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
             if problem := mismatch(value, parameters[key]):
                 source = references.get(name, name).removeprefix("${").removesuffix("}")
-                raise ConfigError(f"{source}={_spell(value)} has the wrong type: {problem}")
+                raise ConfigError(f"{source}={override_value(value)} has the wrong type: {problem}")
         if name in references or (parameters is not None and _free(parameters.get(key))):
             continue
         below = None if known is None else known.get(key)
@@ -134,11 +135,8 @@ def mismatch(value: Any, hint: Any) -> str:
     try:
         adapter.validate_json(json.dumps(value))
     except ValidationError as error:
-        found = [
-            (e["type"], e["msg"]) for e in error.errors() if e["type"] != "needs_python_object"
-        ]
-        told = [_PLAIN.get(kind, text.partition("should be ")[2]) for kind, text in found]
-        words = " or ".join(dict.fromkeys(told)).replace("'", "")
+        told = [_PLAIN.get(e["type"], e["msg"].partition("should be ")[2]) for e in error.errors()]
+        words = " or ".join(filter(None, dict.fromkeys(told))).replace("'", "")
         return f"expected {words or getattr(hint, '__name__', hint)}"
     return ""
 
@@ -159,9 +157,7 @@ def _parameters(target: Any, path: str) -> Mapping[str, Any]:
     except (NameError, TypeError):  # names that only a type checker imports
         signature = inspect.signature(made)
     return {
-        p.name: p.annotation
-        if p.annotation is not p.empty and not isinstance(p.annotation, str)
-        else Any
+        p.name: Any if p.annotation is p.empty or isinstance(p.annotation, str) else p.annotation
         for p in signature.parameters.values()
         if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
     }
@@ -173,17 +169,10 @@ def _free(hint: Any) -> bool:
     return Mapping in kinds
 
 
-def _spell(value: Any) -> str:
-    if value is None:
-        return "null"
-    return str(value).lower() if isinstance(value, bool) else str(value)
-
-
 def check_names(output_dir: Any, experiment: Any, folder: Any) -> None:
     """Refuse names of folders that are empty or climb out of the output folder."""
-    for name, value in {
-        "output_dir": output_dir, "hydra's dir": folder, "experiment": experiment,
-    }.items():  # fmt: skip
+    names = {"output_dir": output_dir, "hydra's dir": folder, "experiment": experiment}
+    for name, value in names.items():
         if not isinstance(value, str) or not value or "\0" in value:
             raise ConfigError(f"{name}={value!r} is not the name of a folder")
     for part in experiment.split("/"):

@@ -19,7 +19,7 @@ from symo_exp.errors import ConfigError, Refused, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.config import Settings, resolve
 from symo_exp.job.lines import brief, run_line
-from symo_exp.job.variant import alone, differences, variant
+from symo_exp.job.variant import differences
 from symo_exp.process import phases, stopping
 from symo_exp.report.looks import look
 from symo_exp.runs.folder import PICTURES, SERIES, About, RunFolder
@@ -204,7 +204,7 @@ def describe_job(
         words: Words of its command; ``None``: those that repeat it without its sweep.
     """
     found = differences(settings, choices, _compose)
-    words = alone(found, settings, choices) if words is None else words
+    words = found.alone() if words is None else words
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
     told = [brief(o) for o in varied if not o.startswith(NAMED)]
@@ -213,7 +213,7 @@ def describe_job(
     return About(
         name=" ".join(filter(None, name)),
         parameters=groups | dict(_parameters(settings.values, settings)),
-        variant=variant(found, settings, choices),
+        variant=found.variant(),
         sweep=os.environ.get(SWEEP, ""),
         tags={**revision_tags(), COMMAND: shlex.join(["python", "-m", "symo_exp", *words])},
     )

@@ -22,53 +22,48 @@ Compose = Callable[[list[str]], DictConfig]
 class Differences(NamedTuple):
     """Differences of a run from its preset, system, model and integrator."""
 
+    values: Settings
+    chosen: list[str]
+    """Its preset, system, model and integrator, as overrides."""
     choices: list[str]
-    settings: list[str]
+    """Its other choices of files, as overrides."""
+    changed: list[str]
+    """Names of settings."""
     told: list[str]
-    """Settings that tables have columns for, where they are not the usual ones."""
+    """Names of settings that tables have columns for, where they are not the usual ones."""
 
+    def variant(self) -> str:
+        """Return the preset and each choice and setting that is not its own.
 
-def variant(found: Differences, settings: Settings, choices: Mapping[str, Any]) -> str:
-    """Return the preset and each choice and setting that is not its own.
+        It is empty for what ships, and else like ``"fast, optimizer=lbfgs, net.width=8"``.
+        """
+        values = dict(relevant(self.values.values))
+        preset = [c.removeprefix("preset=") for c in self.chosen if c.startswith("preset=")]
+        changed = [
+            f"{name}={x:g}" if isinstance(x := values[name], float) else f"{name}={x}"
+            for name in self.changed
+        ]
+        return ", ".join([*(p for p in preset if p != "default"), *self.choices, *changed])
 
-    It is empty for what ships, and else like ``"fast, optimizer=lbfgs, net.width=8"``.
-    """
-    preset = choices.get("preset", "default")
-    values = dict(relevant(settings.values))
-    changed = [
-        f"{name}={values[name]:g}" if isinstance(values[name], float) else f"{name}={values[name]}"
-        for name in found.settings
-    ]
-    return ", ".join([*([] if preset == "default" else [str(preset)]), *found.choices, *changed])
-
-
-def alone(found: Differences, settings: Settings, choices: Mapping[str, Any]) -> list[str]:
-    """Return the overrides that repeat a run of a search without the search."""
-    chosen = [f"{group}={choices[group]}" for group in CHOSEN if group in choices]
-    values = [
-        f"{name}={override_value(settings.value(name))}"
-        for name in [*found.told, *found.settings, "experiment"]
-    ]
-    return [*chosen, *found.choices, *values]
+    def alone(self) -> list[str]:
+        """Return the overrides that repeat a run of a search without the search."""
+        names = [*self.told, *self.changed, "experiment"]
+        values = [f"{name}={override_value(self.values.value(name))}" for name in names]
+        return [*self.chosen, *self.choices, *values]
 
 
 def differences(settings: Settings, choices: Mapping[str, Any], compose: Compose) -> Differences:
     """Return the differences of a run; compositions are what takes the time."""
-    chosen = [f"{group}={choices[group]}" for group in CHOSEN if group in choices]
-    groups = {
-        group: choice
-        for group, choice in choices.items()
-        if isinstance(choice, str) and "/" not in group and group not in INCIDENTAL
-    }
+    groups = {g: c for g, c in choices.items() if isinstance(c, str) and "/" not in g}
+    chosen = [f"{group}={groups[group]}" for group in CHOSEN if group in groups]
     usual = compose(chosen)
-    usual_choices = usual.hydra.runtime.choices
-    others = [f"{g}={c}" for g, c in sorted(groups.items()) if usual_choices.get(g) != c]
+    same = {*usual.hydra.runtime.choices.items()}
+    others = [f"{g}={c}" for g, c in sorted(groups.items() - same) if g not in INCIDENTAL]
     if others:
         usual = compose([*chosen, *others])
     OmegaConf.set_struct(usual, False)
     required = set(_required(unresolved(usual)))
-    given = {name: settings.value(name) for name in TOLD | required}
-    given = {name: value for name, value in given.items() if value is not None}
+    given = {n: x for n in TOLD | required if (x := settings.value(n)) is not None}
     told = [
         name
         for name in sorted(TOLD & given.keys())
@@ -84,7 +79,7 @@ def differences(settings: Settings, choices: Mapping[str, Any], compose: Compose
         and (name in required or theirs.get(name, "nothing") != value)
         and not settings.is_reference(name)
     ]
-    return Differences(others, changed, told)
+    return Differences(settings, chosen, others, changed, told)
 
 
 def _required(node: Any, path: str = "") -> Iterator[str]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import OverrideType
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 
 from symo_exp.errors import ConfigError
@@ -105,19 +105,17 @@ class Composer:
     def job(self, overrides: list[str], label: str) -> Job:
         """Return the job of these overrides."""
         parsed = OverridesParser.create().parse_overrides(overrides)
-        chosen = [o for o in parsed if self.options(o.key_or_group)]
-        files = self._merge([str(o.input_line) for o in chosen])
-        if all(o in chosen or _is_value(o) for o in parsed):
-            config = copy.deepcopy(files)
-            for override in (o for o in parsed if o not in chosen):
-                OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
-        else:
-            config = copy.deepcopy(self._merge(overrides))
-        choices = dict(config.hydra.runtime.choices)
+        choices = [o for o in parsed if self.options(o.key_or_group)]
+        values = [o for o in parsed if o not in choices and o.type is OverrideType.CHANGE]
+        files = self.files(*(str(o.input_line) for o in choices))
+        config = copy.deepcopy(self.files(*(str(o.input_line) for o in parsed if o not in values)))
+        for override in values:
+            OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
+        chosen = dict(config.hydra.runtime.choices)
         folder = RunFolder(f"{config.hydra.sweep.dir}/{config.hydra.sweep.subdir}")
         with open_dict(config):
             del config["hydra"]
-        return Job(label, overrides, config, resolve(config), files, choices, folder)
+        return Job(label, overrides, config, resolve(config), files, chosen, folder)
 
     def options(self, group: str) -> list[str]:
         """Return the files of a group, none if the name is a setting."""
@@ -126,19 +124,12 @@ class Composer:
             self._options[group] = [] if dotted else self.loader.get_group_options(group)
         return self._options[group]
 
-    def files(self, *choices: str) -> DictConfig:
-        """Return the configuration with these choices of files."""
-        return self._merge(choices)
-
     def check_choices(self, job: Job) -> None:
         """Refuse a choice that lacks what the model refers to."""
-        for setting, reference in job.settings.references.items():
-            if not setting.startswith("model.") or setting.count(".") > 1:
-                continue
-            name = reference.strip("${}")
-            group = name.partition(".")[0]
-            here = OmegaConf.select(job.config, name, default="nothing")  # null, not nothing
-            if group == name or group not in job.choices or here is not None:
+        for argument in job.values["model"]:
+            name = job.settings.references.get(f"model.{argument}", "").strip("${}")
+            group, inside, _ = name.partition(".")
+            if not inside or group not in job.choices or job.settings.value(name) is not None:
                 continue
             others = [f"{group}={option}" for option in self.options(group)]
             fits = [o for o in others if OmegaConf.select(self.files(o), name) is not None]
@@ -148,19 +139,17 @@ class Composer:
                     f"possible: {', '.join(fits)}"
                 )
 
-    def _merge(self, overrides: Sequence[str]) -> DictConfig:
-        """Merge files; of Hydra's own part only what names a folder is kept."""
-        key = tuple(overrides)
-        if key not in self._merged:
+    def files(self, *overrides: str) -> DictConfig:
+        """Return the configuration with these choices of files.
+
+        Of Hydra's own part only what names a folder is kept.
+        """
+        if overrides not in self._merged:
             own = self.loader.load_sweep_config(self.master, list(overrides))
             sweep, runtime = (own.hydra[k] for k in ("sweep", "runtime"))
             raw = {"sweep": unresolved(sweep), "runtime": {"choices": unresolved(runtime.choices)}}
             with open_dict(own):
                 del own["hydra"]
                 own["hydra"] = raw
-            self._merged[key] = own
-        return self._merged[key]
-
-
-def _is_value(override: Override) -> bool:
-    return not (override.is_add() or override.is_force_add() or override.is_delete())
+            self._merged[overrides] = own
+        return self._merged[overrides]
