@@ -73,7 +73,7 @@ class RandomMachine:
         return int(self.settings["coordinates"])
 
     @cached_property
-    def _sizes(self) -> dict[str, np.ndarray]:
+    def sizes(self) -> dict[str, np.ndarray]:
         """Masses, lengths, centres, inertias of the links; friction of the joints."""
         settings, rng = self.settings, np.random.default_rng([2025, self.number])
         links = self.n - int(settings["cart"])
@@ -125,7 +125,7 @@ class RandomMachine:
 
     def accelerate(self, q: np.ndarray, v: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """Return accelerations of absolute coordinates, rows each, under torques of the joints."""
-        s, first = self._sizes, int(self.settings["cart"])
+        s, first = self.sizes, int(self.settings["cart"])
         phi, rate = q[:, first:], v[:, first:]
         difference = phi[:, :, None] - phi[:, None, :]
         order = np.arange(phi.shape[1])
@@ -162,7 +162,7 @@ class RandomMachine:
     def _motion(self, rng: np.random.Generator, index: int, seconds: float) -> pd.DataFrame:
         s, n, first = self.settings, self.n, int(self.settings["cart"])
         t = np.arange(0.0, seconds, 1 / s["rate"])
-        holding = GRAVITY * float(self._sizes["moment"].max())
+        holding = GRAVITY * float(self.sizes["moment"].max())
         size = self.actuated * holding * rng.uniform(0.2, 0.7, n) * (1.0 if s["driven"] else 0.0)
         frequency, phase = rng.uniform(0.3, 8.0, (4, n)), rng.uniform(0, 2 * np.pi, (4, n))
 

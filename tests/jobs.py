@@ -45,7 +45,7 @@ def refusal(*words: str) -> str:
     """Return the error of a command that must not start."""
     try:
         with planned(*words) as (sweep, jobs):
-            sweep._check(jobs, labelled=len(jobs) > 1)
+            sweep.check(jobs, labelled=len(jobs) > 1)
     except ConfigError as error:
         return str(error)
     raise AssertionError(f"{words} are accepted")
@@ -64,7 +64,7 @@ def planned(*words: str) -> Iterator[tuple[Sweep, list[Job]]]:
             _kept[key] = _compose(Command([*options, *hydras]))
         sweep, params, hydra = _kept[key]
         GlobalHydra.instance().initialize(hydra)
-        yield sweep, sweep._plan(settings, params)
+        yield sweep, sweep.plan(settings, params)
     except BAD_INPUT as error:
         GlobalHydra.instance().clear()
         raise explained(error) from error

@@ -15,14 +15,14 @@ EVERY = range(12)
 
 def without_friction(number):
     machine = RandomMachine(number)
-    machine._sizes["viscous"] *= 0.0
-    machine._sizes["coulomb"] *= 0.0
+    machine.sizes["viscous"] *= 0.0
+    machine.sizes["coulomb"] *= 0.0
     return machine
 
 
 def energy(machine, q, v):
     """Sum over bodies, each from the motion of its own centre."""
-    s, first = machine._sizes, int(machine.settings["cart"])
+    s, first = machine.sizes, int(machine.settings["cart"])
     links = machine.n - first
     moments = s["moment"] - s["length"] * np.append(np.cumsum(s["mass"][::-1])[::-1][1:], 0.0)
     speed = np.array([v[0] if first else 0.0, 0.0])

@@ -140,7 +140,7 @@ def test_bad_input_is_refused_in_a_line(typed, given, wanted, home):
 def test_a_refusal_is_all_that_is_said_and_an_exit_code(
     typed, given, wanted, home, capsys, monkeypatch
 ):
-    monkeypatch.setattr(Sweep, "_launch_all", lambda *_: pytest.fail("it started"))
+    monkeypatch.setattr(Sweep, "launch_all", lambda *_: pytest.fail("it started"))
     code = main(typed.split())
     out, err = capsys.readouterr()
     assert code == 2, err

@@ -31,8 +31,8 @@ def folder(workplace):
 def started(monkeypatch):
     """The jobs that would be launched, sweep by sweep; they leave no outcome, so they fail."""
     found = []
-    monkeypatch.setattr(Sweep, "_check", lambda *_, **__: None)
-    monkeypatch.setattr(Sweep, "_launch_all", lambda _, jobs: found.append(len(jobs)))
+    monkeypatch.setattr(Sweep, "check", lambda *_, **__: None)
+    monkeypatch.setattr(Sweep, "launch_all", lambda _, jobs: found.append(len(jobs)))
     return found
 
 

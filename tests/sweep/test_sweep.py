@@ -73,6 +73,6 @@ def test_finished_jobs_are_not_repeated(swept, workplace, capsys, monkeypatch):
     assert known == {f: f.stat().st_mtime_ns for f in known}
     assert len([*workplace.rglob("metrics.json")]) == 3
 
-    monkeypatch.setattr(Sweep, "_launch_all", lambda *_: pytest.fail("it started"))
+    monkeypatch.setattr(Sweep, "launch_all", lambda *_: pytest.fail("it started"))
     assert main([*words, "optimizer.lr=1e-4"]) == 0  # the same run outside of the sweep
     assert "finished already" in capsys.readouterr().out

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
@@ -185,10 +184,6 @@ def typed(hydras: Any) -> list[str]:
     return [*words, *hydras.overrides.task]
 
 
-def _compose(overrides: list[str]) -> DictConfig:
-    return hydra.compose("config", overrides, return_hydra_config=True)
-
-
 def describe_job(
     settings: Settings,
     choices: dict[str, Any],
@@ -203,7 +198,7 @@ def describe_job(
         asked: Overrides on the command line.
         words: Words of its command; ``None``: those that repeat it without its sweep.
     """
-    found = differences(settings, choices, _compose)
+    found = differences(settings, choices)
     words = found.alone() if words is None else words
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]

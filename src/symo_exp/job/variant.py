@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from symo_exp.job.config import MISSING, Settings, resolve, unresolved
@@ -14,9 +15,6 @@ from symo_exp.shell import override_value
 TOLD = {"seed", "data.n_traj", "data.noise_std", "system.time_step"}
 CHOSEN = ("preset", "system", "model", "integrator")
 """Settings and choices of files that tables have columns for."""
-
-Compose = Callable[[list[str]], DictConfig]
-"""Overrides to a configuration, Hydra's own part included."""
 
 
 class Differences(NamedTuple):
@@ -52,15 +50,15 @@ class Differences(NamedTuple):
         return [*self.chosen, *self.choices, *values]
 
 
-def differences(settings: Settings, choices: Mapping[str, Any], compose: Compose) -> Differences:
+def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
     """Return the differences of a run; compositions are what takes the time."""
     groups = {g: c for g, c in choices.items() if isinstance(c, str) and "/" not in g}
     chosen = [f"{group}={groups[group]}" for group in CHOSEN if group in groups]
-    usual = compose(chosen)
+    usual = _composed(chosen)
     same = {*usual.hydra.runtime.choices.items()}
     others = [f"{g}={c}" for g, c in sorted(groups.items() - same) if g not in INCIDENTAL]
     if others:
-        usual = compose([*chosen, *others])
+        usual = _composed([*chosen, *others])
     OmegaConf.set_struct(usual, False)
     required = set(_required(unresolved(usual)))
     given = {n: x for n in TOLD | required if (x := settings.value(n)) is not None}
@@ -80,6 +78,10 @@ def differences(settings: Settings, choices: Mapping[str, Any], compose: Compose
         and not settings.is_reference(name)
     ]
     return Differences(settings, chosen, others, changed, told)
+
+
+def _composed(overrides: list[str]) -> DictConfig:
+    return hydra.compose("config", overrides, return_hydra_config=True)
 
 
 def _required(node: Any, path: str = "") -> Iterator[str]:

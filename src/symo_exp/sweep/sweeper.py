@@ -17,13 +17,11 @@ from typing import Any
 
 from hydra.core.plugins import Plugins
 from hydra.core.utils import configure_log
-from hydra.errors import HydraException
 from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 
-from symo_exp.cli.explain import explained
+from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
@@ -69,13 +67,13 @@ class Sweep:
         Raises:
             ConfigError: For a job that cannot run, before anything starts.
         """
-        jobs = self._plan(arguments, params)
+        jobs = self.plan(arguments, params)
         for folders in _watching:
             folders += [job.folder for job in jobs]
         finished = [job for job in jobs if job.values["resume"] and is_done(job.values, job.folder)]
         done = {job.folder.path for job in finished}
         todo = [job for job in jobs if job.folder.path not in done]
-        self._check(todo, labelled=len(jobs) > 1)
+        self.check(todo, labelled=len(jobs) > 1)
         if check_only:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
@@ -109,7 +107,7 @@ class Sweep:
                 if not (job.values["resume"] and is_done(job.values, job.folder)):
                     todo[job.folder.path] = job
                 found.append(job.folder)
-            except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
+            except BAD_INPUT as error:
                 found.append(explained(error))
         for folders in _watching:
             folders += [folder for folder in found if isinstance(folder, RunFolder)]
@@ -117,7 +115,7 @@ class Sweep:
             _clear(job)
         if todo:
             with stopping.command():
-                self._launch_all(list(todo.values()))
+                self.launch_all(list(todo.values()))
                 for job in todo.values():
                     if job.folder.died():
                         job.folder.record("failed", DIED)
@@ -126,7 +124,12 @@ class Sweep:
 
     # -- before anything starts ------------------------------------------------------------------
 
-    def _plan(self, arguments: Sequence[str], params: Mapping[str, Any]) -> list[Job]:
+    def plan(self, arguments: Sequence[str], params: Mapping[str, Any]) -> list[Job]:
+        """Return the jobs of overrides and of a sweep file's ``params``, composed and checked.
+
+        Raises:
+            ConfigError: For a job with invalid settings, or one that is there twice.
+        """
         combinations = expand(arguments, params)
         jobs: list[Job] = []
         folders: dict[Path, str] = {}
@@ -134,7 +137,7 @@ class Sweep:
             label = label if len(combinations) > 1 else ""
             try:
                 job = self._composed(overrides, label)
-            except (ConfigError, HydraException, OmegaConfBaseException, ValueError) as error:
+            except BAD_INPUT as error:
                 raise _labelled(explained(error), label) from error
             if job.folder.path in folders:
                 raise ConfigError(f"{label}: this is the same run as {folders[job.folder.path]}")
@@ -153,8 +156,13 @@ class Sweep:
             check_settings(job.settings, unresolved(job.files))
         return job
 
-    def _check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
-        """Build the parts of every job, so that no mistake is found after others have run."""
+    def check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
+        """Build the parts of every job, so that no mistake is found after others have run.
+
+        Args:
+            jobs: Jobs of ``plan``.
+            labelled: Whether an error begins with the label of its job.
+        """
         if not jobs:
             return  # without the seconds of the import
         phases.say("importing PyTorch and Lightning")
@@ -187,7 +195,7 @@ class Sweep:
                 stack.enter_context(parent(jobs, " ".join(typed), tracker))
             apart = "basic_launcher" not in self._master.hydra.launcher._target_
             stack.enter_context(Watch([job.folder for job in jobs], on_stop, apart=apart))
-            self._launch_all(todo)
+            self.launch_all(todo)
             for job in todo:
                 if job.folder.died():
                     if stopping.requested() is None:
@@ -196,7 +204,7 @@ class Sweep:
                         job.folder.record("interrupted", "its process was ended")
                     publish(tracker, job.folder)
 
-    def _launch_all(self, jobs: Sequence[Job]) -> None:
+    def launch_all(self, jobs: Sequence[Job]) -> None:
         """Launch jobs, and launch again those that a broken launcher left.
 
         When a process of joblib is killed, its neighbours are killed too and the rest is not
