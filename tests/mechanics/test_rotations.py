@@ -164,17 +164,21 @@ def test_maps_of_a_space_belong_together(space: Space, n: int) -> None:
 # Derivatives
 
 
+def geodesic(space: Space, stages: int) -> VariationalIntegrator:
+    return on_space(Galerkin(stages=stages), space)
+
+
 @pytest.mark.parametrize("stages", STAGES)
 @pytest.mark.parametrize("name", ["pivot", "free", "wheels"])
 def test_slots_are_the_derivatives_of_the_discrete_action(name: str, stages: int) -> None:
     controlled, q0, v, _ = state(name, rows=1)
     lagrangian, space = controlled.lagrangian, CASES[name][0].space
-    integrator = Geodesic(space=space, stages=stages)
+    integrator = geodesic(space, stages)
     q1 = space.retract(q0, H * v)
     slots = integrator.slots(controlled, q0, q1, H)
 
     def action(a: Tensor, b: Tensor) -> Tensor:
-        at = integrator.expand(controlled, a, b, H)
+        at = Geodesic(space=space, stages=stages).expand(controlled, a, b, H)
         basis, inner = at._at.basis, at._at.inner
         phi, rate = basis.path(space.origin(a), space.chart(a, b), inner, H)
         place = space.point(a.repeat(stages, 1), phi)
@@ -201,7 +205,7 @@ def test_slots_are_the_derivatives_of_the_discrete_action(name: str, stages: int
 @pytest.mark.parametrize("stages", STAGES)
 def test_jacobians_of_a_step(stages: int, name: str) -> None:
     controlled, q0, v, controls = state(name, rows=2)
-    integrator = Geodesic(space=CASES[name][0].space, stages=stages)
+    integrator = geodesic(CASES[name][0].space, stages)
     q1 = integrator.space.retract(q0, H * v)
     x = integrator.unknowns(q0, q1) + drawn(v.shape[1] * stages, rows=2, scale=1e-2)
     whole = integrator.expand(controlled, q0, q1, H, controls).d2d1()
@@ -234,7 +238,7 @@ def test_derivatives_of_residual_root_and_momentum(stages: int, name: str) -> No
     space = CASES[name][0].space
     nodes = [q, space.retract(q, H * v), space.retract(q, 2.1 * H * v)]
     weight = drawn(3 * v.shape[1] * len(q), rows=1, seed=9).view(3, *v.shape)
-    discrete = DiscreteLagrangian(Geodesic(space=space, stages=stages), controlled, H)
+    discrete = DiscreteLagrangian(geodesic(space, stages), controlled, H)
 
     inputs = [x.clone().requires_grad_() for x in (torch.zeros(3, *v.shape).double(), *controls)]
 
@@ -254,7 +258,7 @@ def test_derivatives_of_residual_root_and_momentum(stages: int, name: str) -> No
 
 def test_rows_and_replace_keep_the_start_of_their_interval() -> None:
     controlled, q0, v, controls = state("free", rows=5)
-    integrator, index = Geodesic(space=Space(1), stages=3), torch.tensor([3, 1])
+    integrator, index = geodesic(Space(1), 3), torch.tensor([3, 1])
     q1 = integrator.space.retract(q0, H * v)
     whole = integrator.expand(controlled, q0, q1, H, controls)
     part = whole.rows(index)
@@ -319,7 +323,7 @@ def reference(name: str) -> tuple[Tensor, Tensor]:
 
 
 ORDERS = {
-    **{stages: (Geodesic(space=Space(1), stages=stages), 2 * stages) for stages in STAGES},
+    **{stages: (geodesic(Space(1), stages), 2 * stages) for stages in STAGES},
     **{type(method).__name__: (method, method.order) for method in (Midpoint(), RK4())},
 }
 PAIRS = [(name, method) for name in ("damped pivot", "free") for method in ORDERS]
@@ -332,7 +336,7 @@ def test_orders_with_controls_and_friction(name: str, method: object) -> None:
     steps = (5, 7) if order > 4 else (12, 20)
     runs = explicit if not isinstance(integrator, VariationalIntegrator) else path
     if runs is path:
-        integrator = Geodesic(space=CASES[name][0].space, stages=method)
+        integrator = geodesic(CASES[name][0].space, method)
     exact = torch.cat(reference(name), dim=1)
     errors = [float((torch.cat(runs(integrator, name, k), 1) - exact).abs().max()) for k in steps]
     found = math.log(errors[0] / errors[1]) / math.log(steps[1] / steps[0])
@@ -344,7 +348,7 @@ def test_orders_with_controls_and_friction(name: str, method: object) -> None:
 def test_a_motion_has_no_residual_and_the_world_may_be_turned(stages: int) -> None:
     """Along its own trajectory, and about gravity, with the same momenta in body axes."""
     body = Body()
-    space, integrator = body.space, Geodesic(space=body.space, stages=stages)
+    space, integrator = body.space, geodesic(body.space, stages)
     discrete = DiscreteLagrangian(integrator, Controlled(body, torch.eye(6).double()), H)
     q, v = space.of_vector(drawn(6, rows=1)), drawn(6, rows=1, seed=1)
     about = body.gravity / body.gravity.norm()
@@ -384,7 +388,7 @@ def drifts(stages: int, steps: int) -> tuple[float, tuple[float, float]]:
     """Relative change of the angular momentum, and ranges of the energy in both halves."""
     body = Body()
     body.gravity = torch.zeros(3).double()
-    space, integrator = body.space, Geodesic(space=body.space, stages=stages)
+    space, integrator = body.space, geodesic(body.space, stages)
     discrete = DiscreteLagrangian(integrator, Controlled(body, torch.eye(3).double()), 0.05)
     q, v = space.of_vector(drawn(3, rows=1)), drawn(3, rows=1, seed=1)
     p, states = body.momentum(q, v), []
@@ -410,7 +414,7 @@ def both_forms(h: float) -> list[tuple[Tensor, Tensor]]:
     """Momenta, residuals over ``h`` and configurations after 0.4 s, geodesic and trace form."""
     body, space = Body(), Space(1)
     discrete = DiscreteLagrangian(
-        Geodesic(space=space, stages=1), Controlled(body, torch.eye(3).double()), h
+        geodesic(space, 1), Controlled(body, torch.eye(3).double()), h
     )
     q, v, bend = space.of_vector(drawn(3)), drawn(3, seed=1), drawn(3, seed=2)
     nodes = [space.retract(q, t * v + t * t * bend) for t in (0.0, h, 2.0 * h)]
@@ -474,7 +478,7 @@ def test_roots_have_a_status_of_their_own() -> None:
     controlled, q, v, controls = state("pivot")
     p = controlled.lagrangian.momentum(q, v)
     p[1] *= 1e4
-    discrete = DiscreteLagrangian(Geodesic(space=Space(1), stages=2), controlled, H)
+    discrete = DiscreteLagrangian(geodesic(Space(1), 2), controlled, H)
     for finder in (ROOT, Broyden(tolerance=1e-12, max_iterations=40)):
         with torch.no_grad():
             root = discrete.step(finder, q, p, controls, q).root

@@ -20,6 +20,7 @@ are linear in time and act at the Gauss points.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -61,6 +62,8 @@ def on_space(integrator: VariationalIntegrator, space: Space) -> VariationalInte
             f"integrator={integrator.name} moves lengths and angles only, and the system has "
             "rotations; choose midpoint, galerkin4 or galerkin6"
         )
+    if integrator.stages == 1:
+        return GeodesicMidpoint(space)
     return Geodesic(space=space, stages=integrator.stages)
 
 
@@ -79,6 +82,16 @@ class Controlled:
     def force(self, q: Float[Tensor, "batch N"], u: Float[Tensor, "batch m"]) -> Tensor:
         """Return the generalised force of the controls."""
         return self.lagrangian.input_force(self.input_matrix, q, u)
+
+
+def control_slope(
+    controlled: Controlled, space: Space, point: Float[Tensor, "batch N"], u: Tensor
+) -> Float[Tensor, "batch n n"]:
+    """Return the derivative of the force of controls along ``retract``."""
+    with torch.enable_grad():
+        q = point.detach().requires_grad_()
+        force = controlled.force(q, u)
+        return space.pull(point.unsqueeze(1), jacobian(force, q).detach())
 
 
 class Geodesic(Galerkin):
@@ -116,18 +129,6 @@ class Geodesic(Galerkin):
         chart, origin = self._chart(lagrangian, q0, forces), self.space.origin(q0)
         at = super().expand_at(chart, origin, x, h)
         return GeodesicExpansion(self.space, at, x[:, : origin.shape[1]])
-
-    @override
-    def _each(  # type: ignore[override]
-        self, lagrangian: Controlled, q0: Tensor, q1: Tensor, h: float, forces: Forces | None
-    ) -> Slots:
-        if self.stages > 1 or not torch.is_grad_enabled():
-            return super()._each(lagrangian, q0, q1, h, forces)  # type: ignore[arg-type]
-        space, basis, x = self.space, self._basis, self.space.chart(q0, q1)
-        phi, rate = basis.path(space.origin(q0), x, x.new_zeros(0, *x.shape), h)
-        found = torques(lagrangian, space, *at_points(basis, q0, forces), phi, rate)
-        slopes = basis.slopes(found.gradients, h)
-        return Ends.of(space, x).slots(slopes[-1], basis.total(found.turned, h))
 
     @override
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
@@ -401,11 +402,8 @@ class ChartExpansion(Expansion):
         if self._u is None:
             return moment, by_q
         point = self._space.turned(self._base, self._q, self.chart.rotations)
-        with torch.enable_grad():
-            q = point.detach().requires_grad_()
-            force = self._controlled.force(q, self._u)
-            slope = self._space.pull(point.unsqueeze(1), jacobian(force, q).detach())
-        return moment + force.detach(), by_q + slope
+        slope = control_slope(self._controlled, self._space, point, self._u)
+        return moment + self._controlled.force(point, self._u).detach(), by_q + slope
 
     @override
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
@@ -559,6 +557,220 @@ class GeodesicExpansion(DiscreteExpansion):
             d2d1 = derivatives[0, -1] - transfer[:, :n] @ _matrix(inner[:, -1:])
             self._condensed = d2d1, transfer
         return self._condensed
+
+
+class GeodesicMidpoint(VariationalIntegrator):
+    """The midpoint rule, ``L_d = h ℒ(q₀ ⊕ δ/2, δ/h)``, order 2: ``Geodesic`` with one stage.
+
+    Along the geodesic the body rates are constant. With ``p = ℒ_v`` and ``M``, the torques of
+    ``Geodesic``, at the middle, and ``y = h/2 J(δ/2)ᵀ M + p``
+
+        D₂ = J(δ)⁻ᵀ y        D₁ = h exp(δ/2) M − J(δ)⁻¹ y
+
+    Args:
+        space: The space.
+    """
+
+    name, order, stages, iterates, has_hessian = "geodesic2", 2, 1, True, True
+
+    def __init__(self, space: Space) -> None:
+        self.space = space
+
+    @override
+    def slots(  # type: ignore[override]
+        self, lagrangian: Controlled, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
+    ) -> Slots:
+        return _Middle.of(self.space, q0, self.space.chart(q0, q1), h).slots(lagrangian, forces)
+
+    @override
+    def expand(  # type: ignore[override]
+        self, lagrangian: Controlled, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
+    ) -> GeodesicMidpointExpansion:
+        return self.expand_at(lagrangian, q0, self.space.chart(q0, q1), h, forces)
+
+    @override
+    @torch.no_grad()
+    def expand_at(  # type: ignore[override]
+        self, lagrangian: Controlled, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
+    ) -> GeodesicMidpointExpansion:
+        middle = _Middle.of(self.space, q0.detach(), x, h)
+        at, controls = lagrangian.lagrangian.expand(middle.q, middle.v), detached(forces)
+        moment = middle.moment(lagrangian, controls, at.values.q)
+        values = middle.slots_of(moment, at.values.v)
+        found = GeodesicMidpointExpansion(
+            lagrangian, self.space, q0.detach(), x, h, controls, at, moment, values
+        )
+        found.middle = middle
+        return found
+
+    @override
+    def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
+        return self.space.chart(q0, q1)
+
+    @override
+    def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
+        """Return zeros: controls act between the configurations."""
+        zero = force0.new_zeros(())
+        return zero, zero
+
+
+class _Middle(NamedTuple):
+    """The middle of intervals."""
+
+    h: float
+    chart: Chart
+    """At ``δ/2``."""
+    ends: Ends
+    q: Float[Tensor, "batch N"]
+    v: Float[Tensor, "batch n"]
+
+    @staticmethod
+    def of(space: Space, q0: Tensor, x: Float[Tensor, "batch n"], h: float) -> _Middle:
+        """Return the middle of intervals that end at ``x`` in the charts at ``q₀``."""
+        origin = space.origin(q0)
+        half = 0.5 * (origin + x)
+        chart = Chart.of(space, half)
+        q = space.turned(q0, half, chart.rotations)
+        return _Middle(h, chart, Ends.of(space, x), q, (x - origin) / h)
+
+    def slots(
+        self, controlled: Controlled, forces: Forces | None, at: Expansion | None = None
+    ) -> Slots:
+        """Return the slot derivatives; ``at`` is ``ℒ`` around the middle, if known."""
+        by_q, p = (at or controlled.lagrangian).gradients(self.q, self.v)
+        return self.slots_of(self.moment(controlled, forces, by_q), p)
+
+    def moment(self, controlled: Controlled, forces: Forces | None, by_q: Tensor) -> Tensor:
+        """Return ``M``, given the torques without controls."""
+        if forces is None:
+            return by_q
+        return by_q + controlled.force(self.q, 0.5 * (forces.start + forces.end))
+
+    def slots_of(self, moment: Tensor, p: Tensor) -> Slots:
+        """Return the slot derivatives, given ``M`` and ``p``."""
+        turned = self.h * matvec(self.chart.turn, moment)
+        return self.ends.slots(self.last(moment, p), turned)
+
+    def last(self, moment: Tensor, p: Tensor) -> Tensor:
+        """Return ``y``."""
+        return (0.5 * self.h) * vecmat(moment, self.chart.jacobian) + p
+
+
+class GeodesicMidpointExpansion(DiscreteExpansion):
+    """The midpoint rule around ``(q₀, q₁)``, in body axes of these.
+
+    Args:
+        controlled: ``ℒ`` and its controls.
+        space: The space.
+        q0: Configurations at the start.
+        x: ``q₁`` in the charts there.
+        h: Time step [s].
+        controls: Controls at both ends.
+        at: ``ℒ`` around the middle.
+        moment: ``M``.
+        values: The slot derivatives.
+    """
+
+    parts = (
+        "_controlled", "_space", "_q0", "_x", "_h", "_controls", "_at", "_moment", "values",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        controlled: Controlled,
+        space: Space,
+        q0: Tensor,
+        x: Tensor,
+        h: float,
+        controls: Forces | None,
+        at: Expansion,
+        moment: Tensor,
+        values: Slots,
+    ) -> None:
+        self._controlled, self._space, self._q0, self._x, self._h = controlled, space, q0, x, h
+        self._controls, self._at, self._moment, self.values = controls, at, moment, values
+
+    @cached_property
+    def middle(self) -> _Middle:
+        """The middle of the intervals."""
+        return _Middle.of(self._space, self._q0, self._x, self._h)
+
+    @override
+    def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
+        middle = _Middle.of(self._space, q0, self._space.chart(q0, q1), self._h)
+        return middle.slots(self._controlled, forces, self._at)
+
+    @override
+    def d2d1(self) -> Tensor:
+        slopes = self._slopes(None)
+        jacobian = 0.5 * self.middle.chart.jacobian
+        return self._first(*self._along(slopes, jacobian, 1.0 / self.middle.h, bend=True))
+
+    @override
+    @torch.no_grad()
+    def hessian(self, before: DiscreteExpansion | None = None) -> Tensor:
+        assert before is None or isinstance(before, GeodesicMidpointExpansion)
+        middle, slopes = self.middle, self._slopes(None if before is None else before._at)
+        chart, inverse = middle.chart, middle.ends.inverse
+        by_x = self._along(slopes, 0.5 * chart.jacobian, 1.0 / middle.h, bend=True)
+        end = torch.stack((self._first(*by_x), self._final(by_x[0])))
+        turns = chart.space.turns(middle.v)
+        # lengths and angles at the start, and turns of it in the axes at the middle
+        moved = torch.where(turns, chart.turn.mT, 0.5 * chart.jacobian)
+        by_start = self._along(slopes, moved, (~turns / -middle.h).to(moved), bend=False)
+        start = torch.stack((by_start[1] - inverse @ by_start[0], inverse.mT @ by_start[0]))
+        # at a fixed end a turn of the start moves the end's coordinates, too
+        start = start - end @ (inverse.mT * turns)
+        return torch.stack((start, end @ inverse), dim=1)
+
+    def _slopes(self, before: Expansion | None) -> tuple[Curvature, Tensor, Tensor]:
+        """Return the second derivatives of ``ℒ``, the inertia, and ``∂M/∂q``."""
+        curvature = self._at.curvature(before)
+        by_q = curvature.qq
+        if self._controls is not None:
+            start, end = self._controls
+            by_q = by_q + control_slope(
+                self._controlled, self._space, self.middle.q, 0.5 * (start + end)
+            )
+        return curvature, self._at.mass(), by_q
+
+    def _along(
+        self,
+        slopes: tuple[Curvature, Tensor, Tensor],
+        moved: Tensor,
+        rate: Tensor | float,
+        *,
+        bend: bool,
+    ) -> tuple[Tensor, Tensor]:
+        """Return the derivatives of ``y`` and ``h exp(δ/2) M``.
+
+        Args:
+            slopes: Result of ``_slopes``.
+            moved: Changes of the middle along ``retract``.
+            rate: Changes of the velocity, multiples of the unit vectors.
+            bend: Whether ``δ`` changes, with half of ``J(δ/2)`` for ``moved``.
+        """
+        (_, vq, qv), mass, by_q = slopes
+        middle, chart = self.middle, self.middle.chart
+        space, n = chart.space, middle.v.shape[1]
+        moment = by_q @ moved + qv * rate
+        turned = moment
+        last = (0.5 * middle.h) * (chart.jacobian.mT @ moment) + vq @ moved + mass * rate
+        if bend:
+            last = last + (0.25 * middle.h) * chart.momentum_slope(self._moment)
+            blocks = space.blocks(cross(space.vectors(self._moment)), n, 0.0)
+            turned = turned - blocks @ moved
+        return last, middle.h * (chart.turn @ turned)
+
+    def _first(self, last: Tensor, turned: Tensor) -> Tensor:
+        """Return ``∂D₁/∂δ``."""
+        ends, y = self.middle.ends, self.middle.last(self._moment, self._at.values.v)
+        return turned - ends.inverse @ last - ends.start_slope(y)
+
+    def _final(self, last: Tensor) -> Tensor:
+        """Return ``∂D₂/∂δ``."""
+        ends, y = self.middle.ends, self.middle.last(self._moment, self._at.values.v)
+        return ends.inverse.mT @ last + ends.end_slope(y)
 
 
 class Ends(NamedTuple):
