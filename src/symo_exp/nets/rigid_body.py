@@ -13,7 +13,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Curvature, Gradients, Rates, jacobian, matvec
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.affine import linear, repeated, transposed
+from symo_exp.nets.affine import by_sample, linear, repeated, transposed
 from symo_exp.nets.embedding import require_one_body
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark
@@ -106,7 +106,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
 
     @override
     def rigid_body(self, like: Float[Tensor, "batch N"]) -> BodyParameters:
-        batch = like.shape[0]
+        batch = like.shape[0] if by_sample() else 1
         factor = self.factor(repeated(self.moments, batch))
         gravity = factor.new_zeros(batch, 3)
         if self.gravity is not None:
