@@ -413,9 +413,7 @@ def drifts(stages: int, steps: int) -> tuple[float, tuple[float, float]]:
 def both_forms(h: float) -> list[tuple[Tensor, Tensor]]:
     """Momenta, residuals over ``h`` and configurations after 0.4 s, geodesic and trace form."""
     body, space = Body(), Space(1)
-    discrete = DiscreteLagrangian(
-        geodesic(space, 1), Controlled(body, torch.eye(3).double()), h
-    )
+    discrete = DiscreteLagrangian(geodesic(space, 1), Controlled(body, torch.eye(3).double()), h)
     q, v, bend = space.of_vector(drawn(3)), drawn(3, seed=1), drawn(3, seed=2)
     nodes = [space.retract(q, t * v + t * t * bend) for t in (0.0, h, 2.0 * h)]
     none = Forces(torch.zeros(4, 3).double(), torch.zeros(4, 3).double())
