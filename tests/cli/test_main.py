@@ -56,6 +56,7 @@ BAD = [
     # values
     ("data.n_traj=0", "0", "1 to 128"),
     ("~resume", "resume", "cannot be deleted"),
+    ("~measures", "measures", "cannot be deleted"),
     ("pair=l_node_rk4", "pair", "write model=... integrator=..."),
     ("data.n_traj=129", "129", "data.n_train_max=129"),
     ("data.n_traj=8.5", "8.5", "whole number"),

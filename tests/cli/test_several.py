@@ -38,6 +38,8 @@ def started(monkeypatch):
 
 def test_the_thesis_is_all_sweeps_of_its_experiment():
     names = {command.name for command in Command(["-cn", "thesis"]).several()}
+    added = Command(["--config-dir", "mine", "-cn", "thesis"]).several()
+    assert {command.name for command in added} == names
     assert names == {
         file.stem for file in SWEEPS.glob("*.yaml") if "experiment: thesis" in file.read_text()
     }

@@ -11,7 +11,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from yaml import YAMLError
 
 from symo_exp.errors import ConfigError, one_line
-from symo_exp.job.checks import closest, did_you_mean, unknown_key
+from symo_exp.job.checks import did_you_mean, unknown_key
 from symo_exp.shell import install_command
 from symo_exp.shipped import CONF, SWEEPS
 
@@ -51,10 +51,10 @@ def _unknown_choice(file: str, options: Sequence[str] | None) -> ConfigError:
     if not group:
         sweeps = sorted(sweep.stem for sweep in SWEEPS.glob("*.yaml"))
         told = f"there is no {value}.yaml; the sweeps are: {', '.join(sweeps)}"
-        return ConfigError(f"{told}{did_you_mean(closest(value, sweeps))}")
+        return ConfigError(f"{told}{did_you_mean(value, sweeps)}")
     options = options or sorted(choice.stem for choice in (CONF / group).glob("*.yaml"))
     for prefix, (needed, extra) in EXTRAS.items():
         if group.startswith("hydra/") and value.startswith(prefix) and needed not in options:
             return ConfigError(f"{group}={value} needs more: {install_command(extra)}")
-    hint = did_you_mean(closest(value, options))
+    hint = did_you_mean(value, options)
     return ConfigError(f"{group}={value} is not a choice; possible: {', '.join(options)}{hint}")

@@ -6,7 +6,7 @@ import difflib
 import functools
 import inspect
 import json
-import os
+import tempfile
 import typing
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -23,8 +23,6 @@ from symo_exp.shell import override_value
 
 PARTS = ("system", "data", "model", "learner", "trainer", "logger")
 """The parts of every run; each of them names a class."""
-
-NEEDED = "output_dir", "experiment", "code", "resume", "study", "pictures", "optimized_metric"
 
 _INSTANTIATE_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 _PLAIN = {
@@ -47,11 +45,10 @@ def check_settings(settings: Settings, known: Mapping[str, Any]) -> None:
     _check_node(settings.values, known, settings.references)
 
 
-def check_parts(settings: Settings) -> None:
+def check_parts(settings: Settings, known: Mapping[str, Any]) -> None:
     """Refuse a configuration in which a setting was deleted, or a part names no class."""
-    for name in NEEDED:
-        if name not in settings.values:
-            raise ConfigError(f"{name} is needed and cannot be deleted")
+    if missing := sorted(known.keys() - settings.values.keys() - {"hydra"}):
+        raise ConfigError(f"{missing[0]} is needed and cannot be deleted")
     for part in PARTS:
         node = settings.values.get(part)
         if not isinstance(node, Mapping) or "_target_" not in node:
@@ -107,19 +104,24 @@ def unknown_key(name: str, siblings: Mapping[str, Any]) -> ConfigError:
     there = {s: value for s, value in siblings.items() if not s.startswith("_")}
     below = [f"{s}.{leaf}" for s, v in there.items() if isinstance(v, Mapping) and leaf in v]
     listed = f"; {parent or 'there'} has: {', '.join(sorted(there)) or 'nothing that can be set'}"
-    hint = did_you_mean([*closest(leaf, there), *below], prefix) or listed
+    hint = did_you_mean(leaf, there, below, prefix) or listed
     return ConfigError(f"{name} is not a setting{hint} (--cfg job shows all)")
 
 
-def closest(word: str, words: Iterable[str]) -> list[str]:
-    """Return up to two of the words that are like the given one."""
-    return difflib.get_close_matches(word, list(words), n=2, cutoff=0.6)
+def did_you_mean(
+    word: str, words: Iterable[str], others: Iterable[str] = (), prefix: str = ""
+) -> str:
+    """Return the end of a message that suggests names, nothing without any.
 
-
-def did_you_mean(names: Iterable[str], prefix: str = "") -> str:
-    """Return the end of a message that suggests names, nothing without any."""
-    meant = [f"{prefix}{name}" for name in names]
-    return f"; did you mean {' or '.join(meant)}?" if meant else ""
+    Args:
+        word: The word that was given.
+        words: Words of which up to two are suggested, those that are like the given one.
+        others: Further suggestions.
+        prefix: The beginning of all of them.
+    """
+    close = difflib.get_close_matches(word, list(words), n=2)
+    meant = " or ".join(f"{prefix}{name}" for name in (*close, *others))
+    return f"; did you mean {meant}?" if meant else ""
 
 
 def mismatch(value: Any, hint: Any) -> str:
@@ -186,12 +188,8 @@ def check_names(output_dir: Any, experiment: Any, folder: Any) -> None:
 def check_folder(folder: Path) -> None:
     """Refuse an output folder that cannot be made or written."""
     there = next(path for path in (folder, *folder.parents) if path.exists())
-    if not there.is_dir():
-        raise ConfigError(f"output folder {folder}: {there} is a file; choose another output_dir")
     try:
-        probe = there / f".symo_exp.{os.getpid()}"
-        probe.touch()
-        probe.unlink()
+        tempfile.TemporaryFile(dir=there).close()
     except OSError as error:
         raise ConfigError(
             f"output folder {folder}: {there} cannot be written ({error.strerror}); "

@@ -149,11 +149,12 @@ class Sweep:
         """Return a job whose places and, unless it is done, settings are checked."""
         job = self._composer.job(overrides, label)
         values = job.values
-        check_parts(job.settings)
+        known = unresolved(job.files)
+        check_parts(job.settings, known)
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
         if not is_done(values, job.folder):
             self._composer.check_choices(job)
-            check_settings(job.settings, unresolved(job.files))
+            check_settings(job.settings, known)
         return job
 
     def check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
