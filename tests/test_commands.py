@@ -35,6 +35,7 @@ NOT_RUN = {
     "-m benchmarks": "takes the machine for itself for minutes to an hour, to measure it",
     "results/hardware/refit.py": "takes half an hour and has no budget to cut",
     "results/rivals/run.py": "needs the packages of `make rivals` in an environment of their own",
+    "results/growth/whips.py": "needs a run of seven links, which takes minutes",
     "results/rivals/inverse_dynamics.py": "needs the packages of `make rivals`, and a recording",
     "results/uncertainty/coverage.py": "takes minutes to an hour and has no budget to cut",
     "import drifts": "takes ten minutes for each order",
