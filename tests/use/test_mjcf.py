@@ -214,6 +214,15 @@ def test_friction_that_differs_about_the_axes_of_a_ball_joint_is_told(tmp_path):
     np.testing.assert_allclose(damping, 0.3, rtol=1e-6)
 
 
+def test_inputs_of_a_small_body_keep_their_digits(tmp_path):
+    system = SYSTEMS["rigid_body"]
+    matrix = 1e-9 * torch.rand(3, 2, generator=torch.Generator().manual_seed(0)).double()
+    model = model_of(KnownLagrangian(system=system).double(), system.coordinates, matrix)
+    file = symo_exp.export(model, tmp_path / "top.xml")
+    gear = mujoco.MjModel.from_xml_path(str(file)).actuator_gear[:, :3]
+    np.testing.assert_allclose(gear.T, model.input_matrix, rtol=1e-9)
+
+
 def test_an_input_of_a_ball_joint_and_another_is_told(tmp_path):
     system = TURNING["ball_arm"]
     matrix = torch.ones(system.coordinates.n, 1).double()

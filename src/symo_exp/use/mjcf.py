@@ -272,9 +272,9 @@ def _inputs(model: DynamicsModel, lagrangian: Any, inverse: Tensor) -> dict[str,
 
 
 def _tidy(values: Tensor) -> list[float]:
-    """Numbers without the rounding errors of products of whole ones."""
-    rounded = values.round(decimals=12)
-    return [float(x) + 0.0 for x in rounded]
+    """Numbers without the rounding errors of products of whole ones, to 12 digits."""
+    least = 1e-12 * float(values.abs().max()) if len(values) else 0.0
+    return [float(f"{x:.12g}") if abs(x) > least else 0.0 for x in values.tolist()]
 
 
 def _three(values: Tensor) -> tuple[float, float, float]:
