@@ -97,6 +97,25 @@ def test_parameters_without_effect_are_free_directions():
     assert found.samples(5, torch.Generator().manual_seed(0))[:, 2].abs().max() == 0.0
 
 
+@pytest.mark.parametrize("effect", [1e-20, 1e-60])
+@pytest.mark.parametrize("epsilon", [None, 0.1])
+def test_parameters_with_the_effect_of_rounding_are_free_directions(effect, epsilon):
+    class Hardly(Falling):
+        def residuals(self, windows):
+            last = repeated(self.theta, len(windows.q))[:, 2:]
+            return super().residuals(windows) + effect * windows.q * last
+
+    data = motions(1e-2, 1e-3)
+    problem, without = Hardly(3), Falling()
+    found = posterior(problem.residuals, [problem.theta], data, epsilon=epsilon)
+    expected = posterior(without.residuals, [without.theta], data, epsilon=epsilon)
+    assert found.free.abs()[:, 0].tolist() == pytest.approx([0.0, 0.0, 1.0])
+    informed = found.informed()
+    covariance = expected.directions @ expected.directions.T  # of one more degree of freedom
+    torch.testing.assert_close((informed @ informed.T)[:2, :2], covariance, rtol=1e-3, atol=0.0)
+    assert float(informed[2].abs().max()) < 1e-9
+
+
 def test_a_prior_determines_parameters_that_data_do_not():
     problem = Falling(3)
     alpha = torch.tensor([0.0, 0.0, 4.0]).double()

@@ -34,6 +34,8 @@ LOW, HIGH = 1e-3, 1e3
 """Range of ``ε̂``."""
 SINGULAR = 1e-8
 """Singular values below this share of the largest belong to directions without information."""
+TINY = 1e-13
+"""Size of a parameter's derivatives, relative to the largest, below which they are rounding."""
 LARGEST = 1.0
 """Standard deviation of a direction in parameters, beyond which samples do not go."""
 
@@ -197,12 +199,18 @@ def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, 
 def _without_information(white: Float[Tensor, "rows p"]) -> Float[Tensor, "p f"]:
     """Return orthonormal directions that do not change the residuals, whatever the prior says."""
     upper = torch.linalg.qr(white, mode="r")[1]
-    scale = upper.norm(dim=0)
-    scale = torch.where(scale > 0.0, scale, 1.0)
+    scale = _sizes(upper)
     _, values, right = torch.linalg.svd(upper / scale, full_matrices=True)
     least = SINGULAR * values.amax().clamp_min(1e-300)
     free = right[int((values > least).sum()) :].T / scale.unsqueeze(1)
     return torch.linalg.qr(free)[0] if free.shape[1] else free
+
+
+def _sizes(columns: Float[Tensor, "rows p"]) -> Float[Tensor, " p"]:
+    """Return the norms of the columns; of those that are rounding the largest, or 1."""
+    size = columns.norm(dim=0)
+    largest = size.amax()
+    return torch.where(size > TINY * largest, size, largest if largest > 0.0 else 1.0)
 
 
 def _of_estimate(
@@ -220,8 +228,7 @@ def _of_estimate(
     white = flat if factor is None else factor.whiten(by_theta)
     prior = torch.diag((variance * alpha).sqrt())
     upper = torch.linalg.qr(torch.cat((white, prior)), mode="r")[1]
-    scale = upper.norm(dim=0)
-    scale = torch.where(scale > 0.0, scale, 1.0)
+    scale = _sizes(upper)
     _, values, right = torch.linalg.svd(upper / scale)
     there = values > SINGULAR * values.amax().clamp_min(1e-300)
     basis = right[there].T / values[there] / scale.unsqueeze(1)
