@@ -73,8 +73,8 @@ class Embedding(nn.Module):
 
     @override
     def forward(self, q: Float[Tensor, "batch N"]) -> Features:
-        entries = q[:, q.shape[1] - 9 * self.space.rotations :]
-        owned = self._spread(q[:, : q.shape[1] - 9 * self.space.rotations])
+        flat, entries = self._parts(q, 9)
+        owned = self._spread(flat)
         r = owned[:, : self._straight]
         phi = owned[:, self._straight : self._straight + self._angles]
         cos, sin = torch.cos(phi), torch.sin(phi)
@@ -90,8 +90,7 @@ class Embedding(nn.Module):
         """Return ``s_q a``."""
         if not self.space.rotations:
             return features.dx * self._spread(direction)
-        flat = direction[:, : direction.shape[1] - 3 * self.space.rotations]
-        turning = direction[:, flat.shape[1] :]
+        flat, turning = self._parts(direction, 3)
         along = torch.cat((self._spread(flat), turning), dim=1)
         return features.dx * self.space.push(features.x, along)
 
@@ -100,8 +99,8 @@ class Embedding(nn.Module):
         flat = features.dx[:, : self._flat].unsqueeze(1) * self.selection.T
         if not self.space.rotations:
             return flat
-        turns = features.x[:, None, self._flat :].expand(-1, 3 * self.space.rotations, -1)
-        one = torch.eye(turns.shape[1]).to(flat).expand(len(turns), -1, -1)
+        one = torch.eye(3 * self.space.rotations).to(flat).expand(len(flat), -1, -1)
+        turns = features.x[:, None, self._flat :].expand(-1, one.shape[1], -1)
         entries = self.space.push(turns, one)
         return block_diagonal(flat, entries)
 
@@ -129,14 +128,14 @@ class Embedding(nn.Module):
             second: ``c₂``.
             direction: ``a``.
         """
-        flat = direction[:, : direction.shape[1] - 3 * self.space.rotations]
+        flat, turning = self._parts(direction, 3)
         first = slice(self._flat)
         bend = features.x[:, first] * self.bend * second[:, first] * self._spread(flat)
         own = (cotangent[:, first] * features.dx[:, first] + bend) @ self.selection
         if not self.space.rotations:
             return own
-        turning = cross(direction[:, flat.shape[1] :].unflatten(1, (self.space.rotations, 3)))
-        bent = self.space.rotation_matrices(second) @ turning.mT
+        rates = cross(turning.unflatten(1, (-1, 3)))
+        bent = self.space.rotation_matrices(second) @ rates.mT
         return torch.cat((own, cotangent[:, self._flat :] + bent.flatten(1)), dim=1)
 
     def curvature(
@@ -161,6 +160,11 @@ class Embedding(nn.Module):
         for block in blocks.unbind(1):
             flat = block_diagonal(flat, block)
         return flat
+
+    def _parts(self, x: Float[Tensor, "batch k"], size: int) -> tuple[Tensor, Tensor]:
+        """Return what belongs to lengths and angles, and the ``size`` numbers of each rotation."""
+        flat = x.shape[1] - size * self.space.rotations
+        return x[:, :flat], x[:, flat:]
 
     def _spread(self, direction: Float[Tensor, "batch n"]) -> Float[Tensor, "batch features"]:
         """Return the owner's entry for each feature before the entries of rotations."""
