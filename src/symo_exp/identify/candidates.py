@@ -108,8 +108,14 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     ]
     if settings["dissipation"] == "viscous":
         yield candidate.changed("dry friction", 0.3, dissipation="friction")
+    finer = []
+    if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
+        step = f"{machine.time_step / 2:g}"
+        finer.append(candidate.changed("half the time step", 0.2, 2.0, system__time_step=step))
     if settings["integrator"] == "midpoint":
-        yield candidate.changed("Galerkin order 4", 0.3, 2.5, integrator="galerkin4")
+        finer.append(candidate.changed("Galerkin order 4", 0.3, 2.5, integrator="galerkin4"))
+    # motors stick and slip within a step, which no polynomial of a higher order follows
+    yield from finer if machine.driven else reversed(finer)
     if machine.delay:
         yield candidate.changed(
             f"delay {1e3 * machine.delay:g} ms", 0.2, data__input_delay=f"{machine.delay:g}"
@@ -122,10 +128,6 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield _with_learned_friction(candidate)
     if machine.driven:
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight="100")
-    if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
-        yield candidate.changed(
-            "half the time step", 0.2, 2.0, system__time_step=f"{machine.time_step / 2:g}"
-        )
     if not machine.driven:
         yield from motors
 
