@@ -170,6 +170,28 @@ def test_what_depends_on_the_number_of_rows_has_a_graph_for_each(traced_only):
     assert len(traced_only) == 3
 
 
+class Keeping(Residual):
+    """An objective that makes a constant at its first call and keeps it."""
+
+    def __init__(self):
+        self.constant = None
+
+    def __call__(self, flow, windows):
+        values, _ = super().__call__(flow, windows)
+        if self.constant is None:
+            self.constant = torch.ones(values.shape[1], dtype=values.dtype)
+        return Residuals(values * self.constant, {})
+
+
+@pytest.mark.usefixtures("traced_only")
+def test_a_constant_that_is_kept_while_a_function_is_compiled_has_data():
+    objective = Keeping()
+    model = learner("symo", "midpoint", 1, objective=objective)
+    compile_training(model)
+    model.loss_and_gradients(windows(1, samples=5))
+    assert objective.constant.tolist() == [1.0]
+
+
 @needs_compiler
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["l_node", "symo"])

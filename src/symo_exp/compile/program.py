@@ -94,6 +94,9 @@ class Program:
             results[:] = map(_packed, found)
             return [*(tensor for x in results for tensor in x.tensors), *gradients]
 
+        # A function may keep constants, such as coefficients of series: they come to be outside of
+        # the trace, whose tensors have no data.
+        run(*self._parameters, *(tensor for x in arguments for tensor in x.tensors))
         given = [tensor for x in arguments for tensor in x.traced or x.tensors]
         try:
             kernel = self._kernel(run, given, rows)
