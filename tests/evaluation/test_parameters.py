@@ -15,13 +15,31 @@ from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
-from symo_exp.optim.posterior import posterior
+from symo_exp.optim.posterior import Posterior, posterior
 from symo_exp.systems.simulation import Solver, simulate
 from tests.learned import double_precision
 from tests.systems.every import SYSTEMS
 from tests.tables import arguments_of
 
 SIGMA = 1e-3
+
+
+def test_friction_that_vanished_is_told_as_none():
+    """A square root that goes to zero leaves the residuals alone, like a direction that is free."""
+    system = SYSTEMS["acrobot"]
+    found = LearnedDissipation(coordinates=system.coordinates, coulomb=True)
+    parameters = list(found.parameters())
+    with torch.no_grad():
+        found.coulomb_root[1] = 1e-48
+    mean = torch.cat([p.detach().flatten() for p in parameters])
+    dry = [p is found.coulomb_root for p in parameters for _ in p.flatten()].index(True)
+    everything = torch.eye(len(mean), dtype=torch.float64)
+    free = everything[:, dry + 1 : dry + 2]
+    known = Posterior(mean, 1e-3 * everything, free, SIGMA, SIGMA, 100)
+    rows = physical_parameters(found, system.coordinates, parameters, known)
+    none = [row for row in rows if row.note == "none was found"]
+    assert [(row.value, row.determined) for row in none] == [(0.0, "no")]
+    assert "no" not in {row.determined for row in rows if row not in none}
 
 
 def table(system, *, forced, fixed=()):

@@ -19,6 +19,8 @@ STRUCTURAL = 1e-6
 """Share of a gradient along directions without information that makes a number undetermined."""
 SMALL = 1e-4
 """Entries of reduced matrices below this, relative to the largest, count as zero."""
+ABSENT = 1e-20
+"""Square below which nothing of it is there, such as friction that the data do not show."""
 FEW = 6
 """Partners that a note names."""
 RELATIVE = "up to a factor"
@@ -76,7 +78,9 @@ def physical_parameters(
     slopes = torch.stack(gradients).to(posterior.mean)
     along = slopes @ posterior.free
     size = slopes.norm(dim=1, keepdim=True).clamp_min(1e-300)
-    along = torch.where(along.abs() > STRUCTURAL * size, along, 0.0)
+    values = torch.stack([reading.value.detach().double() for reading in found])
+    there = (values.abs() > ABSENT) | (size.squeeze(1) > ABSENT**0.5)
+    along = torch.where((along.abs() > STRUCTURAL * size) & there.unsqueeze(1), along, 0.0)
     deviations = (slopes @ posterior.directions).norm(dim=1)
     partners = _partners(along)
     rows = []
@@ -88,6 +92,9 @@ def physical_parameters(
             others = told or "terms that are not listed"
             note = f"determined only together with {others}"
             rows.append(Parameter(reading.name, value, reading.unit, math.nan, "no", note))
+        elif not there[i]:
+            note = "none was found"
+            rows.append(Parameter(reading.name, 0.0, reading.unit, math.nan, "no", note))
         elif deviation > abs(value):
             note = "the standard deviation exceeds the value"
             rows.append(Parameter(reading.name, value, reading.unit, deviation, "weakly", note))

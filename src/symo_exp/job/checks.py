@@ -103,7 +103,8 @@ def unknown_key(name: str, siblings: Mapping[str, Any]) -> ConfigError:
     prefix = f"{parent}." if parent else ""
     there = {s: value for s, value in siblings.items() if not s.startswith("_")}
     below = [f"{s}.{leaf}" for s, v in there.items() if isinstance(v, Mapping) and leaf in v]
-    listed = f"; {parent or 'there'} has: {', '.join(sorted(there)) or 'nothing that can be set'}"
+    which = f"{parent} has" if parent else "there are"
+    listed = f"; {which}: {', '.join(sorted(there)) or 'nothing that can be set'}"
     hint = did_you_mean(leaf, there, below, prefix) or listed
     return ConfigError(f"{name} is not a setting{hint} (--cfg job shows all)")
 
