@@ -77,6 +77,12 @@ def freedoms(joints: Sequence[Joint]) -> list[tuple[int, int | None]]:
     return [*flat, *balls]
 
 
+def freedoms_of(joints: Sequence[Joint]) -> list[list[int]]:
+    """Return the places of each joint among the degrees of freedom."""
+    ours = freedoms(joints)
+    return [[k for k, (owner, _) in enumerate(ours) if owner == i] for i in range(len(joints))]
+
+
 def joint_order(joints: Sequence[Joint]) -> list[int]:
     """Return the place of each degree of freedom where they are in the order of the joints."""
     ours = freedoms(joints)

@@ -19,7 +19,7 @@ from torch import Tensor
 from typing_extensions import Self, override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.bodies import Joint
+from symo_exp.mechanics.bodies import Joint, turning_body
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian, Friction
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
@@ -77,6 +77,22 @@ class Linkage(NamedTuple):
     gravity: tuple[float, float, float]
     matrix: Float[Tensor, "n n"]
     free: Sequence[tuple[int, int]] = ()
+
+    @staticmethod
+    def of_body(
+        coordinates: Coordinates, body: Float[Tensor, "4 4"], gravity: Float[Tensor, " 3"]
+    ) -> "Linkage":
+        """Return one rigid body that turns about the origin or moves freely.
+
+        Args:
+            coordinates: Its lengths, none on a pivot, and its rotation.
+            body: Its pseudo-inertia about the origin in body axes.
+            gravity: Acceleration of gravity [m/s^2].
+        """
+        joints = turning_body((*coordinates.flat, *coordinates.rotations), body)
+        x, y, z = gravity.tolist()
+        free = [(0, len(joints) - 1)] if len(joints) > 1 else []
+        return Linkage(joints, (x, y, z), torch.eye(coordinates.n).double(), free)
 
 
 @dataclass(frozen=True, kw_only=True)

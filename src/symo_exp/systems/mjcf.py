@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.bodies import Joint, freedoms
+from symo_exp.mechanics.bodies import Joint, freedoms, freedoms_of
 
 POINT = 1e-13
 """Least mass [kg] and inertia [kg m^2] of a body that moves: MuJoCo refuses zero."""
@@ -48,16 +48,16 @@ def mjcf(
     )
     ET.SubElement(option, "flag", contact="disable")
     world = ET.SubElement(root, "worldbody")
-    ours = freedoms(joints)
-    first = {i: k for k, (i, axis) in enumerate(ours) if not axis}
-    matrix = np.diag([joints[i].damping for i, _ in ours])
+    first = [own[0] for own in freedoms_of(joints)]
+    matrix = np.diag([joints[i].damping for i, _ in freedoms(joints)])
     if damping is not None:
         matrix = np.array(damping, dtype=float)
     own, coupled = _uncoupled(matrix)
     if friction is not None:
         alone = {int(np.flatnonzero(a)[0]): c for c, a in friction if np.count_nonzero(a) == 1}
         joints = [
-            joint._replace(friction=alone.get(first[i], 0.0)) for i, joint in enumerate(joints)
+            joint._replace(friction=alone.get(k, 0.0))
+            for joint, k in zip(joints, first, strict=True)
         ]
     free = _free(joints, mechanism, own)
     bodies: list[_Frame] = []
@@ -219,11 +219,11 @@ def _free(
 
     A free joint has no reference and the same friction and armature in all directions.
     """
-    ours = freedoms(joints)
+    places = freedoms_of(joints)
     found: dict[int, int] = {}
     for start, ball in mechanism.get("free", ()):
         parts = [joints[i] for i in range(start, ball + 1)]
-        own = {damping[k] for k, (i, _) in enumerate(ours) if start <= i <= ball}
+        own = {damping[k] for part in places[start : ball + 1] for k in part}
         same = len(own) == 1 and len({(x.armature, x.friction) for x in parts}) == 1
         at = [x.reference for x in parts[:3]]
         if (
@@ -287,18 +287,17 @@ def _moves(
     joints: Sequence[Joint], column: np.ndarray, mechanism: Mapping[str, Any]
 ) -> dict[str, str] | None:
     """Return what a motor acts on; nothing for a tendon of it, ``None`` if it cannot be written."""
-    ours = freedoms(joints)
-    driven = {ours[k][0] for k in np.flatnonzero(column)}
+    places = freedoms_of(joints)
+    driven = {i for i, own in enumerate(places) if column[own].any()}
     for start, ball in mechanism.get("free", ()):
         if driven and driven <= set(range(start, ball + 1)):
-            own = [k for k, (i, _) in enumerate(ours) if start <= i <= ball]
+            own = [k for part in places[start : ball + 1] for k in part]
             return {"site": f"{_free_name(joints[ball])}_origin", "gear": _vector(column[own])}
         if driven & set(range(start, ball + 1)):
             return None
     if len(driven) == 1:
         (joint,) = driven
-        own = [k for k, (i, _) in enumerate(ours) if i == joint]
-        return {"joint": joints[joint].name, "gear": _vector(column[own])}
+        return {"joint": joints[joint].name, "gear": _vector(column[places[joint]])}
     return None if any(joints[i].axes is not None for i in driven) else {}
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.bodies import Vector, pseudo_inertia, turning_body
+from symo_exp.mechanics.bodies import Vector, pseudo_inertia
 from symo_exp.mechanics.lagrangian import Rates
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian
 from symo_exp.mechanics.space import Space
@@ -67,14 +67,7 @@ class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
     @property
     @override
     def linkage(self) -> Linkage:
-        coordinates, (x, y, z) = self.coordinates, self.acceleration_of_gravity.tolist()
-        joints = turning_body((*coordinates.flat, *coordinates.rotations), self.body)
-        return Linkage(
-            joints,
-            (x, y, z),
-            torch.eye(coordinates.n).double(),
-            [(0, 3)] if len(joints) > 1 else [],
-        )
+        return Linkage.of_body(self.coordinates, self.body, self.acceleration_of_gravity)
 
     @override
     def skeleton(self, q: Float[Tensor, " N"]) -> Skeleton:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from symo_exp.errors import ConfigError
 from symo_exp.files import write_whole
-from symo_exp.mechanics.bodies import Joint, freedoms, of_pseudo_inertia, turning_body
+from symo_exp.mechanics.bodies import Joint, freedoms_of, of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.models.base import DynamicsModel
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
@@ -121,10 +121,8 @@ def _(lagrangian: LearnedRigidBody, names: tuple[str, ...]) -> Linkage:
             "networks of the rotation are no rigid body, which .xml requires; learn with "
             "lagrangian.potential_width=0 and input_width=0"
         )
-    coordinates, factor = lagrangian.coordinates, lagrangian.factor(lagrangian.moments.double())
-    joints = turning_body((*coordinates.flat, *coordinates.rotations), factor @ factor.mT)
-    free = [(0, 3)] if len(joints) > 1 else []
-    return Linkage(joints, _three(lagrangian.gravity), torch.eye(coordinates.n).double(), free)
+    factor = lagrangian.factor(lagrangian.moments.double())
+    return Linkage.of_body(lagrangian.coordinates, factor @ factor.mT, lagrangian.gravity)
 
 
 @linkage.register
@@ -202,10 +200,9 @@ def _smooth() -> str:
 def _with_friction(joints: Sequence[Joint], damping: Tensor, along: Coupled) -> list[Joint]:
     """Return the joints with the friction that acts on one of them alone."""
     own = {int(torch.tensor(a).nonzero()[0]): c for c, a in along if sum(x != 0.0 for x in a) == 1}
-    first = {i: k for k, (i, axis) in enumerate(freedoms(joints)) if not axis}
     return [
-        joint._replace(damping=float(damping[first[i], first[i]]), friction=own.get(first[i], 0.0))
-        for i, joint in enumerate(joints)
+        joint._replace(damping=float(damping[k, k]), friction=own.get(k, 0.0))
+        for joint, (k, *_) in zip(joints, freedoms_of(joints), strict=True)
     ]
 
 
@@ -216,29 +213,27 @@ def _of_balls(
 
     Where it is not, or couples a ball joint with others, its mean is taken, and told.
     """
-    ours = freedoms(joints)
-    turning = [k for k, (_, axis) in enumerate(ours) if axis is not None]
+    turning = [own for own in freedoms_of(joints) if len(own) > 1]
     if not turning:
         return damping, friction
-    held, dry = damping.clone(), torch.zeros(len(ours)).double()
+    held, dry = damping.clone(), torch.zeros(len(damping)).double()
     coupled = []
     for c, a in friction:
         driven = torch.tensor(a).nonzero().flatten()
         if len(driven) == 1:
             dry[driven] += c
-        elif not any(a[k] for k in turning):
+        elif not any(a[k] for own in turning for k in own):
             coupled.append((c, a))
         else:
             missing.append("dry friction between a ball joint and others is not in this file")
     mean = dry.clone()
-    for ball in {ours[k][0] for k in turning}:
-        own = [k for k, (i, _) in enumerate(ours) if i == ball]
+    for own in turning:
         held[own], held[:, own] = 0.0, 0.0
         held[own, own], mean[own] = damping[own, own].mean(), dry[own].mean()
     pairs = (held, damping), (mean, dry)
     if not all(torch.allclose(x, y, rtol=1e-12, atol=0.0) for x, y in pairs):
         missing.append("friction of ball joints is its mean over their axes in this file")
-    alone = [(float(c), one.tolist()) for c, one in zip(mean, torch.eye(len(ours)), strict=True)]
+    alone = [(float(c), one.tolist()) for c, one in zip(mean, torch.eye(len(mean)), strict=True)]
     return held, [*((c, a) for c, a in alone if c > 0.0), *coupled]
 
 
