@@ -77,15 +77,16 @@ def physical_parameters(
         return []
     slopes = torch.stack(gradients).to(posterior.mean)
     along = slopes @ posterior.free
-    size = slopes.norm(dim=1, keepdim=True).clamp_min(1e-300)
+    size = slopes.norm(dim=1).clamp_min(1e-300)
     values = torch.stack([reading.value.detach().double() for reading in found])
-    there = (values.abs() > ABSENT) | (size.squeeze(1) > ABSENT**0.5)
-    along = torch.where((along.abs() > STRUCTURAL * size) & there.unsqueeze(1), along, 0.0)
+    there = (values.abs() > ABSENT) | (size > ABSENT**0.5)
+    least = torch.where(there, STRUCTURAL * size, torch.inf).unsqueeze(1)
+    along = torch.where(along.abs() > least, along, 0.0)
     deviations = (slopes @ posterior.directions).norm(dim=1)
     partners = _partners(along)
     rows = []
     for i, reading in enumerate(found):
-        value, deviation = float(reading.value.detach()), float(deviations[i])
+        value, deviation = float(values[i]), float(deviations[i])
         if partners[i]:
             names = [found[j].name for j in partners[i] if j != i]
             told = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" * (len(names) > FEW))
@@ -100,8 +101,9 @@ def physical_parameters(
             rows.append(Parameter(reading.name, value, reading.unit, deviation, "weakly", note))
         else:
             rows.append(Parameter(reading.name, value, reading.unit, deviation, "yes", ""))
-    free = [i for i, own in enumerate(partners) if own and float(found[i].value.detach()) > 0.0]
-    return rows + _products([found[i] for i in free], slopes[free], along[free], posterior)
+    free = [i for i, own in enumerate(partners) if own and float(values[i]) > 0.0]
+    factors = [found[i] for i in free]
+    return rows + _products(factors, values[free], slopes[free], along[free], posterior)
 
 
 def _without_scale(reading: Reading) -> Reading:
@@ -129,6 +131,7 @@ def _partners(along: Float[Tensor, "readings free"]) -> list[list[int]]:
 
 def _products(
     found: Sequence[Reading],
+    values: Float[Tensor, " readings"],
     slopes: Float[Tensor, "readings p"],
     along: Float[Tensor, "readings free"],
     posterior: Posterior,
@@ -136,7 +139,6 @@ def _products(
     """Return the products of powers that are determined though their factors are not."""
     if not found or along.shape[1] == 0:
         return []
-    values = torch.stack([reading.value.detach().double() for reading in found])
     logarithmic = along / values.unsqueeze(1)
     _, sizes, right = torch.linalg.svd(logarithmic.T, full_matrices=True)
     rank = int((sizes > STRUCTURAL * sizes.amax().clamp_min(1e-300)).sum())
