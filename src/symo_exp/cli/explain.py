@@ -39,7 +39,7 @@ def explained(error: BaseException) -> ConfigError:
             name, parent = cause.full_key, cause.parent_node
             if name and isinstance(parent, DictConfig):
                 siblings: Any = OmegaConf.to_container(parent, resolve=False)
-                groups = [] if "." in name else [file.name for file in CONF.iterdir()]
+                groups = [] if "." in name else [x.name for x in CONF.iterdir() if x.is_dir()]
                 return unknown_key(name, dict.fromkeys(groups) | siblings)
         cause = cause.__cause__
     return ConfigError(one_line(error))
