@@ -14,10 +14,10 @@ from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.e2e_symo import E2ESyMo
 from symo_exp.models.horizon import HorizonError
 from symo_exp.models.l_node import LNODE
-from symo_exp.models.robust import huber_weights
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.optim.lbfgs import LBFGS
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
+from symo_exp.optim.robust import huber_weights
 from symo_exp.systems.table import system as stated
 from symo_exp.training.learner import Learner
 from tests.jobs import refusal

@@ -16,10 +16,10 @@ from symo_exp.mechanics.types import Stretches, Trajectory
 from symo_exp.mechanics.windows import cut_stretches
 from symo_exp.models.flows import Flow, chained
 from symo_exp.models.objectives import Objective, Residuals
-from symo_exp.models.robust import huber_weights
 from symo_exp.models.starts import State, closest_start, fitted_start
 from symo_exp.nets.affine import Linearised
 from symo_exp.optim.base import EpochOptimizer, concatenated
+from symo_exp.optim.robust import huber_weights
 
 LOST = 10.0
 """An error beyond which a motion does not follow the data any more [rad, m]."""

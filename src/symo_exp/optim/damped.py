@@ -16,16 +16,13 @@ class DampedSystem:
     Args:
         residuals: ``r``.
         pieces: Rows of ``J``, in order.
-        weights: Factors that residuals and rows have been multiplied by.
     """
 
     def __init__(
         self,
         residuals: Float[Tensor, " equations"],
         pieces: Sequence[Float[Tensor, "rows parameters"]],
-        weights: Float[Tensor, " equations"] | None = None,
     ) -> None:
-        self.weights = weights
         self.scale = 1.0 / math.sqrt(len(residuals))
         self.r = self.scale * residuals
         self._pieces = pieces

@@ -77,13 +77,13 @@ def accelerated(equations: DampedEquations) -> Move:
 class Descent(ABC):
     """Trials of one step: the first that lowers the objective is accepted.
 
-    A step that lowers it by less than half of what was predicted is shortened as long as that
-    helps, down to the share ``shortest``. Damping shortens steps too, but first in the directions
+    A step that lowers it by less than half of what was predicted is halved as long as that helps,
+    until its share is at most ``shortest``. Damping shortens steps too, but first in the directions
     that the residuals determine weakly, of which a curved valley consists.
 
     Args:
         objective: The objective at the start.
-        shortest: Smallest share of a step; 1: steps are not shortened.
+        shortest: Share of a step until which it is halved; 1: steps are not shortened.
     """
 
     def __init__(self, objective: float, *, shortest: float = 1.0) -> None:

@@ -17,6 +17,7 @@ from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Equations, Problem, concatenated
 from symo_exp.optim.damped import DampedSystem
 from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
+from symo_exp.optim.robust import weights_beyond
 
 FALLS = 0.9
 """Ratio of training losses between two held-out losses below which the loss counts as falling."""
@@ -51,9 +52,9 @@ class LevenbergMarquardt(EpochOptimizer):
         params: The parameters, float64.
         damping: Initial ``λ``.
         force_epochs: Epochs at the start in which residuals are forces.
-        shortest: Share of a step to which it may be shortened before the damping is raised. Where
-            few data determine many parameters, 1/32 takes a tenth of the epochs; where residuals
-            stay large, 1, no shortening, takes fewer.
+        shortest: Share of a step until which it is halved before the damping is raised. Where few
+            data determine many parameters, 0.03 takes a tenth of the epochs; where residuals stay
+            large, 1, no shortening, takes fewer.
         huber: Samples whose residuals are longer than this many times the median length count
             linearly (Huber 1964), so that a few that no model fits, such as motions too fast for
             the time step, do not decide; null: all count quadratically.
@@ -139,8 +140,10 @@ class LevenbergMarquardt(EpochOptimizer):
         count = -(-EQUATIONS * len(self.flat()) // per_sample)
         return samples.rows(slice(None, None, max(1, len(samples.q) // count)))
 
-    def linearised(self, model: Equations, samples: TrainingSamples) -> DampedSystem:
-        """Return the residuals and their derivatives at the parameters in place."""
+    def linearised(
+        self, model: Equations, samples: TrainingSamples
+    ) -> tuple[DampedSystem, Float[Tensor, " equations"] | None]:
+        """Return the residuals, their derivatives at the parameters in place, and their factors."""
         size = len(self.flat())
         with torch.no_grad():
             per_sample = model.residuals(samples.rows(slice(1))).shape[1]
@@ -149,22 +152,15 @@ class LevenbergMarquardt(EpochOptimizer):
         values, jacobians = zip(*pieces, strict=True)
         residuals = torch.cat(values)
         if self.huber is None:
-            return DampedSystem(residuals, jacobians)
-        weights = self._weights(residuals.view(len(samples.q), -1))
+            return DampedSystem(residuals, jacobians), None
+        length = residuals.view(len(samples.q), -1).norm(dim=1)
+        factors = weights_beyond(self.huber * length.median(), length).sqrt()
+        factors = factors.repeat_interleave(per_sample)
         for jacobian, part in zip(
-            jacobians, weights.split([len(j) for j in jacobians]), strict=True
+            jacobians, factors.split([len(j) for j in jacobians]), strict=True
         ):
             jacobian.mul_(part.unsqueeze(-1))
-        return DampedSystem(weights * residuals, jacobians, weights)
-
-    def _weights(
-        self, residuals: Float[Tensor, "samples residuals"]
-    ) -> Float[Tensor, " equations"]:
-        """Return factors of the residuals, whose squares are Huber's weights of the samples."""
-        assert self.huber is not None
-        length = residuals.norm(dim=1)
-        factor = (self.huber * length.median() / length).clamp(max=1.0).sqrt()
-        return factor.nan_to_num(1.0).repeat_interleave(residuals.shape[1])
+        return DampedSystem(factors * residuals, jacobians), factors
 
     def _differentiated(self, model: Equations, samples: TrainingSamples) -> tuple[Tensor, Tensor]:
         """Return ``r`` and ``J``, a row each residual."""
@@ -192,7 +188,8 @@ class _Trials(Descent):
     def __init__(
         self, owner: LevenbergMarquardt, model: Equations, samples: TrainingSamples
     ) -> None:
-        self.system, self.start = owner.linearised(model, samples), owner.flat()
+        self.system, self._factors = owner.linearised(model, samples)
+        self.start = owner.flat()
         self._owner, self._model, self._samples = owner, model, samples
         self._growth = 2.0
         super().__init__(float(self.system.r @ self.system.r), shortest=owner.shortest)
@@ -221,8 +218,7 @@ class _Trials(Descent):
         self._owner.place(self.start + step)
         pieces = [self._model.residuals(w).flatten() for w in _chunks(self._samples, 1024)]
         residuals = torch.cat(pieces)
-        weights = self.system.weights
-        return residuals if weights is None else weights * residuals
+        return residuals if self._factors is None else self._factors * residuals
 
 
 class _Equations(DampedEquations):

@@ -25,5 +25,10 @@ def huber_weights(errors: Float[Tensor, "*batch n"], factor: float) -> Float[Ten
     """
     size = errors.abs()
     scale = NORMAL * size.flatten(0, -2).median(0).values
-    threshold = (factor * scale).clamp_min(SMALLEST)
+    return weights_beyond(factor * scale, size)
+
+
+def weights_beyond(threshold: Tensor, size: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Return ``min(1, c/|e|)`` for a threshold ``c`` and sizes ``|e|``."""
+    threshold = threshold.clamp_min(SMALLEST)
     return threshold / size.maximum(threshold)
