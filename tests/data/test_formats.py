@@ -15,6 +15,7 @@ import torch
 from symo_exp.data.formats import from_arrays
 from symo_exp.data.header import header, names
 from symo_exp.data.recorded import RecordedData
+from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.systems.recorded import Recorded
 from symo_exp.systems.table import system as stated
@@ -157,6 +158,10 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             lambda t: t.rename(columns={"q_0": "arm_pos"}).assign(arm_vel=0.0),
             "'data.columns={q_arm: arm_pos, v_arm: arm_vel}'",
         ),
+        (
+            lambda t: t.rename(columns={"t": "timestamp", "q_0": "pos_m", "u_0": "motor_volt"}),
+            "'data.columns={t: timestamp, q_pos: pos_m, u_motor_volt: motor_volt}'",
+        ),
         (lambda t: t.assign(t=1e3 * t.t), "give data.time_unit=ms"),
         (lambda t: t.assign(t=1e9 * t.t), "give data.time_unit=ns"),
         (
@@ -188,6 +193,17 @@ def test_doubtful_units_are_noted(change, said: str | None, tmp_path: Path, capl
     told = [r.getMessage() for r in caplog.records if "if angles are in" in r.getMessage()]
     told += [r.getMessage() for r in caplog.records if "times the slope" in r.getMessage()]
     assert [said in line for line in told] == [True] if said else not told
+
+
+def test_dates_are_read_as_seconds_from_the_first_one(tmp_path: Path) -> None:
+    table, start = motion(), pd.Timestamp("2024-05-01 12:00")
+    table.assign(t=start + pd.to_timedelta(table.t, "s")).to_csv(tmp_path / "dated.csv")
+    table.to_csv(tmp_path / "x.csv")
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    (found,), (expected,) = (
+        read_recordings(tmp_path / name, system).recordings for name in ("dated.csv", "x.csv")
+    )
+    np.testing.assert_allclose(found.samples.t, expected.samples.t, rtol=0.0, atol=1e-9)
 
 
 def test_arrays_may_hold_many_trajectories() -> None:

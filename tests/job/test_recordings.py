@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.runs.folder import RunFolder
 from tests.jobs import refusal
@@ -68,6 +69,19 @@ def test_another_reference_measures_a_finished_run_again_and_does_not_train_it(
     for who in ("", "reference_"):
         error = (predicted[f"q_{who}theta"] - predicted.q_true_theta) ** 2
         assert after[f"{who}pooled_rmse_2s"] == pytest.approx(math.sqrt(error.mean()))
+
+
+@pytest.mark.parametrize("names", [[], ["system.names=[arm]", "system.inputs=[motor]"]])
+def test_columns_with_names_of_their_own_are_learned_from(names, recordings):
+    table = pd.read_csv("mine.csv")
+    table.rename(columns={"q_theta": "angle", "u_0": "volt"}).to_csv("foreign.csv", index=False)
+    words = [
+        "system=recorded", "system.angular=all", "system.time_step=0.02", "data=recorded",
+        "data.path=foreign.csv", "data.columns={q_arm: angle, u_motor: volt}", *WORDS[4:],
+    ]  # fmt: skip
+    assert main([*words, *names, "measures=false", "pictures=false"]) == 0
+    model = symo_exp.load(only(recordings).path)
+    assert model.coordinates.names == ("arm",)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,13 @@ TRAJECTORY = ("traj", "traj_id", "trajectory_id", "episode", "episode_id")
 
 POSITION = re.compile(r"^(?:pos|position|angle)_|_(?:pos|position|angle|rad)$")
 VELOCITY = re.compile(r"^(?:d|dot_|vel_|velocity_|omega_)(?=.)|_?(?:dot|vel|velocity)$")
-INPUT = re.compile(r"u\d*$|(?:tau|torque|force|effort|current|motor|input|cmd|control|act)", re.I)
+INPUT = re.compile(
+    r"u\d*|tau\d*|torques?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?|ctrl|act"
+    r"|actions?|volt|volts|voltages?|pwm|duty|throttle|thrust|rudder|heat",
+    re.I,
+)
+"""A word of an input's name."""
+UNIT = re.compile(r"_(?:m|mm|cm|rad|deg|n|nm|v|a)$", re.I)
 
 
 class Header(NamedTuple):
@@ -154,9 +160,9 @@ def suggestion(found: Sequence[str]) -> str:
     others = [n for n in found if n not in OTHERS and not re.match(r"[qvu]_.|__index_", n)]
     times = [name for name in others if TIME.fullmatch(name)]
     free = [n for n in others if n not in times and n.lower() not in TRAJECTORY]
-    inputs = [name for name in free if INPUT.match(name)]
+    inputs = [n for n in free if any(map(INPUT.fullmatch, re.split(r"[^a-zA-Z0-9]+", n)))]
     free = [name for name in free if name not in inputs]
-    places = {POSITION.sub("", name, count=1): name for name in free}
+    places = {POSITION.sub("", UNIT.sub("", name), count=1): name for name in free}
     rates = {stem: n for n in free if (stem := VELOCITY.sub("", n, count=1)) != n}
     places = {stem: n for stem, n in places.items() if n not in rates.values()}
     mapping = {"t": times[0]} if times and "t" not in found else {}

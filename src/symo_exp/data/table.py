@@ -115,6 +115,7 @@ def _read(
     with readable(file):
         table = table_of(file)
         table.columns = pd.Index(found)
+    table["t"], seconds = _seconds(table["t"], seconds)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
     if seconds != 1.0:
@@ -174,6 +175,17 @@ def _check_places(where: str, found: Sequence[str], wanted: Mapping[str, Sequenc
                 f"{where}: column {column} belongs to no {KINDS[kind]} of the system ({there}); "
                 "rename it by data.columns or in the file"
             )
+
+
+def _seconds(times: pd.Series, unit: float) -> tuple[pd.Series, float]:
+    """Return dates and times of day as seconds from the first one; other times as they are."""
+    if pd.api.types.is_numeric_dtype(times):
+        return times, unit
+    try:
+        dates = pd.to_datetime(times, utc=True)
+    except (ValueError, TypeError):
+        return times, unit
+    return (dates - dates.min()).dt.total_seconds(), 1.0
 
 
 def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:

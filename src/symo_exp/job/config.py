@@ -41,7 +41,7 @@ def resolve(config: DictConfig) -> Settings:
     values = OmegaConf.to_container(ours, resolve=True)
     assert isinstance(values, dict)
     return Settings(
-        {str(key): value for key, value in values.items()}, dict(_references(unresolved(ours)))
+        {str(key): value for key, value in values.items()}, dict(references(unresolved(ours)))
     )
 
 
@@ -50,12 +50,13 @@ def unresolved(config: DictConfig) -> Any:
     return OmegaConf.to_container(config, resolve=False)
 
 
-def _references(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
+def references(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield dotted names and texts of settings that refer to others."""
     if isinstance(node, str) and "${" in node:
         yield path, node
     elif isinstance(node, Mapping):
         for key, value in node.items():
-            yield from _references(value, f"{path}.{key}" if path else str(key))
+            yield from references(value, f"{path}.{key}" if path else str(key))
 
 
 def run_folder(*, _root_: DictConfig) -> str:

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
-from symo_exp.job.config import MISSING, Settings, resolve, unresolved
+from symo_exp.job.config import MISSING, Settings, references, resolve, unresolved
 from symo_exp.runs.digest import INCIDENTAL, relevant
 from symo_exp.shell import override_value
 
@@ -69,6 +70,7 @@ def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
     ]
     for name, value in given.items():
         OmegaConf.update(usual, name, value)
+    _without_functions(usual, settings)
     ours, theirs = dict(relevant(settings.values)), dict(relevant(resolve(usual).values))
     changed = [
         name
@@ -78,6 +80,23 @@ def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
         and not settings.is_reference(name)
     ]
     return Differences(settings, chosen, others, changed, told)
+
+
+def _without_functions(usual: DictConfig, settings: Settings) -> None:
+    """Replace references that may not be resolvable.
+
+    A function of ``job.config`` may fail with the values that files alone have. Settings that
+    refer to the same as those of the run have its values, as they are not compared; others that
+    cannot be resolved have none.
+    """
+    for name, reference in references(unresolved(usual)):
+        if settings.references.get(name) == reference:
+            OmegaConf.update(usual, name, settings.value(name))
+            continue
+        try:
+            OmegaConf.select(usual, name)
+        except OmegaConfBaseException:
+            OmegaConf.update(usual, name, MISSING)
 
 
 def _composed(overrides: list[str]) -> DictConfig:
