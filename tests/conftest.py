@@ -35,12 +35,16 @@ def _shapes():
     shapes.begin()
 
 
+@pytest.fixture(autouse=True)
+def _no_settings_of_the_shell(monkeypatch):
+    for name in ("MLFLOW_TRACKING_URI", "SYMO_EXP_DEBUG", "HYDRA_FULL_ERROR"):
+        monkeypatch.delenv(name, raising=False)
+
+
 @pytest.fixture
 def workplace(tmp_path, monkeypatch):
     """An empty folder to run commands in, with a store and a cache of its own."""
     monkeypatch.chdir(tmp_path)
-    for name in ("MLFLOW_TRACKING_URI", "SYMO_EXP_DEBUG", "HYDRA_FULL_ERROR"):
-        monkeypatch.delenv(name, raising=False)
     return tmp_path
 
 
@@ -55,6 +59,9 @@ def database(tmp_path_factory):
 
 
 @pytest.fixture
-def with_a_store(workplace, database):
+def store(database, tmp_path):
     """A store where commands look for one."""
-    copy_store(database, workplace)
+    from symo_exp.tracking.store import find
+
+    copy_store(database, tmp_path)
+    return find(None, tmp_path / "mlruns")

@@ -83,6 +83,21 @@ def test_public_names_are_unique():
     assert {name: found for name, found in homes.items() if len(found) > 1}.keys() <= {"main"}
 
 
+def test_newtons_iteration_is_written_twice():
+    """With branches for root finding, and without for compiled steps.
+
+    No other file evaluates a root problem, but that of an integrator which may have nothing to
+    iterate; those of `optim` are other problems.
+    """
+    evaluates = {
+        file.relative_to(ROOT).as_posix()
+        for package in RULES.keys() - {"optim"}
+        for file in files(package)
+        if "problem.at(" in file.read_text(encoding="utf-8")
+    }
+    assert evaluates == {"mechanics/roots.py", "mechanics/galerkin.py", "compile/newton.py"}
+
+
 PRIVATE = re.compile(r"(?:hydra|submitit|lightning|mlflow|omegaconf|loky|joblib)(?:\.\w+)*\._\w+")
 
 

@@ -14,6 +14,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ class Server:
                  f"--username={USER}", "--auth=scram-sha-256", "--encoding=UTF8", "--no-locale"],
                 check=True, stdout=subprocess.DEVNULL, cwd="/", **owner,
             )  # fmt: skip
-        inner = _free_port()
+        (inner,) = free_ports(1)
         settings = {"port": inner, "listen_addresses": "127.0.0.1", "unix_socket_directories": ""}
         flags = [word for key, value in settings.items() for word in ("-c", f"{key}={value}")]
         self._run("postgres", [programs / "postgres", "-D", data / "data", *flags], **owner)
@@ -138,10 +139,13 @@ def _signal(process: subprocess.Popen[bytes], signum: int) -> None:
         process.send_signal(signum)
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def free_ports(count: int) -> list[int]:
+    """Return different ports that nothing listens at."""
+    with ExitStack() as probes:
+        sockets = [probes.enter_context(socket.socket()) for _ in range(count)]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [int(one.getsockname()[1]) for one in sockets]
 
 
 def _listens(port: int) -> bool:

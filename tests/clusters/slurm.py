@@ -13,6 +13,8 @@ from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
+from tests.clusters.server import free_ports
+
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol", "scancel")
 CPUS = 2
 
@@ -91,7 +93,7 @@ def cluster(folder: Path) -> Iterator[Cluster]:
     for name in ("state", "spool"):
         (folder / name).mkdir()
     host = socket.gethostname().partition(".")[0]
-    controller, daemon = _free_ports(2)
+    controller, daemon = free_ports(2)
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2**20
     settings = SETTINGS.format(
         folder=folder, host=host, controller=controller, daemon=daemon, cpus=CPUS, memory=memory
@@ -157,13 +159,3 @@ def _until(ready, daemons, folder, timeout=60.0) -> None:
             said = "\n".join(f"{f.name}: {f.read_text()}" for f in folder.glob("*.out"))
             raise RuntimeError(f"{dead or 'SLURM'} did not come up:\n{said}")
         time.sleep(0.2)
-
-
-def _free_ports(count: int) -> list[int]:
-    sockets = [socket.socket() for _ in range(count)]
-    for one in sockets:
-        one.bind(("127.0.0.1", 0))
-    ports = [one.getsockname()[1] for one in sockets]
-    for one in sockets:
-        one.close()
-    return ports

@@ -8,7 +8,7 @@ import pytest
 
 from symo_exp.runs.folder import RunFolder
 from symo_exp.tracking.store import connect, find
-from tests.clusters.server import Server, UnavailableError, _free_port
+from tests.clusters.server import Server, UnavailableError, free_ports
 from tests.faults.commands import Command, go
 from tests.tiny import TINY
 
@@ -28,7 +28,8 @@ def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("server")
     for path in (folder, *folder.parents[:2]):
         os.chmod(path, 0o755)  # the user of PostgreSQL has to get there
-    there = Server(folder, host="127.0.0.1", port=_free_port(), workers=1)
+    (port,) = free_ports(1)
+    there = Server(folder, host="127.0.0.1", port=port, workers=1)
     try:
         there.start()
     except UnavailableError as error:

@@ -6,7 +6,6 @@ import sqlite3
 import pytest
 
 from symo_exp.runs.folder import RunFolder
-from symo_exp.tracking.store import connect, find
 from tests.faults.commands import Command, go, stored
 from tests.tiny import TINY
 
@@ -20,13 +19,6 @@ def one_line(code, said, *, exit_code, words):
     assert len(lines) == 1, said
     assert words in lines[0]
     assert "Traceback" not in said
-
-
-@pytest.fixture
-def store(tmp_path):
-    found = find(None, tmp_path / "mlruns")
-    connect(found)
-    return found
 
 
 @pytest.mark.parametrize(

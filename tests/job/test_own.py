@@ -1,7 +1,6 @@
 """Systems, methods and measures of a user are a class and a file in a folder of the user."""
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -12,16 +11,15 @@ from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
 from symo_exp.job.recipe import build, perform
 from symo_exp.runs.folder import About
+from tests import pages
 from tests.jobs import job_of, refusal
 from tests.tiny import TINY
 
-DOCS = Path(__file__).parents[2] / "docs"
 FILES = {
-    name: text
-    for page in sorted(DOCS.glob("own_*.md"))
-    for name, text in re.findall(
-        r"^`mine/(\S+)`\n\n```\w+\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.S | re.M
-    )
+    path.removeprefix("mine/"): text
+    for page in pages.PAGES
+    if page.stem.startswith("own_")
+    for path, text in pages.files(page).items()
 }
 """Files that the pages ask to write, by their paths."""
 ADDED = {
@@ -45,7 +43,7 @@ def mine(workplace):
 
 @pytest.mark.parametrize("what", ADDED)
 def test_one_class_and_one_file_is_all(what, mine):
-    """Composed and checked as by a command, which `test_a_run_is_not_believed` gives."""
+    """Composed and checked as by a command; the next test gives one."""
     job = job_of("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
     folder = job.folder.path
     values = job.values
@@ -107,22 +105,30 @@ def test_they_are_listed(mine, capsys):
     assert "A mass on a spring that stiffens." in told
 
 
-def test_no_code_of_a_folder_runs_unless_it_is_given(mine, workplace, capsys, monkeypatch):
-    monkeypatch.setattr("symo_exp.code._folders", [])
-    (mine / "mine_system.py").write_text("open('harm', 'w').close()\n")
+def not_given(folder, file):
+    """Have a file name a module of the folder that no command was given, and that does harm."""
+    (folder / "not_given.py").write_text("open('harm', 'w').close()\n")
+    file.write_text(file.read_text().replace("mine_system", "not_given"))
+
+
+def test_a_command_runs_no_code_of_a_folder_that_it_is_not_given(mine, workplace, capsys):
+    not_given(mine, mine / "system" / "spring.yaml")
     assert main(["--config-dir", "mine_own", "system=spring", "model=node", *QUIET]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert "mine_system.Spring" in line
+    assert "not_given.Spring" in line
     assert "code=FOLDER" in line
     assert not (workplace / "harm").exists()
 
 
-def test_a_run_is_not_believed_that_it_may_run_code(mine, workplace, monkeypatch):
-    assert main(["--config-dir", "mine_own", "code=mine_own", "system=spring", *QUIET]) == 0
+def test_a_stored_run_is_loaded_without_code_that_is_not_given(mine, workplace):
+    words = ["--config-dir", "mine_own", "code=mine_own", "system=spring"]
+    assert main([*words, "model=true_variational", *QUIET]) == 0
     (folder,) = (workplace / "outputs" / "default").glob("*-*")
-    monkeypatch.setattr("symo_exp.code._folders", [])
-    with pytest.raises(ConfigError, match=r"code=FOLDER"):
+    assert symo_exp.load(folder).time_step > 0.0
+    not_given(workplace, folder / "config.yaml")
+    with pytest.raises(ConfigError, match=r"not_given\.Spring is refused.*code=FOLDER"):
         symo_exp.load(folder)
+    assert not (workplace / "harm").exists()
 
 
 @pytest.mark.parametrize(("word", "wanted"), [("code=nowhere", "not a folder"), ("code=3", "code")])

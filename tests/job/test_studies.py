@@ -12,7 +12,7 @@ from tests.tiny import TINY
 SHORT = ["study.forced.steps=4", "study.forced.count=1"]
 
 
-@pytest.mark.usefixtures("with_a_store")
+@pytest.mark.usefixtures("store")
 def test_a_finished_run_is_studied_without_training_it_again(workplace, capsys):
     words = ["model=node", "pictures=false", *TINY]
     folder = job_of(*words).folder

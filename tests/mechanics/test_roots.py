@@ -1,13 +1,10 @@
 """Root finders: convergence, its report, and rows that do not disturb each other."""
 
-import ast
-
 import pytest
 import torch
 
 from symo_exp.mechanics.implicit import attach_root
 from symo_exp.mechanics.roots import Broyden, Newton
-from tests.architecture import files
 
 
 class At:
@@ -158,18 +155,3 @@ def test_implicit_derivative_of_any_residual_by_any_finder(name, n):
 def test_invalid_settings_are_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         Newton(**arguments)
-
-
-def test_newtons_iteration_is_written_once_eagerly_and_once_without_branches():
-    """No other function evaluates a problem but an integrator with nothing to iterate."""
-    places = set()
-    packages = ("mechanics", "models", "compile", "evaluation", "use")
-    for file in (path for package in packages for path in files(package)):
-        for function in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(function, ast.FunctionDef) and any(
-                isinstance(node, ast.Call) and ast.unparse(node.func) == "problem.at"
-                for node in ast.walk(function)
-            ):
-                places.add(f"{file.stem}.{function.name}")
-    eager = {"roots.iterate", "roots._iterate"}
-    assert places == eager | {"newton.iterate_branch_free", "galerkin.expand"}
