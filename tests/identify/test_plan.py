@@ -89,6 +89,15 @@ def test_candidates_differ_and_variations_change_one_respect(n, angular):
             assert len({k.partition(".")[0] for k in differ}) == 1
 
 
+@pytest.mark.parametrize("angular", [(True, True), (False, True, True), (True, False, True)])
+def test_absolute_angles_have_friction_between_neighbours(angular):
+    """On a cart as well: a hinge rubs with the difference of two angles."""
+    one = replace(machine(), angular=angular)
+    found = [c for c in ladder(one) if c.settings["lagrangian"] == "absolute"]
+    assert found
+    assert all(c.settings["dissipation.joints"] == "neighbours" for c in found)
+
+
 @pytest.mark.parametrize("driven", [True, False])
 def test_the_friction_of_motors_is_varied_first_where_there_are_motors(driven):
     one = replace(machine(2), driven=driven)

@@ -1,5 +1,6 @@
 """Learned dissipation: derivatives, settings, and forces that it represents."""
 
+import itertools
 from functools import partial
 
 import pytest
@@ -17,6 +18,7 @@ from symo_exp.models.symo import SyMo
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedBodyDrag, LearnedDrag
+from symo_exp.nets.embedding import directions
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.systems.chain import ChainPendulum
@@ -78,6 +80,22 @@ def test_closed_derivatives_of_machine_friction_are_those_of_autograd(n, joints)
     q, v = torch.randn(2, 20, n, dtype=torch.float64)
     expected = Dissipation.derivatives(friction, q, v)
     torch.testing.assert_close(friction.derivatives(q, v), expected)
+
+
+@pytest.mark.parametrize("angular", list(itertools.product((True, False), repeat=3)))
+def test_friction_between_neighbours_is_that_of_the_hinges_whatever_slides_are_between(angular):
+    """In absolute angles the same powers as in relative ones."""
+    coordinates, n = Coordinates(("a", "b", "c"), angular), 3
+    hinges, world = (
+        LearnedDissipation(coordinates=coordinates, coulomb=True, joints=joints).double()
+        for joints in ("own", "neighbours")
+    )
+    with torch.no_grad():
+        for p, other in zip(hinges.parameters(), world.parameters(), strict=True):
+            other.copy_(p.add_(torch.rand_like(p)))
+    turn, v = directions(angular).double(), torch.randn(20, n, dtype=torch.float64)
+    expected = hinges.force(v, v)
+    torch.testing.assert_close(world.force(v, v @ turn.T) @ turn, expected)
 
 
 class Law(Dissipation):

@@ -70,10 +70,8 @@ def ladder(machine: Machine) -> list[Candidate]:
     found = [first]
     if machine.driven:  # motors, screws and belts
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
-    if chain:
+    if sum(machine.angular) > 1:
         found.append(_candidate("absolute angles", 1.1, "absolute", NEIGHBOURS))
-    elif machine.n > 1 and sum(machine.angular) > 1:
-        found.append(_candidate("absolute angles", 1.1, "absolute", FRICTION))
     if not machine.driven:  # bearings: dry friction may be too little to be found
         found += [_viscous(candidate) for candidate in found]
     if chain and machine.n > 2:
@@ -84,7 +82,7 @@ def ladder(machine: Machine) -> list[Candidate]:
         network,
         _with_learned_friction(network),
     ]
-    if chain:
+    if sum(machine.angular) > 1:
         found.append(
             _candidate(
                 "network, friction between neighbours", 4.1, "network", NEIGHBOURS, cost=1.5,

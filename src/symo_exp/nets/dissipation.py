@@ -14,7 +14,7 @@ from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
-from symo_exp.nets.embedding import features_of
+from symo_exp.nets.embedding import directions, features_of
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark, mark_squares
 
@@ -36,8 +36,8 @@ class LearnedDissipation(nn.Module, Dissipation):
         viscous: Whether there is a ``D``.
         coulomb: Whether there is a ``c``.
         width: Hidden units of the network; 0: no network.
-        joints: "own": each coordinate is a joint; "neighbours": joint velocities are the
-            differences ``v₁, v₂ − v₁, …`` of a chain with absolute angles.
+        joints: "own": each coordinate is a joint; "neighbours": angles are absolute, and each
+            hinge turns with the difference of its angle to the one before.
         rest_velocity: Initial ``ε_v`` [rad/s, m/s]. It is learned, but never below a fifth of this:
             root finders do not converge at jumps.
         start: Initial coefficients [N m s, N m].
@@ -61,9 +61,13 @@ class LearnedDissipation(nn.Module, Dissipation):
             if not value > 0.0:
                 raise ConfigError(f"dissipation.{name}={value}: expected above 0")
         n = coordinates.n
-        chain = torch.eye(n) - torch.diag(torch.ones(n - 1), -1)
+        found = torch.eye(n)
+        if joints == "neighbours":
+            found = torch.linalg.solve_triangular(
+                directions(coordinates.angular), found, upper=False, unitriangular=True
+            )
         self.joints: Tensor
-        self.register_buffer("joints", chain if joints == "neighbours" else torch.eye(n), False)
+        self.register_buffer("joints", found, False)
         self._triangle = Triangle(n)
         entries = self._triangle.entries
         self.viscous_root = self.coulomb_root = self.rest = self.net = None
