@@ -7,6 +7,7 @@ import torch
 
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.flows import Flow, VariationalFlow
+from symo_exp.models.starts import fitted_start
 from symo_exp.systems.chain import ChainPendulum
 from tests.differences import slopes as slopes_of
 from tests.dissipative import dissipative_chain, dissipative_net, machine_net
@@ -97,8 +98,36 @@ def test_rows_without_a_solution_are_left_to_single_steps():
     found = flow.rollout(q, v, u)
     expected = flow.rollout(q, v, u, advance=flow.advance)
     assert torch.equal(found.converged, expected.converged)
-    assert flow.rollout_slopes(q, v, u) is None
     torch.testing.assert_close(found.q, expected.q, atol=1e-9, rtol=1e-9, equal_nan=True)
+
+
+@pytest.mark.parametrize(("kind", "n"), [("learned", 1), ("machine", 2), ("learned", 3)])
+def test_rows_without_a_solution_do_not_keep_others_from_their_slopes(kind, n, monkeypatch):
+    """The fit of their starts takes differences of single steps for these rows alone."""
+    flow, q, v, u = flow_and_starts(kind, "midpoint", n)
+    path, slopes = flow.rollout_slopes(q, v, u)
+    measured = path + 1e-3 * torch.randn(path.shape, generator=torch.Generator().manual_seed(0))
+    expected = fitted_start(flow, measured, u, H)
+    stretch, rolled = VariationalFlow._stretch, []
+
+    def lossy(self, q, p, u):
+        path, at, found = stretch(self, q, p, u)
+        return path, at, found & (u[:, 0, 0] != lost)
+
+    def counted(self, q, *arguments):
+        rolled.append(len(q))
+        return rollout(self, q, *arguments)
+
+    lost, rollout = u[2, 0, 0], VariationalFlow.rollout
+    monkeypatch.setattr(VariationalFlow, "_stretch", lossy)
+    monkeypatch.setattr(VariationalFlow, "rollout", counted)
+    found = flow.rollout_slopes(q, v, u)
+    others = torch.arange(len(q)) != 2
+    assert found[0][2, 1:].isnan().all()
+    torch.testing.assert_close(found[0][others], path[others])
+    torch.testing.assert_close(found[1][others], slopes[others])
+    torch.testing.assert_close(fitted_start(flow, measured, u, H), expected, atol=1e-7, rtol=1e-5)
+    assert set(rolled) == {1 + 4 * n}
 
 
 def test_other_root_finders_take_single_steps(monkeypatch):

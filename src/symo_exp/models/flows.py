@@ -131,8 +131,8 @@ class Flow(nn.Module, ABC):
     ) -> tuple[Float[Tensor, "batch nodes n"], Float[Tensor, "batch nodes n 2n"]] | None:
         """Return the configurations of rollouts and their derivatives in ``(q, v)``.
 
-        Those of rotations are along ``retract``. ``None`` if there is no closed form, or a root is
-        not found.
+        Those of rotations are along ``retract``. Rows whose roots are not found are NaN from there
+        on, where several steps are solved at once. ``None`` if there is no closed form.
         """
         if not self.space.rotations:
             return None
@@ -363,8 +363,7 @@ class VariationalFlow(Flow):
         nodes, slopes = [q.unsqueeze(1)], [top.unsqueeze(1)]
         for k in range(0, u.shape[1] - 1, self.stretch):
             path, there, found = self._stretch(q, p, u[:, k : k + self.stretch + 1])
-            if not found.all():
-                return None
+            path = path.where(found[:, None, None], torch.nan)
             moved, slope = there.slopes(slope)
             nodes.append(path)
             slopes.append(moved)

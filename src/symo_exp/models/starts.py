@@ -52,7 +52,7 @@ class KnowsSlopes(Protocol):
     def rollout_slopes(
         self, q: Tensor, v: Tensor, u: Tensor
     ) -> tuple[Float[Tensor, "batch nodes n"], Float[Tensor, "batch nodes n 2n"]] | None:
-        """Return configurations and derivatives, ``None`` if they are not known."""
+        """Return configurations and derivatives, NaN in rows and ``None`` if not known."""
         ...
 
 
@@ -139,17 +139,25 @@ class Fit(Rowwise):
         return State(self._space.point(base, place), v)
 
     def at(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
-        """Evaluate residuals and derivatives, closed forms or differences of rollouts."""
-        batch, unknowns = x.shape
-        root = self._weight.sqrt().flatten(1)
-        true = self._space.origin(self._q)
+        """Evaluate residuals and derivatives: closed forms, elsewhere differences of rollouts."""
+        known = None
         if isinstance(self._model, KnowsSlopes):
             known = self._model.rollout_slopes(*self.state(x), self._u)
-            if known is not None:
-                path, slopes = (y.to(self._q) for y in known)
-                error = self._space.difference(self._q, path)
-                slopes = self._in_charts(slopes, x, error)
-                return FitPoint(root * error.flatten(1), root.unsqueeze(-1) * slopes.flatten(1, 2))
+        if known is None:
+            return self._by_differences(x)
+        path, slopes = (y.to(self._q) for y in known)
+        root, error = self._weight.sqrt().flatten(1), self._space.difference(self._q, path)
+        slopes = self._in_charts(slopes, x, error).flatten(1, 2)
+        found = FitPoint(root * error.flatten(1), root.unsqueeze(-1) * slopes)
+        lost = (~path.isfinite().flatten(1).all(1)).nonzero().squeeze(1)
+        if len(lost) == 0:
+            return found
+        return found.replace(lost, self.rows(lost)._by_differences(x[lost]))
+
+    def _by_differences(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
+        """Evaluate residuals and their derivatives by central differences of rollouts."""
+        batch, unknowns = x.shape
+        root, true = self._weight.sqrt().flatten(1), self._space.origin(self._q)
         beside = DIFFERENCE * torch.eye(unknowns).to(x)
         shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
         starts = (x + shifts[:, None]).flatten(0, 1)
