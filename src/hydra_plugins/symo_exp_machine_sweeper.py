@@ -17,8 +17,8 @@ class SymoExpMachineSweeper(Sweeper):
 
     Args:
         budget: Of wall time.
-        clock: Whether stages are left out when the search grossly overruns its budget; on a busy
-            machine the plan alone may decide.
+        clock: Whether stages are left out when the search grossly overruns its budget, and
+            trainings ended; on a busy machine the plan alone may decide.
         check_only: Whether nothing is run.
     """
 

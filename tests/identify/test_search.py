@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 import symo_exp
 from symo_exp.__main__ import main
@@ -35,6 +36,7 @@ def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, 
     model = symo_exp.load(folder / "best")
     path = model.rollout(torch.tensor([[0.3]]), torch.tensor([[0.0]]), steps=10)
     assert bool(path.q.isfinite().all())
+    assert OmegaConf.load(folder / "best" / "config.yaml").trainer.time_limit is None
     measures = RunFolder(folder / "best").measures()
     assert measures["rmse_1s"] < 0.01 * measures["constant_velocity_rmse_1s"]
     candidates = pd.read_csv(folder / "candidates.csv")

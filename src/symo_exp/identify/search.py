@@ -69,7 +69,8 @@ class Search:
         master: The composed configuration.
         arguments: The overrides of the command line; they go before those of candidates.
         budget: Wall time, such as ``10min``.
-        clock: Whether stages are left out when the search grossly overruns its budget.
+        clock: Whether stages are left out when the search grossly overruns its budget, and
+            trainings ended when they take much longer than planned.
     """
 
     def __init__(
@@ -304,7 +305,7 @@ class Search:
         """Fit the chosen candidate to the training and the validation part, and test it."""
         machine, epochs = self._machine, self._last_epoch(best)
         seconds = self._plan.most_seconds(best.candidate, machine)
-        limit = self._plan.limit(best.candidate, round(seconds / machine.time_step), machine.n)
+        nodes = round(seconds / machine.time_step)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
         print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
         overrides = self._overrides(
@@ -313,7 +314,7 @@ class Search:
             f"trainer.max_epochs={epochs}",
             f"trainer.validate_every={epochs}",  # once: nothing is held out
             "optimizer.tolerance=1e9",  # so that the last parameters are kept
-            f"trainer.time_limit={limit:.0f}",
+            self._limit(best.candidate, nodes),
             data__seconds=f"data.seconds={seconds:g}" if seconds < machine.seconds else None,
             logger=None,
             pictures="pictures=true",
@@ -398,7 +399,7 @@ class Search:
                 f"learner.validation.iterations={ITERATIONS}",
                 f"data.seconds={plan.seconds:g}",
                 f"data.val_seconds={plans.MEASURED:g}",
-                f"trainer.time_limit={plan.limit(candidate, nodes, machine.n):.0f}",
+                self._limit(candidate, nodes),
                 *plan.overrides(candidate),
                 *candidate.overrides(),
                 *more,
@@ -414,6 +415,11 @@ class Search:
             del settings[name]  # a setting of another choice of the group
         found = {**settings, **self._given}
         return sorted(found.values(), key=lambda word: "." in word.partition("=")[0])
+
+    def _limit(self, candidate: Candidate, nodes: int) -> str:
+        """Return the setting of the time after which a training is ended."""
+        limit = self._plan.limit(candidate, nodes, self._machine.n)
+        return f"trainer.time_limit={limit:.0f}" if self._clock else "trainer.time_limit=null"
 
     def _link_best(self) -> None:
         """Let the link point to the best run so far, until a fit to all data takes its place."""
