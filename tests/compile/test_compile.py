@@ -2,6 +2,8 @@
 
 import copy
 import pickle
+from functools import partial
+from typing import Any
 
 import pytest
 import torch
@@ -19,6 +21,11 @@ from symo_exp.compile import (
 from symo_exp.compile.inductor import CompilerError, lower
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.models.objectives import Objective, Residual, Residuals
+from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
+from symo_exp.nets.known import KnownLagrangian
+from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.nets.springs import LinearSprings
+from symo_exp.systems.chain import ChainPendulum
 from tests.models.methods import (
     combinations,
     flows,
@@ -150,6 +157,37 @@ def test_one_graph_is_for_any_number_of_rows_and_another_for_one_row(method, tra
     found += [at(samples) for samples in sizes[1:]]
     torch.testing.assert_close(found, expected, atol=1e-12, rtol=1e-7)
     assert len(traced_only) == 2 * pieces
+
+
+PARTS: dict[str, dict[str, Any]] = {
+    "network, springs and friction": {
+        "springs": LinearSprings,
+        "dissipation": partial(LearnedDissipation, coulomb=True, width=4),
+    },
+    "links in space with motors": {
+        "lagrangian": RigidChain,
+        "dissipation": partial(MachineFriction, stribeck=True),
+    },
+    "known": {"lagrangian": partial(KnownLagrangian, system=ChainPendulum(2))},
+}
+"""What a Lagrangian may consist of."""
+
+
+@pytest.mark.usefixtures("traced_only")
+@pytest.mark.parametrize("method", ["l_node", "e2e_symo"])
+@pytest.mark.parametrize("parts", PARTS)
+def test_every_lagrangian_is_compiled(method, parts):
+    model = learner(method, dict(combinations())[method], 2, **PARTS[parts])
+    if not model.reads_velocity:
+        model.model.flow.root = Newton(tolerance=1e-8)
+    data = windows(2)
+    loss = model.loss_and_gradients(data)
+    expected = [torch.zeros_like(p) if p.grad is None else p.grad for p in model.parameters()]
+    model.zero_grad()
+    compile_training(model)
+    torch.testing.assert_close(model.loss_and_gradients(data), loss, atol=1e-12, rtol=1e-7)
+    found = [p.grad for p in model.parameters()]
+    torch.testing.assert_close(found, expected, atol=1e-10, rtol=1e-6)
 
 
 class Weighted(Residual):

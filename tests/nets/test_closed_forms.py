@@ -17,6 +17,7 @@ from symo_exp.nets.drag import LearnedBodyDrag
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 from tests.dissipative import dissipative_net, dragged_net, machine_net
 from tests.learned import assert_each_sample_alone, assert_same, learned_lagrangian
 from tests.systems import models
@@ -46,6 +47,11 @@ BODY_KINDS: dict[str, dict[str, Any]] = {
     "inputs": {"learned_inputs": 2},
     "networks": {"learned_inputs": 2, "potential_width": 5, "input_width": 4, "radius": 0.5},
 }
+SPRUNG = [
+    Coordinates(("x",), (False,)),
+    Coordinates(("x", "a", "b"), (False, True, True)),
+    FREE,
+]
 TURNING = [
     PIVOT,
     Coordinates.of(("x", "a"), (False, True), ("R",)),
@@ -74,6 +80,14 @@ def body(coordinates: Coordinates, **kind: Any) -> Lagrangian:
     return moved(LearnedRigidBody(coordinates=coordinates, **kind), 0.3)
 
 
+def sprung(coordinates: Coordinates) -> Lagrangian:
+    """Links in a plane, or a body, with random springs."""
+    springs = moved(LinearSprings(coordinates=coordinates), 0.5)
+    if coordinates.rotations:
+        return SprungLagrangian(body(coordinates), springs)
+    return SprungLagrangian(learned_lagrangian(coordinates.angular, squares=True), springs)
+
+
 CONSERVATIVE: dict[str, tuple[Callable[[], Lagrangian], int]] = {
     **{f"network {angular} {kind}": (partial(learned_lagrangian, angular, **kind),
                                      len(angular) + 3 * kind.get("rotations", 0))
@@ -83,6 +97,7 @@ CONSERVATIVE: dict[str, tuple[Callable[[], Lagrangian], int]] = {
     **{f"chain {angular}": (partial(chain, angular), len(angular)) for angular in CHAINS},
     **{f"body {name} {kind}": (partial(body, coordinates, **settings), coordinates.n)
        for name, coordinates in BODIES.items() for kind, settings in BODY_KINDS.items()},
+    **{f"sprung {where.names}": (partial(sprung, where), where.n) for where in SPRUNG},
 }  # fmt: skip
 """Name: how to make a Lagrangian, and its number of coordinates."""
 

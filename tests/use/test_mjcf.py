@@ -20,6 +20,7 @@ from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 from symo_exp.systems.mujoco_library import library
 from tests.oscillator import oscillator
 from tests.systems import models
@@ -52,6 +53,21 @@ def rigid(angular):
     return DissipativeLagrangian(RigidChain(coordinates=coordinates).double(), perturbed(friction))
 
 
+def sprung(angular):
+    """Rigid links with a spring on every joint."""
+    found = rigid(angular)
+    springs = LinearSprings(coordinates=Coordinates(tuple(map(str, angular)), angular))
+    with torch.no_grad():
+        diagonal = springs.places.diagonal()
+        springs.stiffness[diagonal] = torch.linspace(1.0, 3.0, len(angular))
+        springs.preload.uniform_(-1.0, 1.0)
+    lagrangian = SprungLagrangian(found.conservative, springs.double())
+    return DissipativeLagrangian(lagrangian, found.dissipation)
+
+
+LEARNED = {"rigid": rigid, "sprung": sprung}
+
+
 def model_of(lagrangian, coordinates, matrix, system=None):
     found = TrueVariational(
         lagrangian=lagrangian,
@@ -70,7 +86,8 @@ def cases():
     for name, system in (FLAT | {"crane": crane}).items():
         yield pytest.param(("known", system), id=name)
     for angular in ((True,), (False, True, True), (True,) * 4):
-        yield pytest.param(("rigid", angular), id=f"rigid{len(angular)}")
+        for kind in LEARNED:
+            yield pytest.param((kind, angular), id=f"{kind}{len(angular)}")
 
 
 @pytest.fixture(params=cases())
@@ -86,7 +103,7 @@ def case(request):
     q, v = torch.randn(2, 2, n, generator=torch.Generator().manual_seed(1)).double().unbind()
     coordinates = Coordinates(tuple(f"q{i}" for i in range(n)), given)
     eye = torch.eye(n).double()
-    return model_of(rigid(given), coordinates, eye), q, v, eye
+    return model_of(LEARNED[kind](given), coordinates, eye), q, v, eye
 
 
 def test_mujoco_has_the_same_mass_matrix_and_forces(case, tmp_path):

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from symo_exp.compile.kernels import CHEAPER
+from symo_exp.mechanics.rows import Rowwise
 
 OPTIONS = {
     "config_patches": {
@@ -141,12 +142,15 @@ def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..
         raise CompilerError(reason) from error
 
 
-def carry(kind: type, *constants: str) -> None:
-    """Register a class with ``flatten``; attributes named in ``constants`` are kept as they are."""
+def carry(kind: type[Rowwise]) -> None:
+    """Register a class with ``flatten``; attributes without tensors are kept as they are."""
 
     def take_apart(x: Any) -> tuple[list[Any], Any]:
-        given = dict(vars(x))
-        kept = {name: given.pop(name) for name in constants}
+        given: dict[str, Any] = {}
+        kept: dict[str, Any] = {}
+        for name, value in vars(x).items():
+            into = given if isinstance(value, Tensor | tuple | Rowwise) else kept
+            into[name] = value
         return list(given.values()), (list(given), kept)
 
     def put_together(values: Any, context: Any) -> Any:

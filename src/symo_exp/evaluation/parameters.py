@@ -65,6 +65,7 @@ def physical_parameters(
     with torch.enable_grad():
         found = readings(lagrangian, coordinates)
         conservative = getattr(lagrangian, "conservative", lagrangian)
+        conservative = getattr(conservative, "rigid", conservative)
         if not driven and not isinstance(conservative, KnownLagrangian):
             found = [_without_scale(reading) for reading in found]
         gradients = [_gradient(reading, parameters) for reading in found]

@@ -68,6 +68,8 @@ def ladder(machine: Machine) -> list[Candidate]:
     chain = machine.n > 1 and all(machine.angular)
     first = _candidate("relative angles" if chain else PLANE, 1.0, "relative", FRICTION)
     found = [first]
+    if not all(machine.angular):  # what slides is often held by springs
+        found.append(_sprung(first))
     if machine.driven:  # motors, screws and belts
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     if sum(machine.angular) > 1:
@@ -106,6 +108,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     ]
     if settings["dissipation"] == "viscous":
         yield candidate.changed("dry friction", 0.3, dissipation="friction")
+    if "springs" not in settings and not all(machine.angular):
+        yield _sprung(candidate)
     finer = []
     if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
         step = f"{machine.time_step / 2:g}"
@@ -122,6 +126,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield from motors
     if settings["dissipation"] == "friction":
         yield _viscous(candidate)
+    if "springs" not in settings and all(machine.angular):
+        yield _sprung(candidate)
     if settings["dissipation"] in ("friction", "viscous"):
         yield _with_learned_friction(candidate)
     if machine.driven:
@@ -163,6 +169,10 @@ def _with_kinds(
 def _switch(kind: str) -> str:
     """Return the setting that switches a kind of friction on."""
     return f"dissipation.{kind.partition(' ')[0].lower()}"
+
+
+def _sprung(candidate: Candidate) -> Candidate:
+    return candidate.changed("springs", 0.1, 1.1, springs="linear")
 
 
 def _viscous(candidate: Candidate) -> Candidate:

@@ -9,7 +9,12 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.variational import VariationalIntegrator
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import VariationalFlow
-from symo_exp.models.learned import MakesDissipation, MakesLagrangian, learned_lagrangian
+from symo_exp.models.learned import (
+    MakesDissipation,
+    MakesLagrangian,
+    MakesSprings,
+    learned_lagrangian,
+)
 from symo_exp.models.objectives import RootError
 
 
@@ -21,6 +26,7 @@ class E2ESyMo(DynamicsModel):
     Args:
         lagrangian: Factory of the Lagrangian.
         dissipation: Factory of its dissipation; without one energy is conserved.
+        springs: Factory of springs beside it.
         coordinates: Coordinates of the system.
         input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
         time_step: Time step [s].
@@ -45,12 +51,13 @@ class E2ESyMo(DynamicsModel):
         evaluation_root: RootFinder | None = None,
         rollout_root: RootFinder | None = None,
         dissipation: MakesDissipation | None = None,
+        springs: MakesSprings | None = None,
         guess: Literal["datum", "inertial"] = "datum",
         fallback: bool = True,
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
         flow = VariationalFlow(
-            learned_lagrangian(coordinates, lagrangian, dissipation),
+            learned_lagrangian(coordinates, lagrangian, dissipation, springs),
             integrator,
             time_step,
             input_matrix,

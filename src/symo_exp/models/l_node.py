@@ -9,7 +9,12 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.fields import EulerLagrangeAcceleration
 from symo_exp.models.flows import ExplicitFlow
-from symo_exp.models.learned import MakesDissipation, MakesLagrangian, learned_lagrangian
+from symo_exp.models.learned import (
+    MakesDissipation,
+    MakesLagrangian,
+    MakesSprings,
+    learned_lagrangian,
+)
 from symo_exp.models.objectives import StateError
 
 
@@ -22,6 +27,7 @@ class LNODE(DynamicsModel):
     Args:
         lagrangian: Factory of the Lagrangian.
         dissipation: Factory of its dissipation; without one energy is conserved.
+        springs: Factory of springs beside it.
         coordinates: Coordinates of the system.
         input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
         time_step: Time step [s].
@@ -40,12 +46,13 @@ class LNODE(DynamicsModel):
         time_step: float,
         integrator: RungeKutta,
         dissipation: MakesDissipation | None = None,
+        springs: MakesSprings | None = None,
         rollout_integrator: RungeKutta | None = None,
         sensitivity: Literal["direct", "adjoint"] = "direct",
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
         field = EulerLagrangeAcceleration(
-            learned_lagrangian(coordinates, lagrangian, dissipation), input_matrix
+            learned_lagrangian(coordinates, lagrangian, dissipation, springs), input_matrix
         )
         super().__init__(
             ExplicitFlow(field, integrator, time_step, sensitivity, rollout_integrator),

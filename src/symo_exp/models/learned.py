@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 
 
 @runtime_checkable
@@ -25,11 +26,24 @@ class MakesDissipation(Protocol):
         """Return a new dissipation of these coordinates."""
 
 
+@runtime_checkable
+class MakesSprings(Protocol):
+    """A factory of springs to be learned (``conf/springs``)."""
+
+    def __call__(self, *, coordinates: Coordinates) -> LinearSprings:
+        """Return new springs of these coordinates."""
+
+
 def learned_lagrangian(
-    coordinates: Coordinates, lagrangian: MakesLagrangian, dissipation: MakesDissipation | None
+    coordinates: Coordinates,
+    lagrangian: MakesLagrangian,
+    dissipation: MakesDissipation | None,
+    springs: MakesSprings | None,
 ) -> Lagrangian:
-    """Return a new Lagrangian, with a dissipation if there is a factory of one."""
+    """Return a new Lagrangian, with springs and a dissipation if there are factories of them."""
     conservative = lagrangian(coordinates=coordinates)
+    if springs is not None:
+        conservative = SprungLagrangian(conservative, springs(coordinates=coordinates))
     if dissipation is None:
         return conservative
     return DissipativeLagrangian(conservative, dissipation(coordinates=coordinates))

@@ -11,7 +11,12 @@ from symo_exp.mechanics.variational import VariationalIntegrator
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import VariationalFlow
 from symo_exp.models.horizon import HorizonError
-from symo_exp.models.learned import MakesDissipation, MakesLagrangian, learned_lagrangian
+from symo_exp.models.learned import (
+    MakesDissipation,
+    MakesLagrangian,
+    MakesSprings,
+    learned_lagrangian,
+)
 from symo_exp.models.objectives import Objective, Residual
 
 
@@ -24,6 +29,7 @@ class SyMo(DynamicsModel):
     Args:
         lagrangian: Factory of the Lagrangian.
         dissipation: Factory of its dissipation; without one energy is conserved.
+        springs: Factory of springs beside it.
         coordinates: Coordinates of the system.
         input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
         time_step: Time step [s].
@@ -50,6 +56,7 @@ class SyMo(DynamicsModel):
         evaluation_root: RootFinder | None = None,
         rollout_root: RootFinder | None = None,
         dissipation: MakesDissipation | None = None,
+        springs: MakesSprings | None = None,
         objective: Objective | None = None,
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
@@ -59,7 +66,7 @@ class SyMo(DynamicsModel):
                 "predictions it is E2E-SyMo by definition: choose model=e2e_symo"
             )
         flow = VariationalFlow(
-            learned_lagrangian(coordinates, lagrangian, dissipation),
+            learned_lagrangian(coordinates, lagrangian, dissipation, springs),
             integrator,
             time_step,
             input_matrix,

@@ -18,6 +18,7 @@ from symo_exp.nets.drag import LearnedBodyDrag, LearnedDrag
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.nets.springs import SprungLagrangian
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 
 POINTS, MOST_LINKS = 5, 6
@@ -43,6 +44,18 @@ def readings(module: Any, coordinates: Coordinates) -> list[Reading]:
 def _(module: DissipativeLagrangian, coordinates: Coordinates) -> list[Reading]:
     parts = module.conservative, module.dissipation
     return [reading for part in parts for reading in readings(part, coordinates)]
+
+
+@readings.register
+def _(module: SprungLagrangian, coordinates: Coordinates) -> list[Reading]:
+    found, stiffness = readings(module.rigid, coordinates), module.springs.matrix
+    turns = [coordinates.turning[i] for i in range(len(stiffness))]
+    for i, name in enumerate(coordinates.names[: len(stiffness)]):
+        for j in range(i + 1):
+            label = f"{name}.stiffness" + (f".{coordinates.names[j]}" if j < i else "")
+            unit = ("N/m", "N", "N m/rad")[turns[i] + turns[j]]
+            found.append(Reading(label, unit, stiffness[i, j]))
+    return found
 
 
 @readings.register

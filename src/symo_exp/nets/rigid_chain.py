@@ -116,6 +116,7 @@ class RigidChain(nn.Module, Lagrangian):
         require_flat(coordinates, "lagrangian=rigid", "lagrangian=network or rigid_body")
         n = coordinates.n
         self.register_buffer("turns", torch.tensor(coordinates.angular), persistent=False)
+        self._turns = tuple(coordinates.angular)  # to branch on while a step is traced
         row, column = torch.tril_indices(4, 4)
         place = torch.full((4, 4), 10)
         place[row, column] = torch.arange(10)
@@ -175,7 +176,7 @@ class RigidChain(nn.Module, Lagrangian):
             axis = matvec(turn, axes[:, i])
             points.append(at)
             world.append(axis)
-            if self.turns[i]:
+            if self._turns[i]:
                 turn = turn @ relative[:, i]
             else:
                 at = at + q[:, i : i + 1] * axis

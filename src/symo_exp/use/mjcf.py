@@ -20,6 +20,7 @@ from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
+from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 from symo_exp.systems.base import LagrangianSystem, Linkage
 from symo_exp.systems.mjcf import mjcf, unwritten, urdf
 
@@ -42,12 +43,17 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
     dissipation: Any = None
     if isinstance(lagrangian, DissipativeLagrangian):
         lagrangian, dissipation = lagrangian.conservative, lagrangian.dissipation
+    springs: LinearSprings | None = None
+    if isinstance(lagrangian, SprungLagrangian):
+        lagrangian, springs = lagrangian.rigid, lagrangian.springs
     found = linkage(lagrangian, model.coordinates.names)
     if path.suffix == ".urdf" and any(joint.axes is not None for joint in found.joints):
         raise ConfigError(f"{path.name}: a URDF has no ball joints, as this model has; write .xml")
     inverse = torch.linalg.inv(found.matrix)
     damping, friction, missing = passive(dissipation, found.matrix.shape[0])
     damping = inverse.T @ damping @ inverse
+    if springs is not None:
+        found = found._replace(joints=_with_springs(found.joints, springs, inverse, missing))
     damping, friction = _of_balls(found.joints, damping, friction, missing)
     along: Coupled = [(c, _tidy(torch.tensor(a).double() @ inverse)) for c, a in friction]
     if not torch.equal(found.matrix, torch.eye(len(inverse)).double()):
@@ -204,6 +210,31 @@ def _with_friction(joints: Sequence[Joint], damping: Tensor, along: Coupled) -> 
         joint._replace(damping=float(damping[k, k]), friction=own.get(k, 0.0))
         for joint, (k, *_) in zip(joints, freedoms_of(joints), strict=True)
     ]
+
+
+def _with_springs(
+    joints: Sequence[Joint], springs: LinearSprings, inverse: Tensor, missing: list[str]
+) -> list[Joint]:
+    """Return the joints with the springs that act on one of them alone."""
+    flat = len(springs.preload)
+    to_joints = inverse[:flat, :flat]
+    stiffness = to_joints.T @ springs.matrix.double() @ to_joints
+    preload = to_joints.T @ springs.preload.double()
+    own = torch.diag(stiffness.diagonal())
+    if (stiffness - own).abs().max() > 1e-12 * stiffness.abs().max():
+        missing.append("springs between joints are not in this file")
+    sprung = []
+    for joint, freedoms in zip(joints, freedoms_of(joints), strict=True):
+        k = freedoms[0]
+        if k < flat:
+            total = joint.stiffness + float(stiffness[k, k])
+            force = joint.stiffness * joint.rest + float(preload[k])
+            if total > 0.0:
+                joint = joint._replace(stiffness=total, rest=force / total)
+            elif total < 0.0 or force != 0.0:
+                missing.append(f"the force of the spring of {joint.name} is not in this file")
+        sprung.append(joint)
+    return sprung
 
 
 def _of_balls(

@@ -1,0 +1,149 @@
+"""Linear springs beside a learned Lagrangian.
+
+``V(q) = V₀(q) + ½ xᵀ K x − fᵀ x`` with the lengths and angles ``x``. Angles count turns, so that a
+torsion spring is wound up.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from typing_extensions import override
+
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.lagrangian import (
+    Curvature,
+    Expansion,
+    Gradients,
+    Lagrangian,
+    Rates,
+    matvec,
+)
+from symo_exp.mechanics.space import Space
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.affine import repeated
+from symo_exp.nets.roles import mark
+
+
+class LinearSprings(nn.Module):
+    """Stiffness ``K``, symmetric, and preload ``f``, learned from zero.
+
+    ``K`` may have either sign: magnets and linkages with counterweights push away from a place.
+
+    Args:
+        coordinates: The coordinates.
+
+    Raises:
+        ConfigError: If there are only rotations.
+    """
+
+    places: Tensor
+
+    def __init__(self, *, coordinates: Coordinates) -> None:
+        super().__init__()
+        n = len(coordinates.flat)
+        if n == 0:
+            raise ConfigError(
+                "springs=linear: springs act on lengths and angles, and the system has the "
+                f"rotation {', '.join(coordinates.rotations)} only; set springs=none"
+            )
+        row, column = torch.tril_indices(n, n)
+        places = torch.zeros(n, n, dtype=torch.long)
+        places[row, column] = places[column, row] = torch.arange(len(row))
+        self.register_buffer("places", places, persistent=False)
+        self.stiffness = nn.Parameter(torch.zeros(len(row)))
+        """The lower triangle of ``K``, row by row [N/m, N m/rad]."""
+        self.preload = nn.Parameter(torch.zeros(n))
+        """``f`` [N, N m]."""
+        mark(self.parameters(), "coefficient")
+
+    @property
+    def matrix(self) -> Float[Tensor, "n n"]:
+        """``K``."""
+        return self.stiffness[self.places]
+
+    def energy(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
+        """Return ``½ xᵀ K x − fᵀ x`` [J]."""
+        x = q[:, : len(self.preload)]
+        return (x * (0.5 * (x @ self.matrix) - self.preload)).sum(1)
+
+    def force(self, q: Float[Tensor, "batch N"], n: int) -> Float[Tensor, "batch n"]:
+        """Return ``f − K x``, zero along rotations, of ``n`` coordinates."""
+        x = q[:, : len(self.preload)]
+        stiffness = repeated(self.stiffness, len(q))[:, self.places]
+        force = repeated(self.preload, len(q)) - matvec(stiffness, x)
+        return nn.functional.pad(force, (0, n - x.shape[1]))
+
+
+class SprungLagrangian(nn.Module, Lagrangian):
+    """A Lagrangian with springs beside it.
+
+    Args:
+        rigid: The Lagrangian without springs.
+        springs: The springs.
+    """
+
+    def __init__(self, rigid: Lagrangian, springs: LinearSprings) -> None:
+        super().__init__()
+        self.rigid, self.springs = rigid, springs
+
+    @property
+    @override
+    def space(self) -> Space:
+        return self.rigid.space
+
+    @override
+    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
+        return self.rigid.input_force(input_matrix, q, u)
+
+    @override
+    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
+        return self.rigid.mass_matrix(q)
+
+    @override
+    def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
+        return self.rigid.potential(q) + self.springs.energy(q)
+
+    @override
+    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
+        dq, p = self.rigid.gradients(q, v)
+        return Gradients(dq + self.springs.force(q, v.shape[1]), p)
+
+    @override
+    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
+        rates = self.rigid.rates(q, v)
+        return rates._replace(q=rates.q + self.springs.force(q, v.shape[1]))
+
+    @override
+    def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
+        at = self.rigid.expand(q, v)
+        with torch.no_grad():
+            dq, p = at.values
+            values = Gradients(dq + self.springs.force(q.detach(), v.shape[1]), p)
+        return SprungExpansion(at, self.springs, values)
+
+
+class SprungExpansion(Expansion):
+    """A Lagrangian with springs around ``(q, v)``."""
+
+    parts = ("_at", "_springs", "values")
+
+    def __init__(self, at: Expansion, springs: LinearSprings, values: Gradients) -> None:
+        self._at, self._springs, self.values = at, springs, values
+
+    @override
+    def mass(self) -> Tensor:
+        return self._at.mass()
+
+    @override
+    @torch.no_grad()
+    def curvature(self, before: Expansion | None = None) -> Curvature:
+        qq, vq, qv = self._at.curvature(before)
+        more = qq.shape[-1] - len(self._springs.preload)
+        return Curvature(qq - nn.functional.pad(self._springs.matrix, (0, more, 0, more)), vq, qv)
+
+    @override
+    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
+        dq, p = self._at.gradients(q, v)
+        return Gradients(dq + self._springs.force(q, v.shape[1]), p)
