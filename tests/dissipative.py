@@ -66,5 +66,14 @@ def dragged_net(n: int) -> DissipativeLagrangian:
     return DissipativeLagrangian(conservative, learned_drag(n))
 
 
+LEARNED = {
+    "learned friction": dissipative_net,
+    "friction of a machine": machine_net,
+    "drag": dragged_net,
+}
+"""Kind of a learned dissipation to a Lagrangian with it, made for a number of coordinates."""
+DISSIPATIVE = {"friction": dissipative_chain, **LEARNED}
+
+
 def _coordinates(n: int) -> Coordinates:
     return Coordinates(tuple(f"q{i}" for i in range(n)), (True, False, True)[:n])

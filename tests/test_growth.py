@@ -9,16 +9,13 @@ from symo_exp.report.growth import growth
 from symo_exp.report.overview import sections
 from symo_exp.report.runs import load_runs, tidy
 from symo_exp.report.tables import markdown_table
+from tests.models.methods import one_each
 from tests.report.stores import MEASURES, row
 from tests.tiny import TINY
 
 METHODS = {
-    "node": ["model=node", "integrator=rk4"],
-    "l_node": ["model=l_node", "integrator=rk4"],
-    "symo": ["model=symo"],
-    "e2e_symo": ["model=e2e_symo"],
-    "fast": ["preset=fast", "data.monitor_trajectories=1"],
-}
+    method: [f"model={method}", f"integrator={integrator}"] for method, integrator in one_each()
+} | {"fast": ["preset=fast", "data.monitor_trajectories=1"]}
 
 
 def trained(name, n, folder):

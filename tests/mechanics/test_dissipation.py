@@ -1,4 +1,4 @@
-"""Dissipation: its power is never positive, and it is part of the forces."""
+"""Dissipation: its power is negative, and it is one of the forces."""
 
 from functools import partial
 from itertools import cycle
@@ -8,9 +8,8 @@ import torch
 
 from symo_exp.mechanics.euler_lagrange import acceleration
 from tests.dissipative import (
+    DISSIPATIVE,
     dissipative_chain,
-    dissipative_net,
-    dragged_net,
     friction,
     learned_dissipation,
     learned_drag,
@@ -20,8 +19,6 @@ from tests.mechanics.motions import roll, start
 from tests.tables import variational_integrators
 
 METHODS = variational_integrators()
-KINDS = {"chain": dissipative_chain, "learned": dissipative_net, "drag": dragged_net}
-every_kind = pytest.mark.parametrize("kind", KINDS)
 every_n = pytest.mark.parametrize("n", [1, 2, 3])
 
 
@@ -35,7 +32,7 @@ def states(n):
     "make",
     [friction, learned_dissipation, learned_drag, partial(machine_friction, constant=False)],
 )
-def test_the_power_of_dissipation_is_never_positive(make, n):
+def test_the_power_of_dissipation_is_negative(make, n):
     dissipation, (q, v) = make(n), states(n)
     for scale in (1e-3, 1.0, 30.0):
         assert ((scale * v * dissipation.force(q, scale * v)).sum(-1) < 0).all()
@@ -43,9 +40,9 @@ def test_the_power_of_dissipation_is_never_positive(make, n):
 
 
 @every_n
-@every_kind
-def test_it_joins_the_forces(kind, n):
-    lagrangian, (q, v) = KINDS[kind](n), states(n)
+@pytest.mark.parametrize("kind", DISSIPATIVE)
+def test_dissipation_is_one_of_the_forces_and_no_part_of_the_energy(kind, n):
+    lagrangian, (q, v) = DISSIPATIVE[kind](n), states(n)
     force = torch.sin(q)
     expected = acceleration(
         lagrangian.conservative, q, v, force + lagrangian.dissipation.force(q, v)

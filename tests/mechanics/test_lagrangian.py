@@ -7,7 +7,7 @@ from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.systems.chain import ChainPendulum
 from tests.differences import slopes
-from tests.dissipative import dissipative_chain, dissipative_net, dragged_net
+from tests.dissipative import DISSIPATIVE
 from tests.learned import learned_lagrangian
 
 STEP = 1e-5
@@ -15,7 +15,6 @@ CONSERVATIVE = {
     "chain": ChainPendulum,
     "learned": lambda n: learned_lagrangian(tuple(i % 2 == 0 for i in range(n))),
 }
-DISSIPATIVE = {"friction": dissipative_chain, "net": dissipative_net, "drag": dragged_net}
 
 
 def state(n):

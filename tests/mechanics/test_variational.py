@@ -10,7 +10,7 @@ from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.variational import DiscreteLagrangian, Forces
 from symo_exp.systems.chain import ChainPendulum
 from tests.differences import assert_gradients, slopes
-from tests.dissipative import dissipative_chain, dissipative_net, dragged_net
+from tests.dissipative import DISSIPATIVE, dissipative_chain
 from tests.learned import learned_lagrangian
 from tests.mechanics.motions import TIGHT, force_at, order, reference, refinement, roll, start
 from tests.tables import explicit_integrators, systems, variational_integrators
@@ -154,16 +154,14 @@ def test_momentum_form_solves_the_discrete_euler_lagrange_equations(name):
 
 
 def drawn(count, n):
-    """So many random rows of numbers, seven each."""
+    """Return ``count`` tensors of seven random rows."""
     generator = torch.Generator().manual_seed(5)
     return torch.randn(count, 7, n, dtype=torch.float64, generator=generator)
 
 
 LAGRANGIANS = {
     "learned": lambda n: learned_lagrangian(tuple(i % 2 == 1 for i in range(n))),
-    "friction": dissipative_chain,
-    "learned friction": dissipative_net,
-    "drag": dragged_net,
+    **DISSIPATIVE,
 }
 
 

@@ -42,6 +42,11 @@ def combinations() -> list[tuple[str, str]]:
     ]
 
 
+def one_each() -> list[tuple[str, str]]:
+    """Every method with one of its integrators."""
+    return list(dict(combinations()).items())
+
+
 def _kinds(integrators: dict[str, Any]) -> list[str]:
     """The one of the lowest order of each class."""
     by_order = sorted(integrators, key=lambda name: getattr(integrators[name], "order", 0))

@@ -18,7 +18,7 @@ from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
-from tests.dissipative import dissipative_net, dragged_net, machine_net
+from tests.dissipative import LEARNED
 from tests.learned import assert_each_sample_alone, assert_same, learned_lagrangian
 from tests.systems import models
 from tests.systems.every import SYSTEMS
@@ -115,8 +115,7 @@ def turning(kind: Any, coordinates: Coordinates) -> Lagrangian:
 
 
 DISSIPATIVE: dict[str, tuple[Callable[[], Lagrangian], int]] = {
-    **{f"{make.__name__} {n}": (partial(make, n), n)
-       for make in (dissipative_net, dragged_net, machine_net) for n in (1, 2, 3)},
+    **{f"{kind} {n}": (partial(make, n), n) for kind, make in LEARNED.items() for n in (1, 2, 3)},
     **{f"drag {name}": (partial(dragged, coordinates), coordinates.n)
        for name, coordinates in BODIES.items()},
     **{f"{kind.__name__} {where.n}": (partial(turning, kind, where), where.n)

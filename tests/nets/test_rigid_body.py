@@ -15,13 +15,9 @@ from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.mechanics.windows import cut_windows
-from symo_exp.models.e2e_symo import E2ESyMo
-from symo_exp.models.l_node import LNODE
-from symo_exp.models.node import NODE
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
 from symo_exp.nets.drag import LearnedBodyDrag
-from symo_exp.nets.mlp import MLP
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.optim.total_least_squares import TotalLeastSquares
@@ -30,10 +26,13 @@ from symo_exp.systems.table import system as stated
 from symo_exp.training.learner import Learner
 from tests.differences import assert_gradients
 from tests.learned import assert_jacobian, double_precision
+from tests.models.methods import combinations, make
 from tests.nets.test_closed_forms import BODIES, BODY_KINDS, PIVOT
-from tests.tables import arguments_of, explicit_integrators
+from tests.systems.every import SYSTEMS
+from tests.tables import arguments_of
 
 ROOT = Newton(tolerance=1e-12, max_iterations=30)
+TURNING = {name: system for name, system in SYSTEMS.items() if system.space.rotations}
 
 
 @pytest.fixture(params=BODIES.values(), ids=BODIES)
@@ -211,24 +210,15 @@ def test_inertia_and_centre_are_recovered_from_noisy_poses() -> None:
 # All methods
 
 
-@pytest.mark.parametrize("name", ["rigid_body", "spherical_pendulum", "quadrotor"])
-@pytest.mark.parametrize("method", ["node", "l_node", "symo", "e2e_symo"])
-def test_every_method_has_a_loss_and_its_gradient(name: str, method: str) -> None:
+@pytest.mark.parametrize("name", TURNING)
+@pytest.mark.parametrize(("method", "integrator"), combinations())
+def test_every_method_has_a_loss_and_its_gradient(name: str, method: str, integrator: str) -> None:
     """Gradients of all parameters, against differences along random directions."""
-    system = stated(name)
+    system = TURNING[name]
     q, v, u = system.points(4, seed=0)
     path = simulate(system, q, v, u, 2, Solver())
     samples = cut_windows(path.each())
-    torch.manual_seed(0)
-    shared = arguments_of(system)
-    rk4, galerkin = explicit_integrators()["rk4"], {"integrator": Galerkin(stages=2), "root": ROOT}
-    made = {
-        "node": lambda: NODE(partial(MLP, width=6, depth=1), integrator=rk4, **shared),
-        "l_node": lambda: LNODE(LearnedRigidBody, integrator=rk4, **shared),
-        "symo": lambda: SyMo(LearnedRigidBody, **galerkin, **shared),
-        "e2e_symo": lambda: E2ESyMo(LearnedRigidBody, **galerkin, **shared),
-    }
-    model = made[method]().double()
+    model = make(method, integrator, system.coordinates.n, **arguments_of(system))
     assert_gradients(
         lambda: model.objective(model.flow, samples).loss, list(model.parameters()), eps=1e-5,
         atol=1e-9, rtol=1e-4,

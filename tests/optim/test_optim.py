@@ -15,7 +15,7 @@ from symo_exp.optim.chained import Chained
 from symo_exp.optim.lbfgs import LBFGS
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.optim.total_least_squares import TotalLeastSquares
-from tests.models.methods import learner, windows
+from tests.models.methods import learner, one_each, windows
 from tests.trainers import quiet_trainer
 
 
@@ -145,10 +145,7 @@ def test_a_few_wrong_samples_do_not_decide(n):
 
 
 @pytest.mark.parametrize("n", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3))])
-@pytest.mark.parametrize(
-    ("method", "integrator"),
-    [("node", "rk4"), ("l_node", "rk4"), ("symo", "midpoint"), ("e2e_symo", "midpoint")],
-)
+@pytest.mark.parametrize(("method", "integrator"), one_each())
 @pytest.mark.parametrize("kind", [LevenbergMarquardt, LBFGS])
 def test_every_method_learns(kind, method, integrator, n):
     model = learner(method, integrator, n)

@@ -8,7 +8,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from symo_exp.optim import base
 from symo_exp.optim.base import minibatches, step_bounded
-from tests.models.methods import combinations, learner, reads_back, windows
+from tests.models.methods import combinations, learner, one_each, reads_back, windows
 
 
 class Reads(TorchDispatchMode):
@@ -28,10 +28,6 @@ class Reads(TorchDispatchMode):
         return function(*args, **(kwargs or {}))
 
 
-ONE = dict(reversed(combinations()))
-"""A method with one of its integrators."""
-
-
 def reads(model, steps):
     """In an epoch, after the first, in which optimisers make room."""
     optimizer = torch.optim.Adam(model.parameters(), fused=True)
@@ -44,7 +40,7 @@ def reads(model, steps):
 
 @pytest.mark.parametrize(
     ("method", "integrator", "clip"),
-    [*((*pair, 10.0) for pair in combinations()), *((*pair, None) for pair in ONE.items())],
+    [*((*pair, 10.0) for pair in combinations()), *((*pair, None) for pair in one_each())],
 )
 def test_a_step_reads_no_values_unless_it_finds_roots(method, integrator, clip, monkeypatch):
     told = partial(step_bounded, wait=False)

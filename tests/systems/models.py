@@ -111,8 +111,12 @@ PENDULUMS = mjcf(
 )
 
 
-def shipped(name: str) -> str:
-    return (CONF / "system" / f"{name}.xml").read_text()
+SHIPPED = {file.stem: file.read_text() for file in sorted((CONF / "system").glob("*.xml"))}
+MODELS = {
+    "crane": CRANE, "pendulums": PENDULUMS, "drone": DRONE, "puppet": PUPPET, **SHIPPED,
+}  # fmt: skip
+"""Name to model, of those without a fluid."""
+IN_FLUIDS = {"diver": DIVER, "kite": KITE}
 
 
 def compiled(text: str) -> Any:

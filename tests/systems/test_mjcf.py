@@ -8,7 +8,7 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.systems.mjcf import mjcf, urdf
-from symo_exp.systems.mujoco import mujoco_dynamics, of_model, read_mechanism
+from symo_exp.systems.mujoco import mujoco_dynamics, of_model
 from symo_exp.systems.mujoco_library import library
 from symo_exp.systems.multibody import Multibody
 from tests.systems import models
@@ -16,15 +16,7 @@ from tests.systems.every import FLAT, SYSTEMS, points
 from tests.systems.models import compiled
 
 mujoco = library()
-MECHANISMS = {
-    "crane": of_model(compiled(models.CRANE), "crane"),
-    "pendulums": of_model(compiled(models.PENDULUMS), "pendulums"),
-    "arm": read_mechanism("arm_of_seven.xml"),
-    "drone": of_model(compiled(models.DRONE), "drone"),
-    "puppet": of_model(compiled(models.PUPPET), "puppet"),
-    "free body": read_mechanism("free_body.xml"),
-    "ball arm": read_mechanism("ball_arm.xml"),
-}
+MECHANISMS = {name: of_model(compiled(text), name) for name, text in models.MODELS.items()}
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
@@ -68,7 +60,7 @@ def test_an_input_that_drives_several_joints_is_written():
     np.testing.assert_allclose(data.qfrc_actuator, np.array(matrix) @ [0.3, 0.5], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["pendulums", "arm"])
+@pytest.mark.parametrize("name", ["pendulums", "arm_of_seven"])
 def test_a_urdf_has_the_same_bodies(name):
     given = MECHANISMS[name]
     bare = [joint | {"armature": 0.0} for joint in given["joints"]]

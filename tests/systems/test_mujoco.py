@@ -40,11 +40,7 @@ OURS: dict[str, tuple[LagrangianSystem, str]] = {
     ))
     for n in (1, 2, 3, 7)
 }  # fmt: skip
-SHIPPED = ("arm_of_seven", "free_body", "ball_arm")
-MODELS = {
-    "crane": models.CRANE, "diver": models.DIVER, "pendulums": models.PENDULUMS,
-    "drone": models.DRONE, "puppet": models.PUPPET, "kite": models.KITE,
-} | {name: models.shipped(name) for name in SHIPPED}  # fmt: skip
+MODELS = models.MODELS | models.IN_FLUIDS
 
 
 def joints_of(system: LagrangianSystem) -> Tensor:

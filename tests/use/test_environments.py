@@ -13,23 +13,22 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 from symo_exp.errors import ConfigError
-from symo_exp.systems.mujoco import read_mechanism
-from symo_exp.systems.multibody import Multibody
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import systems
 from symo_exp.use.environments import Environment, environment
+from tests.systems import models
 from tests.systems.every import SYSTEMS
 
 ids = pytest.mark.parametrize("name", [kind.__name__ for kind in systems().values()])
 every_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
-@pytest.mark.parametrize("name", ["free_body", "ball_arm"])
-def test_environments_of_models_that_turn_pass_the_checker(
+@pytest.mark.parametrize("name", models.SHIPPED)
+def test_environments_of_mujoco_models_pass_the_checker(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    system = Multibody(mechanism=read_mechanism(f"{name}.xml"), time_step=0.05)
+    system = models.read(models.SHIPPED[name])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         check_env(environment(system, render_mode="rgb_array"))

@@ -149,9 +149,8 @@ def test_mujoco_has_the_same_motion(case, tmp_path):
 
 # Ball joints and free bodies
 
-TURNING = {name: x for name, x in SYSTEMS.items() if x.space.rotations} | {
-    name: models.read(models.shipped(name)) for name in ("ball_arm", "free_body")
-}
+EVERY = SYSTEMS | {name: models.read(text) for name, text in models.SHIPPED.items()}
+TURNING = {name: system for name, system in EVERY.items() if system.space.rotations}
 
 
 def learned_body(coordinates, **given):
