@@ -1,4 +1,4 @@
-"""Invalid files, folders and places are refused in one line each, which says what is wrong.
+"""Invalid files, folders and places are refused in one line that says what is wrong.
 
 Keys and values are in ``test_main``, tables in ``data``, damaged checkpoints in
 ``training/test_resume``.
@@ -58,7 +58,8 @@ PLACES = [
     ("logger.tracking_uri=postgresql://", STORE),
     ("logger.tracking_uri=file:///somewhere", STORE),
     ("logger.every_n_epochs=0", "logger.every_n_epochs=0 must be at least 1"),
-    ("logger.timeout=-1", "logger.timeout=-1 must be above 0 seconds"),
+    ("logger.timeout=0", "logger.timeout=0 must be above 0 seconds"),
+    ("logger.flush_seconds=-1", "logger.flush_seconds=-1 must be"),
     ("resume=perhaps", "resume=perhaps: expected true or false"),
     ("pictures=3", "pictures=3: expected true or false"),
     ("data=recorded data.path=folder", FILES),
@@ -98,19 +99,19 @@ def mine(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", YAML)
-def test_a_file_of_the_configuration_that_is_none(name, mine, refused):
+def test_an_invalid_file_of_the_configuration_is_refused(name, mine, refused):
     assert YAML[name][1] in refused("--config-dir", mine, f"model={name}")
 
 
 @pytest.mark.parametrize(("text", "wanted"), SWEPT)
-def test_a_sweep_that_cannot_be_composed(text, wanted, refused, workplace):
+def test_an_invalid_file_of_a_sweep_is_refused(text, wanted, refused, workplace):
     (workplace / "sweeps").mkdir()
     (workplace / "sweeps" / "mine.yaml").write_text(text)
     assert wanted in refused("--config-dir", "sweeps", "-cn", "mine")
 
 
 @pytest.mark.parametrize(("typed", "wanted"), PLACES, ids=[typed for typed, _ in PLACES])
-def test_a_place_that_cannot_be(typed, wanted, refused, workplace):
+def test_an_invalid_place_is_refused(typed, wanted, refused, workplace):
     (workplace / "file").write_text("in the way")
     (workplace / "folder").mkdir()
     assert wanted in refused("model=node", *typed.split())

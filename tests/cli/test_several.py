@@ -60,10 +60,11 @@ def test_the_command_line_narrows_them_all(folder):
 
 @pytest.mark.parametrize(
     ("content", "wanted"),
-    [("sweeps: [a, nothing]", "nothing"), ("sweeps: 3", "list of names"),
-     ("sweeps: [both]", "both"), ("sweeps: [a", "cannot be read")],
+    [("sweeps: [a, nothing]", "names the sweep nothing, which is not in"),
+     ("sweeps: 3", "expected a list of names"), ("sweeps: [both]", "names the sweep both"),
+     ("sweeps: [a", "both.yaml cannot be read")],
 )  # fmt: skip
-def test_a_list_that_cannot_be_is_refused(content, wanted, folder, started, capsys):
+def test_an_invalid_list_of_sweeps_is_refused(content, wanted, folder, started, capsys):
     (folder / "both.yaml").write_text(content)
     assert main(["--config-dir", str(folder), "-cn", "both"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()

@@ -250,20 +250,16 @@ SIZES_AND_SEEDS = (
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"n_traj": 0}, "data.n_traj=0: expected a whole number from 1 to 8"),
-        ({"n_traj": 9}, "data.n_traj=9 is above data.n_train_max=8"),
-        ({"n_traj": 2.0}, "data.n_traj=2.0"),
-        ({"n_traj": True}, "data.n_traj=True"),
+        ({"n_traj": 2.0}, "data.n_traj=2.0: expected a whole number from 1 to 8"),
+        ({"n_traj": True}, "data.n_traj=True: expected a whole number from 1 to 8"),
         *(({name: -1}, f"data.{name}=-1: expected a whole number") for name in SIZES_AND_SEEDS),
-        ({"noise_std": -1e-3}, "data.noise_std=-0.001: expected a finite number of at least 0"),
-        ({"noise_std": float("nan")}, "data.noise_std=nan"),
-        ({"dtype": "float16"}, "data.dtype='float16': expected one of float32, float64"),
         ({"monitor": "train"}, "data.monitor='train': expected one of val, test"),
-        ({"monitor_trajectories": 4}, "data.monitor_trajectories=4: expected"),
-        ({"monitor": "test", "monitor_trajectories": 5}, "data.monitor_trajectories=5"),
+        ({"monitor_trajectories": 4}, "data.monitor_trajectories=4: expected a whole number"),
+        ({"monitor": "test", "monitor_trajectories": 5}, "data.monitor_trajectories=5: expected"),
     ],
 )
 def test_bad_values_are_refused_before_anything_is_made(changes: dict, message: str) -> None:
+    """Others are given to a command in ``cli/test_main``."""
     with pytest.raises(ConfigError) as error:
         small(**changes)
     assert str(error.value).startswith(message)

@@ -190,11 +190,3 @@ def test_a_batch_is_not_larger_than_it_may_be(view, folder, store, monkeypatch):
 def test_nowhere_is_always_up_to_date(folder):
     assert Nowhere().is_published(folder)
     assert Nowhere().publish(folder) == ""
-
-
-@pytest.mark.parametrize(
-    "setting", [{"every_n_epochs": 0}, {"flush_seconds": -1.0}, {"timeout": 0.0}]
-)
-def test_settings_that_cannot_be(setting, tmp_path):
-    with pytest.raises(ConfigError, match=next(iter(setting))):
-        MlflowView(directory=tmp_path, **setting)

@@ -11,19 +11,30 @@ import symo_exp
 from symo_exp.runs.series import EPOCH, TIME, read
 from symo_exp.training.divergence import DivergenceError
 from symo_exp.training.learner import Learner
+from tests.models.methods import learned
+from tests.tables import choices
 from tests.training.runs import Cut, cut, go, same, state
 
-METHODS = [
-    "model=l_node integrator=rk4",
-    "model=symo",
-    "model=e2e_symo scheduler=cosine",
-    "model=node optimizer=lbfgs scheduler=none",
-    "model=symo dtype=float64 optimizer=levenberg_marquardt scheduler=none",
-    "model=symo dtype=float64 optimizer=adam_then_lm optimizer.epochs=3 scheduler=none",
-    "model=symo data.monitor=held_out data.held_out=1 data.monitor_trajectories=null"
-    " optimizer=lbfgs scheduler=none optimizer.patience=1",
-]
 SYMO = "model=symo"
+SHORT = {
+    "adam_then_lm": "optimizer.epochs=3",
+    "total_least_squares": "optimizer.starts=1 optimizer.start=2 optimizer.epochs=2"
+    " optimizer.epsilons=[1.0,0.3]",
+}
+"""Settings with which an optimiser does all that it does in six epochs."""
+STOPPING = f"{SYMO} optimizer=lbfgs scheduler=none optimizer.patience=1 data.monitor=held_out" + (
+    " data.held_out=1 data.monitor_trajectories=null"
+)
+EVERY = [
+    *(f"model={name}" for name in learned()),
+    *(
+        f"{SYMO} dtype=float64 scheduler=none optimizer={name} {SHORT.get(name, '')}".strip()
+        for name in choices("optimizer")
+        if name != "adam"  # the usual one
+    ),
+    "model=node scheduler=cosine",
+    STOPPING,
+]
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +51,7 @@ def refused(caplog):
     return [r.message for r in caplog.records if "is not used" in r.message]
 
 
-@pytest.mark.parametrize("words", METHODS, ids=lambda words: words.replace(" ", ","))
+@pytest.mark.parametrize("words", EVERY, ids=lambda words: words.replace(" ", ","))
 def test_a_training_interrupted_twice_ends_with_the_same_bits(
     words, workplace, monkeypatch, caplog
 ):
@@ -175,7 +186,7 @@ def test_after_training_only_the_evaluation_is_repeated(whole, folder, monkeypat
 
 
 def test_a_training_that_stopped_early_is_not_repeated(workplace, monkeypatch):
-    words = METHODS[-1] + " optimizer.patience=1 trainer.max_epochs=500"
+    words = f"{STOPPING} trainer.max_epochs=500"
     go(words, workplace / "run")
     monkeypatch.setattr("lightning.Trainer.fit", lambda *_, **__: pytest.fail("it trains again"))
     go(words, workplace / "run")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,6 +23,9 @@ BAD_INPUT = (
 EXTRAS = {"submitit": ("submitit_slurm", "cluster"), "optuna": ("optuna", "optuna")}
 """By the prefix of a choice: a choice that its installed extra provides, and the extra."""
 
+TWICE = re.compile(r"Multiple values for (\S+)\. |(\S+) appears more than once in the final")
+"""Hydra's errors of a group that is given a second choice."""
+
 
 def explained(error: BaseException) -> ConfigError:
     """Return an error of a command or a configuration file as a ``ConfigError``."""
@@ -33,6 +37,9 @@ def explained(error: BaseException) -> ConfigError:
     while cause is not None:
         if isinstance(cause, ConfigError):
             return cause
+        if twice := TWICE.match(str(cause)):
+            (group,) = filter(None, twice.groups())
+            return ConfigError(f"+{group}=...: {group} has a choice already; leave out the +")
         if isinstance(cause, MissingConfigException) and cause.missing_cfg_file:
             return _unknown_choice(cause.missing_cfg_file, cause.options)
         if isinstance(cause, ConfigAttributeError | ConfigKeyError):
