@@ -47,7 +47,7 @@ def test_every_package_has_its_rule():
     assert packages == set(RULES)
 
 
-def test_no_circle():
+def test_packages_have_no_import_cycle():
     """A package that imports another, at any remove, is not imported by it."""
     left = graph()
     order = []
@@ -59,7 +59,7 @@ def test_no_circle():
     assert len(order) == len(RULES)
 
 
-def test_no_circle_among_files():
+def test_files_have_no_import_cycle():
     """At whatever place of a file the import stands, for a type checker alone included."""
     known = modules()
     left = {

@@ -60,7 +60,7 @@ def test_the_library_is_compiled_once(asked, tmp_path):
 @pytest.mark.parametrize(
     ("reason", "word"), [("torch", "before torch"), ("compiler", "no C compiler")]
 )
-def test_a_line_says_why_it_has_no_effect(reason, word, asked, tmp_path, monkeypatch, caplog):
+def test_a_warning_says_why_avx512_is_not_used(reason, word, asked, tmp_path, monkeypatch, caplog):
     if reason == "torch":
         monkeypatch.setitem(sys.modules, "torch", sys)
     else:

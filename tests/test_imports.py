@@ -10,7 +10,7 @@ from symo_exp.imports import first_import
 NEW = "a_module_that_was_not_imported"
 
 
-def test_nothing_that_was_imported_is_looked_at_again():
+def test_imported_objects_are_exempt_from_garbage_collection():
     before = gc.get_freeze_count()
     try:
         with first_import(NEW):
@@ -22,7 +22,7 @@ def test_nothing_that_was_imported_is_looked_at_again():
         gc.unfreeze()
 
 
-def test_an_import_that_fails_leaves_the_collector_at_work():
+def test_a_failed_import_leaves_the_collector_enabled():
     try:
         with pytest.raises(ImportError), first_import(NEW):
             raise ImportError
@@ -31,13 +31,13 @@ def test_an_import_that_fails_leaves_the_collector_at_work():
         gc.unfreeze()
 
 
-def test_a_second_import_changes_nothing():
+def test_a_second_import_leaves_the_collector_enabled():
     assert "pytest" in sys.modules
     with first_import("pytest"):
         assert gc.isenabled()
 
 
-def test_a_collector_that_somebody_has_stopped_stays_so():
+def test_a_disabled_collector_stays_disabled():
     gc.disable()
     try:
         with first_import(NEW):

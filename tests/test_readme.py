@@ -71,7 +71,7 @@ def trained(tmp_path_factory):
     return folder
 
 
-def test_the_python_runs_as_it_stands(trained, workplace):
+def test_python_of_the_pages_runs_as_it_stands(trained, workplace):
     """On a run that was trained for it, put where the page has it."""
     (path,) = re.findall(r'load\("(outputs[^"]+)"\)', README)
     shutil.copytree(trained, workplace / path)

@@ -27,7 +27,7 @@ def test_an_interpreter_below_the_working_directory_is_named_relative_to_it(envi
     assert python_command("symo_exp.report") == ".venv/bin/python3 -m symo_exp.report"
 
 
-def test_from_elsewhere_it_is_named_by_its_whole_path(environment, monkeypatch):
+def test_from_elsewhere_an_interpreter_is_named_by_its_whole_path(environment, monkeypatch):
     monkeypatch.chdir(environment.parent)
     assert shlex.split(python_command("symo_exp"))[0] == "bin/python3"
     (environment / "below").mkdir()

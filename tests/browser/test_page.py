@@ -233,7 +233,7 @@ def test_a_chart_moves_and_zooms_and_a_double_click_resets_it(opened):
 
 
 @pytest.mark.parametrize(("light", "darker"), [("light", "ink"), ("dark", "paper")])
-def test_light_and_dark(light, darker, browser, address):
+def test_the_page_follows_the_light_or_dark_setting(light, darker, browser, address):
     look_at(browser, address, 1600, light=light)
     script = """const style = getComputedStyle(document.body);
     return [style.color, style.backgroundColor].map((c) => Number(c.match(/\\d+/)[0]))"""

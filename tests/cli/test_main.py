@@ -138,9 +138,7 @@ def test_bad_input_is_refused_in_a_line(typed, given, wanted, home):
 
 
 @pytest.mark.parametrize(("typed", "given", "wanted"), ENDS, ids=[typed for typed, *_ in ENDS])
-def test_a_refusal_is_all_that_is_said_and_an_exit_code(
-    typed, given, wanted, home, capsys, monkeypatch
-):
+def test_a_refusal_is_one_line_and_exit_code_2(typed, given, wanted, home, capsys, monkeypatch):
     monkeypatch.setattr(Sweep, "launch_all", lambda *_: pytest.fail("it started"))
     code = main(typed.split())
     out, err = capsys.readouterr()
@@ -153,7 +151,7 @@ def test_a_refusal_is_all_that_is_said_and_an_exit_code(
     assert nothing_is_left(home)
 
 
-def test_a_setting_that_each_swept_choice_has_is_none_that_the_usual_one_needs(home):
+def test_a_setting_may_be_one_that_only_the_swept_choices_have(home):
     words = ["model=node,l_node", "model.sensitivity=adjoint", "net.width=2,4"]
     with watched() as folders:
         assert main([*QUIET, *words, CHECK_ONLY]) == 0

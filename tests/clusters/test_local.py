@@ -34,7 +34,7 @@ def trains(folder, seed):
     )
 
 
-def test_a_job_that_is_killed(tmp_path):
+def test_a_killed_job_is_started_again(tmp_path):
     command = Command(tmp_path, *WORDS, "seed=0,1,2")
     command.wait_for(lambda: trains(tmp_path, seed=1))
     os.kill(int(outcomes(tmp_path)[1]["process"]["pid"]), signal.SIGKILL)
@@ -44,7 +44,7 @@ def test_a_job_that_is_killed(tmp_path):
     assert tracked(tmp_path) == dict.fromkeys(range(3), ("FINISHED", None))
 
 
-def test_a_job_that_diverges(tmp_path):
+def test_a_job_that_diverges_does_not_stop_the_others(tmp_path):
     code, said = go(tmp_path, *WORDS, "optimizer.lr=1e-3,1e30", "learner.gradient_clip=null")
     assert code == 1
     (line,) = [line for line in said.splitlines() if line.startswith("failed: ")]
@@ -52,7 +52,7 @@ def test_a_job_that_diverges(tmp_path):
     assert statuses(tmp_path) == ["failed", "finished"]
 
 
-def test_a_sweep_that_is_interrupted(tmp_path):
+def test_jobs_of_an_interrupted_sweep_finish_their_epochs(tmp_path):
     """Ctrl-C reaches all processes of the terminal; every job finishes its epoch."""
     command = Command(tmp_path, *WORDS, "seed=0,1", "trainer.max_epochs=1000000")
     command.wait_for(lambda: len([*tmp_path.rglob("last.ckpt")]) == 2)

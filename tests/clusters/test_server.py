@@ -46,7 +46,7 @@ def series(client, run):
     return {name: sorted(m.step for m in client.get_metric_history(run, name)) for name in names}
 
 
-def test_eight_jobs_and_a_restart(server, tmp_path):
+def test_eight_jobs_lose_nothing_in_a_restart_of_the_server(server, tmp_path):
     """No value is lost, none is there twice, and every run is closed."""
     words = [*WORDS, f"logger.tracking_uri={server.address}", "data.seed=0"]
     commands = [Command(tmp_path, *words, f"seed={seed}") for seed in range(8)]

@@ -74,7 +74,7 @@ def epochs_in(seconds, folder):
     return int(2000 * seconds / tracked(folder, run)[1].data.metrics["training_seconds"])
 
 
-def test_a_time_limit(slurm, tmp_path):
+def test_jobs_at_their_time_limit_are_queued_again_and_end_the_same(slurm, tmp_path):
     """Two of eight jobs need longer than they may. They are told, save, are queued again, and end
     with what they would have had without a limit."""
     long = epochs_in(75.0, tmp_path / "pace")
@@ -125,7 +125,7 @@ def test_a_time_limit(slurm, tmp_path):
 ENDLESS = [*WORDS, *SLURM, "trainer.max_epochs=1000000", "trainer.checkpoint_every=0"]
 
 
-def test_a_job_that_is_killed(slurm, tmp_path):
+def test_a_killed_job_is_sent_again_and_resumes(slurm, tmp_path):
     """The others finish; it is sent again once, and goes on from its checkpoint."""
     words = [*WORDS, *SLURM, "-m", "trainer.max_epochs=30,1000000", "trainer.checkpoint_every=0"]
     command = Command(tmp_path, *words, env=slurm.env)
@@ -144,7 +144,7 @@ def test_a_job_that_is_killed(slurm, tmp_path):
     assert told(tmp_path, run)[0] == "KILLED"
 
 
-def test_a_sweep_that_is_interrupted(slurm, tmp_path):
+def test_an_interrupted_sweep_finishes_epochs_and_starts_no_job(slurm, tmp_path):
     """Running jobs finish their epoch, waiting jobs do not begin."""
     words = [*ENDLESS, "-m", "seed=0,1,2,3"]
     command = Command(tmp_path, *words, env=slurm.env)

@@ -276,7 +276,7 @@ def broken_compiler(monkeypatch):
 
 
 @pytest.mark.usefixtures("broken_compiler")
-def test_a_compiler_that_fails_is_said_once_and_done_without(caplog):
+def test_a_compiler_that_fails_is_reported_once_and_not_needed(caplog):
     fit, data = learner("symo", "midpoint", 2), windows(2)
     model = fit.model
     expected = fit.loss_and_gradients(data)

@@ -32,7 +32,7 @@ def same(found: dict[str, np.ndarray]) -> bool:
     )
 
 
-def test_made_once_and_read_back(tmp_path: Path) -> None:
+def test_data_are_made_once_and_read_back(tmp_path: Path) -> None:
     cache = Cache(tmp_path / "new" / "folder")
     assert same(cache.get("x", RECIPE, arrays))
     assert same(cache.get("x", RECIPE, refuse))
@@ -153,7 +153,7 @@ def slow_and_counted(folder: str, log: str, queue) -> None:
     queue.put(same(Cache(folder).get("x", RECIPE, make)))
 
 
-def test_four_processes_make_it_once(tmp_path: Path) -> None:
+def test_four_processes_make_the_data_once(tmp_path: Path) -> None:
     context = multiprocessing.get_context("fork")
     queue, log = context.Queue(), tmp_path / "log"
     jobs = [

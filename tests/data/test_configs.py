@@ -12,7 +12,7 @@ from symo_exp.systems.table import system as stated
 from tests.tables import CONF
 
 
-def test_simulated(tmp_path: Path) -> None:
+def test_simulated_data_of_the_configuration_are_the_defaults_of_the_code(tmp_path: Path) -> None:
     config = OmegaConf.create({"seed": 3, "dtype": "float64"})
     config.draws = OmegaConf.load(CONF / "draws" / "independent.yaml")
     config.data = OmegaConf.load(CONF / "data" / "simulated.yaml")

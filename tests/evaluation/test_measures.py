@@ -39,7 +39,7 @@ def test_inertia_error_is_the_mean_over_all_entries():
     assert measures.rollout_inertia_mse(learned, torch.zeros(1, 1, 2, 2)).tolist() == [1.0]
 
 
-def test_finite_difference_velocity():
+def test_finite_difference_velocities_are_slopes_between_nodes():
     q = torch.tensor([[[0.0], [1.0], [3.0]]])
     assert measures.finite_difference_velocity(q, 0.5).flatten().tolist() == [2.0, 4.0]
 

@@ -24,7 +24,7 @@ from tests.tables import arguments_of
 SIGMA = 1e-3
 
 
-def test_friction_that_vanished_is_told_as_none():
+def test_friction_that_vanished_is_reported_as_none():
     """A square root that goes to zero leaves the residuals alone, like a direction that is free."""
     system = SYSTEMS["acrobot"]
     found = LearnedDissipation(coordinates=system.coordinates, coulomb=True)

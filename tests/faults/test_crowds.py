@@ -19,7 +19,7 @@ def crowd(folder, choices):
 
 
 @pytest.mark.slow
-def test_eight_that_differ(tmp_path):
+def test_eight_different_runs_at_once(tmp_path):
     """They share the data, too, which one of them makes."""
     folder = tmp_path / "new"
     crowd(folder, [[f"seed={i}", "data.seed=0"] for i in range(8)])
@@ -30,7 +30,7 @@ def test_eight_that_differ(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 4])
-def test_some_that_are_the_same(count, tmp_path):
+def test_equal_runs_at_once_are_one_run(count, tmp_path):
     """One does the work, the others wait for it."""
     folder = tmp_path / "new"
     crowd(folder, [["seed=0"]] * count)
@@ -40,5 +40,5 @@ def test_some_that_are_the_same(count, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("attempt", range(5))
-def test_again_and_again(attempt, tmp_path):
+def test_eight_different_runs_at_once_in_every_attempt(attempt, tmp_path):
     crowd(tmp_path / "new", [[f"seed={i}", "data.seed=0"] for i in range(8)])

@@ -52,7 +52,7 @@ def fill(disk, free=0):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("free", [0, 16, 64, 256, 1024, 1536, 2048, 2560])
-def test_a_disk_that_gets_full(free, disk, whole):
+def test_a_run_on_a_full_disk_leaves_whole_files_and_ends_the_same(free, disk, whole):
     filler = fill(disk, free * 1024)
     command = Command(disk, *WORDS, output=disk.parent / "output")
     code = command.wait()
@@ -70,7 +70,7 @@ def test_a_disk_that_gets_full(free, disk, whole):
 
 
 @pytest.mark.slow
-def test_a_disk_that_is_full_for_a_while(disk, whole):
+def test_a_run_fails_on_a_full_disk_and_resumes(disk, whole):
     words = [*WORDS, "trainer.max_epochs=600", "trainer.compile=false"]
     command = Command(disk, *words, output=disk.parent / "output")
     command.wait_for(lambda: [*disk.rglob("last.ckpt")])
@@ -85,7 +85,7 @@ def test_a_disk_that_is_full_for_a_while(disk, whole):
 
 
 @pytest.mark.slow
-def test_a_cache_that_can_only_be_read(tmp_path, disk):
+def test_a_read_only_cache_is_enough_if_it_has_the_data(tmp_path, disk):
     words = [*TINY, "model=node", "logger=none", "pictures=false", f"data.cache_dir={disk}"]
     assert go(tmp_path, *words)[0] == 0
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
@@ -98,7 +98,7 @@ def test_a_cache_that_can_only_be_read(tmp_path, disk):
 
 
 @pytest.mark.parametrize("what", ["output_dir", "logger.directory"])
-def test_a_place_that_can_only_be_read(what, tmp_path, disk):
+def test_a_read_only_place_is_refused(what, tmp_path, disk):
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
     code, said = go(tmp_path, *WORDS, f"{what}={disk}")
     assert code == 2

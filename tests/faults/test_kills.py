@@ -91,11 +91,11 @@ def compare(tmp_path, words, kills, seed, database=None):
     assert len(whole["series"]) == len(whole["told"]["train_loss"]) == 12
 
 
-def test_a_kill(tmp_path, database):
+def test_a_killed_run_ends_like_one_that_was_not(tmp_path, database):
     compare(tmp_path, [*WORDS, "model=e2e_symo"], kills=1, seed=0, database=database)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", METHODS)
-def test_eight_kills(words, tmp_path):
+def test_a_run_killed_eight_times_ends_like_one_that_was_not(words, tmp_path):
     compare(tmp_path, [*WORDS, *words.split()], kills=8, seed=METHODS.index(words))

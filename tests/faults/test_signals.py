@@ -22,7 +22,7 @@ def started(folder, *words):
 @pytest.mark.parametrize(
     "signum", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
 )
-def test_one_signal(signum, tmp_path, database):
+def test_one_signal_ends_a_run_after_its_epoch(signum, tmp_path, database):
     copy_store(database, tmp_path)
     command = started(tmp_path)
     command.signal(signum)
@@ -56,7 +56,7 @@ def test_a_stopped_run_ends_like_one_that_was_not(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_signals_end_it_now(tmp_path):
+def test_two_signals_end_a_run_at_once(tmp_path):
     # an epoch of 8192 steps
     words = ["model=e2e_symo", "data.n_traj=512", "data.n_train_max=512", "data.n_steps=16",
              "data.batch_size=1"]  # fmt: skip
@@ -75,7 +75,7 @@ def test_two_signals_end_it_now(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("signum", "group"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
-def test_a_sweep_side_by_side(signum, group, tmp_path):
+def test_a_signal_ends_parallel_jobs_after_their_epochs(signum, group, tmp_path):
     """Ctrl-C reaches all processes, SIGTERM the first one only: all of them finish their epoch."""
     command = Command(tmp_path, *ENDLESS, "-m", "seed=0,1,2,3", "hydra/launcher=joblib",
                       "hydra.launcher.n_jobs=2")  # fmt: skip

@@ -24,7 +24,7 @@ def one_line(code, said, *, exit_code, words):
 @pytest.mark.parametrize(
     "sweep", [[], pytest.param(["-m", "seed=0"], marks=pytest.mark.slow)], ids=["run", "sweep"]
 )
-def test_a_store_of_a_newer_mlflow(sweep, store, tmp_path):
+def test_a_store_of_a_newer_mlflow_is_refused_before_training(sweep, store, tmp_path):
     with sqlite3.connect(store.database) as database:
         database.execute("update alembic_version set version_num = 'from_the_future'")
     one_line(*go(tmp_path, *WORDS, *sweep), exit_code=2, words="cannot be opened")
@@ -32,7 +32,7 @@ def test_a_store_of_a_newer_mlflow(sweep, store, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_folder_of_artifacts_that_was_deleted(store, tmp_path):
+def test_a_deleted_folder_of_artifacts_is_made_again(store, tmp_path):
     command = Command(tmp_path, *LONG)
     command.wait_for(lambda: [*tmp_path.rglob("last.ckpt")])
     shutil.rmtree(tmp_path / "mlruns" / "artifacts", ignore_errors=True)
@@ -41,7 +41,7 @@ def test_a_folder_of_artifacts_that_was_deleted(store, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_store_that_is_lost_while_a_run_trains(store, tmp_path):
+def test_a_run_is_finished_without_its_store_and_published_later(store, tmp_path):
     """The run is finished all the same, and told when the store is back."""
     command = Command(tmp_path, *LONG)
     command.wait_for(lambda: [*tmp_path.rglob("last.ckpt")])

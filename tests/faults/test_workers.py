@@ -74,7 +74,7 @@ def swept_and_killed(tmp_path, times):
     return end
 
 
-def test_a_worker_is_killed_once(tmp_path):
+def test_a_job_whose_worker_is_killed_once_is_started_again(tmp_path):
     code, said = swept_and_killed(tmp_path, times=1)
     assert code == 0, said
     assert "a worker was killed" in said

@@ -25,7 +25,7 @@ SOUND = Machine(
         ({"delay": 0.03}, "30 ms"),
     ],
 )
-def test_each_doubt_is_said(changed, wanted):
+def test_each_doubt_has_a_line(changed, wanted):
     found = list(doubts(replace(SOUND, **changed)))
     assert len(found) == (wanted is not None)
     assert all(wanted in line for line in found)

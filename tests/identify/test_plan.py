@@ -62,7 +62,7 @@ def test_a_plan_is_kept_with_the_search_and_forgotten_for_another(tmp_path):
 @pytest.mark.parametrize(
     ("text", "seconds"), [("90s", 90.0), ("10min", 600.0), ("1.5h", 5400.0), (30, 30.0)]
 )
-def test_durations(text, seconds):
+def test_durations_are_read_in_seconds(text, seconds):
     assert plans.seconds_of(text) == seconds
 
 

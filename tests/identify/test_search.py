@@ -134,7 +134,7 @@ def test_the_delay_of_an_input_and_the_inertia_that_it_moves_are_found(delay, in
     assert float(settings["dissipation.start"]) == pytest.approx(0.01 * inertia, rel=0.3)
 
 
-def test_nothing_is_told_of_the_inertia_of_a_free_machine(workplace):
+def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):
     table().to_csv("mine.csv", index=False)
     assert not any("inertia" in setting for setting in examine({"path": "mine.csv"}).settings)
 

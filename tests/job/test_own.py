@@ -42,7 +42,7 @@ def mine(workplace):
 
 
 @pytest.mark.parametrize("what", ADDED)
-def test_one_class_and_one_file_is_all(what, mine):
+def test_one_class_and_one_file_add_a_choice(what, mine):
     """Composed and checked as by a command; the next test gives one."""
     job = job_of("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
     folder = job.folder.path
@@ -97,7 +97,7 @@ def trains(by, *words):
     assert required.removesuffix(".0") in variant
 
 
-def test_they_are_listed(mine, capsys):
+def test_help_lists_choices_of_the_user(mine, capsys):
     assert main(["--help", "--config-dir", "mine_own"]) == 0
     told = capsys.readouterr().out
     for name in ("spring", "heun", "bounded", "reversible", "largest"):
@@ -132,7 +132,7 @@ def test_a_stored_run_is_loaded_without_code_that_is_not_given(mine, workplace):
 
 
 @pytest.mark.parametrize(("word", "wanted"), [("code=nowhere", "not a folder"), ("code=3", "code")])
-def test_a_folder_that_is_none(word, wanted, workplace):
+def test_an_invalid_folder_of_code_is_refused(word, wanted, workplace):
     assert wanted in refusal(word, "model=node", *QUIET)
 
 

@@ -95,7 +95,7 @@ def test_columns_with_names_of_their_own_are_learned_from(names, recordings):
         (["reference=motor_pendulum", "data=simulated"], "data=recorded"),
     ],
 )
-def test_a_reference_that_cannot_be_is_refused_before_any_work(words, wanted, recordings):
+def test_an_invalid_reference_is_refused_before_any_work(words, wanted, recordings):
     given = WORDS if "data=simulated" not in words else [*WORDS[:2], *WORDS[4:]]
     assert wanted in refusal(*given, *words)
     assert not [*recordings.glob("outputs/*/*/*.ckpt")]

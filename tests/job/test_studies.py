@@ -57,7 +57,7 @@ def test_a_finished_run_is_studied_without_training_it_again(workplace, capsys):
      ("study=forced study.forced.period=long", "number"),
      ("study=forced study.forced._target_=os.system", "refused")],
 )  # fmt: skip
-def test_a_study_that_cannot_be_is_refused(word, wanted, workplace):
+def test_an_invalid_study_is_refused(word, wanted, workplace):
     assert wanted in refusal(*word.split(), "logger=none")
 
 

@@ -100,7 +100,7 @@ def test_momentum_of_a_cyclic_coordinate_is_kept(name, system, i):
 @pytest.mark.parametrize(("system", "i"), cyclic_coordinates())
 @pytest.mark.parametrize("name", explicit_integrators())
 @torch.no_grad()
-def test_explicit_steps_do_not_keep_it(name, system, i):
+def test_explicit_steps_do_not_keep_the_momentum_of_a_cyclic_coordinate(name, system, i):
     system, method = systems()[system], explicit_integrators()[name]
     q, v = start(system.coordinates.n)
     u, before = torch.zeros_like(q), system.momentum(q, v)[0, i]

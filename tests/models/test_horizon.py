@@ -61,7 +61,7 @@ def direction(model):
 
 
 @EVERY
-def test_it_vanishes_at_the_truth_and_its_derivatives_are_those_of_fitted_motions(
+def test_the_error_vanishes_at_the_truth_and_has_the_derivatives_of_fitted_motions(
     method, integrator, n
 ):
     model, objective = make(method, integrator, n), HorizonError(horizon=STEPS)

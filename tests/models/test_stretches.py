@@ -50,7 +50,7 @@ def flow_and_starts(kind, name, n, **root):
 
 
 @every_case
-def test_they_are_those_of_single_steps(kind, name, n):
+def test_rollouts_are_those_of_single_steps(kind, name, n):
     flow, q, v, u = flow_and_starts(kind, name, n)
     assert flow.solves_stretches
     found = flow.rollout(q, v, u)
@@ -76,7 +76,7 @@ def test_slopes_are_those_of_differences(kind, name, n):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_they_evaluate_the_lagrangian_less_often(n, monkeypatch):
+def test_rollouts_evaluate_the_lagrangian_less_often_than_single_steps(n, monkeypatch):
     flow, q, v, u = flow_and_starts("narrow dry friction", "midpoint", n)
     counts = []
     expand = type(flow.lagrangian).expand

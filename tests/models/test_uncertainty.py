@@ -59,7 +59,7 @@ def test_a_normal_variable_is_in_its_interval():
     assert quantile(0.9) == pytest.approx(1.6449, abs=1e-4)
 
 
-def test_a_level_that_is_none_is_refused():
+def test_an_invalid_level_is_refused():
     with pytest.raises(ConfigError, match="between 0 and 1"):
         width(with_posterior(1e-5), level=90)
 

@@ -17,12 +17,12 @@ CASES = [
 
 
 @pytest.mark.parametrize(("method", "integrator", "n", "overrides"), CASES)
-def test_jacobian_by_samples(method, integrator, n, overrides):
+def test_the_jacobian_by_samples_is_that_of_backward_passes(method, integrator, n, overrides):
     model, data = learner(method, integrator, n, **overrides), windows(n)
     assert_jacobian(lambda: model.residuals(data), list(model.parameters()))
 
 
-def test_jacobian_by_samples_where_some_have_no_root():
+def test_the_jacobian_by_samples_is_right_where_some_have_no_root():
     fit, data = learner("e2e_symo", "midpoint", 2), windows(2)
     model = fit.model
     hard = data._replace(q_next=data.q_next + 1e-3)  # a row that needs more than one step

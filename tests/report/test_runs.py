@@ -79,7 +79,7 @@ def test_of_runs_that_are_the_same_the_last_that_finished_counts():
     assert (lost["seed"], lost["metric"], lost["reason"]) == (1, "", "power cut")
 
 
-def test_only_what_is_asked_for(store):
+def test_runs_are_selected_by_experiment_system_and_seed(store):
     for system, seed in (("pendulum", 0), ("acrobot", 0), ("acrobot", 1)):
         add_run(store, system=system, seed=seed)
     add_run(store, experiment="other", seed=7)

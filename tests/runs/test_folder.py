@@ -25,7 +25,7 @@ def folder(tmp_path):
     return RunFolder(tmp_path / "run")
 
 
-def test_numbers_are_what_they_are_however_spelt():
+def test_a_digest_depends_on_values_and_not_on_their_spelling():
     one = {"a": {"x": 1, "y": 1e-3}, "b": [1, 2.0], "c": True, "d": None}
     other = {"d": None, "c": True, "b": [1.0, 2], "a": {"y": 0.001, "x": 1.0}}
     assert digest(one) == digest(other)
@@ -223,7 +223,7 @@ def test_complete_rows_are_read_wherever_a_kill_cut_the_file(path):
         assert [row["x"] for row in found] == [float(k) for k in range(len(found))]
 
 
-def test_a_folder_says_where_it_is_from_here(tmp_path, monkeypatch):
+def test_a_folder_is_named_relative_to_the_working_directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert str(RunFolder(tmp_path / "a" / "b")) == os.path.join("a", "b")
     assert json.loads(json.dumps({"x": str(RunFolder("c"))})) == {"x": "c"}

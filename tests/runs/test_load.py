@@ -122,7 +122,7 @@ def test_the_same_model_comes_back(folder, model, system):
     assert torch.equal(motion(trained, n, m).v, motion(back, n, m).v)
 
 
-def test_in_another_process_by_folder_and_by_id(folder, tmp_path, directory):
+def test_a_model_is_loaded_in_another_process_by_folder_and_by_id(folder, tmp_path, directory):
     expected = motion(made(folder, config()), 1, 1).q
     run_id = published(folder, directory)
     code = (
@@ -153,7 +153,7 @@ def test_double_precision_keeps_the_weights_and_does_not_round_the_input_matrix(
     assert torch.allclose(motion(trained, 1, 1).q.double(), motion(back, 1, 1).q, atol=1e-5)
 
 
-def test_the_package_offers_it(folder):
+def test_the_package_exports_load(folder):
     made(folder, config())
     # the function, whatever module was imported before
     assert callable(symo_exp.load)
@@ -218,7 +218,7 @@ def test_a_configuration_runs_nothing_but_models(folder, change, wanted, monkeyp
     assert not (tmp_path / "harm").exists()
 
 
-def test_weights_of_another_shape(folder):
+def test_weights_of_another_shape_are_refused(folder):
     assert "does not fit" in edited(folder, lambda c: c["model"]["lagrangian"].update(width=9))
 
 
@@ -245,7 +245,7 @@ def test_missing_files_of_a_run_are_named(folder, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-def test_a_run_that_the_store_does_not_know(folder, directory):
+def test_a_run_without_a_model_in_the_store_is_refused(folder, directory):
     run_id = published(folder, directory)
     assert "has no model" in sentence("0" * 32, directory=directory)
     assert "has no model" in sentence(run_id, directory=directory)

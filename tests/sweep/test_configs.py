@@ -113,7 +113,7 @@ def test_pairs_of_a_sweep_agree_with_the_command_line(typed, expected):
 
 
 @pytest.mark.parametrize("rows", ["node,rk4", [["node"]], ["ab"]])
-def test_pairs_that_are_none_are_refused(rows):
+def test_invalid_pairs_are_refused(rows):
     with pytest.raises(ConfigError, match="rows, each of 2 values"):
         expand([], {"model,integrator": rows})
 
@@ -127,7 +127,7 @@ def test_sweeps_share_their_runs(sweep, workplace):
 
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda f: f"{f.parent.name}/{f.stem}")
-def test_every_file_says_what_it_is(file):
+def test_every_shipped_file_has_a_summary(file):
     assert summary(file)
 
 

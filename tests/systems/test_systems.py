@@ -157,7 +157,7 @@ def test_inertia_is_symmetric_and_positive_definite(name: str) -> None:
 
 
 @every_system
-def test_power_is_what_the_motors_give(name: str) -> None:
+def test_the_rate_of_the_energy_is_the_power_of_the_inputs(name: str) -> None:
     """dE/dt = E_q q̇ + E_v v̇ = vᵀ F, F = B u."""
     system = SYSTEMS[name]
     q, v, u = points(system)

@@ -169,7 +169,7 @@ def test_a_store_that_is_away_says_so_soon(folder):
     assert not folder.published()
 
 
-def test_another_store_is_told_all_of_it(view, folder, tmp_path, store):
+def test_another_store_gets_everything(view, folder, tmp_path, store):
     grow(folder, 3)
     finish(folder)
     view.publish(folder)

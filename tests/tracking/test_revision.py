@@ -41,6 +41,6 @@ def test_an_environment_inside_another_repository_is_not_its_revision(package, t
     assert revision_tags(package) == {}
 
 
-def test_a_machine_without_git(package, monkeypatch):
+def test_without_git_there_is_no_revision(package, monkeypatch):
     monkeypatch.setenv("PATH", "")
     assert revision_tags(package) == {}

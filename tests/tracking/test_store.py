@@ -53,21 +53,21 @@ def refused(store: Store, timeout: float = 0.5) -> str:
 
 
 @pytest.mark.parametrize("scheme", ["http", "postgresql"])
-def test_nobody_there(scheme):
+def test_an_address_where_nothing_listens_is_refused(scheme):
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
         assert "refused" in refused(find(f"{scheme}://127.0.0.1:{port}", "."))
 
 
-def test_a_silent_server_is_given_up():
+def test_a_server_that_does_not_answer_is_refused():
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
         assert "timed out" in refused(find(f"http://127.0.0.1:{silent.getsockname()[1]}", "."))
 
 
-def test_a_server_that_asks_for_a_password_is_there():
+def test_a_server_that_asks_for_a_password_is_accepted():
     class Guarded(BaseHTTPRequestHandler):
         def do_GET(self):
             self.send_error(401)
@@ -85,7 +85,7 @@ def test_a_server_that_asks_for_a_password_is_there():
         server.server_close()
 
 
-def test_a_folder_that_cannot_be(tmp_path):
+def test_a_place_that_cannot_be_written_is_refused(tmp_path):
     (tmp_path / "file").write_text("in the way")
     assert "not writable" in refused(find(None, tmp_path / "file"))
     assert "not writable" in refused(find(None, "/proc/nothing"))
@@ -97,7 +97,7 @@ def test_a_foreign_file_is_not_touched(tmp_path):
     assert (tmp_path / "mlflow.db").read_text() == "my diary, volume one"
 
 
-def test_a_store_of_a_newer_mlflow(store):
+def test_a_store_of_a_newer_mlflow_is_refused(store):
     with sqlite3.connect(store.database) as database:
         database.execute("update alembic_version set version_num = 'from_the_future'")
     with pytest.raises(ConfigError, match="cannot be opened") as caught:
@@ -132,7 +132,7 @@ def test_runs_that_others_logged_to_default_stay_there(store):
     assert {e.name for e in connect(store).search_experiments()} == {"e", "Default"}
 
 
-def test_a_deleted_experiment_is_said(store):
+def test_a_deleted_experiment_is_reported(store):
     connect(store).delete_experiment(experiment_id(store, "e"))
     with pytest.raises(ConfigError, match="mlflow experiments restore"):
         experiment_id(store, "e")

@@ -220,7 +220,7 @@ def test_mujoco_has_the_same_equations_of_bodies_that_turn(case, tmp_path):
             np.testing.assert_allclose(there, ours[k].detach(), **exact)
 
 
-def test_friction_that_differs_about_the_axes_of_a_ball_joint_is_told(tmp_path):
+def test_friction_that_differs_about_the_axes_of_a_ball_joint_is_reported(tmp_path):
     system = replace(SYSTEMS["rigid_body"], viscous=(0.1, 0.2, 0.6))
     found = DissipativeLagrangian(KnownLagrangian(system=system), KnownFriction(system=system))
     model = model_of(found.double(), system.coordinates, system.input_matrix, system)
@@ -239,7 +239,7 @@ def test_inputs_of_a_small_body_keep_their_digits(tmp_path):
     np.testing.assert_allclose(gear.T, model.input_matrix, rtol=1e-9)
 
 
-def test_an_input_of_a_ball_joint_and_another_is_told(tmp_path):
+def test_an_input_of_a_ball_joint_and_another_is_reported(tmp_path):
     system = TURNING["ball_arm"]
     matrix = torch.ones(system.coordinates.n, 1).double()
     model = model_of(KnownLagrangian(system=system).double(), system.coordinates, matrix)
@@ -249,7 +249,7 @@ def test_an_input_of_a_ball_joint_and_another_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["machine.urdf", "machine.xml"])
-def test_what_no_file_can_hold_of_a_rotation_is_refused(name, tmp_path):
+def test_rotations_that_no_file_can_hold_are_refused(name, tmp_path):
     coordinates = SYSTEMS["rigid_body"].coordinates
     networks = {} if name.endswith("urdf") else {"learned_inputs": 2, "input_width": 3}
     model = model_of(learned_body(coordinates, **networks), coordinates, torch.zeros(3, 2).double())
