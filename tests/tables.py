@@ -1,13 +1,12 @@
 """All choices of the configuration groups; a new file is tested without further work."""
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-CONF = Path(__file__).parents[1] / "conf"
+from symo_exp.shipped import CONF
 
 
 @cache

@@ -3,15 +3,15 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import torch
 
 from examples.planning import HOLD, Planner
 from symo_exp.models.flows import Rollout
+from tests.pages import ROOT
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "swing_up.py"
+EXAMPLE = ROOT / "examples" / "swing_up.py"
 
 
 class Pendulum:

@@ -4,9 +4,8 @@ import re
 import subprocess
 import sys
 import zipfile
-from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from tests.pages import ROOT
 
 
 def test_the_wheel_carries_settings_and_sweeps(tmp_path):

@@ -1,14 +1,12 @@
 """The scripts behind the tables of results/ read the runs of today."""
 
 import sys
-from pathlib import Path
 
 import pytest
 
 import symo_exp
+from tests.pages import ROOT
 from tests.tiny import TINY
-
-RESULTS = Path(__file__).parents[1] / "results"
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +23,7 @@ def runs(tmp_path_factory):
 @pytest.fixture
 def scripts(runs, monkeypatch):
     monkeypatch.chdir(runs)  # where the data that a script makes again are kept
-    monkeypatch.syspath_prepend(RESULTS / "thesis")
+    monkeypatch.syspath_prepend(ROOT / "results" / "thesis")
     yield
     for name in ("noise", "draws"):
         sys.modules.pop(name, None)

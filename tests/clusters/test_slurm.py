@@ -11,6 +11,7 @@ from symo_exp.tracking.store import connect, find
 from tests.clusters.slurm import cluster, missing
 from tests.faults.commands import Command, go
 from tests.tiny import TINY
+from tests.training.runs import CLOCKS
 
 pytestmark = pytest.mark.slurm
 
@@ -19,7 +20,6 @@ WORDS = [
     "experiment=sweep",
 ]  # fmt: skip
 SLURM = ["hydra/launcher=submitit_slurm_cpu", "hydra.launcher.mem_gb=1"]
-CLOCKS = {"step_ms", "training_seconds", "peak_memory"}
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,9 @@ import symo_exp
 from symo_exp.job.recipe import build
 from symo_exp.runs.folder import RunFolder
 from tests.jobs import job_of
+from tests.pages import ROOT
 
-FILES = sorted((Path(__file__).parents[2] / "recordings").glob("*.parquet"))
+FILES = sorted((ROOT / "recordings").glob("*.parquet"))
 SPLITS = ["train", "val", "test"]
 
 

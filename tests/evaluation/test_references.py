@@ -1,7 +1,6 @@
 """The makers' models: equations of motion, and the errors that they have on their recordings."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,12 +16,13 @@ from symo_exp.mechanics.lagrangian import Lagrangian, solve
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.rigs import FreeChain
+from tests.pages import ROOT
+from tests.tables import CONF
 
-ROOT = Path(__file__).parents[2]
 RECORDINGS = ROOT / "recordings"
 SETTINGS = {
     file.stem: settings
-    for file in sorted((ROOT / "conf" / "reference").glob("*.yaml"))
+    for file in sorted((CONF / "reference").glob("*.yaml"))
     if (settings := yaml.safe_load(file.read_text(encoding="utf-8")))  # not those of none
 }
 H = 0.02

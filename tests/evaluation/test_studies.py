@@ -173,8 +173,14 @@ def test_a_method_without_a_lagrangian_has_no_learned_quantities():
 
 
 @pytest.mark.parametrize(
-    "settings", [{"steps": 0}, {"count": 0}, {"period": 0.0}, {"amplitude": math.inf}]
+    ("wrong", "wanted"),
+    [
+        ({"steps": 0}, r"steps=0.*at least 1"),
+        ({"count": 0}, r"count=0.*at least 1"),
+        ({"period": 0.0}, r"period=0\.0 must be positive"),
+        ({"amplitude": math.inf}, r"amplitude=inf finite"),
+    ],
 )
-def test_invalid_settings_are_refused(settings):
-    with pytest.raises(ConfigError, match=r"study\.x"):
-        Motion(**{"name": "x", "steps": 3, **settings})
+def test_invalid_settings_are_refused(wrong, wanted):
+    with pytest.raises(ConfigError, match=rf"study\.x.*{wanted}"):
+        Motion(**{"name": "x", "steps": 3, **wrong})

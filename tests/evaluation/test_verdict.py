@@ -35,4 +35,5 @@ def test_a_verdict_follows_from_the_measures(changes, said):
 def test_only_models_of_recordings_have_a_verdict():
     assert verdict({"test_mse": 1.0}) is None
     assert comparison({"test_mse": 1.0}) is None
-    assert comparison(GOOD) == "RMSE to 1 s 0.02 (constant velocity 1, noise 0.001)"
+    for part in ("to 1 s 0.02", "constant velocity 1", "noise 0.001"):
+        assert part in comparison(GOOD)

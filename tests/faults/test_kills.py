@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from symo_exp.runs.folder import RunFolder
-from symo_exp.runs.series import TIME, read
+from symo_exp.runs.series import read
 from tests.faults.commands import Command, go, stored
 from tests.tiny import TINY, copy_store
+from tests.training.runs import CLOCKS
 
 WORDS = [
     *TINY, "trainer.max_epochs=12", "trainer.validate_every=2", "trainer.checkpoint_every=0",
     "pictures=false", "logger.flush_seconds=0.2",
 ]  # fmt: skip
-CLOCKS = {TIME, "step_ms", "training_seconds", "peak_memory"}
 METHODS = [
     "model=node integrator=rk4",
     "model=l_node",

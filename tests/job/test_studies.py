@@ -4,7 +4,6 @@ import pandas as pd
 import pytest
 
 from symo_exp.__main__ import main
-from symo_exp.runs.folder import RunFolder
 from symo_exp.tracking.store import connect, find
 from tests.jobs import job_of, refusal
 from tests.tiny import TINY
@@ -59,15 +58,3 @@ def test_a_finished_run_is_studied_without_training_it_again(workplace, capsys):
 )  # fmt: skip
 def test_an_invalid_study_is_refused(word, wanted, workplace):
     assert wanted in refusal(*word.split(), "logger=none")
-
-
-def test_a_study_is_done_with_its_settings_or_not_at_all(tmp_path):
-    folder = RunFolder(tmp_path)
-    asked = {"forced": {"steps": 3, "period": 2.0}}
-    assert folder.missing_studies(asked) == ["forced"]
-    folder.write_study("forced", asked["forced"], {"forced_x": float("inf")}, {})
-    assert folder.missing_studies(asked) == []
-    assert folder.missing_studies({"forced": {"steps": 4, "period": 2.0}}) == ["forced"]
-    assert folder.measures() == {"forced_x": float("inf")}
-    (folder / "studies" / "forced.json").write_text("{")
-    assert folder.missing_studies(asked) == ["forced"]

@@ -77,8 +77,9 @@ def test_a_network_has_no_physical_parameters():
 def test_friction_has_units_of_its_coordinate():
     coordinates = Coordinates(("x", "a"), (False, True))
     found = values(
-        LearnedDissipation(coordinates=coordinates, coulomb=True, start=0.3), coordinates
+        LearnedDissipation(coordinates=coordinates, coulomb=True, start=0.3, rest_velocity=0.2),
+        coordinates,
     )
     assert found["x.viscous_friction"] == (pytest.approx(0.3), "N s/m")
     assert found["a.dry_friction"] == (pytest.approx(0.3), "N m")
-    assert found["a.rest_velocity"] == (pytest.approx(0.1), "rad/s")
+    assert found["a.rest_velocity"] == (pytest.approx(0.2), "rad/s")

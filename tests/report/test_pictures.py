@@ -14,6 +14,7 @@ from symo_exp.report import pictures
 from symo_exp.report.animation import animate
 from symo_exp.report.looks import TRUTH, look
 from symo_exp.systems.chain import ChainPendulum
+from tests.report.test_recordings import recorded
 from tests.tables import systems
 
 SYSTEMS = systems() | {"chain_3": ChainPendulum(3)}
@@ -91,19 +92,15 @@ def test_quantities_that_a_system_or_run_lacks_are_not_drawn(tmp_path):
     assert [path.name for path in found] == ["trajectories.png", "phase_portrait.png"]
 
 
-def test_recordings_have_pictures_of_their_own(tmp_path, monkeypatch):
-    monkeypatch.setattr(pictures, "save_figure", lambda figure, folder, formats: [figure.key])
-    monkeypatch.setattr(
-        pictures.recordings, "recording_figures", lambda model, found, *names: [found]
-    )
-    unseen = SimpleNamespace(skeleton=lambda q: None)
+def test_recordings_have_pictures_of_their_own(tmp_path):
+    model, measures, found = recorded(1, for_evaluation=lambda: model, lagrangian=None)
+    unseen = SimpleNamespace(coordinates=model.coordinates, skeleton=lambda q: None)
     rollouts = dataclasses.replace(made(SYSTEMS["pendulum"]), energy=None)
-    found = pictures.draw_run(
-        knowing(SYSTEMS["pendulum"], None), unseen,
-        Evaluation({}, rollouts, SimpleNamespace(key="windows")), method="node", title="t",
+    drawn = pictures.draw_run(
+        model, unseen, Evaluation(measures, rollouts, found), method="node", title="t",
         folder=tmp_path,
     )  # fmt: skip
-    assert found == ["trajectories", "phase_portrait", "windows"]
+    assert [path.stem for path in drawn] == ["trajectories", "phase_portrait", "windows"]
 
 
 def test_a_potential_is_compared_up_to_its_constant_and_nothing_else_is_aligned():

@@ -140,6 +140,17 @@ def test_a_table_is_parquet(folder):
     assert pandas.read_parquet(folder / "x.parquet").a.tolist() == [1, 2]
 
 
+def test_a_study_is_done_with_its_settings_or_not_at_all(folder):
+    asked = {"forced": {"steps": 3, "period": 2.0}}
+    assert folder.missing_studies(asked) == ["forced"]
+    folder.write_study("forced", asked["forced"], {"forced_x": float("inf")}, {})
+    assert folder.missing_studies(asked) == []
+    assert folder.missing_studies({"forced": {"steps": 4, "period": 2.0}}) == ["forced"]
+    assert folder.measures() == {"forced_x": float("inf")}
+    (folder / "studies" / "forced.json").write_text("{")
+    assert folder.missing_studies(asked) == ["forced"]
+
+
 # -- series ------------------------------------------------------------------------------------
 
 

@@ -136,7 +136,7 @@ def test_thesis_and_default_protocol(workplace):
     words = ["model=e2e_symo", "system=acrobot", "-m", "preset=default,thesis"]
     default, thesis = (job.config for job in jobs_of(*words))
     for config in default, thesis:
-        assert (config.net.width, config.optimizer.lr) == (256, 1e-3)
+        assert config.net.width == 256
         assert config.trainer.max_epochs == 2000
         assert config.data.batch_size is None
         assert (config.scheduler.patience, config.scheduler.factor) == (50, 0.7)
@@ -148,8 +148,7 @@ def test_thesis_and_default_protocol(workplace):
     assert default.root.rollout.tolerance <= 1e-9
     assert thesis.integrator.sensitivity == "adjoint"
     assert (thesis.data.solver.method, thesis.data.solver.rtol) == ("RK45", 1e-3)
-    pendulum = job_of("system=pendulum").config
-    assert (pendulum.net.width, pendulum.optimizer.lr) == (128, 1e-4)
+    assert job_of("system=pendulum").config.net.width == 128
 
 
 RATES = published()[["system", "noise_std", "learning_rate"]].drop_duplicates()

@@ -258,9 +258,9 @@ def test_friction_joins_the_forces_and_takes_energy(name: str) -> None:
     system = SYSTEMS[name]
     n = system.coordinates.n
     d, c = [0.1 * (i + 1) for i in range(n)], [0.2] * n
-    damped = dataclasses.replace(system, viscous=d, coulomb=c)
+    damped = dataclasses.replace(system, viscous=d, coulomb=c, rest_velocity=0.3)
     q, v, u = points(system)
-    force = -torch.tensor(d, dtype=torch.float64) * v - 0.2 * torch.tanh(v / 0.05)
+    force = -torch.tensor(d, dtype=torch.float64) * v - 0.2 * torch.tanh(v / 0.3)
     expected = acceleration(system, q, v, system.input_force(system.input_matrix, q, u) + force)
     torch.testing.assert_close(damped.acceleration(q, v, u), expected)
     path = simulate(damped, q[:2], v[:2], torch.zeros_like(u[:2]), 8, Solver())

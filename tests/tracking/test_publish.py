@@ -12,6 +12,7 @@ from symo_exp.tracking import publish
 from symo_exp.tracking.nowhere import Nowhere
 from symo_exp.tracking.publish import MlflowView
 from symo_exp.tracking.store import connect
+from tests.tiny import copy_store
 
 PARAMETERS = {"model": "symo", "seed": 3, "data.n_traj": 8}
 
@@ -64,7 +65,8 @@ def test_a_run_appears_grows_and_is_finished(view, folder, store):
     assert run.data.tags["git_dirty"] == "true"
     grow(folder, 131)
     view.publish(folder)
-    assert steps(store, "train_loss") == [*range(100), *range(100, 131, 5)]
+    dense, sparse = [*range(publish.DENSE)], [*range(publish.DENSE, 131, 5)]
+    assert steps(store, "train_loss") == dense + sparse
     assert not view.is_published(folder)
     grow(folder, 134, start=131)
     finish(folder)
@@ -72,7 +74,7 @@ def test_a_run_appears_grows_and_is_finished(view, folder, store):
     (run,) = runs(store)
     assert run.info.run_id in address
     assert run.info.status == "FINISHED"
-    assert steps(store, "train_loss") == [*range(100), *range(100, 131, 5), 133]
+    assert steps(store, "train_loss") == [*dense, *sparse, 133]
     assert steps(store, "val_loss") == [*range(9, 100, 10)]
     assert run.data.metrics["test_mse"] == 1e-7
     client = connect(store)
@@ -169,11 +171,13 @@ def test_a_store_that_is_away_says_so_soon(folder):
     assert not folder.published()
 
 
-def test_another_store_gets_everything(view, folder, tmp_path, store):
+def test_another_store_gets_everything(view, folder, tmp_path, database):
     grow(folder, 3)
     finish(folder)
     view.publish(folder)
-    other = MlflowView(experiment="e", directory=tmp_path / "other")
+    (tmp_path / "other").mkdir()
+    copy_store(database, tmp_path / "other")
+    other = MlflowView(experiment="e", directory=tmp_path / "other" / "mlruns")
     assert not other.is_published(folder)
     other.publish(folder)
     assert other.is_published(folder)

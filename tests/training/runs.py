@@ -7,11 +7,14 @@ import torch
 
 from symo_exp.job.recipe import build, perform
 from symo_exp.runs.folder import About, RunFolder
+from symo_exp.runs.series import TIME
 from symo_exp.training.learner import Learner
 from tests.jobs import job_of
 from tests.tiny import TINY
 
 EPOCHS = 6
+CLOCKS = {TIME, "step_ms", "training_seconds", "peak_memory"}
+"""Columns of a series that differ from run to run."""
 WORDS = [
     *TINY, f"trainer.max_epochs={EPOCHS}", "trainer.validate_every=2", "trainer.checkpoint_every=0",
     "pictures=false", "logger=none",

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 import symo_exp
-from symo_exp.runs.series import EPOCH, TIME, read
+from symo_exp.runs.series import EPOCH, read
 from symo_exp.training.divergence import DivergenceError
 from symo_exp.training.learner import Learner
 from tests.models.methods import learned
 from tests.tables import choices
-from tests.training.runs import Cut, cut, go, same, state
+from tests.training.runs import CLOCKS, Cut, cut, go, same, state
 
 SYMO = "model=symo"
 SHORT = {
@@ -67,10 +67,9 @@ def test_a_training_interrupted_twice_ends_with_the_same_bits(
 
 def series(folder):
     """Return all rows without times."""
-    clocks = {TIME, "step_ms", "training_seconds", "peak_memory"}
     rows = read(folder / "series.csv")
     assert [row[EPOCH] for row in rows] == list(range(len(rows)))
-    return [{name: value for name, value in row.items() if name not in clocks} for row in rows]
+    return [{name: value for name, value in row.items() if name not in CLOCKS} for row in rows]
 
 
 @pytest.mark.parametrize(
