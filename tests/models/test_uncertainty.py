@@ -4,9 +4,15 @@ import pytest
 import torch
 
 from symo_exp.errors import ConfigError
-from symo_exp.models.uncertainty import ModelPosterior, extended, quantile
+from symo_exp.models.uncertainty import (
+    START_TIME,
+    ModelPosterior,
+    extended,
+    quantile,
+    sensitivity,
+)  # fmt: skip
 from symo_exp.optim.posterior import Posterior
-from tests.models.methods import make
+from tests.models.methods import flows, make, pairwise
 
 STATE = torch.tensor([0.3]).double(), torch.tensor([0.1]).double()
 
@@ -43,10 +49,41 @@ def test_samples_and_linearisation_agree():
     assert ((ratio > 0.6) & (ratio < 1.5)).all()
 
 
-def test_an_error_beyond_the_parameters_widens_the_interval():
+def test_an_error_beyond_the_parameters_widens_the_interval_where_the_motion_is_sensitive():
     error = 0.1 * torch.ones(7, 1, dtype=torch.float64)
-    found = width(with_posterior(1e-9, error=error))
-    torch.testing.assert_close(found, quantile(0.9) * error, rtol=1e-3, atol=1e-6)
+    model = with_posterior(1e-9, error=error)
+    q, v = (x.unsqueeze(0) for x in STATE)
+    u = torch.zeros(1, 7, 1, dtype=torch.float64)
+    size = sensitivity(model.flow, q, v, u, model.flow.rollout(q, v, u).q)[0]
+    assert size[-1] > 1.1 * size[0]
+    torch.testing.assert_close(width(model), quantile(0.9) * error * size, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows()))
+def test_sensitivity_is_that_of_starts_that_are_off(method, integrator, n):
+    flow = make(method, integrator, n).flow
+    generator = torch.Generator().manual_seed(2)
+    q, v = 0.3 * torch.randn(2, 1, n, dtype=torch.float64, generator=generator)
+    u = torch.zeros(1, 5, 1, dtype=torch.float64)
+    middle = flow.rollout(q, v, u).q
+    found = sensitivity(flow, q, v, u, middle)
+    off, total = 1e-4, torch.zeros_like(middle)
+    for step in off * torch.eye(n, dtype=torch.float64):
+        for dq, dv in ((step, 0.0 * step), (0.0 * step, step / START_TIME)):
+            up, down = (flow.rollout(q + s * dq, v + s * dv, u).q for s in (1.0, -1.0))
+            total += ((up - down) / (2.0 * off)).square()
+    torch.testing.assert_close(found, total.sqrt(), rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(found[:, 0], torch.ones_like(found[:, 0]), rtol=1e-6, atol=1e-6)
+
+
+def test_intervals_of_an_earlier_version_are_those_of_the_parameters_and_said_so(caplog):
+    state = with_posterior(1e-5).posterior.state()
+    state["error"] = state.pop("relative_error")
+    assert ModelPosterior.of_state(state).relative_error is None
+    assert not caplog.records
+    state["error"] = torch.ones(3, 1)
+    assert ModelPosterior.of_state(state).relative_error is None
+    assert "earlier version" in caplog.text
 
 
 def test_an_error_goes_on_growing_beyond_its_last_node():

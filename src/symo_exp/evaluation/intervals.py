@@ -1,66 +1,129 @@
-"""Intervals of predicted recordings: widened by held-out errors, and how much they cover."""
+"""Intervals of predicted recordings: widened by errors of recordings, and how much they cover."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.evaluation.horizon import HORIZONS, Predictions, cut, predict
+from symo_exp.evaluation.horizon import HORIZONS, Predictions, PredictionWindows, cut, predict
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.base import DynamicsModel
-from symo_exp.models.uncertainty import Interval, ModelPosterior, extended, quantile, spread
+from symo_exp.models.uncertainty import (
+    Interval,
+    ModelPosterior,
+    quantile,
+    sensitivity,
+    spread,
+    variance,
+)  # fmt: skip
 from symo_exp.optim.posterior import Posterior
 
 LEVEL = 0.9
 """Probability of the intervals whose coverage is measured."""
-BISECTIONS = 40
 ROLLOUTS = 12
 """Number behind the intervals of all windows, whose time is that of evaluations."""
+WINDOWS = 300
+"""Number of windows whose errors widen intervals, at most."""
+SCALES = 11
+"""Number of equally probable sizes that the errors of another recording may have."""
+SMALLEST = 1e-300
 
 
 def widened(
     model: DynamicsModel, posterior: Posterior, trajectories: Sequence[Trajectory]
 ) -> ModelPosterior:
-    """Return the posterior with the error beyond it that held-out motions show.
+    """Return the posterior with the error beyond it that windows of recordings show.
 
-    Intervals of the parameters alone are widened, ``√(σ² + κ² m²)`` with ``m`` the root mean square
-    error of held-out windows up to each node, by the least ``κ`` with which they hold 90 % of these
-    windows. Without windows, or where the parameters explain the errors, there is no such error.
+    With ``σ`` the standard deviation of the parameters and ``s`` the sensitivity of a rollout,
+    intervals have the variance ``σ² + κ² s²``; see ``relative_error`` for ``κ``. Without windows,
+    or where the parameters explain the errors, there is no such error.
 
     Args:
         model: The model, in float64.
         posterior: Posterior of its parameters.
-        trajectories: Motions that it was not trained on.
+        trajectories: Recordings, those of training too: few are held out, and how much recordings
+            differ shows in many.
     """
     windows = cut(trajectories, model.time_step, run_in=True) if trajectories else None
     if windows is None:
         return ModelPosterior(posterior)
-    found = predict(model, windows, model.time_step, model.input_matrix)
-    variance = _variance(model, posterior, found)
-    error = (found.q - found.q_true).square()
-    error = error.where(found.q.isfinite() | error.isnan(), torch.nan)
-    mean = error.nanmean(0).nan_to_num(0.0).cummax(0).values
-    low, high = 0.0, 100.0
-    if _share(error, variance) >= LEVEL:
-        return ModelPosterior(posterior)
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        if _share(error, variance + middle**2 * mean) >= LEVEL:
-            high = middle
-        else:
-            low = middle
-    return ModelPosterior(posterior, high * mean.sqrt())
+    found = predict(model, _some(windows, WINDOWS), model.time_step, model.input_matrix)
+    rolled = _rolled(model, found)
+    by_parameters = spread(model.flow, posterior, *rolled, ROLLOUTS).double().cpu()
+    by_start = sensitivity(model.flow, *rolled).double().cpu()
+    error = (found.q - found.q_true).where(found.q.isfinite(), torch.nan)
+    kappa = relative_error(error, by_parameters, by_start, found.windows.trajectory)
+    return ModelPosterior(posterior, kappa if bool((kappa > 0.0).any()) else None)
+
+
+def relative_error(
+    error: Float[Tensor, "windows nodes n"],
+    variance: Float[Tensor, "windows nodes n"],
+    sensitivity: Float[Tensor, "windows nodes n"],
+    recording: Float[Tensor, " windows"],
+) -> Float[Tensor, "nodes n"]:
+    """Return ``κ`` with which ``σ² + κ² s²`` holds 90 % of the errors of another recording.
+
+    At each node, ``κ`` is the 90 % quantile of the least one with which an error is inside. Every
+    recording has the same weight. The sizes of their errors differ: the size for another recording
+    is log-normal, with the variance ``τ² (1 + 1/R)`` of the logarithm, ``τ²`` being that of the
+    ``R`` recordings at hand, and multiplies the errors.
+
+    Args:
+        error: Errors of windows; NaN where nothing was measured or a rollout diverged.
+        variance: ``σ²``, that of the parameters.
+        sensitivity: ``s``.
+        recording: Index of the recording of each window.
+    """
+    inside = (error / quantile(LEVEL)).square()
+    least = (inside - variance).clamp_min(0.0) / sensitivity.square()
+    rows = [recording == one for one in recording.unique()]
+    weight = torch.stack([row / row.sum() for row in rows]).sum(0)
+    typical = torch.stack([least[row].nanmean(0) for row in rows]).nanmean(0)
+    share = inside / (variance + typical * sensitivity.square()).clamp_min(SMALLEST)
+    size = torch.stack([share[row].nanmean() for row in rows])
+    size = size[size.isfinite()].clamp_min(SMALLEST)
+    others = 0.0
+    if len(size) > 1:
+        others = float((0.5 * size.log()).std()) * math.sqrt(1.0 + 1.0 / len(size))
+    middle = (torch.arange(SCALES, dtype=torch.float64) + 0.5) / SCALES
+    scales = (others * torch.special.ndtri(middle)).exp()
+    scaled = (scales.view(-1, 1, 1, 1) * least.sqrt()).flatten(0, 1)
+    return _quantile(scaled, weight.repeat(SCALES), LEVEL)
+
+
+def _quantile(
+    values: Float[Tensor, "rows nodes n"], weight: Float[Tensor, " rows"], level: float
+) -> Float[Tensor, "nodes n"]:
+    """Return the weighted quantile over rows; at nodes without values that of the last with one."""
+    there = values.isfinite()
+    ordered, order = values.where(there, torch.inf).sort(0)
+    share = (weight.view(-1, 1, 1) * there).gather(0, order).cumsum(0)
+    at = (share < level * share[-1]).sum(0, keepdim=True).clamp_max(len(values) - 1)
+    found = ordered.gather(0, at)[0]
+    for k in range(1, len(found)):
+        found[k] = found[k].where(found[k].isfinite(), found[k - 1])
+    return found.nan_to_num(0.0, 0.0)
+
+
+def _some(windows: PredictionWindows, most: int) -> PredictionWindows:
+    """Return so many windows, evenly."""
+    count = len(windows.q)
+    if count <= most:
+        return windows
+    rows = torch.linspace(0, count - 1, most).round().long()
+    trajectory, first, lead, *fields = windows
+    return PredictionWindows(trajectory[rows], first[rows], lead, *(x[rows] for x in fields))
 
 
 def interval_of(model: DynamicsModel, posterior: ModelPosterior, found: Predictions) -> Interval:
     """Return the 90 % interval of predicted windows about the prediction."""
-    variance = _variance(model, posterior.parameters, found)
-    if posterior.error is not None:
-        variance = variance + extended(posterior.error, found.q.shape[1]).square()
-    width = quantile(LEVEL) * variance.sqrt()
+    about = variance(model.flow, posterior, *_rolled(model, found), ROLLOUTS).double().cpu()
+    width = quantile(LEVEL) * about.sqrt()
     return Interval(found.q - width, found.q + width)
 
 
@@ -83,17 +146,9 @@ def coverage(found: Predictions, interval: Interval) -> dict[str, float]:
     return measures
 
 
-def _variance(
-    model: DynamicsModel, posterior: Posterior, found: Predictions
-) -> Float[Tensor, "windows nodes n"]:
-    """Return the variance of the windows' rollouts from their starts under the posterior."""
-    place = model.input_matrix
-    q, v = found.q[:, 0].to(place), found.v[:, 0].to(place)
-    u = found.windows.u[:, found.windows.lead :].to(place)
-    return spread(model.flow, posterior, q, v, u, found.q.to(place), ROLLOUTS).double().cpu()
-
-
-def _share(error: Tensor, variance: Tensor) -> float:
-    """Share of measured nodes after the first within the interval of 90 %."""
-    inside = (error <= quantile(LEVEL) ** 2 * variance).double()
-    return inside.where(error.isfinite(), torch.nan)[:, 1:].nanmean().item()
+def _rolled(model: DynamicsModel, found: Predictions) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return starts, inputs and rollouts of predicted windows, where the model works."""
+    u = found.windows.u[:, found.windows.lead :]
+    fields = found.q[:, 0], found.v[:, 0], u, found.q
+    q, v, u, middle = (x.to(model.input_matrix) for x in fields)
+    return q, v, u, middle

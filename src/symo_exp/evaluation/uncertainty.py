@@ -35,7 +35,8 @@ def posterior_of(
         residuals: Residuals that training made small.
         estimate: How: ``EpochOptimizer.estimate()``.
         train: Trajectories that it was trained on.
-        held_out: Recordings that it was not trained on, whose errors widen intervals.
+        held_out: Recordings that it was not trained on. Where there are any, errors of all
+            recordings widen intervals.
     """
     parameters = list(model.parameters())
     if estimate is None or any(p.dtype != torch.float64 for p in parameters):
@@ -53,12 +54,13 @@ def posterior_of(
             log.info("no posterior: the derivatives of the residuals are not finite")
             return None
         flat = not model.coordinates.space.rotations  # intervals are of lengths and angles
-        whole = widened(model.for_evaluation(), found, held_out if flat else ())
-    if whole.error is not None:
+        recordings = [*train, *held_out] if flat and held_out else ()
+        whole = widened(model.for_evaluation(), found, recordings)
+    if whole.relative_error is not None:
         log.info(
-            "intervals are widened by %.2g after %.2g s (one standard deviation, root mean square "
-            "over coordinates): held-out recordings deviate more than the posterior explains",
-            whole.error[-1].square().mean().sqrt().item(),
-            (len(whole.error) - 1) * model.time_step,
+            "intervals are widened by %.2g times the sensitivity to the start, after %.2g s (root "
+            "mean square over coordinates): recordings deviate more than the posterior explains",
+            whole.relative_error[-1].square().mean().sqrt().item(),
+            (len(whole.relative_error) - 1) * model.time_step,
         )
     return whole

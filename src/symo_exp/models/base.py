@@ -144,7 +144,7 @@ class DynamicsModel(nn.Module):
         """Return bounds between which the configurations lie with probability ``level``.
 
         The interval is that of the posterior of the parameters, by linearisation or, of more than
-        24 parameters, by samples; where errors of held-out recordings exceed it, widened by these.
+        24 parameters, by samples; where errors of recordings exceed it, widened by these.
 
         Args:
             q0: Configuration to start from.

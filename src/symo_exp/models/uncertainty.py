@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
@@ -13,7 +14,10 @@ from torch import Tensor, nn
 
 from symo_exp.errors import ConfigError
 from symo_exp.models.flows import Flow
+from symo_exp.models.starts import Fit
 from symo_exp.optim.posterior import Posterior
+
+log = logging.getLogger(__name__)
 
 Module = TypeVar("Module", bound=nn.Module)
 SAMPLES = 48
@@ -24,6 +28,10 @@ SMALL = 1e-5
 
 Directions that the data hardly determine are long, and rollouts hardly change along them to first
 order; a longer step would take the second order, which the posterior does not describe, for it."""
+
+START_TIME = 0.2
+"""Time [s] from which a start is known: its velocity is off by the error of a configuration over
+this time."""
 
 
 class Interval(NamedTuple):
@@ -39,22 +47,28 @@ class ModelPosterior:
 
     Attributes:
         parameters: Posterior of all parameters, in their order.
-        error: Standard deviation (nodes, n) of held-out motions about the model's that the
-            parameters do not explain, by node; ``None`` where they explain them or there were none.
+        relative_error: Standard deviation (nodes, n) of recorded motions about the model's that the
+            parameters do not explain, over the sensitivity of the rollout, by node; ``None`` where
+            they explain the motions or none were held out.
     """
 
     parameters: Posterior
-    error: Float[Tensor, "nodes n"] | None = None
+    relative_error: Float[Tensor, "nodes n"] | None = None
 
     def state(self) -> dict[str, Any]:
         """Return it as plain values and tensors."""
-        return {**self.parameters._asdict(), "error": self.error}
+        return {**self.parameters._asdict(), "relative_error": self.relative_error}
 
     @staticmethod
     def of_state(state: dict[str, Any]) -> ModelPosterior:
         """Return it from what ``state`` gave."""
         fields = {name: state[name] for name in Posterior._fields}
-        return ModelPosterior(Posterior(**fields), state["error"])
+        if state.get("error") is not None:
+            log.warning(
+                "intervals of this run, of an earlier version, are those of the parameters alone; "
+                "train it again with resume=false to have them widened by the errors of recordings"
+            )
+        return ModelPosterior(Posterior(**fields), state.get("relative_error"))
 
 
 @torch.no_grad()
@@ -95,12 +109,8 @@ def interval(
     """Return the interval of rollouts, by linearisation or by samples, widened by the error."""
     if not 0.0 < level < 1.0:
         raise ConfigError(f"level={level}: expected a number between 0 and 1")
-    found = known(posterior)
     middle = flow.rollout(q, v, u).q
-    variance = spread(flow, found.parameters, q, v, u, middle)
-    if found.error is not None:
-        variance = variance + extended(found.error, u.shape[1]).to(middle).square()
-    width = quantile(level) * variance.sqrt()
+    width = quantile(level) * variance(flow, known(posterior), q, v, u, middle).sqrt()
     return Interval(middle - width, middle + width)
 
 
@@ -116,6 +126,48 @@ def extended(error: Float[Tensor, "nodes n"], nodes: int) -> Float[Tensor, "node
         return error[:nodes] if nodes <= len(error) else error[-1:].expand(nodes, -1)
     beyond = torch.arange(last + 1, nodes).to(error).unsqueeze(1) / last
     return torch.cat((error, error[-1:] * beyond))
+
+
+@torch.no_grad()
+def variance(
+    flow: Flow,
+    posterior: ModelPosterior,
+    q: Tensor,
+    v: Tensor,
+    u: Tensor,
+    middle: Tensor,
+    most: int = SAMPLES,
+) -> Float[Tensor, "batch nodes n"]:
+    """Return the variance of motions about rollouts: of the parameters, and the error beyond.
+
+    The arguments are those of ``spread``.
+    """
+    found = spread(flow, posterior.parameters, q, v, u, middle, most)
+    if posterior.relative_error is None:
+        return found
+    error = extended(posterior.relative_error, u.shape[1]).to(middle)
+    return found + (error * sensitivity(flow, q, v, u, middle)).square()
+
+
+@torch.no_grad()
+def sensitivity(
+    flow: Flow, q: Tensor, v: Tensor, u: Tensor, middle: Tensor
+) -> Float[Tensor, "batch nodes n"]:
+    """Return the standard deviation of rollouts from starts that are off by 1.
+
+    Each configuration is off by 1 and each velocity by ``1 / START_TIME``, independently.
+    Rollouts that diverge have zero.
+
+    Args:
+        flow: The flow.
+        q: Configurations to start from.
+        v: Velocities to start from.
+        u: Controls at all nodes.
+        middle: The rollouts of ``flow``.
+    """
+    at = Fit(flow, middle, u, torch.ones_like(middle)).at(torch.cat((q, v), dim=1))
+    by_q, by_v = at.slopes.unflatten(1, middle.shape[1:]).chunk(2, dim=3)
+    return (by_q.square().sum(3) + by_v.square().sum(3) / START_TIME**2).sqrt()
 
 
 @torch.no_grad()

@@ -1,0 +1,91 @@
+"""Errors of recordings widen intervals so that those of another recording are inside."""
+
+import math
+
+import pytest
+import torch
+
+from symo_exp.evaluation.intervals import LEVEL, SCALES, relative_error
+from symo_exp.models.uncertainty import quantile
+
+NODES, N = 3, 2
+
+
+def errors(recordings, windows, scatter, generator):
+    """Normal errors whose size differs from recording to recording."""
+    sizes = (scatter * torch.randn(recordings, generator=generator).double()).exp()
+    drawn = torch.randn(recordings, windows, NODES, N, generator=generator).double()
+    drawn = sizes.view(-1, 1, 1, 1) * drawn
+    return drawn.flatten(0, 1), torch.arange(recordings).repeat_interleave(windows)
+
+
+def found(error, recording, variance=0.0, sensitivity=1.0):
+    like = torch.ones_like(error)
+    return relative_error(error, variance * like, sensitivity * like, recording)
+
+
+@pytest.mark.parametrize("recordings", [2, 3, 8, 24])
+@pytest.mark.parametrize("scatter", [0.0, 0.5, 1.0])
+def test_nine_tenths_of_another_recording_are_inside(recordings, scatter):
+    """On average over draws; the few recordings that there are may be alike by chance."""
+    generator = torch.Generator().manual_seed(recordings)
+    shares = []
+    for _ in range(200):
+        kappa = found(*errors(recordings, 12, scatter, generator))
+        other, _ = errors(1, 12, scatter, generator)
+        shares.append((other.abs() <= quantile(LEVEL) * kappa).double().mean())
+    assert 0.84 < torch.stack(shares).mean() < 0.97
+
+
+def test_windows_of_one_recording_have_nine_tenths_inside():
+    error, _ = errors(1, 40, 0.0, torch.Generator().manual_seed(0))
+    kappa = found(error, torch.zeros(40))
+    inside = (error.abs() <= quantile(LEVEL) * kappa * (1 + 1e-12)).double().mean(0)
+    torch.testing.assert_close(inside, torch.full_like(inside, LEVEL))
+
+
+def test_recordings_that_differ_widen():
+    error, recording = errors(6, 20, 0.0, torch.Generator().manual_seed(0))
+    sizes = torch.tensor([0.3, 1.0, 3.0, 0.3, 1.0, 3.0]).double()[recording].view(-1, 1, 1)
+    assert (found(sizes * error, recording) > 2.0 * found(error, recording)).all()
+
+
+def test_a_long_recording_counts_as_much_as_a_short_one():
+    error, recording = errors(2, 10, 0.5, torch.Generator().manual_seed(0))
+    rows = torch.cat((torch.arange(10).repeat(5), torch.arange(10, 20)))
+    torch.testing.assert_close(found(error[rows], recording[rows]), found(error, recording))
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_units(factor):
+    error, recording = errors(3, 10, 0.5, torch.Generator().manual_seed(0))
+    plain = found(error, recording, 0.1)
+    torch.testing.assert_close(found(factor * error, recording, factor**2 * 0.1), factor * plain)
+    torch.testing.assert_close(found(error, recording, 0.1, factor), plain / factor)
+
+
+def test_errors_that_the_parameters_explain_widen_nothing():
+    error, recording = errors(3, 40, 0.0, torch.Generator().manual_seed(0))
+    assert (found(error, recording, 4.0) == 0.0).all()
+
+
+def test_nodes_without_values_have_the_error_of_the_last_with_one():
+    error, recording = errors(3, 10, 0.5, torch.Generator().manual_seed(0))
+    short = error.clone()
+    short[:, 1:] = torch.nan
+    kappa = found(short, recording)
+    assert ((kappa > 0.0) & kappa.isfinite()).all()
+    torch.testing.assert_close(kappa[2], kappa[0])
+
+
+def test_a_recording_in_which_every_rollout_diverged_is_left_out():
+    error, recording = errors(3, 10, 0.5, torch.Generator().manual_seed(0))
+    diverged = error.clone()
+    diverged[recording == 2] = torch.nan
+    rows = recording < 2
+    torch.testing.assert_close(found(diverged, recording), found(error[rows], recording[rows]))
+
+
+def test_sizes_have_the_median_one():
+    middle = (torch.arange(SCALES).double() + 0.5) / SCALES
+    assert math.isclose(float(torch.special.ndtri(middle).sum()), 0.0, abs_tol=1e-12)
