@@ -38,6 +38,7 @@ NOT_RUN = {
     "results/growth/whips.py": "needs a run of seven links, which takes minutes",
     "results/rivals/inverse_dynamics.py": "needs the packages of `make rivals`, and a recording",
     "results/uncertainty/coverage.py": "takes minutes to an hour and has no budget to cut",
+    "results/uncertainty/recordings.py": "needs a run with a posterior, which takes minutes",
     "import drifts": "takes ten minutes for each order",
     "results/thesis/draws.py": "simulates 256 long trajectories; tests/test_results.py runs it",
 }
