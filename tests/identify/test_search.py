@@ -155,3 +155,30 @@ def test_inputs_with_the_names_of_coordinates_drive_these(workplace):
     frame.rename(columns={"u_elbow": "u_motor"}).to_csv("other.csv", index=False)
     with pytest.raises(ConfigError, match="input_matrix"):
         examine({"path": "other.csv"})
+
+
+@pytest.mark.parametrize(("factor", "settings"), [
+    (1.0, {"data.wrapped=true"}),
+    (180.0 / np.pi, {"data.wrapped=true", "data.degrees=true"}),
+])  # fmt: skip
+def test_angles_that_jump_by_a_turn_are_unwrapped(factor, settings, workplace):
+    t = 0.01 * np.arange(3000)
+    angle = factor * ((3.0 * t + np.sin(t) + np.pi) % (2 * np.pi) - np.pi)
+    pd.DataFrame({"t": t, "q_1": angle}).to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    assert found.angular == (True,)
+    assert settings == {word for word in found.settings if word.startswith("data.")}
+    plain = examine({"path": "mine.csv"}, angular="all")
+    assert plain.time_step == found.time_step == 0.02
+
+
+@pytest.mark.parametrize("hertz", [1.0, 5.0, 20.0, 300.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
+    t = np.arange(0.0, max(2.0, 40.0 / hertz), min(0.01, 0.01 / hertz))
+    random = np.random.default_rng(0)
+    x = np.sin(2 * np.pi * hertz * t) + noise * random.normal(size=len(t))
+    pd.DataFrame({"t": t, "q_x": x, "u_x": np.cos(2 * np.pi * hertz * t)}).to_csv("mine.csv")
+    step = examine({"path": "mine.csv"}).time_step
+    assert 2 * np.pi * hertz * step < 0.75
+    assert step == 0.02 or 2 * np.pi * hertz * step > 0.2

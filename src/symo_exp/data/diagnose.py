@@ -138,8 +138,7 @@ def diagnose(
     """
     second = [np.diff(q, 2, axis=0) for q, _ in motions]
     noise = np.array([noise_of(columns) for columns in _columns(raw)])
-    # a cubic fitted to N equal steps has 9/4N of their variance in its middle
-    blur = noise * np.sqrt(min(1.0, 2.25 / samples))
+    blur = blur_of(noise, samples)
     power = (
         np.mean(np.concatenate(second) ** 2, axis=0) - 6 * blur**2
     )  # second differences of noise
@@ -157,6 +156,14 @@ def diagnose(
         curvature=curvature,
         blur=float(np.max(blur / np.maximum(curvature, np.finfo(float).tiny))),
     )
+
+
+def blur_of(noise: np.ndarray, samples: float) -> np.ndarray:
+    """Return the noise of nodes, each a local cubic fitted to so many samples.
+
+    A cubic fitted to N equal steps has 9/4N of their variance in its middle.
+    """
+    return noise * np.sqrt(min(1.0, 2.25 / samples))
 
 
 def _columns(raw: Sequence[np.ndarray]) -> list[list[np.ndarray]]:

@@ -25,7 +25,7 @@ def verdict(measures: Mapping[str, float]) -> str | None:
         measures: Those of a run by name (docs/metrics.md).
     """
     if measures.get("windows") == 0.0:
-        return "not judged: the test recordings are too short, or nothing moves in them"
+        return "not judged: in 2 s of the test recordings nothing moves, or they are too short"
     if "usable_s" not in measures:
         return None
     pairs = [

@@ -16,7 +16,12 @@ LITTLE = 10.0
 
 
 def hopeless(measures: Mapping[str, float]) -> bool:
-    """Return whether a model is hardly better than constant velocity over every horizon."""
+    """Return whether a model is hardly better than constant velocity over every horizon.
+
+    It is false if there is no window.
+    """
+    if measures.get("windows") == 0.0:
+        return False
     pairs = [
         (measures[f"rmse_{t}"], measures[f"constant_velocity_rmse_{t}"])
         for t in HORIZONS

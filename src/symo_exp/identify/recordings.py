@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import POOR, Motion, explained_power, input_gains, noise_of
+from symo_exp.data.diagnose import POOR, Motion, blur_of, explained_power, input_gains, noise_of
 from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part
@@ -20,12 +20,17 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.recorded import Recorded
 
-STEPS = (0.02, 0.01, 0.005)
+STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4)
 """Time steps to choose from [s], the usual one first."""
 COARSE = 0.7
-"""Change of an angle in a time step above which a smaller one is taken [rad]."""
+"""Change of an angle, or of the phase of a vibration, in a time step above which a smaller one is
+taken [rad]."""
 SPAN = 2 * np.pi
 """Range of a coordinate beyond which it is an angle."""
+MISSED = 0.3
+"""Share of a motion that lines between the nodes may miss."""
+WHOLE = 0.3
+"""Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
 ANGLE = (
     "theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link"
     "|pendulum|upper|lower|roll|pitch|yaw|motor|wheel"
@@ -33,13 +38,16 @@ ANGLE = (
 SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
 """Words in the names of angles and of positions."""
 DELAYS = np.arange(-0.04, 0.0601, 0.01)
-"""Delays of inputs that are tried [s]."""
+"""Delays of inputs that are tried [s], less with a step below ``UNHURRIED``."""
+UNHURRIED = 0.005
+"""Time step of machines that do not vibrate [s], the least."""
 GAIN = 0.05
 """Share of the unexplained power that a delay explains at least to be a candidate."""
 ABOVE_NOISE = 10.0
 """Range of a coordinate over its noise from which it moves."""
-EXAMINED = 60.0
-"""Length of the training part that delay and speeds are estimated from [s]."""
+EXAMINED, NODES = 60.0, 3000
+"""Length of the training part that delay and speeds are estimated from [s], and its nodes at
+least."""
 REST = 0.05
 """Velocity below which dry friction fades, over the root mean square of a coordinate's."""
 USUAL_REST = 0.1
@@ -143,6 +151,10 @@ def examine(
     else:
         which = list(system(angular).coordinates.angular)
     angles = np.array(which)
+    if units := _jumps(used, angles, data):
+        settings += [f"data.{name}=true" for name in units]
+        notes.append(f"angles jump by a turn: read with {' '.join(settings[-len(units) :])}")
+        data = {**data, **dict.fromkeys(units, True)}
     used = [_in_radians(one, angles, data) for one in used]
     finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
     if time_step is None:
@@ -153,11 +165,12 @@ def examine(
     notes += [note] if note else []
     used, _ = uninterrupted(used, time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
-    motions = _motions(_beginning(used, EXAMINED), time_step)
+    motions = _motions(_beginning(used, max(EXAMINED, NODES * time_step)), time_step)
     if (rest := _rest_velocity(motions, time_step)) != USUAL_REST:
         settings.append(f"dissipation.rest_velocity={rest:g}")
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} m/s or rad/s")
-    left = _unexplained(motions, angles, time_step, DELAYS if driven else np.zeros(1))
+    delays = DELAYS * min(1.0, time_step / UNHURRIED) if driven else np.zeros(1)
+    left = _unexplained(motions, angles, time_step, delays)
     delay, line = _delay(left)
     if driven and left and 1.0 - left[delay] > POOR:
         light = _inertia(_pairs(motions, time_step, delay), angles, time_step, system("none"))
@@ -205,6 +218,27 @@ def _in_radians(recording: Recording, angular: np.ndarray, data: Mapping[str, An
     return recording._replace(samples=recording.samples._replace(q=q))
 
 
+def _jumps(
+    recordings: Sequence[Recording], angular: np.ndarray, data: Mapping[str, Any]
+) -> tuple[str, ...]:
+    """Return the settings of data with which angles that jump by a turn are read."""
+    columns = [r.samples.q[:, i] for r in recordings for i in np.flatnonzero(angular)]
+    if data.get("wrapped") or not columns:
+        return ()
+    if not data.get("degrees") and _wraps(columns, 2 * np.pi):
+        return ("wrapped",)
+    if _wraps(columns, 360.0):
+        return ("wrapped",) if data.get("degrees") else ("degrees", "wrapped")
+    return ()
+
+
+def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
+    """Return whether all steps of more than half a turn are nearly of a whole one."""
+    steps = np.concatenate([np.abs(np.diff(x)) for x in columns])
+    jumps = steps[steps > 0.5 * turn]
+    return bool(jumps.size and (np.abs(jumps - turn) < WHOLE * turn).all())
+
+
 def _moves(recordings: Sequence[Recording]) -> bool:
     for column in zip(*(one.samples.q.T for one in recordings), strict=True):
         noise = np.nan_to_num(noise_of(column))
@@ -228,7 +262,7 @@ def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
     if any(re.fullmatch(SLIDE, word) for word in words):
         return False
     low, high = min(x.min() for x in columns), max(x.max() for x in columns)
-    if high - low > SPAN:
+    if high - low > SPAN or _wraps(columns, 2 * np.pi):
         return True
     raise ConfigError(
         f"system.angular has no value yet: is q_{name}, which goes from {low:.3g} to {high:.3g}, "
@@ -251,7 +285,43 @@ def _time_step(recordings: Sequence[Recording], angular: np.ndarray, finest: flo
         np.abs(np.diff(r.samples.q, axis=0)) / np.diff(r.samples.t)[:, None] for r in recordings
     ]
     fast = np.quantile(np.concatenate(speeds)[:, angular], 0.999) if angular.any() else 0.0
-    return next((h for h in usable if fast * h <= COARSE), usable[-1])
+    beginning = _beginning(recordings, EXAMINED)
+    return next(
+        (h for h in usable if fast * h <= COARSE and _phase(beginning, h) <= COARSE), usable[-1]
+    )
+
+
+def _phase(recordings: Sequence[Recording], h: float) -> float:
+    """Return ``ω h``, the phase by which the fastest coordinate vibrates in a time step [rad].
+
+    ``ω`` is the ratio of the root mean squares of accelerations and velocities, without the noise
+    of the nodes. It is infinite where lines between the nodes miss much of the motion.
+    """
+    motions = _motions(recordings, h)
+    if not motions:
+        return 0.0
+    if _missed(motions) > MISSED:
+        return np.inf
+    first, second = (np.concatenate([np.diff(q, k, axis=0) for _, _, q in motions]) for k in (1, 2))
+    columns = zip(*(samples.q.T for samples, _, _ in motions), strict=True)
+    noise = np.array([np.nan_to_num(noise_of(each)) for each in columns])
+    count = h / np.median(np.concatenate([np.diff(samples.t) for samples, _, _ in motions]))
+    blur = blur_of(noise, count) ** 2
+    velocity = np.mean(first**2, axis=0) - 2 * blur
+    acceleration = np.mean(second**2, axis=0) - 6 * blur
+    seen = (velocity > blur) & (acceleration > blur)
+    return float(np.sqrt(acceleration[seen] / velocity[seen]).max(initial=0.0))
+
+
+def _missed(motions: Sequence[Sampled]) -> float:
+    """Return the share of a coordinate's motion that lines between nodes miss, the largest."""
+    left, motion = 0.0, np.finfo(float).tiny
+    for samples, nodes, q in motions:
+        inside = (samples.t >= nodes[0]) & (samples.t <= nodes[-1])
+        lines = np.stack([np.interp(samples.t[inside], nodes, x) for x in q.T], axis=1)
+        left = left + np.sum((samples.q[inside] - lines) ** 2, axis=0)
+        motion = motion + np.sum((samples.q[inside] - samples.q[inside].mean(axis=0)) ** 2, axis=0)
+    return float(np.sqrt(left / motion).max())
 
 
 def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recording]:

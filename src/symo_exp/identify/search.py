@@ -339,7 +339,7 @@ class Search:
         if "open_loop_rmse" in measures:
             whole = measures["open_loop_rmse"]
             print(f"  RMSE over whole test recordings, in open loop from their start: {whole:.2g}")
-        if failed:
+        if failed or comparison(measures) is None:
             self._print_doubts()
         print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
         return 0
