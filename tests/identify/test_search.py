@@ -182,3 +182,22 @@ def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
     step = examine({"path": "mine.csv"}).time_step
     assert 2 * np.pi * hertz * step < 0.75
     assert step == 0.02 or 2 * np.pi * hertz * step > 0.2
+
+
+@pytest.mark.parametrize("amplitude", [0.5, 2.5])
+def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, workplace):
+    """Swings of a pendulum, a large one of which is no harmonic oscillation in radians."""
+    t, q, v, swings = 0.01 * np.arange(2000), amplitude, 0.0, []
+    for _ in t:
+        swings.append(q)
+        v -= 0.01 * 9.81 * np.sin(q)
+        q += 0.01 * v
+    for name, factor in (("radians", 1.0), ("degrees", 180.0 / np.pi)):
+        frame = pd.DataFrame({"t": t, "q_theta": factor * np.array(swings)})
+        frame.to_csv(f"{name}.csv", index=False)
+    assert examine({"path": "radians.csv"}).angular == (True,)
+    with pytest.raises(ConfigError, match="degrees=true or false"):
+        examine({"path": "degrees.csv"})
+    plain = examine({"path": "radians.csv"})
+    assert examine({"path": "degrees.csv", "degrees": True}).time_step == plain.time_step
+    examine({"path": "degrees.csv", "degrees": False})

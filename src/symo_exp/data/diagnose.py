@@ -149,7 +149,7 @@ def diagnose(
         driven=any(bool(u.any()) for _, u in motions),
         explained=explained_power(motions, coordinates, time_step, driven=True),
         free=explained_power(motions, coordinates, time_step, driven=False),
-        degrees=_explained_in_degrees(motions, coordinates, time_step),
+        degrees=explained_in_degrees(motions, coordinates, time_step),
         noise=noise,
         encoder=np.array([encoder_of(columns) for columns in _columns(raw)]),
         turn=np.max([np.abs(np.diff(q, axis=0)).max(0) for q, _ in motions], axis=0),
@@ -255,9 +255,10 @@ def _regression(
     return error, coefficients * size[:n] / size[n:, None]
 
 
-def _explained_in_degrees(
+def explained_in_degrees(
     motions: Sequence[Motion], coordinates: Coordinates, h: float
 ) -> float | None:
+    """Return ``explained_power`` if the numbers of the angles are degrees; ``None`` without any."""
     if not any(coordinates.angular):
         return None
     scale = np.where(coordinates.angular, np.pi / 180, 1.0)

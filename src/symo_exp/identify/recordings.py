@@ -9,7 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import POOR, Motion, blur_of, explained_power, input_gains, noise_of
+from symo_exp.data.diagnose import (
+    POOR,
+    SUSPECT,
+    Motion,
+    blur_of,
+    explained_in_degrees,
+    explained_power,
+    input_gains,
+    noise_of,
+)
 from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part
@@ -156,6 +165,8 @@ def examine(
         notes.append(f"angles jump by a turn: read with {' '.join(settings[-len(units) :])}")
         data = {**data, **dict.fromkeys(units, True)}
     used = [_in_radians(one, angles, data) for one in used]
+    if data.get("degrees") is None:
+        _ask_for_degrees(used, angles, coordinates)
     finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
     if time_step is None:
         time_step = _time_step(used, angles, finest)
@@ -237,6 +248,27 @@ def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
     steps = np.concatenate([np.abs(np.diff(x)) for x in columns])
     jumps = steps[steps > 0.5 * turn]
     return bool(jumps.size and (np.abs(jumps - turn) < WHOLE * turn).all())
+
+
+def _ask_for_degrees(
+    recordings: Sequence[Recording], angular: np.ndarray, names: Sequence[str]
+) -> None:
+    """Refuse angles whose motion is explained much better if their numbers are degrees."""
+    ranges = [max(np.ptp(r.samples.q[:, i]) for r in recordings) for i in range(len(names))]
+    wide = [i for i, angle in enumerate(angular) if angle and ranges[i] > SPAN]
+    if not wide:
+        return
+    step = max(STEPS[0], *(float(np.median(np.diff(r.samples.t))) for r in recordings))
+    pairs = _pairs(_motions(_beginning(recordings, EXAMINED), step), step, 0.0)
+    given = pairs, _coordinates(angular), step
+    plain, degrees = explained_power(*given, driven=True), explained_in_degrees(*given)
+    if plain is not None and degrees is not None and 1 - degrees < SUSPECT * (1 - plain):
+        told = ", ".join(f"q_{names[i]} moves by {ranges[i]:.3g}" for i in wide)
+        raise ConfigError(
+            f"data.degrees has no value yet: {told}; {100 * degrees:.3g} % of the accelerations' "
+            f"power is explained if these are degrees, {100 * plain:.3g} % if they are radians; "
+            "give data.degrees=true or false"
+        )
 
 
 def _moves(recordings: Sequence[Recording]) -> bool:

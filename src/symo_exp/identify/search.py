@@ -129,8 +129,11 @@ class Search:
         if OmegaConf.is_missing(data, "path"):
             raise ConfigError("data.path has no value yet; give it one: data.path=FILE")
         system = self._master.system
+        read = {name: _plain(data.get(name)) for name in FILES}
+        for name in {"wrapped", "degrees"} - {key.removeprefix("data.") for key in self._given}:
+            read[name] = None  # to be inferred
         return examine(
-            {name: _plain(data.get(name)) for name in FILES},
+            read,
             angular=_plain(system.angular),
             input_matrix=_plain(system.input_matrix),
             time_step=None if OmegaConf.is_missing(system, "time_step") else system.time_step,
