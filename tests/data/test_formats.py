@@ -206,6 +206,18 @@ def test_dates_are_read_as_seconds_from_the_first_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.samples.t, expected.samples.t, rtol=0.0, atol=1e-9)
 
 
+def test_a_few_rows_without_a_number_are_left_out_and_it_is_said(tmp_path: Path) -> None:
+    table = motion()
+    table.assign(q_0=table.q_0.where(table.index % 50 > 0)).to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    found = read_recordings(tmp_path / "x.csv", system)
+    kept = table[table.index % 50 > 0]
+    np.testing.assert_allclose(found.recordings[0].samples.t, kept.t, rtol=1e-12)
+    np.testing.assert_allclose(found.recordings[0].samples.q[:, 0], kept.q_0, rtol=1e-12)
+    (note,) = found.notes
+    assert f"{len(table) - len(kept)} of {len(table)} rows" in note
+
+
 def test_arrays_may_hold_many_trajectories() -> None:
     q = np.arange(24.0).reshape(2, 4, 3)
     found = from_arrays({"t": np.arange(4.0), "q": q, "mass": np.array([1.0, 2.0]), "note": "x"})

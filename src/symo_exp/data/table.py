@@ -18,6 +18,9 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories
 from symo_exp.systems.base import System
 
+DROPPED = 0.05
+"""Share of the rows with empty numbers up to which they are left out."""
+
 
 class Recording(NamedTuple):
     """One recorded trajectory.
@@ -77,7 +80,7 @@ def read_recordings(
         one = _read(where, file, version, head.names, seconds, *names)
         if len(found) > 1:
             one = one._replace(recordings=tuple(_within(file, one.recordings)))
-        tables.append(one._replace(notes=head.notes))
+        tables.append(one._replace(notes=(*head.notes, *one.notes)))
     recordings = [recording for one in tables for recording in one.recordings]
     unread = dict.fromkeys(name for one in tables for name in one.unread)
     notes = dict.fromkeys(note for one in tables for note in one.notes)
@@ -118,12 +121,13 @@ def _read(
     table["t"], seconds = _seconds(table["t"], seconds)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
+    table, notes = _without_gaps(where, table, numbers)
     if seconds != 1.0:
         table["t"] *= seconds
     columns = Columns(where, wanted, len(inputs))
     known = {*numbers, *OTHERS}
     unread = [c.lstrip(".") for c in found if c not in known and c[:8] != "__index_"]
-    return RecordingTable(tuple(columns.divide(table)), tuple(unread))
+    return RecordingTable(tuple(columns.divide(table)), tuple(unread), notes)
 
 
 class Columns(NamedTuple):
@@ -193,13 +197,27 @@ def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
         values = given.to_numpy(dtype=np.float64, na_value=np.nan)
     except (ValueError, TypeError):
         raise ConfigError(f"{where}: column {column} holds values that are not numbers") from None
-    bad = np.flatnonzero(~np.isfinite(values))
-    if len(bad):
-        raise ConfigError(
-            f"{where}: column {column} is empty or not finite in {len(bad)} row(s), "
-            f"first in data row {bad[0] + 1}"
-        )
     return np.asarray(values)
+
+
+def _without_gaps(
+    where: str, table: pd.DataFrame, numbers: Sequence[str]
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Return the rows whose numbers are all finite, and a note; refuse a table with few of them."""
+    bad = ~np.isfinite(table[list(numbers)])
+    rows = bad.any(axis=1).to_numpy()
+    if not rows.any():
+        return table, ()
+    column, first = bad.sum().idxmax(), int(np.argmax(rows)) + 1
+    told = f"{int(rows.sum())} of {len(rows)} rows"
+    if rows.mean() > DROPPED:
+        raise ConfigError(
+            f"{where}: {told} have a number that is empty or not finite, most of them in column "
+            f"{column}, first data row {first}; at most {100 * DROPPED:g} % are left out: remove "
+            "them or the column"
+        )
+    note = f"{told} are left out: a number is empty or not finite, first data row {first}"
+    return table[~rows], (note,)
 
 
 def _check_times(where: str, t: np.ndarray, order: np.ndarray) -> None:

@@ -147,8 +147,8 @@ def examine(
             time_step=1.0,
         )  # fmt: skip
 
-    used, test, note = _parts(data, system("none"), time_step)
-    notes += [note] if note else []
+    used, test, told = _parts(data, system("none"), time_step)
+    notes += told
     recordings = len(used)
     if angular is None:
         which = [
@@ -206,17 +206,18 @@ def examine(
 
 def _parts(
     data: Mapping[str, Any], system: Recorded, time_step: float | None
-) -> tuple[list[Recording], list[Recording], str | None]:
-    """Return the recordings for training and validation, those for testing, and a line on both."""
+) -> tuple[list[Recording], list[Recording], list[str]]:
+    """Return the recordings for training and validation, those for testing, and lines on both."""
     path = data["path"]
     table = read_recordings(path, system, data.get("columns"), data.get("time_unit"))
     named = {part: data.get(part) for part in ("train", "val", "test")}
     counts = data.get("n_val"), data.get("n_test")
-    recordings, note = list(table.recordings), None
+    recordings, notes = list(table.recordings), list(table.notes)
     if all(given is None for given in (*named.values(), *counts)):
         recordings, note = with_every_part(recordings, time_step or STEPS[0])
+        notes += [note] if note else []
     parts = divided(shown(path), recordings, named, *counts)
-    return [*parts["train"], *parts["val"]], parts["test"], note
+    return [*parts["train"], *parts["val"]], parts["test"], notes
 
 
 def _in_radians(recording: Recording, angular: np.ndarray, data: Mapping[str, Any]) -> Recording:

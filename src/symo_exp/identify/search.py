@@ -335,8 +335,10 @@ class Search:
         self._link(folder)
         measures = folder.measures()
         label = verdict(measures) or "not judged"
-        failed = hopeless(measures)
-        print(f"verdict on the test part: {'no model; ' * failed}{label}")
+        if failed := hopeless(measures):
+            bad = label.startswith("no")
+            label = f"no model; {label if bad else 'hardly better than constant velocity'}"
+        print(f"verdict on the test part: {label}")
         if (beside := comparison(measures)) is not None:
             print(f"  {beside}")
         if "open_loop_rmse" in measures:
