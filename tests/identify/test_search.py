@@ -201,3 +201,11 @@ def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, work
     plain = examine({"path": "radians.csv"})
     assert examine({"path": "degrees.csv", "degrees": True}).time_step == plain.time_step
     examine({"path": "degrees.csv", "degrees": False})
+
+
+def test_quaternions_are_refused_with_the_setting_that_reads_them(workplace):
+    frame = table()
+    frame[[f"q_body_{entry}" for entry in "wxyz"]] = [1.0, 0.0, 0.0, 0.0]
+    frame.to_csv("mine.csv", index=False)
+    with pytest.raises(ConfigError, match=r"system.rotations=\[body\]"):
+        examine({"path": "mine.csv"})

@@ -133,6 +133,7 @@ def examine(
     path, columns = data["path"], data.get("columns")
     found = header(path, columns)
     coordinates, inputs = names("q", found), names("u", found)
+    _refuse_rotations(coordinates)
     settings, notes = [], []
     if input_matrix is None:
         input_matrix = _input_matrix(coordinates, inputs)
@@ -202,6 +203,18 @@ def examine(
         moves=_moves(used),
         notes=(*notes, line) if driven else tuple(notes),
     )
+
+
+def _refuse_rotations(names: Sequence[str]) -> None:
+    """Refuse columns that are the entries of a quaternion."""
+    stems = [name.removesuffix("_w") for name in names if name.endswith("_w")]
+    for stem in stems:
+        columns = [f"q_{stem}_{entry}" for entry in "wxyz"]
+        if {column.removeprefix("q_") for column in columns} <= set(names):
+            raise ConfigError(
+                f"{', '.join(columns)} are a rotation, and the search learns lengths and angles "
+                f"only: learn it by one run with system.rotations=[{stem}] (docs/rotations.md)"
+            )
 
 
 def _parts(
