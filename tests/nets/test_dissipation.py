@@ -23,7 +23,6 @@ from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.training.learner import Learner
-from tests.dissipative import machine_friction
 from tests.learned import double_precision
 from tests.nets.test_closed_forms import BODIES, TURNING, moved
 from tests.systems.models import mjcf, read
@@ -71,15 +70,6 @@ def test_a_learned_drag_represents_a_link_in_a_fluid():
         found.viscous.copy_(torch.log(torch.expm1(slow / scale**2)))
     q, v = 2.0 * torch.randn(2, 20, 3, dtype=torch.float64)
     torch.testing.assert_close(found.force(q, v), true.force(q, v), rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("joints", ["own", "neighbours"])
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_closed_derivatives_of_machine_friction_are_those_of_autograd(n, joints):
-    friction = machine_friction(n, joints=joints)
-    q, v = torch.randn(2, 20, n, dtype=torch.float64)
-    expected = Dissipation.derivatives(friction, q, v)
-    torch.testing.assert_close(friction.derivatives(q, v), expected)
 
 
 @pytest.mark.parametrize("angular", list(itertools.product((True, False), repeat=3)))

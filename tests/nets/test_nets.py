@@ -5,7 +5,6 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.nets.embedding import Embedding
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 from symo_exp.systems.chain import ChainPendulum
@@ -30,13 +29,6 @@ def test_angles_are_periodic_and_translations_are_not(learned):
         turned[:, i] += 2 * torch.pi
         same = torch.allclose(learned.energy(turned, v), learned.energy(q, v), atol=1e-9)
         assert same == (owner.count(i) == 2)
-
-
-def test_embedding_lists_translations_then_cosines_then_sines():
-    q = torch.tensor([[0.1, 2.0, 0.3]])
-    x = Embedding(angular=(True, False, True))(q).x
-    expected = [2.0, *torch.cos(q[0, [0, 2]]).tolist(), *torch.sin(q[0, [0, 2]]).tolist()]
-    torch.testing.assert_close(x[0], torch.tensor(expected))
 
 
 def test_harmonics_of_rotations_are_refused():

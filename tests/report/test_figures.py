@@ -3,6 +3,7 @@
 import base64
 import gzip
 import json
+import math
 import re
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from symo_exp.report.cells import Compared, cells
 from symo_exp.report.charts import MARKERS, declare, draw_charts
 from symo_exp.report.document import Report
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import METHODS, TRUE, axis_label, in_order, look, short
+from symo_exp.report.looks import METHODS, TRUE, axis_label, in_order, look, short, written
 from symo_exp.report.motions import (
     LONG,
     Studied,
@@ -135,28 +136,32 @@ def test_only_series_with_alternatives_can_be_switched_off():
     assert set(toggles(few)["method"]) == {look(method).label for method, _ in PAIRS}
 
 
+@pytest.fixture(scope="module")
 def report() -> Report:
     return Report("a <title> & more", "it", sections(runs(), Compared("")), runs())
 
 
-def test_the_page_holds_the_figures_and_needs_nothing_else():
-    text = html(report())
-    assert "a &lt;title&gt; &amp; more" in text
-    tags = re.sub(r"(<script[^>]*>).*?</script>", r"\1", text, flags=re.S)
+@pytest.fixture(scope="module")
+def page(report) -> str:
+    return html(report)
+
+
+def test_the_page_holds_the_figures_and_needs_nothing_else(report, page):
+    assert "a &lt;title&gt; &amp; more" in page
+    tags = re.sub(r"(<script[^>]*>).*?</script>", r"\1", page, flags=re.S)
     assert re.findall(r"<(?:script|link|img|iframe)\b[^>]*(?:src|href)\s*=", tags) == []
-    assert len(text) < 2_000_000
-    held = json.loads(re.search(r'id="held">(.*?)</script>', text, re.S).group(1))
+    assert len(page) < 2_000_000
+    held = json.loads(re.search(r'id="held">(.*?)</script>', page, re.S).group(1))
     specs = json.loads(gzip.decompress(base64.b64decode(held["specs"])))
-    there = {f.key: len(f.panels) for section in report().sections for f in section.figures}
+    there = {f.key: len(f.panels) for section in report.sections for f in section.figures}
     assert {key: len(spec["concat"]) for key, spec in specs.items()} == there
 
 
-def test_the_page_begins_with_the_answer_and_ends_with_what_it_rests_on():
-    text = html(report())
-    order = [text.index(f'id="{key}"') for key in ("answer", "best_chain", "sizes", "tables")]
+def test_the_page_begins_with_the_answer_and_ends_with_the_tables(page):
+    order = [page.index(f'id="{key}"') for key in ("answer", "best_chain", "sizes", "tables")]
     assert order == sorted(order)
-    assert '<details class="folded" id="state">' in text
-    assert text.index("<b>From few data</b>") < order[2]
+    assert '<details class="folded" id="state">' in page
+    assert page.index("<b>From few data</b>") < order[2]
 
 
 def test_the_figures_numbers_are_those_of_the_cells():
@@ -254,6 +259,10 @@ def test_latex_escapes_what_it_must():
 )  # fmt: skip
 def test_numbers_are_short(number, printed):
     assert short(number) == printed
+
+
+def test_numbers_that_are_not_finite_are_named_in_a_terminal():
+    assert (written(math.inf), written(math.nan)) == ("inf", "nan")
 
 
 @pytest.mark.parametrize(

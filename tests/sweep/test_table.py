@@ -3,7 +3,6 @@
 import math
 
 from symo_exp.job.lines import run_line
-from symo_exp.report.looks import written
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.sweep.table import table
 
@@ -59,7 +58,3 @@ def test_a_run_is_a_short_line_its_folder_last(tmp_path, monkeypatch):
     assert line == "SyMo pendulum n=8  test 2.00e-4  integration 1.90e6  to 2 s 0.5  12 s  a"
     line = run_line(made(tmp_path / "b", status="failed"))
     assert line == "SyMo pendulum n=8  failed: out of memory  12 s  b"
-
-
-def test_numbers_of_lines_that_are_not_finite_are_named():
-    assert (written(math.inf), written(math.nan)) == ("inf", "nan")
