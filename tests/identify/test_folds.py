@@ -58,7 +58,7 @@ def test_pooled_trains_on_both_parts_and_keeps_the_test_part():
 
 @pytest.mark.parametrize("fold", [[2, 2], [0, 1], [-1, 3], "all", [1], [0.5, 2], 3])
 def test_a_fold_that_does_not_exist_is_refused(fold):
-    with pytest.raises(ConfigError, match=r"data\.fold="):
+    with pytest.raises(ConfigError, match=r"data\.fold=.*expected \[k,K\]"):
         folded(parts((5, 6), (4,)), fold)
 
 

@@ -1,4 +1,4 @@
-"""Runs on recordings: measured window by window, held to a reference, drawn."""
+"""Runs on recordings: measured window by window and compared with a reference."""
 
 import math
 

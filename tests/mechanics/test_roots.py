@@ -153,5 +153,5 @@ def test_implicit_derivative_of_any_residual_by_any_finder(name, n):
     "arguments", [{"tolerance": 0.0}, {"max_iterations": 0}, {"stopping": "x"}]
 )
 def test_invalid_settings_are_refused(arguments):
-    with pytest.raises(ValueError, match=next(iter(arguments))):
+    with pytest.raises(ValueError, match=f"{next(iter(arguments))} must be"):
         Newton(**arguments)

@@ -86,8 +86,12 @@ def test_reset_to_an_exact_state() -> None:
     np.testing.assert_array_equal(state, [0.1, -7.0, 2.0, 3.0])
     state[:] = 0.0  # the caller's copy
     assert env.step(np.zeros(1))[0][1] < -6
-    for wrong in ({"q": [0.1]}, {"v": [0.0, np.nan]}, {"theta": 1.0}):
-        with pytest.raises(ConfigError, match="expected"):
+    for wrong, wanted in [
+        ({"q": [0.1]}, r"q=\[0\.1\]: expected 2 finite"),
+        ({"v": [0.0, np.nan]}, "v=.*nan.*: expected 2 finite"),
+        ({"theta": 1.0}, "theta.*: expected q and v"),
+    ]:
+        with pytest.raises(ConfigError, match=wanted):
             env.reset(options=wrong)
 
 
