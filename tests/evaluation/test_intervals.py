@@ -5,8 +5,11 @@ import math
 import pytest
 import torch
 
-from symo_exp.evaluation.intervals import LEVEL, SCALES, relative_error
-from symo_exp.models.uncertainty import quantile
+from symo_exp.evaluation.horizon import cut, predict
+from symo_exp.evaluation.intervals import LEVEL, SCALES, coverage, relative_error
+from symo_exp.evaluation.references import ConstantVelocity
+from symo_exp.models.uncertainty import Interval, quantile
+from tests.evaluation.test_horizon import PLACE, H, steady
 
 NODES, N = 3, 2
 
@@ -89,3 +92,13 @@ def test_a_recording_in_which_every_rollout_diverged_is_left_out():
 def test_sizes_have_the_median_one():
     middle = (torch.arange(SCALES).double() + 0.5) / SCALES
     assert math.isclose(float(torch.special.ndtri(middle).sum()), 0.0, abs_tol=1e-12)
+
+
+def test_coverage_is_the_share_of_measured_nodes_inside_and_width_the_median():
+    found = predict(ConstantVelocity(H), cut(steady(1.6), H, run_in=False), H, PLACE)
+    half = torch.full_like(found.q, 0.3)
+    half[:, 1:6] = -1.0
+    measures = coverage(found, Interval(found.q_true - half, found.q_true + half))
+    for seconds, measured in ((0.5, 0.5), (1, 1.0), (2, 1.6)):  # which ends after 1.6 s
+        assert measures[f"coverage_90_{seconds}s"] == pytest.approx(1 - 5 * H / measured)
+        assert measures[f"width_90_{seconds}s"] == pytest.approx(0.3)

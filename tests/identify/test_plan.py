@@ -68,7 +68,7 @@ def test_durations_are_read_in_seconds(text, seconds):
 
 @pytest.mark.parametrize("text", ["", "soon", "-1s", "0", "5 days", "1.2.3s", "nan"])
 def test_invalid_durations_are_refused(text):
-    with pytest.raises(ConfigError, match="budget=.*expected a duration such as"):
+    with pytest.raises(ConfigError, match=r"budget=.*expected a duration such as"):
         plans.seconds_of(text)
 
 
