@@ -46,18 +46,21 @@ needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ com
 SLOW = [
     pytest.param(*case, marks=pytest.mark.slow)
     for case in [
-        ("node", "rk4", "row"),
-        ("l_node", "rk4", "row"),
-        ("e2e_symo", "midpoint", "row"),
-        ("e2e_symo", "midpoint", "batch"),
+        ("symo", "midpoint", "row", True),
+        ("node", "rk4", "row", True),
+        ("l_node", "rk4", "row", True),
+        ("e2e_symo", "midpoint", "row", True),
+        ("e2e_symo", "midpoint", "batch", True),
     ]
 ]
 
 
 @needs_compiler
-@pytest.mark.parametrize(("method", "integrator", "stopping"), [("symo", "midpoint", "row"), *SLOW])
+@pytest.mark.parametrize(
+    ("method", "integrator", "stopping", "validation"), [("symo", "midpoint", "row", False), *SLOW]
+)
 def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
-    method, integrator, stopping
+    method, integrator, stopping, validation
 ):
     """At sizes where narrow products are turned, and by an optimiser that reads memory."""
     model, data = learner(method, integrator, 2, width=64), windows(2, samples=64)
@@ -72,7 +75,7 @@ def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
         return loss, gradients, copy.deepcopy(model.state_dict())
 
     expected = step()
-    compile_training(model, validation=True)
+    compile_training(model, validation=validation)
     with torch.no_grad():  # a batch of another size comes first
         model.validation_loss(windows(2, samples=9))
     model.loss_and_gradients(windows(2, samples=9))
@@ -338,17 +341,19 @@ class Counted(Residual):
         ("e2e_symo", {"guess": "inertial", "root": Newton(tolerance=1e-6, stopping="batch")}),
     ],
 )
-def test_statistics_of_a_compiled_step_are_the_uncompiled_ones(method, options):
+def test_statistics_and_validation_of_a_compiled_training_are_the_uncompiled_ones(method, options):
     """They are means over rows, of which some are roots from the start."""
     model, data = learner(method, "midpoint", 1, **options), windows(1, samples=8)
     if method == "e2e_symo" and model.objective.guess == "datum":
         reached = model.model.predict(data).q.detach()
         data = data._replace(q_next=torch.where(torch.arange(8)[:, None] < 3, reached, data.q_next))
-    _, expected = model.uncompiled_training(data)
-    compile_training(model)
+    loss, expected = model.uncompiled_training(data)
+    compile_training(model, validation=True)
     _, found = model.compiled["training step"](data)
     assert expected
     torch.testing.assert_close(dict(found), dict(expected), check_dtype=False)
+    with torch.no_grad():
+        torch.testing.assert_close(model.validation_loss(data), loss, atol=0, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -69,8 +69,9 @@ system:
 """
 
 
-@pytest.mark.parametrize("by", ["command", "python"])
-@pytest.mark.parametrize("file", ["relative", "absolute"])
+@pytest.mark.parametrize(
+    ("by", "file"), [("command", "relative"), ("python", "relative"), ("command", "absolute")]
+)
 def test_a_model_of_mujoco_is_trained(by, file, workplace):
     pytest.importorskip("mujoco")
     (workplace / "arm.xml").write_text(MODEL)
@@ -157,5 +158,5 @@ def test_only_what_the_folder_defines_may_be_named(mine):
 def test_learning_a_system_with_friction_as_one_without_is_warned_of(
     words, told, workplace, capsys
 ):
-    assert main(["system=pendulum", *words.split(), *QUIET]) == 0
+    assert main(["system=pendulum", *words.split(), *QUIET, "measures=false"]) == 0
     assert ("learns no friction" in "".join(capsys.readouterr())) == told

@@ -173,7 +173,7 @@ def stationary(lagrangian: Controlled, q0: Tensor, q1: Tensor, stages: int) -> T
     integrator = Geodesic(space=lagrangian.lagrangian.space, stages=stages)
     x = integrator.unknowns(q0, q1)
     n = x.shape[1] // stages
-    for _ in range(6 if stages > 1 else 0):
+    for _ in range(4 if stages > 1 else 0):
         at = integrator.expand_at(lagrangian, q0, x, H)
         error = at.mismatch(torch.zeros_like(x[:, :n]))[:, n:]
         x[:, n:] -= torch.linalg.solve(at.mismatch_jacobian()[:, n:, n:], error)

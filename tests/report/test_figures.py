@@ -110,10 +110,10 @@ def test_a_chart_becomes_a_file_that_is_the_same_again(form, tmp_path):
     begins = {"png": b"\x89PNG", "svg": b"<svg", "pdf": b"%PDF"}
     figure = FIGURES[0]
     (first,) = draw_charts(figure, tmp_path / "a", [form])
-    (again,) = draw_charts(figure, tmp_path / "b", [form])
     assert first.name == f"{figure.key}.{form}"
     assert first.read_bytes().startswith(begins[form])
     if form == "png":  # the others number their elements throughout a process
+        (again,) = draw_charts(figure, tmp_path / "b", [form])
         assert first.read_bytes() == again.read_bytes()
 
 
