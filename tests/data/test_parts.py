@@ -11,7 +11,10 @@ import pytest
 import torch
 
 from symo_exp.data.header import header, names
+from symo_exp.data.parts import with_every_part
 from symo_exp.data.recorded import RecordedData
+from symo_exp.data.resample import Samples
+from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 from symo_exp.systems.recorded import Recorded
 
@@ -111,6 +114,32 @@ def test_too_few_recordings_for_the_part_that_is_lacking_are_split_in_time(
     assert 0.15 * whole < held_out < 0.25 * whole
     assert 0.6 * whole < sum(len(one.q) for one in data.trajectories("train")) < whole - held_out
     assert any(f"nothing for {lacking}: split in time" in r.getMessage() for r in caplog.records)
+
+
+@pytest.mark.parametrize("before", [0.0, 7.0])
+@pytest.mark.parametrize("after", [0.0, 30.0])
+def test_every_part_of_a_recording_that_is_split_in_time_moves(
+    before: float, after: float, tmp_path: Path, caplog
+) -> None:
+    """Whatever rests there are before and after the motion."""
+    t = H * np.arange(round((before + 12.0 + after) / H))
+    q = np.sin(3.0 * (t - before).clip(0.0, 12.0))
+    q += 1e-3 * np.random.default_rng(0).normal(size=len(t))
+    with caplog.at_level(logging.INFO):
+        data = read(pd.DataFrame({"t": t, "q_arm0": q}), tmp_path)
+    found = [one for part in ("train", "val", "test") for one in data.trajectories(part)]
+    assert all(float(np.ptp(one.q)) > 1.0 for one in found)
+    assert H * sum(len(one.q) for one in found) == pytest.approx(12.0, abs=1.5)
+    told = [r.getMessage() for r in caplog.records if "split in time" in r.getMessage()]
+    assert ("at rest are left out" in told[0]) == (before + after > 0.0)
+
+
+def test_a_rest_in_which_an_input_acts_is_a_motion(tmp_path: Path) -> None:
+    t = H * np.arange(1000)
+    parts = [Recording("", "", Samples(t, np.sin(t.clip(0.0, 6.3))[:, None], None, u[:, None]))
+             for u in (0.0 * t, np.sign(t - 12.0).clip(0.0))]  # fmt: skip
+    ends = [max(one.samples.t[-1] for one in with_every_part([part], H)[0]) for part in parts]
+    assert ends == pytest.approx([6.3, t[-1]], abs=0.2)
 
 
 def test_a_recording_is_cut_at_gaps(tmp_path: Path, caplog) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from symo_exp.data.formats import few
+from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 from symo_exp.systems.checks import whole_number
@@ -22,6 +23,10 @@ GAP = 0.5
 """Left out between blocks of different parts [s], at most a tenth of a block."""
 FEWEST = 5
 """Time steps of a block, at least."""
+REST = 0.05
+"""Share of a coordinate's range that it moves by at most where a recording is at rest."""
+RESTS = 2.0
+"""Length from which a rest is left out [s]."""
 LONGEST_GAP = 3
 """Time steps over which a motion is interpolated, at most."""
 Parts = dict[str, list[Recording]]
@@ -129,8 +134,9 @@ def with_every_part(
     time.
 
     In time, a recording is cut into equal blocks, which belong to train, train, val, train and
-    test, in turn. Neighbours of one part stay together; between others a gap is left out.
-    Recordings too short for this are returned as they are.
+    test, in turn. Neighbours of one part stay together; between others a gap is left out. So is
+    what it is at rest before it first moves and after it last does, since no block could be
+    predicted there. Recordings too short for this are returned as they are.
     """
     given = {one.part for one in recordings} & set(PARTS)
     lacking = [part for part in PARTS if part not in given]
@@ -199,26 +205,49 @@ def _in_blocks(
     recordings: Sequence[Recording], time_step: float, lacking: Sequence[str]
 ) -> tuple[list[Recording], str | None]:
     """Split recordings in time; blocks of parts that are not lacking are for training."""
-    spans = [one.samples.t[-1] - one.samples.t[0] for one in recordings]
+    ends = [_moving(one.samples) for one in recordings]
+    spans = [end - start for start, end in ends]
     if any(span < FEWEST * time_step * len(PATTERN) / 0.9 for span in spans):
         return list(recordings), None
     pattern = tuple(part if part in lacking else "train" for part in PATTERN)
     blocks, told = [], []
-    for one, span in zip(recordings, spans, strict=True):
+    for one, (start, _), span in zip(recordings, ends, spans, strict=True):
         rounds = int(min(max(span // (BLOCK * len(PATTERN)), 1), ROUNDS))
         size = span / (rounds * len(PATTERN))
         gap = min(GAP, size / 10)
         for part, first, last in _stretches(pattern * rounds):
-            low, high = first * size + gap * (first > 0), last * size
+            low, high = start + first * size + gap * (first > 0), start + last * size
             t = one.samples.t - one.samples.t[0]
             samples = one.samples.rows((t >= low) & (t <= high))
             name = f"{low:.4g} to {high:.4g} s"
             blocks.append(Recording(f"{one.label}/{name}" if one.label else name, part, samples))
-        told.append(f"{span:.4g} s in {rounds * len(PATTERN)} blocks of {size:.3g} s")
+        rest = float(np.ptp(one.samples.t)) - span
+        left = f" ({rest:.3g} s at rest are left out)" if rest > 0 else ""
+        told.append(f"{span:.4g} s{left} in {rounds * len(PATTERN)} blocks of {size:.3g} s")
     order = ", ".join(pattern)
     return blocks, (
         f"split in time: {' and '.join(told)}, in turn {order}; {gap:.2g} s left out between parts"
     )
+
+
+def _moving(samples: Samples) -> tuple[float, float]:
+    """Return when a recording leaves and comes to rest [s], after its first sample.
+
+    It is at rest where, for ``RESTS`` seconds at least, no coordinate moves by more than ``REST``
+    of its range until the end, or since the start, and no input acts.
+    """
+    t, q, acts = samples.t - samples.t[0], samples.q, np.asarray(samples.u.any(axis=1))
+    least = REST * np.ptp(q, axis=0)
+
+    def at_rest(q: np.ndarray, acts: np.ndarray) -> int:
+        """Return how many of the first samples are at rest."""
+        reach = np.maximum.accumulate(q) - np.minimum.accumulate(q)
+        return int(((reach <= least).all(1) & ~np.logical_or.accumulate(acts)).sum())
+
+    start = t[max(at_rest(q, acts) - 1, 0)]
+    end = t[min(len(t) - at_rest(q[::-1], acts[::-1]), len(t) - 1)]
+    start = start if start >= RESTS else 0.0
+    return float(start), float(end if t[-1] - end >= RESTS and end > start else t[-1])
 
 
 def _stretches(parts: Sequence[str]) -> Iterator[tuple[str, int, int]]:
