@@ -251,6 +251,20 @@ def identify(number: int, folder: Path, budget: str, extra: list[str]) -> dict[s
     return {name: row.get(name, "") for name in COLUMNS}
 
 
+def summary(table: pd.DataFrame) -> str:
+    """Return how many machines have a model, and its errors at 0.5 s over those of the truth."""
+    found = table[table.code == 0].set_index("machine")
+    worse = list(found.index[~(found["rmse_0.5s"] < found["constant_velocity_rmse_0.5s"])])
+    times = (found["rmse_0.5s"] / found["true_rmse_0.5s"]).sort_values()
+    largest = ", ".join(f"{ratio:.2g} (machine {i})" for i, ratio in times[::-1][:5].items())
+    return (
+        f"{len(found)} of {len(table)} machines have a model, {len(worse)} of them no better than "
+        f"constant velocity at 0.5 s{': ' * bool(worse)}{', '.join(map(str, worse))}\n"
+        f"error at 0.5 s over that of the true system: median {times.median():.2g}, "
+        f"largest {largest}"
+    )
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Identify machines one after another."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -274,6 +288,7 @@ def main(arguments: list[str] | None = None) -> None:
             table.writerow(row)
         done.add(number)
         print(f"{number}: {row['verdict'] or row['code']}, {row['chosen']}", flush=True)
+    print(summary(pd.read_csv(given.table)))
 
 
 if __name__ == "__main__":

@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from benchmarks.machines import COLUMNS, GRAVITY, RandomMachine, identify
+from benchmarks.machines import COLUMNS, GRAVITY, RandomMachine, identify, summary
 from symo_exp.evaluation.references import check_fit
 
 EVERY = range(12)
@@ -81,6 +82,15 @@ def test_the_true_system_is_a_reference_in_the_recorded_coordinates(number):
     torque[:, machine.actuated] = u
     absolute = machine.accelerate(q @ away.T, v @ away.T, torque)
     assert found.numpy() @ away.T == pytest.approx(absolute)
+
+
+def test_the_summary_counts_failures_and_ranks_errors_over_those_of_the_truth():
+    rows = [(3, 0, 2.0, 9.0, 1.0), (4, 1, np.nan, np.nan, np.nan), (5, 0, 6.0, 5.0, 1.5)]
+    columns = ["machine", "code", "rmse_0.5s", "constant_velocity_rmse_0.5s", "true_rmse_0.5s"]
+    said = summary(pd.DataFrame(rows, columns=columns))
+    assert said.startswith("2 of 3 machines have a model, 1 of them")
+    assert "at 0.5 s: 5\n" in said
+    assert said.endswith("median 3, largest 4 (machine 5), 2 (machine 3)")
 
 
 def test_machines_cover_the_range_and_are_the_same_every_time():
