@@ -101,9 +101,10 @@ def foreign_attributes(file: Path) -> Iterator[str]:
     own |= {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
     used = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
     used |= {
-        word.value
+        word.value.rpartition(".")[2]
         for node in nodes
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr")
+        if isinstance(node, ast.Call)
+        and ast.unparse(node.func).rpartition(".")[2] in ("getattr", "setattr")
         for word in node.args
         if isinstance(word, ast.Constant) and isinstance(word.value, str)
     }

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +19,7 @@ from tests.architecture import (
     public_names,
 )
 
+TESTS = Path(__file__).parent
 EVERYBODYS = {"errors", "files", "imports", "shell", "shipped", "code"}
 CONFIG_HOMES = {"cli", "job", "sweep", "identify", "runs"}
 """Packages in which objects of Hydra and OmegaConf may occur; `runs` builds models from files."""
@@ -130,6 +132,12 @@ def test_attributes_of_libraries_are_public():
         if (names := set(foreign_attributes(file)))
     }
     assert found == PRIVATE_ATTRIBUTES
+
+
+def test_tests_use_public_attributes():
+    """All but ``torch._inductor``, whose failure is simulated, and ``os._exit``."""
+    found = {name for file in TESTS.rglob("*.py") for name in foreign_attributes(file)}
+    assert found == {"_inductor", "_exit"}
 
 
 def test_configuration_objects_stay_at_the_entrance():

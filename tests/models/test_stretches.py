@@ -10,15 +10,14 @@ from symo_exp.models.flows import Flow, VariationalFlow
 from symo_exp.models.starts import fitted_start
 from symo_exp.systems.chain import ChainPendulum
 from tests.differences import slopes as slopes_of
-from tests.dissipative import dissipative_chain, dissipative_net, machine_net
+from tests.dissipative import LEARNED, dissipative_chain
 from tests.tables import systems, variational_integrators
 
 H, STEPS = 0.02, 23
 KINDS = {
     "no friction": ChainPendulum,
     "narrow dry friction": lambda n: dissipative_chain(n, rest_velocity=0.01),
-    "learned": dissipative_net,
-    "machine": machine_net,
+    **LEARNED,
 }
 TURNING = {name: x for name, x in systems().items() if x.coordinates.space.rotations}
 METHODS = variational_integrators()
@@ -101,14 +100,14 @@ def test_rows_without_a_solution_are_left_to_single_steps():
     torch.testing.assert_close(found.q, expected.q, atol=1e-9, rtol=1e-9, equal_nan=True)
 
 
-@pytest.mark.parametrize(("kind", "n"), [("learned", 1), ("machine", 2), ("learned", 3)])
+@pytest.mark.parametrize(("kind", "n"), zip(LEARNED, (1, 2, 3), strict=True))
 def test_rows_without_a_solution_do_not_keep_others_from_their_slopes(kind, n, monkeypatch):
     """The fit of their starts takes differences of single steps for these rows alone."""
     flow, q, v, u = flow_and_starts(kind, "midpoint", n)
     path, slopes = flow.rollout_slopes(q, v, u)
     measured = path + 1e-3 * torch.randn(path.shape, generator=torch.Generator().manual_seed(0))
     expected = fitted_start(flow, measured, u, H)
-    stretch, rolled = VariationalFlow._stretch, []
+    stretch, rolled = VariationalFlow.solve_stretch, []
 
     def lossy(self, q, p, u):
         path, at, found = stretch(self, q, p, u)
@@ -119,7 +118,7 @@ def test_rows_without_a_solution_do_not_keep_others_from_their_slopes(kind, n, m
         return rollout(self, q, *arguments)
 
     lost, rollout = u[2, 0, 0], VariationalFlow.rollout
-    monkeypatch.setattr(VariationalFlow, "_stretch", lossy)
+    monkeypatch.setattr(VariationalFlow, "solve_stretch", lossy)
     monkeypatch.setattr(VariationalFlow, "rollout", counted)
     found = flow.rollout_slopes(q, v, u)
     others = torch.arange(len(q)) != 2

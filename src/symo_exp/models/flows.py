@@ -343,7 +343,7 @@ class VariationalFlow(Flow):
     ) -> Carried:
         if advance is not None or not self.solves_stretches or u.shape[1] == 2:
             return super().advance_all(q, y, u, advance)
-        path, at, found = self._stretch(q, y, u)
+        path, at, found = self.solve_stretch(q, y, u)
         p, converged = at.p, found.unsqueeze(1).expand(path.shape[:2])
         left = (~found & q.isfinite().all(1) & y.isfinite().all(1)).nonzero().squeeze(1)
         if len(left) > 0:
@@ -362,7 +362,7 @@ class VariationalFlow(Flow):
         slope = torch.cat((top, torch.cat((at.curvature().vq, at.mass()), dim=2)), dim=1)
         nodes, slopes = [q.unsqueeze(1)], [top.unsqueeze(1)]
         for k in range(0, u.shape[1] - 1, self.stretch):
-            path, there, found = self._stretch(q, p, u[:, k : k + self.stretch + 1])
+            path, there, found = self.solve_stretch(q, p, u[:, k : k + self.stretch + 1])
             path = path.where(found[:, None, None], torch.nan)
             moved, slope = there.slopes(slope)
             nodes.append(path)
@@ -377,7 +377,7 @@ class VariationalFlow(Flow):
         rows = isinstance(root, Newton) and root.stopping == "row"
         return rows and self.integrator.has_hessian
 
-    def _stretch(self, q: Tensor, p: Tensor, u: Tensor) -> tuple[Tensor, StretchPoint, Tensor]:
+    def solve_stretch(self, q: Tensor, p: Tensor, u: Tensor) -> tuple[Tensor, StretchPoint, Tensor]:
         """Return the nodes after the first, the equations there, and which rows are solutions."""
         steps, batch = u.shape[1] - 1, len(q)
         force = self.force(u.flatten(0, 1)).view(batch, steps + 1, -1)
