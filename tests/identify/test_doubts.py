@@ -10,7 +10,8 @@ from symo_exp.identify.recordings import Machine
 
 SOUND = Machine(
     settings=(), angular=(True,), driven=True, time_step=0.02, finest_step=0.01, seconds=60.0,
-    recordings=6, rest_velocity=0.1, delay=0.0, explained=0.95, moves=True, notes=(),
+    recordings=6, rest_velocity=0.1, delay=0.0, explained=0.95, moves=True, stiffness=None,
+    notes=(),
 )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.data.diagnose import noise_of
 from symo_exp.errors import ConfigError
+from symo_exp.identify.candidates import ladder
 from symo_exp.identify.recordings import examine
 from symo_exp.runs.folder import RunFolder
 
@@ -186,7 +187,7 @@ def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
 
 @pytest.mark.parametrize("amplitude", [0.5, 2.5])
 def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, workplace):
-    """Swings of a pendulum, a large one of which is no harmonic oscillation in radians."""
+    """Swings of a pendulum."""
     t, q, v, swings = 0.01 * np.arange(2000), amplitude, 0.0, []
     for _ in t:
         swings.append(q)
@@ -209,3 +210,31 @@ def test_quaternions_are_refused_with_the_setting_that_reads_them(workplace):
     frame.to_csv("mine.csv", index=False)
     with pytest.raises(ConfigError, match=r"system.rotations=\[body\]"):
         examine({"path": "mine.csv"})
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 0.5, 1.4])
+def test_the_stiffness_of_an_elastic_joint_is_found_and_gravity_is_no_spring(stiffness, workplace):
+    """A motor and a link with a spring between them, or a link that hangs from it."""
+    h, rng = 0.005, np.random.default_rng(0)
+    t = np.arange(0.0, 30.0, h)
+    force = sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
+    q, v, motion = np.zeros(2), np.zeros(2), []
+    inertia = np.array([0.012, 0.008])
+    for now in force:
+        motion.append(q)
+        twist = stiffness * (q[1] - q[0])
+        gravity = 0.0 if stiffness else 0.5 * np.sin(q[1])
+        torque = np.array([now + twist, -twist - gravity]) - 0.02 * v
+        v = v + h * torque / inertia
+        q = q + h * v
+    q = np.array(motion) + 1e-5 * rng.normal(size=(len(t), 2))
+    frame = pd.DataFrame({"t": t, "q_motor": q[:, 0], "q_link": q[:, 1], "u_motor": force})
+    frame.to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    if not stiffness:
+        assert found.stiffness is None
+        return
+    expected = stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    np.testing.assert_allclose(found.stiffness, expected, rtol=0.0, atol=0.7 * stiffness)
+    (sprung,) = [c for c in ladder(found)[:2] if c.settings.get("springs") == "linear"]
+    assert sprung.settings["springs.start"].startswith("[[")

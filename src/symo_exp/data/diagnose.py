@@ -224,6 +224,33 @@ def input_gains(motions: Sequence[Motion], coordinates: Coordinates, h: float) -
     return None if found is None else found[1][-motions[0][1].shape[1] :].T
 
 
+def spring_slopes(
+    motions: Sequence[Motion], coordinates: Coordinates, h: float
+) -> tuple[float, np.ndarray] | None:
+    """Return whether springs explain accelerations, and the slopes (n, n) of these in ``q``.
+
+    The first result is the share that springs leave of the power that gravity, on each coordinate
+    alone, leaves unexplained. ``None`` as for ``explained_power``.
+    """
+    n, angular = coordinates.n, np.array(coordinates.angular)
+
+    def others(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        pace = np.sqrt(np.mean(v**2, axis=0)) + 1e-300
+        return np.concatenate([np.ones((len(q), 1)), v, np.tanh(10 * v / pace), u], axis=1)
+
+    def springs(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.concatenate([q, others(q, v, u)], axis=1)
+
+    def gravity(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        turned = q[:, angular]
+        return np.concatenate([np.cos(turned), np.sin(turned), others(q, v, u)], axis=1)
+
+    sprung, hanging = (_regression(motions, h, terms) for terms in (springs, gravity))
+    if sprung is None or hanging is None:
+        return None
+    return sprung[0] / max(hanging[0], 1e-300), sprung[1][:n].T
+
+
 def _regression(
     motions: Sequence[Motion],
     h: float,

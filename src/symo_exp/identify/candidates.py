@@ -68,8 +68,8 @@ def ladder(machine: Machine) -> list[Candidate]:
     chain = machine.n > 1 and all(machine.angular)
     first = _candidate("relative angles" if chain else PLANE, 1.0, "relative", FRICTION)
     found = [first]
-    if not all(machine.angular):  # what slides is often held by springs
-        found.append(_sprung(first))
+    if machine.stiffness is not None:
+        found.append(_sprung(first, machine))
     if machine.driven:  # motors, screws and belts
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     if sum(machine.angular) > 1:
@@ -108,8 +108,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     ]
     if settings["dissipation"] == "viscous":
         yield candidate.changed("dry friction", 0.3, dissipation="friction")
-    if "springs" not in settings and not all(machine.angular):
-        yield _sprung(candidate)
+    if "springs" not in settings and machine.stiffness is not None:
+        yield _sprung(candidate, machine)
     finer = []
     if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
         step = f"{machine.time_step / 2:g}"
@@ -126,8 +126,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield from motors
     if settings["dissipation"] == "friction":
         yield _viscous(candidate)
-    if "springs" not in settings and all(machine.angular):
-        yield _sprung(candidate)
+    if "springs" not in settings and machine.stiffness is None:
+        yield _sprung(candidate, machine)
     if settings["dissipation"] in ("friction", "viscous"):
         yield _with_learned_friction(candidate)
     if machine.driven:
@@ -171,8 +171,12 @@ def _switch(kind: str) -> str:
     return f"dissipation.{kind.partition(' ')[0].lower()}"
 
 
-def _sprung(candidate: Candidate) -> Candidate:
-    return candidate.changed("springs", 0.1, 1.1, springs="linear")
+def _sprung(candidate: Candidate, machine: Machine) -> Candidate:
+    found = candidate.changed("springs", 0.05, springs="linear")
+    if machine.stiffness is None:
+        return found
+    rows = [f"[{','.join(f'{x:g}' for x in row)}]" for row in machine.stiffness]
+    return replace(found, settings={**found.settings, "springs.start": f"[{','.join(rows)}]"})
 
 
 def _viscous(candidate: Candidate) -> Candidate:

@@ -18,6 +18,7 @@ from symo_exp.data.diagnose import (
     explained_power,
     input_gains,
     noise_of,
+    spring_slopes,
 )
 from symo_exp.data.formats import shown
 from symo_exp.data.header import header, names
@@ -52,6 +53,8 @@ UNHURRIED = 0.005
 """Time step of machines that do not vibrate [s], the least."""
 GAIN = 0.05
 """Share of the unexplained power that a delay explains at least to be a candidate."""
+SPRUNG = 0.5
+"""Share of what gravity leaves unexplained that springs leave at most where they are likely."""
 ABOVE_NOISE = 10.0
 """Range of a coordinate over its noise from which it moves."""
 EXAMINED, NODES = 60.0, 3000
@@ -85,6 +88,8 @@ class Machine:
         delay: Of the inputs [s], if one explains the motion better than none; else 0.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
         moves: Whether any coordinate moves by more than its noise.
+        stiffness: Of springs that explain accelerations better than gravity [N/m, N m/rad]; else
+            ``None``.
         notes: The inferred properties, a line each.
     """
 
@@ -99,6 +104,7 @@ class Machine:
     delay: float
     explained: float | None
     moves: bool
+    stiffness: tuple[tuple[float, ...], ...] | None
     notes: tuple[str, ...]
 
     @property
@@ -184,11 +190,15 @@ def examine(
     delays = DELAYS * min(1.0, time_step / UNHURRIED) if driven else np.zeros(1)
     left = _unexplained(motions, angles, time_step, delays)
     delay, line = _delay(left)
+    light = 1.0
     if driven and left and 1.0 - left[delay] > POOR:
         light = _inertia(_pairs(motions, time_step, delay), angles, time_step, system("none"))
         settings += [f"lagrangian.initial_inertia={light:.2g}"]
         settings += [f"dissipation.start={DAMPING * light:.2g}"]
         notes.append(f"scale: training starts with an inertia of {light:.2g}, as inputs suggest")
+    stiffness = _stiffness(_pairs(motions, time_step, delay), angles, time_step, light)
+    if stiffness is not None:
+        notes.append("springs: they explain accelerations better than gravity alone")
     return Machine(
         settings=tuple(settings),
         angular=tuple(which),
@@ -201,6 +211,7 @@ def examine(
         delay=delay,
         explained=1.0 - left[delay] if left else None,
         moves=_moves(used),
+        stiffness=stiffness,
         notes=(*notes, line) if driven else tuple(notes),
     )
 
@@ -276,7 +287,9 @@ def _ask_for_degrees(
     pairs = _pairs(_motions(_beginning(recordings, EXAMINED), step), step, 0.0)
     given = pairs, _coordinates(angular), step
     plain, degrees = explained_power(*given, driven=True), explained_in_degrees(*given)
-    if plain is not None and degrees is not None and 1 - degrees < SUSPECT * (1 - plain):
+    if plain is None or degrees is None or plain > POOR:
+        return
+    if 1 - degrees < SUSPECT * (1 - plain):
         told = ", ".join(f"q_{names[i]} moves by {ranges[i]:.3g}" for i in wide)
         raise ConfigError(
             f"data.degrees has no value yet: {told}; {100 * degrees:.3g} % of the accelerations' "
@@ -427,6 +440,21 @@ def _inertia(pairs: Sequence[Motion], angular: np.ndarray, h: float, machine: Re
     assert machine.input_matrix is not None
     size = float(np.linalg.norm(gains))
     return float(machine.input_matrix.norm()) / size if size > 0 else 1.0
+
+
+def _stiffness(
+    pairs: Sequence[Motion], angular: np.ndarray, h: float, inertia: float
+) -> tuple[tuple[float, ...], ...] | None:
+    """Return the stiffness of springs at that inertia, ``None`` if they explain little.
+
+    Training does not find springs from none within some tens of epochs: the inertia of what they
+    move falls instead.
+    """
+    found = spring_slopes(pairs, _coordinates(angular), h) if pairs else None
+    if found is None or found[0] > SPRUNG:
+        return None
+    stiffness = -0.5 * inertia * (found[1] + found[1].T)
+    return tuple(tuple(float(f"{x:.3g}") for x in row) for row in stiffness)
 
 
 def _pairs(motions: Sequence[Sampled], h: float, delay: float) -> list[Motion]:

@@ -6,6 +6,8 @@ torsion spring is wound up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -27,20 +29,23 @@ from symo_exp.nets.roles import mark
 
 
 class LinearSprings(nn.Module):
-    """Stiffness ``K``, symmetric, and preload ``f``, learned from zero.
+    """Stiffness ``K``, symmetric, and preload ``f``.
 
     ``K`` may have either sign: magnets and linkages with counterweights push away from a place.
 
     Args:
         coordinates: The coordinates.
+        start: ``K`` at the start of training, a row for each length and angle; ``None``: zero.
 
     Raises:
-        ConfigError: If there are only rotations.
+        ConfigError: If there are only rotations, or ``start`` is not a symmetric matrix.
     """
 
     places: Tensor
 
-    def __init__(self, *, coordinates: Coordinates) -> None:
+    def __init__(
+        self, *, coordinates: Coordinates, start: Sequence[Sequence[float]] | None = None
+    ) -> None:
         super().__init__()
         n = len(coordinates.flat)
         if n == 0:
@@ -52,7 +57,7 @@ class LinearSprings(nn.Module):
         places = torch.zeros(n, n, dtype=torch.long)
         places[row, column] = places[column, row] = torch.arange(len(row))
         self.register_buffer("places", places, persistent=False)
-        self.stiffness = nn.Parameter(torch.zeros(len(row)))
+        self.stiffness = nn.Parameter(_symmetric(start, n)[row, column])
         """The lower triangle of ``K``, row by row [N/m, N m/rad]."""
         self.preload = nn.Parameter(torch.zeros(n))
         """``f`` [N, N m]."""
@@ -74,6 +79,23 @@ class LinearSprings(nn.Module):
         stiffness = repeated(self.stiffness, len(q))[:, self.places]
         force = repeated(self.preload, len(q)) - matvec(stiffness, x)
         return nn.functional.pad(force, (0, n - x.shape[1]))
+
+
+def _symmetric(start: Sequence[Sequence[float]] | None, n: int) -> Float[Tensor, "n n"]:
+    """Return the given matrix, zero if there is none; refuse one that is not symmetric."""
+    if start is None:
+        return torch.zeros(n, n)
+    try:
+        found = torch.tensor([[float(x) for x in row] for row in start])
+    except (TypeError, ValueError):
+        found = torch.zeros(0)
+    if found.shape != (n, n) or not torch.equal(found, found.T):
+        rows = ",".join([f"[{','.join('0' * n)}]"] * n)
+        raise ConfigError(
+            f"springs.start={start}: expected a symmetric matrix with a row for each length and "
+            f"angle, such as [{rows}]"
+        )
+    return found
 
 
 class SprungLagrangian(nn.Module, Lagrangian):
