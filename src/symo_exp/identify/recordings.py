@@ -259,7 +259,7 @@ def _jumps(
 ) -> tuple[str, ...]:
     """Return the settings of data with which angles that jump by a turn are read."""
     columns = [r.samples.q[:, i] for r in recordings for i in np.flatnonzero(angular)]
-    if data.get("wrapped") or not columns:
+    if data.get("wrapped") is not None or not columns:
         return ()
     if not data.get("degrees") and _wraps(columns, 2 * np.pi):
         return ("wrapped",)
