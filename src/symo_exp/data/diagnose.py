@@ -18,6 +18,8 @@ POOR, NOISY, COARSE = 0.5, 0.5, 0.7
 angle in a step [rad], above which the time step does not suit."""
 SUSPECT = 0.3
 """Share of the unexplained power below which angles are suspected to be in degrees."""
+SPRUNG = 0.5
+"""Share of what gravity leaves unexplained that springs leave at most where they are likely."""
 HELP = 0.1
 """Share of the unexplained power that meaningful inputs explain at least."""
 
@@ -35,6 +37,7 @@ class Diagnosis:
         free: The same without the inputs.
         degrees: The same, with the inputs, if the numbers of the angles are degrees; ``None``
             without angles.
+        sprung: Whether springs explain accelerations better than gravity.
         noise: Standard deviation of the noise of each coordinate's samples [rad, m].
         encoder: Step of each coordinate's encoder [rad, m], 0 where none is seen.
         turn: Largest change of each coordinate in a time step [rad, m].
@@ -48,6 +51,7 @@ class Diagnosis:
     explained: float | None
     free: float | None
     degrees: float | None
+    sprung: bool
     noise: np.ndarray
     encoder: np.ndarray
     turn: np.ndarray
@@ -62,8 +66,10 @@ class Diagnosis:
         return self.explained - self.free >= HELP * (1 - self.free)
 
     def lines(self) -> list[str]:
-        """Return lines for the log: inputs, unit of the angles, noise, time step and scale."""
-        return [self._inputs(), *self._unit(), self._noise(), self._step(), self._scale()]
+        """Return lines for the log: inputs, units, noise, time step, scale and springs."""
+        springs = "springs: they explain accelerations better than gravity alone (springs=linear)"
+        found = [self._inputs(), *self._unit(), self._noise(), self._step(), self._scale()]
+        return [*found, springs] if self.sprung else found
 
     def _inputs(self) -> str:
         if self.explained is None:
@@ -143,6 +149,7 @@ def diagnose(
         np.mean(np.concatenate(second) ** 2, axis=0) - 6 * blur**2
     )  # second differences of noise
     curvature = np.sqrt(np.maximum(power, 0.01 * blur**2))
+    springs = spring_slopes(motions, coordinates, time_step)
     return Diagnosis(
         coordinates,
         time_step,
@@ -150,6 +157,7 @@ def diagnose(
         explained=explained_power(motions, coordinates, time_step, driven=True),
         free=explained_power(motions, coordinates, time_step, driven=False),
         degrees=explained_in_degrees(motions, coordinates, time_step),
+        sprung=springs is not None and springs[0] <= SPRUNG,
         noise=noise,
         encoder=np.array([encoder_of(columns) for columns in _columns(raw)]),
         turn=np.max([np.abs(np.diff(q, axis=0)).max(0) for q, _ in motions], axis=0),

@@ -11,6 +11,7 @@ import numpy as np
 
 from symo_exp.data.diagnose import (
     POOR,
+    SPRUNG,
     SUSPECT,
     Motion,
     blur_of,
@@ -53,8 +54,6 @@ UNHURRIED = 0.005
 """Time step of machines that do not vibrate [s], the least."""
 GAIN = 0.05
 """Share of the unexplained power that a delay explains at least to be a candidate."""
-SPRUNG = 0.5
-"""Share of what gravity leaves unexplained that springs leave at most where they are likely."""
 ABOVE_NOISE = 10.0
 """Range of a coordinate over its noise from which it moves."""
 EXAMINED, NODES = 60.0, 3000
