@@ -100,7 +100,8 @@ bench-quick: install ## one system and one batch, in two minutes
 
 rivals: ## fit open packages for system identification to the real machines, in .venv-rivals
 	$(PYTHON) -m venv .venv-rivals
-	.venv-rivals/bin/python -m pip install --quiet --editable '.[rivals]'
+	grep '^torch==' constraints.txt > .venv-rivals/torch.txt
+	.venv-rivals/bin/python -m pip install --quiet --constraint .venv-rivals/torch.txt --editable '.[rivals]'
 	.venv-rivals/bin/python -W ignore results/rivals/run.py
 	.venv-rivals/bin/python results/rivals/table.py > results/rivals/table.md
 

@@ -1,20 +1,24 @@
 """MuJoCo's system identification: a model file of links in a plane, by least squares on rollouts.
 
 The file has a hinge for each link, with the makers' lengths, and starts from the makers' masses,
-centres of mass, inertias and viscous friction. Fitted are mass, centre, inertia, damping and, where
-there are motors or it is asked for, armature and dry friction (``frictionloss``) of every link, on
-windows of the training recordings that begin in measured states.
+centres of mass, inertias and friction. Fitted are mass, centre, inertia and damping of every link,
+with motors also armature, and dry friction (``frictionloss``) or not, on windows of the training
+recordings that begin in measured states.
 """
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 import torch
 import yaml
+from absl import logging
 from machines import TIME_STEP, Machine
 from mujoco import sysid
 from torch import Tensor
@@ -23,12 +27,13 @@ from symo_exp.evaluation.references import ReferenceRollout
 from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "MuJoCo's sysid", "links in a plane, the makers' lengths and start; velocities"
-SUBSTEPS, ITERATIONS, REST = 10, 30, 1e-4
+SUBSTEPS, ITERATIONS, REST = 4, 15, 1e-4
+logging.set_verbosity(logging.ERROR)  # measured are joints, not sensors, of which there are none
 
 
 @dataclass(frozen=True)
 class Links:
-    """What the makers say of each link, their numbers as they are."""
+    """The makers' numbers of each link."""
 
     gravity: float
     mass: list[float]
@@ -88,47 +93,36 @@ class Links:
         )
 
     def parameters(self, *, dry: bool, motors: bool) -> sysid.ParameterDict:
-        """Return the parameters that are fitted, in positive ranges about the start."""
+        """Return the parameters that are fitted, in ranges about the start."""
         found = sysid.ParameterDict()
-
-        def add(name: str, start: float, low: float, high: float, apply: Callable) -> None:
-            found.add(sysid.Parameter(name, start, low, high, modifier=apply))
-
-        for i in range(len(self.mass)):
-            body, joint = f"link{i}", f"joint{i}"
-
-            def of_body(key: str, body: str = body) -> Callable:
-                return lambda spec, p: setattr(spec.body(body), key, float(p.value[0]))
-
-            def of_joint(key: str, joint: str = joint) -> Callable:
-                def apply(spec: mujoco.MjSpec, p: sysid.Parameter) -> None:
-                    old = getattr(spec.joint(joint), key)
-                    new = float(p.value[0])
-                    setattr(spec.joint(joint), key, new if np.ndim(old) == 0 else [new, 0, 0])
-
-                return apply
-
-            def centre(spec: mujoco.MjSpec, p: sysid.Parameter, body: str = body) -> None:
-                spec.body(body).ipos = [p.value[1], 0.0, -p.value[0]]
-
-            def inertia(spec: mujoco.MjSpec, p: sysid.Parameter, body: str = body) -> None:
-                spec.body(body).inertia = [float(p.value[0])] * 3
-
-            m, c, own = self.mass[i], self.centre[i], self.inertia[i]
-            add(f"mass{i}", m, m / 4, 4 * m, of_body("mass"))
-            found.add(
-                sysid.Parameter(f"centre{i}", [c, 0.0], [c / 4, -c], [4 * c, c], modifier=centre)
-            )
-            add(f"inertia{i}", own, own / 20, 20 * own, inertia)
-            size = max(self.viscous[i], 1e-4)
-            add(f"damping{i}", max(self.viscous[i], 1e-6), 0.0, 50 * size, of_joint("damping"))
+        for i, (m, c, own) in enumerate(zip(self.mass, self.centre, self.inertia, strict=True)):
+            viscous, still = self.viscous[i], max(self.dry[i], 1e-5)
+            rows: list[tuple[str, Any, Any, Any]] = [
+                ("mass", m, m / 4, 4 * m),
+                ("centre", [c, 0.0], [c / 4, -c], [4 * c, c]),
+                ("inertia", own, own / 20, 20 * own),
+                ("damping", max(viscous, 1e-6), 0.0, 50 * max(viscous, 1e-4)),
+            ]
             if motors:
-                add(f"armature{i}", max(self.armature[i], REST), 0.0, own + m * c**2,
-                    of_joint("armature"))  # fmt: skip
+                rows.append(("armature", max(self.armature[i], REST), 0.0, own + m * c**2))
             if dry:
-                start = max(self.dry[i], 1e-5)
-                add(f"dry{i}", start, 0.0, 20 * start, of_joint("frictionloss"))
+                rows.append(("frictionloss", still, 0.0, 20 * still))
+            for key, start, low, high in rows:
+                put = partial(placed, link=i, key=key)
+                found.add(sysid.Parameter(f"{key}{i}", start, low, high, modifier=put))
         return found
+
+
+def placed(spec: mujoco.MjSpec, p: sysid.Parameter, *, link: int, key: str) -> None:
+    """Put a value into the model file."""
+    body, joint, value = spec.body(f"link{link}"), spec.joint(f"joint{link}"), float(p.value[0])
+    if key == "centre":  # along the link and across
+        body.ipos = [p.value[1], 0.0, -value]
+    elif key in ("mass", "inertia"):
+        setattr(body, key, [value] * 3 if key == "inertia" else value)
+    else:
+        many = np.ndim(getattr(joint, key)) > 0
+        setattr(joint, key, [value, 0.0, 0.0] if many else value)
 
 
 @dataclass
@@ -183,17 +177,21 @@ def fitted(machine: Machine, *, seconds: float, integrator: str, dry: bool) -> C
     )
     residual = sysid.build_residual_fn(models_sequences=[windows], n_threads=1)
     start = links.parameters(dry=dry, motors=motors).move_off_bounds(fraction=1e-3)
-    found, _ = sysid.optimize(
-        start, residual, optimizer="mujoco", verbose=False, max_iters=ITERATIONS
-    )
+    with contextlib.redirect_stdout(None):
+        found, _ = sysid.optimize(
+            start, residual, verbose=False, max_iters=ITERATIONS, x_scale="jac"
+        )
     return Chain(sysid.apply_param_modifiers(found, links.spec(integrator, motors)), absolute)
 
 
 def candidates(machine: Machine) -> Iterator[tuple[str, Callable[[], RollsOut]]]:
     driven = machine.m > 0 and any(bool(t.u.any()) for t in machine.train)
-    for (integrator, seconds), dry in itertools.product(
-        itertools.product(("RK4", "implicitfast"), (0.5, 1.0, 0.25)), (driven, not driven)
+    longest = TIME_STEP * (max(len(t.q) for t in machine.train) - 1)
+    lengths = [seconds for seconds in (1.0, 0.5, 2.0) if seconds < longest]
+    for integrator, seconds, dry in itertools.product(
+        ("RK4", "implicitfast"), lengths, (driven, not driven)
     ):
-        words = f"windows of {seconds:g} s, {'dry friction' if dry else 'viscous'}, {integrator}"
+        friction = "dry friction fitted" if dry else "dry friction as given"
+        words = f"windows of {seconds:g} s, {friction}, {integrator}"
         settings = {"seconds": seconds, "integrator": integrator, "dry": dry}
         yield words, lambda settings=settings: fitted(machine, **settings)

@@ -9,9 +9,14 @@ package sees a single experiment.
 """
 
 import itertools
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
+
+os.environ.setdefault(  # before JAX: one core, like all others
+    "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+)
 
 import jax
 import jax.numpy as jnp
@@ -90,10 +95,13 @@ class StateSpace:
         self.rolled = jax.jit(rolled)
 
     def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
-        n = q0.shape[1]
+        (rows, n), room = q0.shape, 1 << (len(q0) - 1).bit_length()  # few shapes to compile
         start = torch.cat((q0, v0), dim=1)
-        held = u[:, :-1].numpy().swapaxes(0, 1) / self.effort
-        found = np.array(self.rolled(start.numpy() / self.scale, held)) * self.scale
+        held = np.zeros((u.shape[1] - 1, room, u.shape[2]))
+        held[:, :rows] = u[:, :-1].numpy().swapaxes(0, 1) / self.effort
+        first = np.zeros((room, 2 * n))
+        first[:rows] = start.numpy() / self.scale
+        found = np.array(self.rolled(first, held))[:, :rows] * np.asarray(self.scale)
         path = torch.cat((start[None], torch.from_numpy(found))).transpose(0, 1)
         return ReferenceRollout(path[..., :n], path[..., n:])
 

@@ -1,6 +1,6 @@
 """Fit rivals to machines, all five without a name; their rows go to rivals.csv beside this file.
 
-python results/rivals/run.py --rivals sindy,narx --budget 120 MACHINE ...
+python results/rivals/run.py --rivals sindy,mujoco_sysid --budget 120 MACHINE ...
 """
 
 import argparse
@@ -14,6 +14,7 @@ from machines import chosen, machine, measures
 
 HERE = Path(__file__).parent
 KEY = ["machine", "rival"]
+RIVALS = ["sindy", "narx", "neural_state_space", "mujoco_sysid"]
 MACHINES = [
     "free_single_pendulum", "free_double_pendulum", "free_triple_pendulum", "motor_pendulum",
     "motor_double_pendulum",
@@ -31,7 +32,7 @@ def kept(row: dict[str, object]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("machines", nargs="*", default=MACHINES)
-    parser.add_argument("--rivals", default="sindy,narx")
+    parser.add_argument("--rivals", default=",".join(RIVALS))
     parser.add_argument("--budget", type=float, default=120.0, help="processor time [s]")
     given = parser.parse_args()
     torch.set_num_threads(1)
