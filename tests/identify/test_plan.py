@@ -138,6 +138,17 @@ def test_driven_machines_have_a_candidate_with_the_friction_of_motors(driven):
         assert float(candidate.settings["dissipation.least_rest_velocity"]) < 1e-4
 
 
+@pytest.mark.parametrize("driven", [True, False])
+@pytest.mark.parametrize("angular", [True, False])
+def test_finer_steps_are_tried_with_the_smallest_budget(driven, angular):
+    one = machine(3, driven=driven, angular=angular)
+    plan = plans.make_plan(one, ladder(one), 1.0, 1, 1.0, "key")
+    for candidate in ladder(one):
+        tried = list(variations(candidate, one))[: plan.variations]
+        assert any("system.time_step" in c.settings or "galerkin4" in c.settings.values()
+                   for c in tried)  # fmt: skip
+
+
 def test_the_plan_leaves_out_the_costliest_candidate_first():
     one = machine(1, angular=False)
     candidates = ladder(one)

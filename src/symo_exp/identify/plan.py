@@ -34,6 +34,8 @@ EFFORTS = ((20, 20), (10, 10))
 """Epochs with held nodes and for each epsilon, from the most thorough."""
 PROMOTED, VARIED = 3, 1.5
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
+FEWEST_VARIATIONS = 2
+"""Of the best candidate, with any budget: one has finer steps, unless springs show."""
 DATA = 0.6
 """Share of the time that fewer data leave at least where data are reduced first."""
 PATIENCE = 4.0
@@ -123,7 +125,7 @@ def make_plan(
     """Return the most thorough plan that fits the budget.
 
     First the epochs are reduced, then the data where they take most of the time, then the folds and
-    the candidates, the costliest first.
+    the candidates, the costliest first. Two variations are always tried.
     """
     work = budget * cores * speed
     folds = max(2, min(FOLDS, machine.recordings if machine.recordings >= 3 else FOLDS))
@@ -159,7 +161,7 @@ def make_plan(
     while too_much() and folds > 3:
         folds -= 1
     one = VARIED * _expected(chosen[0], nodes, machine.n, *effort)
-    variations, left = 0, VARYING * work / one
+    variations, left = FEWEST_VARIATIONS, VARYING * work / one
     while first * (variations + 1) + min(PROMOTED, variations // 2 + 1) * (folds - first) <= left:
         variations += 1
     return Plan(
