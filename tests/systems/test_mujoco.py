@@ -108,7 +108,8 @@ def test_a_model_has_the_dynamics_of_mujoco(name: str) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_simulated_motions_are_those_of_mujoco(name: str) -> None:
     model, system = compiled(MODELS[name]), read(MODELS[name])
-    model.opt.integrator, model.opt.timestep = int(mujoco.mjtIntegrator.mjINT_RK4), 2e-4
+    # MuJoCo 3.3's RK4 is of order 2 on ball joints: with 2e-4 s its error exceeds 1e-8
+    model.opt.integrator, model.opt.timestep = int(mujoco.mjtIntegrator.mjINT_RK4), 1e-4
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     q, v, u = points(system, 2)
     path = simulate(system, q, v, u, 2, Solver(rtol=1e-11, atol=1e-11))
@@ -117,7 +118,7 @@ def test_simulated_motions_are_those_of_mujoco(name: str) -> None:
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = (x[row] for x in start)
         data.ctrl[:] = u[row]
-        for _ in range(500):
+        for _ in range(1000):
             mujoco.mj_step(model, data)
         np.testing.assert_allclose(data.qvel, end[1][row], rtol=0, atol=1e-7)
         ours = mujoco.MjData(model)
