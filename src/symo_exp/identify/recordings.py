@@ -49,9 +49,9 @@ ANGLE = (
 SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
 """Words in the names of angles and of positions."""
 DELAYS = np.arange(-0.04, 0.0601, 0.01)
-"""Delays of inputs that are tried [s], less with a step below ``UNHURRIED``."""
+"""Delays of inputs that are tried [s], in proportion to a time step below ``UNHURRIED``."""
 UNHURRIED = 0.005
-"""Time step of machines that do not vibrate [s], the least."""
+"""Time step from which all of ``DELAYS`` are tried [s]."""
 GAIN = 0.05
 """Share of the unexplained power that a delay explains at least to be a candidate."""
 ABOVE_NOISE = 10.0
@@ -80,6 +80,7 @@ class Machine:
         angular: Which coordinates are angles.
         driven: Whether any input is not zero.
         time_step: That of the candidates [s].
+        finest_step: Distance of the samples [s], the largest over recordings.
         seconds: Length of the training and validation part [s].
         recordings: How many there are in these parts.
         rest_velocity: Below which dry friction fades at first [rad/s, m/s]: a small part of the
@@ -189,13 +190,13 @@ def examine(
     delays = DELAYS * min(1.0, time_step / UNHURRIED) if driven else np.zeros(1)
     left = _unexplained(motions, angles, time_step, delays)
     delay, line = _delay(left)
-    light = 1.0
+    light, shifted = 1.0, _pairs(motions, time_step, delay)
     if driven and left and 1.0 - left[delay] > POOR:
-        light = _inertia(_pairs(motions, time_step, delay), angles, time_step, system("none"))
+        light = _inertia(shifted, angles, time_step, system("none"))
         settings += [f"lagrangian.initial_inertia={light:.2g}"]
         settings += [f"dissipation.start={DAMPING * light:.2g}"]
         notes.append(f"scale: training starts with an inertia of {light:.2g}, as inputs suggest")
-    stiffness = _stiffness(_pairs(motions, time_step, delay), angles, time_step, light)
+    stiffness = _stiffness(shifted, angles, time_step, light)
     if stiffness is not None:
         notes.append("springs: they explain accelerations better than gravity alone")
     return Machine(
