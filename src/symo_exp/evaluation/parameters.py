@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.mechanics.forced import ForcedLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.readings import Reading, readings
@@ -64,8 +65,9 @@ def physical_parameters(
     """
     with torch.enable_grad():
         found = readings(lagrangian, coordinates)
-        conservative = getattr(lagrangian, "conservative", lagrangian)
-        conservative = getattr(conservative, "rigid", conservative)
+        conservative = lagrangian
+        while isinstance(conservative, ForcedLagrangian):
+            conservative = conservative.conservative
         if not driven and not isinstance(conservative, KnownLagrangian):
             found = [_without_scale(reading) for reading in found]
         gradients = [_gradient(reading, parameters) for reading in found]

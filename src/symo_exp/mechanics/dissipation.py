@@ -14,15 +14,15 @@ from abc import ABC, abstractmethod
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.mechanics.forced import ForcedLagrangian
 from symo_exp.mechanics.lagrangian import (
     Curvature,
     Expansion,
     Gradients,
     Lagrangian,
-    Rates,
     jacobian,
     matvec,
 )
@@ -86,39 +86,16 @@ class Friction(Dissipation):
         return -matvec(self.viscous.to(v), v) - dry
 
 
-class DissipativeLagrangian(nn.Module, Lagrangian):
+class DissipativeLagrangian(ForcedLagrangian):
     """A Lagrangian with a dissipation; energy and inertia are those of the Lagrangian alone."""
 
     def __init__(self, conservative: Lagrangian, dissipation: Dissipation) -> None:
-        super().__init__()
-        self.conservative, self.dissipation = conservative, dissipation
-
-    @property
-    @override
-    def space(self) -> Space:
-        return self.conservative.space
+        super().__init__(conservative)
+        self.dissipation = dissipation
 
     @override
-    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
-        return self.conservative.input_force(input_matrix, q, u)
-
-    @override
-    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
-        return self.conservative.mass_matrix(q)
-
-    @override
-    def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
-        return self.conservative.potential(q)
-
-    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
-        """Return ``∂ℒ/∂q + F_d`` and ``∂ℒ/∂v``."""
-        dq, p = self.conservative.gradients(q, v)
-        return Gradients(dq + self.dissipation.force(q, v), p)
-
-    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
-        """Return ``H``, ``Ḣ v`` and ``∂ℒ/∂q + F_d``."""
-        rates = self.conservative.rates(q, v)
-        return rates._replace(q=rates.q + self.dissipation.force(q, v))
+    def further_force(self, q: Tensor, v: Tensor) -> Tensor:
+        return self.dissipation.force(q, v)
 
     @override
     def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:

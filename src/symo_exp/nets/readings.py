@@ -48,7 +48,7 @@ def _(module: DissipativeLagrangian, coordinates: Coordinates) -> list[Reading]:
 
 @readings.register
 def _(module: SprungLagrangian, coordinates: Coordinates) -> list[Reading]:
-    found, stiffness = readings(module.rigid, coordinates), module.springs.matrix
+    found, stiffness = readings(module.conservative, coordinates), module.springs.matrix
     turns = [coordinates.turning[i] for i in range(len(stiffness))]
     for i, name in enumerate(coordinates.names[: len(stiffness)]):
         for j in range(i + 1):

@@ -14,15 +14,8 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.lagrangian import (
-    Curvature,
-    Expansion,
-    Gradients,
-    Lagrangian,
-    Rates,
-    matvec,
-)
-from symo_exp.mechanics.space import Space
+from symo_exp.mechanics.forced import ForcedLagrangian
+from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
 from symo_exp.nets.roles import mark
@@ -98,48 +91,29 @@ def _symmetric(start: Sequence[Sequence[float]] | None, n: int) -> Float[Tensor,
     return found
 
 
-class SprungLagrangian(nn.Module, Lagrangian):
+class SprungLagrangian(ForcedLagrangian):
     """A Lagrangian with springs beside it.
 
     Args:
-        rigid: The Lagrangian without springs.
+        conservative: The Lagrangian without springs.
         springs: The springs.
     """
 
-    def __init__(self, rigid: Lagrangian, springs: LinearSprings) -> None:
-        super().__init__()
-        self.rigid, self.springs = rigid, springs
-
-    @property
-    @override
-    def space(self) -> Space:
-        return self.rigid.space
+    def __init__(self, conservative: Lagrangian, springs: LinearSprings) -> None:
+        super().__init__(conservative)
+        self.springs = springs
 
     @override
-    def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:
-        return self.rigid.input_force(input_matrix, q, u)
-
-    @override
-    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
-        return self.rigid.mass_matrix(q)
+    def further_force(self, q: Tensor, v: Tensor) -> Tensor:
+        return self.springs.force(q, v.shape[1])
 
     @override
     def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
-        return self.rigid.potential(q) + self.springs.energy(q)
-
-    @override
-    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
-        dq, p = self.rigid.gradients(q, v)
-        return Gradients(dq + self.springs.force(q, v.shape[1]), p)
-
-    @override
-    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
-        rates = self.rigid.rates(q, v)
-        return rates._replace(q=rates.q + self.springs.force(q, v.shape[1]))
+        return super().potential(q) + self.springs.energy(q)
 
     @override
     def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
-        at = self.rigid.expand(q, v)
+        at = self.conservative.expand(q, v)
         with torch.no_grad():
             dq, p = at.values
             values = Gradients(dq + self.springs.force(q.detach(), v.shape[1]), p)

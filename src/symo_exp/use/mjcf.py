@@ -45,7 +45,7 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
         lagrangian, dissipation = lagrangian.conservative, lagrangian.dissipation
     springs: LinearSprings | None = None
     if isinstance(lagrangian, SprungLagrangian):
-        lagrangian, springs = lagrangian.rigid, lagrangian.springs
+        lagrangian, springs = lagrangian.conservative, lagrangian.springs
     found = linkage(lagrangian, model.coordinates.names)
     if path.suffix == ".urdf" and any(joint.axes is not None for joint in found.joints):
         raise ConfigError(f"{path.name}: a URDF has no ball joints, as this model has; write .xml")
