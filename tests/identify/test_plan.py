@@ -7,7 +7,7 @@ import pytest
 
 from symo_exp.errors import ConfigError
 from symo_exp.identify import plan as plans
-from symo_exp.identify.candidates import joined, ladder, variations
+from symo_exp.identify.candidates import distinct, joined, ladder, left_open, variations
 from symo_exp.identify.recordings import Machine
 
 
@@ -87,6 +87,31 @@ def test_candidates_differ_and_variations_change_one_respect(n, angular):
             keys = {*candidate.settings, *other.settings}
             differ = [k for k in keys if candidate.settings.get(k) != other.settings.get(k)]
             assert len({k.partition(".")[0] for k in differ}) == 1
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"springs": "none"},
+        {"dissipation": "viscous"},
+        {"dissipation": "none", "lagrangian": "network"},
+        {"dissipation.joints": "own"},
+        {"integrator": "midpoint", "system.time_step": "0.02"},
+        {"optimizer.input_weight": "0"},
+    ],
+)
+def test_given_settings_leave_no_two_candidates_equal(n, given):
+    one = replace(machine(n), stiffness=((1.0,) * n,) * n)
+    candidates = distinct(ladder(one), given)
+    assert candidates[0] == ladder(one)[0]
+    for base in candidates:
+        tried = [*candidates, *distinct(variations(base, one), given, candidates)]
+        settings = [left_open(c.settings, given) for c in tried]
+        assert all(a != b for a, b in itertools.combinations(settings, 2))
+        dropped = [c for c in (*ladder(one), *variations(base, one)) if c not in tried]
+        assert dropped or given == {"dissipation.joints": "own"}
+        assert all(left_open(c.settings, given) in settings for c in dropped)
 
 
 @pytest.mark.parametrize("angular", [(True, True), (False, True, True), (True, False, True)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from symo_exp.identify.recordings import Machine
@@ -134,6 +134,31 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight="100")
     if not machine.driven:
         yield from motors
+
+
+def left_open(settings: Mapping[str, str], given: Collection[str]) -> dict[str, str]:
+    """Return the settings that given ones leave in force, by key.
+
+    A given choice of a file, a key without a dot, replaces all settings of another choice.
+    """
+    return {
+        key: value
+        for key, value in settings.items()
+        if key not in given and key.partition(".")[0] not in given
+    }
+
+
+def distinct(
+    candidates: Iterable[Candidate], given: Collection[str], known: Iterable[Candidate] = ()
+) -> list[Candidate]:
+    """Return the candidates that given settings do not make equal to earlier or known ones."""
+    seen = [left_open(one.settings, given) for one in known]
+    found = []
+    for one in candidates:
+        if (settings := left_open(one.settings, given)) not in seen:
+            seen.append(settings)
+            found.append(one)
+    return found
 
 
 def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:

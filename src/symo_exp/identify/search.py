@@ -27,7 +27,14 @@ from symo_exp.data.formats import files
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
-from symo_exp.identify.candidates import Candidate, joined, ladder, variations
+from symo_exp.identify.candidates import (
+    Candidate,
+    distinct,
+    joined,
+    ladder,
+    left_open,
+    variations,
+)
 from symo_exp.identify.doubts import doubts, hopeless
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
@@ -101,7 +108,8 @@ class Search:
         """
         self._start = time.monotonic()
         self._machine = machine = self._examine()
-        candidates = ladder(machine)
+        every = ladder(machine)
+        candidates = distinct(every, self._given)
         self._plan = plan = self._planned(candidates)
         if check_only:
             return 0
@@ -110,7 +118,7 @@ class Search:
             print(note)
         if not machine.moves:
             return self._no_model()
-        print(self._told_plan(), flush=True)
+        print(self._told_plan(len(every) - len(candidates)), flush=True)
         chosen = [c for c in candidates if c.name in plan.names]
         self._screen(chosen)
         base = self._choice()
@@ -159,12 +167,14 @@ class Search:
         what = [sorted(self._given.items()), self._budget, size, _cores(self._master), tried]
         return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:10]
 
-    def _told_plan(self) -> str:
+    def _told_plan(self, equal: int) -> str:
+        """Return a line; ``equal`` candidates are left out."""
         plan = self._plan
         there = self._machine.seconds * (plan.folds - 1) / plan.folds
         share = min(plan.seconds / there, 1.0)
+        left = f" ({equal} more are equal with the given settings)" if equal else ""
         return (
-            f"plan: {len(plan.names)} candidates and up to {plan.variations} variations over "
+            f"plan: {len(plan.names)} candidates{left} and up to {plan.variations} variations over "
             f"{plan.folds} folds, {plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
             f"{plan.epochs} epochs a stage, {plan.cores} runs at a time, about "
             f"{plan.budget / 60:.3g} min"
@@ -195,7 +205,8 @@ class Search:
     def _vary(self, base: Trial) -> None:
         """Try variations of the best candidate, and what is better together."""
         plan = self._plan
-        new = [c for c in variations(base.candidate, self._machine) if c.name not in self._trials]
+        known = [trial.candidate for trial in self._trials.values()]
+        new = distinct(variations(base.candidate, self._machine), self._given, known)
         tried = new[: plan.variations]
         first, folds = range(plan.first), range(len(base.errors))
         self._try(tried, first)
@@ -415,10 +426,7 @@ class Search:
             settings.pop(name, None)
             if value is not None:
                 settings[name] = value
-        groups = [name for name in self._given if "." not in name]
-        for name in [x for x in settings if x.partition(".")[0] in groups]:
-            del settings[name]  # a setting of another choice of the group
-        found = {**settings, **self._given}
+        found = {**left_open(settings, self._given), **self._given}
         return sorted(found.values(), key=lambda word: "." in word.partition("=")[0])
 
     def _limit(self, candidate: Candidate, nodes: int) -> str:
