@@ -60,10 +60,6 @@ Of a list of numbers or systems to sweep, only the first stays.
 
 PRELUDE = {
     "README.md": "import torch; q0 = v0 = torch.ones(4, 1)",
-    "docs/recordings.md": """
-import torch
-q, v, u = torch.zeros(1), torch.ones(1), torch.zeros(11, 0)
-""",
     "docs/use.md": """
 import torch, symo_exp
 model = symo_exp.load("outputs/default/symo-pendulum-0123456789")

@@ -20,13 +20,11 @@ import yaml
 from hydra.utils import instantiate
 from scipy.optimize import least_squares
 
-from symo_exp.data.header import header, names
-from symo_exp.data.recorded import RecordedData
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import cut, predict
 from symo_exp.evaluation.references import Continuous
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.types import Trajectory
-from symo_exp.systems.recorded import Recorded
 from symo_exp.systems.rigs import Rig
 
 TIME_STEP, SPAN, WINDOWS, HUBER, SUBSTEPS = 0.02, 0.5, 300, 0.02, 5
@@ -88,12 +86,8 @@ def refitted(rig: Rig, trajectories: Sequence[Trajectory]) -> Rig:
 
 def rows(machine: str, part: str) -> list[dict[str, Any]]:
     path = f"recordings/{machine}.parquet"
-    columns = header(path)
-    system = Recorded(
-        names=names("q", columns), inputs=names("u", columns), angular="all", time_step=TIME_STEP
-    )
-    data = RecordedData(system=system, path=path, dtype="float64")
-    data.prepare_data()
+    system = recorded_system(path, time_step=TIME_STEP, angular="all")
+    data = RecordedData(system=system, path=path)
     data.setup()
     with open(f"conf/reference/{machine}.yaml") as file:
         settings = yaml.safe_load(file)

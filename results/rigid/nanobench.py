@@ -17,14 +17,13 @@ from scipy.optimize import least_squares
 from torch import Tensor
 
 import symo_exp
-from symo_exp.data.recorded import RecordedData
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import Predictions, cut, predict
 from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.space import Space, angle
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import RollsOut
-from symo_exp.systems.recorded import Recorded
 
 TIME_STEP, HORIZON = 0.02, 0.5
 """Step of the models and length of a prediction [s]."""
@@ -86,15 +85,11 @@ def lagged(t: np.ndarray, x: np.ndarray, lag: float) -> np.ndarray:
 
 def read(source: Path) -> RecordedData:
     """Return the flights at the nodes of the models."""
-    columns = pd.read_parquet(source).columns
-    names = [[c[2:] for c in columns if c.startswith(kind)] for kind in ("q_", "u_")]
-    matrix = np.zeros((6, len(names[1]))).tolist()
-    system = Recorded(
-        names=names[0], inputs=names[1], rotations=["R"], angular="none", time_step=TIME_STEP,
-        input_matrix=matrix,
+    system = recorded_system(
+        source, time_step=TIME_STEP, angular="none", rotations=["R"],
+        input_matrix=np.zeros((6, 5)),
     )  # fmt: skip
-    data = RecordedData(system=system, path=str(source), dtype="float64")
-    data.prepare_data()
+    data = RecordedData(system=system, path=source)
     data.setup()
     return data
 

@@ -7,12 +7,10 @@ from typing import Any, Protocol
 
 import torch
 
-from symo_exp.data.header import header, names
-from symo_exp.data.recorded import RecordedData
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import cut, median, predict
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import RollsOut
-from symo_exp.systems.recorded import Recorded
 
 TIME_STEP = 0.02
 """Distance of the nodes of predictions [s]."""
@@ -48,6 +46,11 @@ class Machine:
     def m(self) -> int:
         return self.train[0].u.shape[1]
 
+    @property
+    def driven(self) -> bool:
+        """Whether an input acts in the training trajectories."""
+        return any(bool(t.u.any()) for t in self.train)
+
 
 class Rival(Protocol):
     """A method with its own package."""
@@ -69,12 +72,8 @@ def machine(name: str) -> Machine:
 
 def _data(name: str, step: float) -> RecordedData:
     path = f"recordings/{name}.parquet"
-    columns = header(path)
-    system = Recorded(
-        names=names("q", columns), inputs=names("u", columns), angular="all", time_step=step
-    )
-    data = RecordedData(system=system, path=path, dtype="float64")
-    data.prepare_data()
+    system = recorded_system(path, time_step=step, angular="all")
+    data = RecordedData(system=system, path=path)
     data.setup()
     return data
 

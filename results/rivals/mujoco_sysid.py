@@ -157,7 +157,7 @@ def relative(x: Tensor, absolute: bool) -> Tensor:
 
 
 def fitted(machine: Machine, *, seconds: float, integrator: str, dry: bool) -> Chain:
-    motors = machine.m > 0 and any(bool(t.u.any()) for t in machine.train)
+    motors = machine.driven
     absolute, links = machine.name.startswith("free"), Links.of(machine.name)
     spec = links.spec(integrator, motors)
     model, steps = spec.compile(), round(seconds / TIME_STEP)
@@ -185,7 +185,7 @@ def fitted(machine: Machine, *, seconds: float, integrator: str, dry: bool) -> C
 
 
 def candidates(machine: Machine) -> Iterator[tuple[str, Callable[[], RollsOut]]]:
-    driven = machine.m > 0 and any(bool(t.u.any()) for t in machine.train)
+    driven = machine.driven
     longest = TIME_STEP * (max(len(t.q) for t in machine.train) - 1)
     lengths = [seconds for seconds in (1.0, 0.5, 2.0) if seconds < longest]
     for integrator, seconds, dry in itertools.product(

@@ -48,7 +48,7 @@ class Narx:
 
 
 def fitted(machine: Machine, *, degree: int, terms: int) -> Narx:
-    driven = machine.m > 0 and any(bool(t.u.any()) for t in machine.train)
+    driven = machine.driven
     past, now = [], []
     for q, _, u in machine.train:
         y = (q[1:] - q[:-1]) / TIME_STEP

@@ -82,7 +82,7 @@ def fitted(
     machine: Machine, *, velocities: str, window: int, degree: int, threshold: float, implicit: bool
 ) -> Sparse:
     q, v, a, u = differentiated(machine, velocities, window)
-    dry = machine.m > 0 and bool(u.any())
+    dry = machine.driven
     z = quantities(q, v, u, dry=dry)
     library = pysindy.PolynomialLibrary(degree=degree)
     library.fit(z[:2].numpy())
@@ -127,7 +127,7 @@ def candidates(machine: Machine) -> Iterator[tuple[str, Callable[[], RollsOut]]]
     forms = [(True, 4), (False, 4), (True, 3), (False, 3), (False, 2)]
     if machine.n == 1:
         forms = [(False, 3), (False, 2), (False, 4)]
-    elif machine.m and any(bool(t.u.any()) for t in machine.train):
+    elif machine.driven:
         forms = [(True, 3), (False, 3), (True, 2), (False, 2), (False, 4)]
     derivatives = (("measured", 11), ("from angles", 11), ("from angles", 5))
     for threshold, (velocities, window) in itertools.product((10.0, 1.0, 100.0, 0.1), derivatives):

@@ -19,12 +19,10 @@ import yaml
 from torch import Tensor
 
 import symo_exp
-from symo_exp.data.header import header, names
-from symo_exp.data.recorded import RecordedData
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import HORIZONS, cut, predict
 from symo_exp.evaluation.intervals import LEVEL, ROLLOUTS, relative_error
 from symo_exp.models.uncertainty import quantile, sensitivity, spread
-from symo_exp.systems.recorded import Recorded
 
 HEAD = (
     "| machine | recordings | by the others | by validation alone | val. / train. errors "
@@ -33,12 +31,8 @@ HEAD = (
 
 
 def parts(path: str, time_step: float) -> dict[str, list]:
-    columns = header(path)
-    system = Recorded(
-        names=names("q", columns), inputs=names("u", columns), angular="all", time_step=time_step
-    )
-    data = RecordedData(system=system, path=path, dtype="float64")
-    data.prepare_data()
+    system = recorded_system(path, time_step=time_step, angular="all")
+    data = RecordedData(system=system, path=path)
     data.setup()
     return {part: data.trajectories(part) for part in ("train", "val")}
 

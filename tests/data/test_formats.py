@@ -13,8 +13,7 @@ import scipy.io
 import torch
 
 from symo_exp.data.formats import from_arrays
-from symo_exp.data.header import header, names
-from symo_exp.data.recorded import RecordedData
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.systems.recorded import Recorded
@@ -30,8 +29,7 @@ def motion(seconds: float = SECONDS) -> pd.DataFrame:
 
 
 def load(path: object, *, columns: object = None, **settings: object) -> RecordedData:
-    found = header(path, columns)
-    system = Recorded(time_step=H, names=names("q", found), inputs=names("u", found), angular="all")
+    system = recorded_system(path, time_step=H, angular="all", columns=columns)
     data = RecordedData(system=system, path=path, columns=columns, dtype="float64", **settings)
     data.setup()
     return data

@@ -12,11 +12,10 @@ import pandas as pd
 import pytest
 
 from symo_exp.data.header import header, names
-from symo_exp.data.recorded import RecordedData
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.errors import ConfigError
 from symo_exp.systems.base import System
 from symo_exp.systems.chain import ChainPendulum
-from symo_exp.systems.recorded import Recorded
 
 H = 0.05
 Generator = np.random.Generator
@@ -113,10 +112,9 @@ def saved(table: pd.DataFrame, rng: Generator, folder: Path) -> Path:
 
 
 def system_of(path: Path, rng: Generator) -> System:
-    found = header(path)
     if rng.random() < 0.2:
-        return ChainPendulum(max(1, min(3, len(names("q", found)))), time_step=H)
-    return Recorded(time_step=H, names=names("q", found), inputs=names("u", found), angular="all")
+        return ChainPendulum(max(1, min(3, len(names("q", header(path))))), time_step=H)
+    return recorded_system(path, time_step=H, angular="all")
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -10,13 +10,11 @@ import pandas as pd
 import pytest
 import torch
 
-from symo_exp.data.header import header, names
 from symo_exp.data.parts import with_every_part
-from symo_exp.data.recorded import RecordedData
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
-from symo_exp.systems.recorded import Recorded
 
 H = 0.1
 SPLITS = {"a": "test", "b": "train", "c": "extra", "d": "val", "e": "train"}
@@ -36,11 +34,7 @@ def table(n: int = 2) -> pd.DataFrame:
 def recorded(given: pd.DataFrame, path: Path, columns=None, angular="all", matrix=None):
     """Write a table and return the system that its columns describe."""
     given.to_parquet(path, index=False)
-    found = header(path, columns)
-    return Recorded(
-        time_step=H, names=names("q", found), inputs=names("u", found), angular=angular,
-        input_matrix=matrix,
-    )  # fmt: skip
+    return recorded_system(path, time_step=H, angular=angular, columns=columns, input_matrix=matrix)
 
 
 def read(given: pd.DataFrame, folder: Path, columns=None, angular="all", matrix=None, **more):

@@ -6,7 +6,7 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal, final
+from typing import Any, Literal, final
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, few, shown
-from symo_exp.data.header import UNITS
+from symo_exp.data.header import UNITS, header, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, RecordingTable, read_recordings, write_recordings
@@ -24,8 +24,9 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.systems.base import System
 from symo_exp.systems.checks import one_of, real, whole_number
+from symo_exp.systems.recorded import Recorded
 
-__all__ = ["RecordedData", "central_differences", "write_recordings"]
+__all__ = ["RecordedData", "central_differences", "recorded_system", "write_recordings"]
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +40,42 @@ UNIT = 1e-3
 """Largest difference of the norm of a quaternion from 1."""
 BATCHES = 8
 """In an epoch, unless their size is given."""
+
+
+def recorded_system(
+    path: Location,
+    *,
+    time_step: float,
+    angular: str | Sequence[str],
+    columns: Mapping[str, str] | None = None,
+    rotations: Sequence[str] = (),
+    input_matrix: Any = None,
+) -> Recorded:
+    """Return the machine whose coordinates and inputs are the columns of recordings.
+
+    Its trajectories, from Python::
+
+        system = recorded_system("mine.csv", time_step=0.02, angular="all")
+        data = RecordedData(system=system, path="mine.csv")
+        data.setup()
+        data.trajectories("test")
+
+    Args:
+        path: A file, a folder, a glob pattern or a list of them.
+        time_step: Of the nodes to which recordings are resampled [s].
+        angular: Coordinates that are angles [rad]: ``"all"``, ``"none"`` or their names.
+        columns: A mapping of this project's names to those of the file.
+        rotations: Names of the rotations.
+        input_matrix: As that of ``Recorded``.
+
+    Raises:
+        ConfigError: If a file cannot be read or has no coordinates, or for invalid arguments.
+    """
+    found = header(path, columns)
+    return Recorded(
+        names=names("q", found), inputs=names("u", found), time_step=time_step, angular=angular,
+        rotations=rotations, input_matrix=input_matrix,
+    )  # fmt: skip
 
 
 @final
