@@ -91,6 +91,8 @@ def control_slope(
     with torch.enable_grad():
         q = point.detach().requires_grad_()
         force = controlled.force(q, u)
+        if not force.requires_grad:  # torques in body axes
+            return force.new_zeros(*force.shape, force.shape[1])
         return space.pull(point.unsqueeze(1), jacobian(force, q).detach())
 
 
@@ -292,6 +294,8 @@ class ChartDerivatives(NamedTuple):
     """Those of ``M`` along ``retract`` of the configuration."""
     momentum_q: Float[Tensor, "rows n n"]
     """Those of ``ℒ_v`` along it."""
+    rate_q: Float[Tensor, "rows n n"]
+    """``∂(J φ̇)/∂φ``."""
 
 
 class ChartExpansion(Expansion):
@@ -386,14 +390,14 @@ class ChartExpansion(Expansion):
         )
         blocks = self._space.blocks(cross(self._space.vectors(moment)), moment.shape[1], 0.0)
         by_q = chart.turn @ (by_q - blocks @ turning)
-        return ChartDerivatives(curvature, by_q, chart.turn @ m_by_v, moment_q, along.vq)
+        return ChartDerivatives(curvature, by_q, chart.turn @ m_by_v, moment_q, along.vq, rate)
 
     def by_turn(self, found: ChartDerivatives) -> Torques:
         """Return the derivatives of ``torques`` in turns of ``q₀``, (rows, n, n)."""
-        chart, turning, rate = self.chart, self.chart.jacobian, self.chart.rate_slope(self._v)
+        chart, turning = self.chart, self.chart.jacobian
         turns = chart.turn.mT * self._space.turns(self._v)  # in the axes at the points
         moment_q, p_q = found.moment_q @ turns, found.momentum_q @ turns
-        by_q = turning.mT @ moment_q + rate.mT @ p_q
+        by_q = turning.mT @ moment_q + found.rate_q.mT @ p_q
         return Torques(Gradients(by_q, turning.mT @ p_q), chart.turn @ moment_q)
 
     def _moment(self, by_q: Tensor) -> tuple[Tensor, Tensor]:
@@ -538,10 +542,10 @@ class GeodesicExpansion(DiscreteExpansion):
         at, ends = self._at, self._ends
         w = at.basis.hessian(found.curvature, self._points.mass(), at.h)[1:]
         total = at.basis.total_slopes(found.turned_q, found.turned_v, at.h)
-        last = at.values.d2
         first, final = total - ends.inverse @ w[-1], ends.inverse.mT @ w[-1]
-        first = torch.cat((first[:-1], first[-1:] - ends.start_slope(last)))
-        final = torch.cat((final[:-1], final[-1:] + ends.end_slope(last)))
+        start_slope, end_slope = ends.slopes(at.values.d2)
+        first = torch.cat((first[:-1], first[-1:] - start_slope))
+        final = torch.cat((final[:-1], final[-1:] + end_slope))
         return torch.cat((first.unsqueeze(0), w[:-1], final.unsqueeze(0)))
 
     @torch.no_grad()
@@ -702,9 +706,7 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
 
     @override
     def d2d1(self) -> Tensor:
-        slopes = self._slopes(None)
-        jacobian = 0.5 * self.middle.chart.jacobian
-        return self._first(*self._along(slopes, jacobian, 1.0 / self.middle.h, bend=True))
+        return self._by_end(self._slopes(None))[0]
 
     @override
     @torch.no_grad()
@@ -712,8 +714,7 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
         assert before is None or isinstance(before, GeodesicMidpointExpansion)
         middle, slopes = self.middle, self._slopes(None if before is None else before._at)
         chart, inverse = middle.chart, middle.ends.inverse
-        by_x = self._along(slopes, 0.5 * chart.jacobian, 1.0 / middle.h, bend=True)
-        end = torch.stack((self._first(*by_x), self._final(by_x[0])))
+        end = torch.stack(self._by_end(slopes))
         turns = chart.space.turns(middle.v)
         # lengths and angles at the start, and turns of it in the axes at the middle
         moved = torch.where(turns, chart.turn.mT, 0.5 * chart.jacobian)
@@ -762,15 +763,12 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
             turned = turned - blocks @ moved
         return last, middle.h * (chart.turn @ turned)
 
-    def _first(self, last: Tensor, turned: Tensor) -> Tensor:
-        """Return ``∂D₁/∂δ``."""
-        ends, y = self.middle.ends, self.middle.last(self._moment, self._at.values.v)
-        return turned - ends.inverse @ last - ends.start_slope(y)
-
-    def _final(self, last: Tensor) -> Tensor:
-        """Return ``∂D₂/∂δ``."""
-        ends, y = self.middle.ends, self.middle.last(self._moment, self._at.values.v)
-        return ends.inverse.mT @ last + ends.end_slope(y)
+    def _by_end(self, slopes: tuple[Curvature, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """Return ``∂D₁/∂δ`` and ``∂D₂/∂δ``."""
+        middle, ends = self.middle, self.middle.ends
+        last, turned = self._along(slopes, 0.5 * middle.chart.jacobian, 1.0 / middle.h, bend=True)
+        start_slope, end_slope = ends.slopes(middle.last(self._moment, self._at.values.v))
+        return turned - ends.inverse @ last - start_slope, ends.inverse.mT @ last + end_slope
 
 
 class Ends(NamedTuple):
@@ -794,20 +792,15 @@ class Ends(NamedTuple):
         """Return ``D₁`` and ``D₂``, given ``D₂ℓ_d`` and ``h Σᵢ bᵢ exp(φᵢ) Mᵢ``."""
         return Slots(turned - matvec(self.inverse, last), vecmat(last, self.inverse))
 
-    def start_slope(self, last: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
-        """Return ``∂(J⁻¹ y)/∂δ`` at a fixed ``y``."""
-        return self._slope(last, 0.5)
+    def slopes(self, last: Float[Tensor, "batch n"]) -> tuple[Tensor, Tensor]:
+        """Return ``∂(J⁻¹ y)/∂δ`` and ``∂(J⁻ᵀ y)/∂δ`` at a fixed ``y``, (batch, n, n).
 
-    def end_slope(self, last: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
-        """Return ``∂(J⁻ᵀ y)/∂δ`` at a fixed ``y``."""
-        return self._slope(last, -0.5)
-
-    def _slope(self, y: Tensor, first: float) -> Tensor:
-        c = self.series
-        found = polynomial_slope(
-            self.phi, self.space.vectors(y), c.s, (first, 0.0), (c.gamma, c.gamma1)
-        )
-        return self.space.blocks(found, y.shape[1], 0.0)
+        ``J⁻ᵀ = J⁻¹ − [δ]``, so that the second is the first plus ``[y]``.
+        """
+        c, y = self.series, self.space.vectors(last)
+        start = polynomial_slope(self.phi, y, c.s, (0.5, 0.0), (c.gamma, c.gamma1))
+        n = last.shape[1]
+        return self.space.blocks(start, n, 0.0), self.space.blocks(start + cross(y), n, 0.0)
 
 
 def _matrix(blocks: Float[Tensor, "a b batch n n"]) -> Float[Tensor, "batch a*n b*n"]:

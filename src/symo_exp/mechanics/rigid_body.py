@@ -12,6 +12,7 @@ On a pivot ``x`` is zero.
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -54,7 +55,10 @@ class BodyParameters(NamedTuple):
 
 
 class RigidBodyLagrangian(Lagrangian):
-    """The Lagrangian of a rigid body, with its derivatives in closed form."""
+    """The Lagrangian of a rigid body, with its derivatives in closed form.
+
+    Methods take its parameters as ``body`` where these are known already.
+    """
 
     @abstractmethod
     def rigid_body(self, like: Float[Tensor, "batch N"]) -> BodyParameters:
@@ -66,8 +70,10 @@ class RigidBodyLagrangian(Lagrangian):
         return Space(rotations=1)
 
     @override
-    def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
-        body, (turn, free) = self.rigid_body(q), _place(q)
+    def mass_matrix(
+        self, q: Float[Tensor, "batch N"], body: BodyParameters | None = None
+    ) -> Float[Tensor, "batch n n"]:
+        body, (turn, free) = body or self.rigid_body(q), _place(q)
         inertia = body.inertia.expand(q.shape[0], 3, 3)
         if not free:
             return inertia
@@ -87,8 +93,13 @@ class RigidBodyLagrangian(Lagrangian):
         return _Motion.of(self.rigid_body(q), q, v).momentum()
 
     @override
-    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
-        at = _Motion.of(self.rigid_body(q), q, v)
+    def gradients(
+        self,
+        q: Float[Tensor, "batch N"],
+        v: Float[Tensor, "batch n"],
+        body: BodyParameters | None = None,
+    ) -> Gradients:
+        at = _Motion.of(body or self.rigid_body(q), q, v)
         return Gradients(at.slope(), at.momentum())
 
     @override
@@ -96,9 +107,14 @@ class RigidBodyLagrangian(Lagrangian):
         at = _Motion.of(self.rigid_body(q), q, v)
         return Rates(self.mass_matrix(q), at.turned_momentum(), at.slope())
 
-    def curvature(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Curvature:
+    def curvature(
+        self,
+        q: Float[Tensor, "batch N"],
+        v: Float[Tensor, "batch n"],
+        body: BodyParameters | None = None,
+    ) -> Curvature:
         """Return the second derivatives."""
-        return _Motion.of(self.rigid_body(q), q, v).curvature()
+        return _Motion.of(body or self.rigid_body(q), q, v).curvature()
 
     @override
     def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
@@ -122,17 +138,22 @@ class RigidBodyExpansion(Expansion):
     ) -> None:
         self._lagrangian, self._q, self._v = lagrangian, q, v
         with torch.no_grad():
-            self.values = lagrangian.gradients(q, v) if values is None else values
+            self.values = lagrangian.gradients(q, v, self._body) if values is None else values
+
+    @cached_property
+    @torch.no_grad()
+    def _body(self) -> BodyParameters:
+        return self._lagrangian.rigid_body(self._q)
 
     @override
     @torch.no_grad()
     def mass(self) -> Tensor:
-        return self._lagrangian.mass_matrix(self._q)
+        return self._lagrangian.mass_matrix(self._q, self._body)
 
     @override
     @torch.no_grad()
     def curvature(self, before: Expansion | None = None) -> Curvature:
-        return self._lagrangian.curvature(self._q, self._v)
+        return self._lagrangian.curvature(self._q, self._v, self._body)
 
     @override
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:

@@ -22,6 +22,9 @@ from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import DiscreteExpansion, DiscreteLagrangian, Forces
 
+FEW = 64
+"""Rows up to which it costs more to select some than to continue with all."""
+
 
 class StretchMatching(Rowwise):
     """The equations ``p_k + D₁L_d(q_k, q_{k+1}) + f⁻ = 0`` of all steps of a stretch.
@@ -219,7 +222,7 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
-        return 2 * active <= rows
+        return rows > FEW and 2 * active <= rows
 
     @override
     def trial(

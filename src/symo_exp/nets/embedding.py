@@ -176,6 +176,8 @@ def block_diagonal(
     first: Float[Tensor, "batch a b"], second: Float[Tensor, "batch c d"]
 ) -> Float[Tensor, "batch a+c b+d"]:
     """Return block diagonal matrices of two blocks."""
+    if first.shape[1] == first.shape[2] == 0:
+        return second
     above = nn.functional.pad(first, (0, second.shape[2]))
     return torch.cat((above, nn.functional.pad(second, (first.shape[2], 0))), dim=1)
 

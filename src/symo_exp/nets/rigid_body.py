@@ -148,8 +148,13 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         return found
 
     @override
-    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
-        found = super().gradients(q, v)
+    def gradients(
+        self,
+        q: Float[Tensor, "batch N"],
+        v: Float[Tensor, "batch n"],
+        body: BodyParameters | None = None,
+    ) -> Gradients:
+        found = super().gradients(q, v, body)
         if self.potential_net is None:
             return found
         return found._replace(q=found.q - self.space.pull(q, _slope(self.potential_net, q)))
@@ -162,8 +167,13 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         return found._replace(q=found.q - self.space.pull(q, _slope(self.potential_net, q)))
 
     @override
-    def curvature(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Curvature:
-        found = super().curvature(q, v)
+    def curvature(
+        self,
+        q: Float[Tensor, "batch N"],
+        v: Float[Tensor, "batch n"],
+        body: BodyParameters | None = None,
+    ) -> Curvature:
+        found = super().curvature(q, v, body)
         if self.potential_net is None:
             return found
         with torch.enable_grad():
