@@ -3,11 +3,15 @@
 import torch
 
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
+from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import Units
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedDrag
 from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
+
+UNITS = Units(length=0.5, time=0.8, mass=1.5)
 
 
 def friction(n: int, rest_velocity: float = 0.5) -> Friction:
@@ -66,10 +70,21 @@ def dragged_net(n: int) -> DissipativeLagrangian:
     return DissipativeLagrangian(conservative, learned_drag(n))
 
 
+def scaled_net(n: int) -> DissipativeLagrangian:
+    """The same as ``machine_net``, with parameters in units of their own."""
+    coordinates = _coordinates(n)._replace(units=UNITS)
+    found = machine_net(n)
+    friction = ScaledDissipation(found.dissipation, coordinates)
+    return DissipativeLagrangian(
+        ScaledLagrangian(found.conservative, coordinates), friction
+    ).double()
+
+
 LEARNED = {
     "learned friction": dissipative_net,
     "friction of a machine": machine_net,
     "drag": dragged_net,
+    "friction in units of its own": scaled_net,
 }
 """Kind of a learned dissipation to a Lagrangian with it, made for a number of coordinates."""
 DISSIPATIVE = {"friction": dissipative_chain, **LEARNED}

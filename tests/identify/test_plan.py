@@ -7,14 +7,15 @@ import pytest
 
 from symo_exp.errors import ConfigError
 from symo_exp.identify import plan as plans
-from symo_exp.identify.candidates import distinct, joined, ladder, left_open, variations
+from symo_exp.identify.candidates import distinct_candidates, joined, ladder, left_open, variations
 from symo_exp.identify.recordings import Machine
+from symo_exp.mechanics.units import SI
 
 
 def machine(n=2, seconds=60.0, recordings=7, driven=True, angular=True):
     return Machine(
         settings=(), angular=(angular,) * n, driven=driven, time_step=0.02, finest_step=0.002,
-        seconds=seconds, recordings=recordings, rest_velocity=0.1, delay=-0.01 * driven,
+        seconds=seconds, recordings=recordings, rest_velocity=0.1, units=SI, delay=-0.01 * driven,
         explained=0.97, moves=True, stiffness=None, notes=(),
     )  # fmt: skip
 
@@ -103,10 +104,10 @@ def test_candidates_differ_and_variations_change_one_respect(n, angular):
 )
 def test_given_settings_leave_no_two_candidates_equal(n, given):
     one = replace(machine(n), stiffness=((1.0,) * n,) * n)
-    candidates = distinct(ladder(one), given)
+    candidates = distinct_candidates(ladder(one), given)
     assert candidates[0] == ladder(one)[0]
     for base in candidates:
-        tried = [*candidates, *distinct(variations(base, one), given, candidates)]
+        tried = [*candidates, *distinct_candidates(variations(base, one), given, candidates)]
         settings = [left_open(c.settings, given) for c in tried]
         assert all(a != b for a, b in itertools.combinations(settings, 2))
         dropped = [c for c in (*ladder(one), *variations(base, one)) if c not in tried]

@@ -11,6 +11,7 @@ import torch
 
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import AutodiffExpansion, Lagrangian
+from symo_exp.mechanics.scaled import ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedBodyDrag
@@ -18,7 +19,7 @@ from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
-from tests.dissipative import LEARNED
+from tests.dissipative import LEARNED, UNITS
 from tests.learned import assert_each_sample_alone, assert_same, learned_lagrangian
 from tests.systems import models
 from tests.systems.every import SYSTEMS
@@ -88,6 +89,12 @@ def sprung(coordinates: Coordinates) -> Lagrangian:
     return SprungLagrangian(learned_lagrangian(coordinates.angular, squares=True), springs)
 
 
+def scaled(coordinates: Coordinates) -> Lagrangian:
+    """The same, with parameters in units of their own."""
+    units = coordinates._replace(units=UNITS)
+    return ScaledLagrangian(sprung(coordinates), units).double()
+
+
 CONSERVATIVE: dict[str, tuple[Callable[[], Lagrangian], int]] = {
     **{f"network {angular} {kind}": (partial(learned_lagrangian, angular, **kind),
                                      len(angular) + 3 * kind.get("rotations", 0))
@@ -97,7 +104,8 @@ CONSERVATIVE: dict[str, tuple[Callable[[], Lagrangian], int]] = {
     **{f"chain {angular}": (partial(chain, angular), len(angular)) for angular in CHAINS},
     **{f"body {name} {kind}": (partial(body, coordinates, **settings), coordinates.n)
        for name, coordinates in BODIES.items() for kind, settings in BODY_KINDS.items()},
-    **{f"sprung {where.names}": (partial(sprung, where), where.n) for where in SPRUNG},
+    **{f"{make.__name__} {where.names}": (partial(make, where), where.n)
+       for make in (sprung, scaled) for where in SPRUNG},
 }  # fmt: skip
 """Name: how to make a Lagrangian, and its number of coordinates."""
 

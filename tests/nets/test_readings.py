@@ -1,12 +1,18 @@
 """Physical parameters read from a Lagrangian are those of the machine."""
 
+from functools import partial
+
 import pytest
 import torch
 
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import Units
+from symo_exp.models.learned import learned_lagrangian
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownLagrangian
+from symo_exp.nets.lagrangians import PlanarLagrangian
 from symo_exp.nets.readings import readings
+from symo_exp.nets.springs import LinearSprings
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
 from tests.nets.test_rigid_chain import TRUTHS, of_truth
 from tests.systems.every import SYSTEMS
@@ -83,3 +89,27 @@ def test_friction_has_units_of_its_coordinate():
     assert found["x.viscous_friction"] == (pytest.approx(0.3), "N s/m")
     assert found["a.dry_friction"] == (pytest.approx(0.3), "N m")
     assert found["a.rest_velocity"] == (pytest.approx(0.2), "rad/s")
+
+
+def test_parameters_in_other_units_are_read_in_si_units():
+    """Those that the forces and the inertia have."""
+    coordinates = Coordinates(("x", "a"), (False, True), units=Units(1e-3, 0.1, 1e2))
+    lagrangian = learned_lagrangian(
+        coordinates,
+        partial(PlanarLagrangian, relative=True),
+        partial(LearnedDissipation, start=0.3),
+        partial(LinearSprings, start=[[3.0, 1.0], [1.0, 2.0]]),
+    ).double()
+    with torch.no_grad():
+        last = lagrangian.conservative.inner.conservative.net.weights[-1]
+        last.zero_()  # nothing but springs and a constant inertia
+    found = {name: value for name, (value, _) in values(lagrangian, coordinates).items()}
+    q = torch.zeros(1, 2).double()
+    at = lagrangian.expand(q, q)
+    stiffness, mass, damping = -at.curvature().qq[0], at.mass()[0], -at.damping()[0]
+    for name, (i, j) in {"x": (0, 0), "a": (1, 1)}.items():
+        assert found[f"{name}.stiffness"] == pytest.approx(float(stiffness[i, j]), rel=1e-6)
+        assert found[f"{name}.inertia"] == pytest.approx(float(mass[i, j]), rel=1e-6)
+        assert found[f"{name}.viscous_friction"] == pytest.approx(float(damping[i, j]), rel=1e-6)
+    assert found["a.stiffness.x"] == pytest.approx(float(stiffness[1, 0]), rel=1e-6)
+    assert found["x.stiffness"] == pytest.approx(3.0 * 1e2 / 0.1**2)  # kg / s²

@@ -141,6 +141,7 @@ class Falling(nn.Module):
 
     def __init__(self, n, squares):
         super().__init__()
+        self.sizes = torch.ones(n)
         self.log = nn.Parameter(torch.full((n,), -1.0, dtype=torch.float64))
         self.root = nn.Parameter(torch.full((n,), 0.1, dtype=torch.float64)) if squares else None
         if self.root is not None:
@@ -251,7 +252,7 @@ def test_inputs_with_errors_are_estimated():
 class Springs:
     """Residuals ``k q_k + f(q_{k+1})`` twice over, of which ``f`` may be anything."""
 
-    gradient_clip, reads_velocity = None, False
+    gradient_clip, reads_velocity, sizes = None, False, torch.ones(1)
 
     def __init__(self, f):
         self.f, self.stiffness = f, nn.Parameter(torch.ones(1, 1, dtype=torch.float64))

@@ -49,7 +49,10 @@ def posterior_of(
         )
         return None
     with torch.random.fork_rng(devices=[]):
-        found = posterior(residuals, parameters, train, velocities=model.reads_velocity, **estimate)
+        found = posterior(
+            residuals, parameters, train,
+            velocities=model.reads_velocity, sizes=model.coordinates.sizes, **estimate,
+        )  # fmt: skip
         if not (found.directions.isfinite().all() and found.mean.isfinite().all()):
             log.info("no posterior: the derivatives of the residuals are not finite")
             return None

@@ -16,6 +16,8 @@ KINDS = {"asymmetric friction": 0.2, "constant force": 0.1, "Stribeck friction":
 """Kinds of friction of machines, with what each adds to the rank."""
 STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
+INPUT_NOISE = 100.0
+"""Noise of inputs over that of configurations where it is estimated, in units of the machine."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "relative": {"lagrangian": "relative"},
     "absolute": {"lagrangian": "absolute"},
@@ -131,7 +133,9 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     if settings["dissipation"] in ("friction", "viscous"):
         yield _with_learned_friction(candidate)
     if machine.driven:
-        yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight="100")
+        force = machine.units.size("N m" if any(machine.angular) else "N")
+        weight = f"{INPUT_NOISE * force:g}"
+        yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight=weight)
     if not machine.driven:
         yield from motors
 
@@ -148,7 +152,7 @@ def left_open(settings: Mapping[str, str], given: Collection[str]) -> dict[str, 
     }
 
 
-def distinct(
+def distinct_candidates(
     candidates: Iterable[Candidate], given: Collection[str], known: Iterable[Candidate] = ()
 ) -> list[Candidate]:
     """Return the candidates that given settings do not make equal to earlier or known ones."""

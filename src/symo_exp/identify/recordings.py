@@ -29,6 +29,7 @@ from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import SI, Units
 from symo_exp.systems.recorded import Recorded
 
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4)
@@ -62,11 +63,13 @@ least."""
 REST = 0.05
 """Velocity below which dry friction fades, over the root mean square of a coordinate's."""
 USUAL_REST = 0.1
-"""That of machines that are not slow [rad/s, m/s]: the default of dissipation.rest_velocity."""
+"""That of machines that are not slow, in their units: the default of dissipation.rest_velocity."""
 SLOW = 0.3
 """Share of the usual one below which it is lowered."""
 DAMPING = 0.01
-"""Friction at the start of training over the inertia [1/s]."""
+"""Friction at the start of training over the inertia, in the units of the machine."""
+FAR = 100.0
+"""Factor from 1 up to which times and inertias are learned in SI units."""
 Sampled = tuple[Samples, np.ndarray, np.ndarray]
 """Samples, nodes a time step apart, and configurations at the nodes."""
 
@@ -83,12 +86,13 @@ class Machine:
         finest_step: Distance of the samples [s], the largest over recordings.
         seconds: Length of the training and validation part [s].
         recordings: How many there are in these parts.
-        rest_velocity: Below which dry friction fades at first [rad/s, m/s]: a small part of the
+        rest_velocity: Below which dry friction fades at first, in ``units``: a small part of the
             speed of the slowest coordinate.
+        units: Those in which parameters are learned.
         delay: Of the inputs [s], if one explains the motion better than none; else 0.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
         moves: Whether any coordinate moves by more than its noise.
-        stiffness: Of springs that explain accelerations better than gravity [N/m, N m/rad]; else
+        stiffness: Of springs that explain accelerations better than gravity, in ``units``; else
             ``None``.
         notes: The inferred properties, a line each.
     """
@@ -101,6 +105,7 @@ class Machine:
     seconds: float
     recordings: int
     rest_velocity: float
+    units: Units
     delay: float
     explained: float | None
     moves: bool
@@ -184,19 +189,33 @@ def examine(
     used, _ = uninterrupted(used, time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     motions = _motions(_beginning(used, max(EXAMINED, NODES * time_step)), time_step)
-    if (rest := _rest_velocity(motions, time_step)) != USUAL_REST:
-        settings.append(f"dissipation.rest_velocity={rest:g}")
-        notes.append(f"friction: a slow machine, dry friction fades below {rest:g} m/s or rad/s")
     delays = DELAYS * min(1.0, time_step / UNHURRIED) if driven else np.zeros(1)
     left = _unexplained(motions, angles, time_step, delays)
     delay, line = _delay(left)
-    light, shifted = 1.0, _pairs(motions, time_step, delay)
+    own = _units(motions, angles, time_step)
+    light, step = 1.0, time_step / own.time
+    sizes = np.where(angles, 1.0, own.length)
+    scaled = [(q / sizes, u) for q, u in _pairs(motions, time_step, delay)]
     if driven and left and 1.0 - left[delay] > POOR:
-        light = _inertia(shifted, angles, time_step, system("none"))
+        matrix = system("none").input_matrix.numpy() * sizes[:, None] / own.size("N m")
+        light = _inertia(scaled, angles, step, matrix)
+        own = own._replace(mass=_unit(light, FAR))
+        notes.append(f"scale: training starts with an inertia of {light:.2g}, as inputs suggest")
+        light /= own.mass
         settings += [f"lagrangian.initial_inertia={light:.2g}"]
         settings += [f"dissipation.start={DAMPING * light:.2g}"]
-        notes.append(f"scale: training starts with an inertia of {light:.2g}, as inputs suggest")
-    stiffness = _stiffness(shifted, angles, time_step, light)
+    if own != SI:
+        sized = own._asdict().items()
+        settings += [f"system.scale.{name}={size:g}" for name, size in sized if size != 1.0]
+        notes.append(
+            f"units: parameters are learned in {own.length:g} m, {own.time:g} s and "
+            f"{own.mass:g} kg, in which the motion is of order one"
+        )
+    if (rest := _rest_velocity([q for q, _ in scaled], step)) != USUAL_REST:
+        settings.append(f"dissipation.rest_velocity={rest:g}")
+        unit = "units of velocity" if own != SI else "m/s or rad/s"
+        notes.append(f"friction: a slow machine, dry friction fades below {rest:g} {unit}")
+    stiffness = _stiffness(scaled, angles, step, light)
     if stiffness is not None:
         notes.append("springs: they explain accelerations better than gravity alone")
     return Machine(
@@ -208,6 +227,7 @@ def examine(
         seconds=sum(float(np.ptp(one.samples.t)) for one in used),
         recordings=recordings,
         rest_velocity=rest,
+        units=own,
         delay=delay,
         explained=1.0 - left[delay] if left else None,
         moves=_moves(used),
@@ -353,14 +373,20 @@ def _time_step(recordings: Sequence[Recording], angular: np.ndarray, finest: flo
 def _phase(recordings: Sequence[Recording], h: float) -> float:
     """Return ``ω h``, the phase by which the fastest coordinate vibrates in a time step [rad].
 
-    ``ω`` is the ratio of the root mean squares of accelerations and velocities, without the noise
-    of the nodes. It is infinite where lines between the nodes miss much of the motion.
+    It is infinite where lines between the nodes miss much of the motion.
     """
     motions = _motions(recordings, h)
     if not motions:
         return 0.0
-    if _missed(motions) > MISSED:
-        return np.inf
+    return np.inf if _missed(motions) > MISSED else h * _frequency(motions, h)
+
+
+def _frequency(motions: Sequence[Sampled], h: float) -> float:
+    """Return the frequency ``ω`` at which the fastest coordinate vibrates [rad/s].
+
+    It is the ratio of the root mean squares of accelerations and velocities, without the noise of
+    the nodes; 0 where noise hides them.
+    """
     first, second = (np.concatenate([np.diff(q, k, axis=0) for _, _, q in motions]) for k in (1, 2))
     columns = zip(*(samples.q.T for samples, _, _ in motions), strict=True)
     noise = np.array([np.nan_to_num(noise_of(each)) for each in columns])
@@ -369,7 +395,30 @@ def _phase(recordings: Sequence[Recording], h: float) -> float:
     velocity = np.mean(first**2, axis=0) - 2 * blur
     acceleration = np.mean(second**2, axis=0) - 6 * blur
     seen = (velocity > blur) & (acceleration > blur)
-    return float(np.sqrt(acceleration[seen] / velocity[seen]).max(initial=0.0))
+    return float(np.sqrt(acceleration[seen] / velocity[seen]).max(initial=0.0)) / h
+
+
+def _units(motions: Sequence[Sampled], angular: np.ndarray, h: float) -> Units:
+    """Return units of length and time in which motions are of order one, with SI prefixes.
+
+    Lengths have the prefix nearest to their range, so that logs in m and in mm are learned as the
+    same; time has the unit s unless the motion is faster or slower by ``FAR``.
+    """
+    if not motions:
+        return SI
+    q = np.concatenate([nodes for _, _, nodes in motions])[:, ~angular]
+    frequency = _frequency(motions, h)
+    return Units(
+        length=_unit(float(np.ptp(q, axis=0).max(initial=0.0)), 1.0),
+        time=_unit(1.0 / frequency, FAR) if frequency > 0.0 else 1.0,
+    )
+
+
+def _unit(size: float, far: float) -> float:
+    """Return the power of 1000 nearest to a size, 1 where it is up to ``far`` from 1 or zero."""
+    if not size > 0.0 or 1.0 / far <= size <= far:
+        return 1.0
+    return float(f"1e{3 * round(np.log10(size) / 3)}")
 
 
 def _missed(motions: Sequence[Sampled]) -> float:
@@ -405,11 +454,11 @@ def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
     return motions
 
 
-def _rest_velocity(motions: Sequence[Sampled], h: float) -> float:
+def _rest_velocity(paths: Sequence[np.ndarray], h: float) -> float:
     """Return a small part of the speed of the slowest coordinate that moves, if it is slow."""
-    if not motions:
+    if not paths:
         return USUAL_REST
-    speeds = np.concatenate([np.diff(q, axis=0) / h for _, _, q in motions])
+    speeds = np.concatenate([np.diff(q, axis=0) / h for q in paths])
     pace = np.sqrt(np.mean(speeds**2, axis=0))
     slowest = float(pace[pace > 0].min(initial=np.inf))
     found = float(f"{REST * slowest:.1g}")
@@ -429,17 +478,18 @@ def _unexplained(
     return left
 
 
-def _inertia(pairs: Sequence[Motion], angular: np.ndarray, h: float, machine: Recorded) -> float:
-    """Return the inertia that the inputs move, that of the lightest coordinates [kg, kg m²].
+def _inertia(
+    pairs: Sequence[Motion], angular: np.ndarray, h: float, input_matrix: np.ndarray
+) -> float:
+    """Return the inertia that the inputs move, that of the lightest coordinates.
 
     A training that starts with too much inertia does not find its way: the accelerations due to the
     inputs are then lost among those of the potential and of friction.
     """
     gains = input_gains(pairs, _coordinates(angular), h)
     assert gains is not None
-    assert machine.input_matrix is not None
     size = float(np.linalg.norm(gains))
-    return float(machine.input_matrix.norm()) / size if size > 0 else 1.0
+    return float(np.linalg.norm(input_matrix)) / size if size > 0 else 1.0
 
 
 def _stiffness(

@@ -29,7 +29,7 @@ from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
 from symo_exp.identify.candidates import (
     Candidate,
-    distinct,
+    distinct_candidates,
     joined,
     ladder,
     left_open,
@@ -109,7 +109,7 @@ class Search:
         self._start = time.monotonic()
         self._machine = machine = self._examine()
         every = ladder(machine)
-        candidates = distinct(every, self._given)
+        candidates = distinct_candidates(every, self._given)
         self._plan = plan = self._planned(candidates)
         if check_only:
             return 0
@@ -206,7 +206,7 @@ class Search:
         """Try variations of the best candidate, and what is better together."""
         plan = self._plan
         known = [trial.candidate for trial in self._trials.values()]
-        new = distinct(variations(base.candidate, self._machine), self._given, known)
+        new = distinct_candidates(variations(base.candidate, self._machine), self._given, known)
         tried = new[: plan.variations]
         first, folds = range(plan.first), range(len(base.errors))
         self._try(tried, first)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.mechanics.space import Space
+from symo_exp.mechanics.units import SI, Units
 
 AXES = ("x", "y", "z")
 ENTRIES = ("11", "12", "13", "21", "22", "23", "31", "32", "33")
@@ -25,12 +26,15 @@ class Coordinates(NamedTuple):
         rotations: Names of the rotations, whose degrees of freedom are the last ones.
         free: For each body that moves freely, the index of the first of the three lengths and of
             the rotation that are its pose. Forces of inputs on it are in body axes.
+        units: Those in which learned parts of a model have their parameters; configurations,
+            velocities and forces are in SI units.
     """
 
     names: tuple[str, ...]
     angular: tuple[bool, ...]
     rotations: tuple[str, ...] = ()
     free: tuple[tuple[int, int], ...] = ()
+    units: Units = SI
 
     @staticmethod
     def of(
@@ -54,6 +58,12 @@ class Coordinates(NamedTuple):
         """Which degrees of freedom are angles or belong to a rotation."""
         flat = len(self.flat)
         return (*self.angular[:flat], *(True for _ in self.names[flat:]))
+
+    @property
+    def sizes(self) -> Float[Tensor, " n"]:
+        """Unit of each degree of freedom [m], 1 of those that turn."""
+        units = [1.0 if turns else self.units.length for turns in self.turning]
+        return torch.tensor(units, dtype=torch.float64)
 
     @property
     def measured(self) -> tuple[str, ...]:

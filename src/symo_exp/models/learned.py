@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+import copy
+from typing import Protocol, TypeVar, runtime_checkable
 
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.roots import RootFinder
+from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import SI
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
+
+Root = TypeVar("Root", bound="RootFinder | None")
 
 
 @runtime_checkable
@@ -41,9 +47,25 @@ def learned_lagrangian(
     springs: MakesSprings | None,
 ) -> Lagrangian:
     """Return a new Lagrangian, with springs and a dissipation if there are factories of them."""
-    conservative = lagrangian(coordinates=coordinates)
+    scaled, plain = coordinates.units != SI, coordinates._replace(units=SI)
+    conservative = lagrangian(coordinates=plain)
     if springs is not None:
-        conservative = SprungLagrangian(conservative, springs(coordinates=coordinates))
+        conservative = SprungLagrangian(conservative, springs(coordinates=plain))
+    if scaled:
+        conservative = ScaledLagrangian(conservative, coordinates)
     if dissipation is None:
         return conservative
-    return DissipativeLagrangian(conservative, dissipation(coordinates=coordinates))
+    friction = dissipation(coordinates=plain)
+    if scaled:
+        friction = ScaledDissipation(friction, coordinates)
+    return DissipativeLagrangian(conservative, friction)
+
+
+def in_units(root: Root, coordinates: Coordinates) -> Root:
+    """Return a root finder of momenta whose tolerance is in the units of the coordinates."""
+    if root is None or coordinates.units == SI:
+        return root
+    momenta = coordinates.units.size("N m s") / coordinates.sizes
+    found = copy.copy(root)
+    found.tolerance = root.tolerance * float(momenta.min())
+    return found

@@ -15,6 +15,7 @@ from symo_exp.models.learned import (
     MakesDissipation,
     MakesLagrangian,
     MakesSprings,
+    in_units,
     learned_lagrangian,
 )
 from symo_exp.models.objectives import Objective, Residual
@@ -70,9 +71,9 @@ class SyMo(DynamicsModel):
             integrator,
             time_step,
             input_matrix,
-            root=root,
-            evaluation_root=evaluation_root,
-            rollout_root=rollout_root,
+            root=in_units(root, coordinates),
+            evaluation_root=in_units(evaluation_root, coordinates),
+            rollout_root=in_units(rollout_root, coordinates),
         )
         super().__init__(
             flow,

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from symo_exp.mechanics.bodies import of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
+from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedBodyDrag, LearnedDrag
@@ -44,6 +45,20 @@ def readings(module: Any, coordinates: Coordinates) -> list[Reading]:
 def _(module: DissipativeLagrangian, coordinates: Coordinates) -> list[Reading]:
     parts = module.conservative, module.dissipation
     return [reading for part in parts for reading in readings(part, coordinates)]
+
+
+@readings.register
+def _(module: ScaledLagrangian, coordinates: Coordinates) -> list[Reading]:
+    return [_in_si(reading, coordinates) for reading in readings(module.inner, coordinates)]
+
+
+@readings.register
+def _(module: ScaledDissipation, coordinates: Coordinates) -> list[Reading]:
+    return [_in_si(reading, coordinates) for reading in readings(module.inner, coordinates)]
+
+
+def _in_si(reading: Reading, coordinates: Coordinates) -> Reading:
+    return reading._replace(value=coordinates.units.size(reading.unit) * reading.value)
 
 
 @readings.register

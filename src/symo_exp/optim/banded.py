@@ -54,6 +54,16 @@ class Chain(NamedTuple):
         """Columns of ``x`` without the inputs."""
         return self.x.shape[1] - (self.u.shape[1] if self.inputs else 0)
 
+    def weights(
+        self, sizes: Float[Tensor, " n"], velocities: float, inputs: float
+    ) -> Float[Tensor, " d"]:
+        """Return the noise of each column: ``sizes`` of configurations and, over it, of others."""
+        found = torch.full((self.x.shape[1],), inputs, dtype=torch.float64)
+        found[: self.n] = sizes
+        if self.known > self.n:
+            found[self.n : self.known] = velocities * sizes
+        return found
+
     def stencil(self, x: Float[Tensor, "nodes d"]) -> tuple[Tensor, Tensor, Tensor]:
         """Return the three nodes of every window, (windows, d) each."""
         return x[self.centre - 1], x[self.centre], x[self.centre + 1]

@@ -45,6 +45,11 @@ class Problem(Equations, Protocol):
         """True if residuals depend on measured velocities."""
         ...
 
+    @property
+    def sizes(self) -> Float[Tensor, " n"]:
+        """Unit of each coordinate, to which its noise is relative [m]; 1 of those that turn."""
+        ...
+
     def parameters(self) -> Iterable[Tensor]:
         """Return the parameters."""
         ...

@@ -47,7 +47,7 @@ class Posterior(NamedTuple):
         mean: The parameters.
         directions: Columns ``d_i``, so that the covariance is ``Σ d_i d_iᵀ``.
         free: Orthonormal columns along which the data have no information, though a prior may.
-        noise: ``σ̂``, standard deviation of the nodes [rad, m].
+        noise: ``σ̂``, standard deviation of the nodes over the units of the coordinates.
         model_noise: ``ε̂ σ̂``, that of the residuals.
         residuals: Number of residuals.
     """
@@ -86,6 +86,7 @@ def posterior(
     epsilon: float | None = None,
     velocity_weight: float = 1.0,
     input_weight: float = 0.0,
+    sizes: Float[Tensor, " n"] | None = None,
     precision: Float[Tensor, " p"] | None = None,
 ) -> Posterior:
     """Return the posterior of parameters at their estimate.
@@ -98,12 +99,12 @@ def posterior(
         epsilon: ``ε`` of total least squares; ``None`` for Levenberg-Marquardt.
         velocity_weight: Noise of velocities over that of configurations [1/s].
         input_weight: Noise of inputs over that of configurations; 0: inputs are exact.
+        sizes: Unit of each coordinate, to which its noise is relative [m]; 1 if left out.
         precision: ``α`` of each parameter; none where it is zero.
     """
     chain = Chain.of(trajectories, velocities=velocities, inputs=input_weight > 0)
-    weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
-    weight[chain.n : chain.known] = velocity_weight
-    weight[chain.known :] = input_weight
+    units = torch.ones(chain.n) if sizes is None else sizes
+    weight = chain.weights(units, velocity_weight, input_weight)
     problem = _Linearisation(residuals, parameters, chain, weight)
     x = chain.x if epsilon is None else problem.settled(epsilon)
     r, by_theta, by_x = problem.at(x)

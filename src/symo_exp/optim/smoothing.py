@@ -50,8 +50,8 @@ class Owner(Protocol):
     parameters: list[Tensor]
     memory: dict[str, Any]
 
-    def weight(self, chain: Chain) -> Float[Tensor, " d"]:
-        """Return the noise of each column of the nodes, relative to that of configurations."""
+    def weight(self, chain: Chain, sizes: Float[Tensor, " n"]) -> Float[Tensor, " d"]:
+        """Return the noise of each column of the nodes, relative to ``σ``."""
         ...
 
     def flat(self) -> Tensor:
@@ -87,7 +87,7 @@ class SmoothingObjective:
         self, owner: Owner, model: Problem, chain: Chain, epsilon: float | None, *, late: bool
     ) -> None:
         self.owner, self.memory, self.chain, self.epsilon = owner, owner.memory, chain, epsilon
-        self._model, self.weight = model, owner.weight(chain)
+        self._model, self.weight = model, owner.weight(chain, model.sizes)
         sizes = torch.tensor([p.numel() for p in owner.parameters])
         self._group = torch.repeat_interleave(torch.arange(len(sizes)), sizes)
         self._flat = torch.tensor([is_coefficient(p) for p in owner.parameters])

@@ -68,8 +68,8 @@ class TotalLeastSquares(EpochOptimizer):
         warm_up: Steps of Adam, its rate along a half cosine.
         damping: Initial damping.
         velocity_weight: Noise of velocities over that of configurations [1/s].
-        input_weight: Noise of inputs over that of configurations [N/m, N m/rad]; 0: inputs are
-            exact.
+        input_weight: Noise of inputs over that of configurations [N/m, N m/rad], in units of the
+            coordinates if these are others; 0: inputs are exact.
         tolerance: See ``EpochOptimizer``.
         seed: Seed of drawn parameters and mini batches.
     """
@@ -139,12 +139,9 @@ class TotalLeastSquares(EpochOptimizer):
             epoch // self.start if beyond < 0 else self._starts + beyond // self.epochs
         ]
 
-    def weight(self, chain: Chain) -> Tensor:
-        """Return the noise of each column of the nodes, relative to that of configurations."""
-        weight = torch.ones(chain.x.shape[1], dtype=torch.float64)
-        weight[chain.n : chain.known] = self.velocity_weight
-        weight[chain.known :] = self.input_weight
-        return weight
+    def weight(self, chain: Chain, sizes: Tensor) -> Tensor:
+        """Return the noise of each column of the nodes, relative to ``σ``."""
+        return chain.weights(sizes, self.velocity_weight, self.input_weight)
 
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
         """Take one accepted step; ``batches`` are whole trajectories."""

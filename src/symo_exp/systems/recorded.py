@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -11,7 +11,9 @@ from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import SI, Units
 from symo_exp.systems.base import System
+from symo_exp.systems.checks import real
 
 
 @final
@@ -27,6 +29,8 @@ class Recorded(System):
         inputs: Names of the inputs.
         input_matrix: ``B`` (n, m) of the generalised force ``B u``. ``None``: the identity, with
             an input for each coordinate; (n, 0) without inputs.
+        scale: Units of ``length`` [m], ``time`` [s] and ``mass`` [kg] in which learned parts of a
+            model have their parameters, for motions that are far from 1 in those of the SI.
     """
 
     names: Sequence[str]
@@ -34,6 +38,7 @@ class Recorded(System):
     angular: str | Sequence[str] | None = None
     inputs: Sequence[str] = ()
     input_matrix: Any = None
+    scale: Any = SI
 
     def __post_init__(self) -> None:
         names, inputs = (tuple(map(str, given)) for given in (self.names, self.inputs))
@@ -47,8 +52,9 @@ class Recorded(System):
         freedoms = Coordinates.of(flat, (False,) * len(flat), rotations).names
         matrix = _matrix(self.input_matrix, freedoms, inputs)
         vars(self).update(
-            names=flat, angular=angular, rotations=rotations, inputs=inputs, input_matrix=matrix
-        )
+            names=flat, angular=angular, rotations=rotations, inputs=inputs, input_matrix=matrix,
+            scale=_scale(self.scale),
+        )  # fmt: skip
         super().__post_init__()
 
     @property
@@ -57,7 +63,8 @@ class Recorded(System):
         assert self.angular is not None
         turns = tuple(name in self.angular for name in self.names)
         one = len(self.rotations) == 1 and turns == (False,) * 3  # a body that moves freely
-        return Coordinates.of(self.names, turns, self.rotations, [(0, 0)] if one else [])
+        found = Coordinates.of(self.names, turns, self.rotations, [(0, 0)] if one else [])
+        return found._replace(units=self.scale)
 
 
 def _rotations(given: object, names: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -85,6 +92,16 @@ def _angular(given: object, names: tuple[str, ...]) -> tuple[str, ...]:
         f"system.angular={'null' if given is None else given}: which of {', '.join(names)} are "
         "angles? all, none or a list of names"
     )
+
+
+def _scale(given: object) -> Units:
+    named = given._asdict() if isinstance(given, Units) else given
+    if not isinstance(named, Mapping) or not set(named) <= set(Units._fields):
+        raise ConfigError(
+            f"system.scale={given}: expected numbers for {', '.join(Units._fields)}, such as "
+            "system.scale.length=1e-3"
+        )
+    return Units(**{x: real(f"system.scale.{x}", value, above=0.0) for x, value in named.items()})
 
 
 def _matrix(given: object, names: tuple[str, ...], inputs: tuple[str, ...]) -> torch.Tensor:

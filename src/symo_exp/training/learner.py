@@ -84,6 +84,11 @@ class Learner(lightning.LightningModule):
         """True if the objective depends on measured velocities."""
         return self.model.reads_velocity
 
+    @property
+    def sizes(self) -> Float[Tensor, " n"]:
+        """Unit of each coordinate [m], 1 of those that turn."""
+        return self.model.coordinates.sizes
+
     def residuals(self, windows: TrainingSamples) -> Float[Tensor, "samples residuals"]:
         """Return the residuals of each sample."""
         return self._note(*self.objective(self.model.flow, windows))

@@ -15,6 +15,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.files import write_whole
 from symo_exp.mechanics.bodies import Joint, freedoms_of, of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
+from symo_exp.mechanics.scaled import ScaledLagrangian
 from symo_exp.models.base import DynamicsModel
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
@@ -89,6 +90,14 @@ def linkage(lagrangian: Any, names: tuple[str, ...]) -> Linkage:
     raise ConfigError(
         f"{type(lagrangian).__name__} does not consist of rigid bodies, which .xml and .urdf "
         "require; learn with lagrangian=rigid, rigid_body or known, or write .pt2"
+    )
+
+
+@linkage.register
+def _(lagrangian: ScaledLagrangian, names: tuple[str, ...]) -> Linkage:
+    raise ConfigError(
+        "this model has parameters in units of its own (system.scale), and .xml and .urdf are "
+        "written in SI units; learn without system.scale, or write .pt2"
     )
 
 

@@ -1,0 +1,89 @@
+"""Logs in any unit of length and force have equally good models."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from symo_exp.__main__ import main
+from symo_exp.errors import ConfigError
+from symo_exp.identify.candidates import ladder
+from symo_exp.identify.recordings import examine
+from symo_exp.identify.validation import fold_error
+from symo_exp.runs.folder import RunFolder
+from symo_exp.systems.recorded import Recorded
+
+FACTORS = [(1.0, 1.0), (1e3, 1.0), (1e-6, 1e-6), (1e-5, 1.0), (0.03, 1e4)]
+"""Units of a log: factors of lengths and of forces."""
+SHORT = [
+    "preset=recorded", "data=recorded", "system=recorded", "data.fold=[0,3]", "optimizer.starts=1",
+    "optimizer.start=10", "optimizer.epochs=5", "trainer.validate_every=5", "trainer.compile=false",
+    "pictures=false", "measures=false", "logger=none",
+]  # fmt: skip
+
+
+def sprung(length, force, h=0.02, steps=20):
+    """Recordings of a mass on a spring, with a motor and friction."""
+    t, rng = np.arange(0.0, 8.0, h), np.random.default_rng(0)
+    u = sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
+    x, v, path = 0.0, 0.0, []
+    for now in u:
+        path.append(x)
+        for _ in range(steps):
+            v += h / steps * (2.0 * now - 2.0 * v - 30.0 * x - 0.3 * np.tanh(100.0 * v)) / 1.3
+            x += h / steps * v
+    x = np.array(path) + 1e-4 * rng.normal(size=len(t))
+    parts = np.repeat(np.arange(5), len(t) // 5)
+    return pd.DataFrame({"trajectory": parts, "t": t, "q_x": length * x, "u_x": force * u})
+
+
+def errors(length, force, folder):
+    """Errors of the first two candidates on a fold, over the unit of length."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        sprung(length, force).to_csv("mine.csv", index=False)
+        machine, found = examine({"path": "mine.csv"}), {}
+        for k, candidate in enumerate(ladder(machine)[:2]):
+            words = [*SHORT, "data.path=mine.csv", *machine.settings, f"experiment=of_{k}"]
+            assert main([*words, *candidate.overrides()]) == 0
+            (run,) = Path(f"outputs/of_{k}").iterdir()
+            found[candidate.name] = fold_error(RunFolder(run)) / length
+    return found
+
+
+@pytest.fixture(scope="module")
+def in_metres(tmp_path_factory):
+    return errors(1.0, 1.0, tmp_path_factory.mktemp("metres"))
+
+
+@pytest.mark.parametrize(("length", "force"), FACTORS[1:])
+def test_a_log_in_any_unit_has_the_same_best_candidate_and_error(
+    length, force, tmp_path, in_metres
+):
+    found = errors(length, force, tmp_path)
+    best = min(found, key=found.get)
+    assert best == min(in_metres, key=in_metres.get) == "links in a plane, springs"
+    assert found[best] == pytest.approx(in_metres[best], rel=0.05)
+    if np.log10(length) % 3 == 0.0:  # the units of parameters have the same prefixes
+        assert found == pytest.approx(in_metres, rel=1e-3)
+
+
+@pytest.mark.parametrize(("length", "force"), FACTORS)
+def test_a_log_in_any_unit_is_of_order_one_in_the_units_of_its_parameters(length, force, workplace):
+    frame = sprung(length, force)
+    frame.to_csv("mine.csv", index=False)
+    machine = examine({"path": "mine.csv"})
+    units, settings = machine.units, dict(word.split("=") for word in machine.settings)
+    assert 1 / 32 < np.ptp(frame.q_x) / units.length < 32
+    inertia = float(settings["lagrangian.initial_inertia"])
+    assert inertia * units.mass == pytest.approx(0.65 * force / length, rel=0.1)
+    assert 0.01 <= inertia <= 100.0
+    stiffness = machine.stiffness[0][0] * units.mass / units.time**2
+    assert stiffness == pytest.approx(15.0 * force / length, rel=0.1)
+
+
+@pytest.mark.parametrize("scale", [{"length": 0.0}, {"length": "mm"}, {"size": 1.0}, 1e-3])
+def test_a_scale_that_is_none_is_refused(scale):
+    with pytest.raises(ConfigError, match=r"system\.scale.*expected"):
+        Recorded(names=["x"], angular="none", time_step=0.01, scale=scale)
