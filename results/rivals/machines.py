@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 
@@ -17,6 +17,7 @@ TIME_STEP = 0.02
 FINE = {"motor_pendulum": 0.02}
 """Distance of the samples that rivals may differentiate [s]; 5 ms where the recording has them."""
 PLACE = torch.empty(0, dtype=torch.float64)
+"""Precision and device of predictions."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class Rival(Protocol):
 
 
 def machine(name: str) -> Machine:
+    """Read a machine's recordings."""
     fine_step = FINE.get(name, 0.005)
     coarse, fine = _data(name, TIME_STEP), _data(name, fine_step)
     parts = {part: coarse.trajectories(part) for part in ("train", "val", "test")}
@@ -78,29 +80,31 @@ def _data(name: str, step: float) -> RecordedData:
     return data
 
 
-def chosen(rival: Any, of: Machine, budget: float) -> tuple[RollsOut, str, int, float]:
+def chosen(rival: Rival, of: Machine, budget: float) -> tuple[RollsOut, str, int, float]:
     """Fit candidates until the processor time [s] is used; return the best on ``val``.
 
     The best has the smallest median error of rollouts over 1 s from fitted starts. Returned are
     the model, its settings, the number of candidates and the time.
     """
-    begin, best = time.process_time(), (float("inf"), None, "none")
-    windows, count = cut(of.val, TIME_STEP, run_in=True), 0
+    begin, tried = time.process_time(), 0
+    least, best = float("inf"), None
+    windows = cut(of.val, TIME_STEP, run_in=True)
     assert windows is not None
     for settings, fit in rival.candidates(of):
         model = fit()
         error = median(predict(model, windows, TIME_STEP, PLACE).rmse(1.0))
-        count += 1
+        tried += 1
         print(f"  {rival.NAME}, {settings}: val {error:.4g}", flush=True)
-        if error < best[0] or best[1] is None:
-            best = (error, model, settings)
+        if best is None or error < least:
+            least, best = error, (model, settings)
         if time.process_time() - begin > budget:
             break
-    assert best[1] is not None
-    return best[1], best[2], count, time.process_time() - begin
+    assert best is not None
+    return *best, tried, time.process_time() - begin
 
 
-def measures(model: RollsOut, of: Machine, part: str = "test") -> dict[str, float]:
-    windows = cut(getattr(of, part), TIME_STEP, run_in=True)
+def measures(model: RollsOut, of: Machine) -> dict[str, float]:
+    """Return the errors on the test part."""
+    windows = cut(of.test, TIME_STEP, run_in=True)
     assert windows is not None
     return predict(model, windows, TIME_STEP, PLACE).measures()

@@ -27,7 +27,9 @@ from symo_exp.evaluation.references import ReferenceRollout
 from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "MuJoCo's sysid", "links in a plane, the makers' lengths and start; velocities"
-SUBSTEPS, ITERATIONS, REST = 4, 15, 1e-4
+SUBSTEPS, ITERATIONS = 4, 15
+ARMATURE = 1e-4
+"""Start of an armature [kg m²] where the makers give no rotor."""
 logging.set_verbosity(logging.ERROR)  # measured are joints, not sensors, of which there are none
 
 
@@ -59,14 +61,14 @@ class Links:
         if "moment" in given:  # mass and centre are known as their product; 0.5 m is the rod
             mass, centre = given["moment"] / 0.5, 0.5
             own = max(given["inertia"] - mass * centre**2, 0.1 * given["inertia"])
-            dry = given["dry"] * np.pi / 2
-            return cls(gravity, [mass], [centre], [own], [], [given["viscous"]], [dry], [REST])
+            dry = given["dry"] * np.pi / 2  # of c atan(100 v) at high speed
+            return cls(gravity, [mass], [centre], [own], [], [given["viscous"]], [dry], [ARMATURE])
         own = [
             max(i - m * c**2, 0.1 * i)
             for i, m, c in zip(given["inertia"], given["mass"], given["centre"], strict=True)
         ]
         dry = [np.pi / 2 * x for x in given["dry"]]
-        rotors = [given["gear"] ** 2 * given["rotor"]] * 2
+        rotors = [given["gear"] ** 2 * given["rotor"]] * len(given["mass"])
         return cls(
             gravity, given["mass"], given["centre"], own, [given["length"]], given["viscous"],
             dry, rotors,
@@ -104,7 +106,7 @@ class Links:
                 ("damping", max(viscous, 1e-6), 0.0, 50 * max(viscous, 1e-4)),
             ]
             if motors:
-                rows.append(("armature", max(self.armature[i], REST), 0.0, own + m * c**2))
+                rows.append(("armature", max(self.armature[i], ARMATURE), 0.0, own + m * c**2))
             if dry:
                 rows.append(("frictionloss", still, 0.0, 20 * still))
             for key, start, low, high in rows:
@@ -157,9 +159,8 @@ def relative(x: Tensor, absolute: bool) -> Tensor:
 
 
 def fitted(machine: Machine, *, seconds: float, integrator: str, dry: bool) -> Chain:
-    motors = machine.driven
     absolute, links = machine.name.startswith("free"), Links.of(machine.name)
-    spec = links.spec(integrator, motors)
+    spec = links.spec(integrator, machine.driven)
     model, steps = spec.compile(), round(seconds / TIME_STEP)
     times = TIME_STEP * np.arange(steps + 1)
     joints = [(f"joint{i}", sysid.SignalType.MjStateQPos) for i in range(machine.n)]
@@ -176,20 +177,21 @@ def fitted(machine: Machine, *, seconds: float, integrator: str, dry: bool) -> C
         machine.name, spec, names, starts, controls, measured, allow_missing_sensors=True
     )
     residual = sysid.build_residual_fn(models_sequences=[windows], n_threads=1)
-    start = links.parameters(dry=dry, motors=motors).move_off_bounds(fraction=1e-3)
+    start = links.parameters(dry=dry, motors=machine.driven).move_off_bounds(fraction=1e-3)
     with contextlib.redirect_stdout(None):
         found, _ = sysid.optimize(
             start, residual, verbose=False, max_iters=ITERATIONS, x_scale="jac"
         )
-    return Chain(sysid.apply_param_modifiers(found, links.spec(integrator, motors)), absolute)
+    return Chain(
+        sysid.apply_param_modifiers(found, links.spec(integrator, machine.driven)), absolute
+    )
 
 
 def candidates(machine: Machine) -> Iterator[tuple[str, Callable[[], RollsOut]]]:
-    driven = machine.driven
     longest = TIME_STEP * (max(len(t.q) for t in machine.train) - 1)
     lengths = [seconds for seconds in (1.0, 0.5, 2.0) if seconds < longest]
     for integrator, seconds, dry in itertools.product(
-        ("RK4", "implicitfast"), lengths, (driven, not driven)
+        ("RK4", "implicitfast"), lengths, (machine.driven, not machine.driven)
     ):
         friction = "dry friction fitted" if dry else "dry friction as given"
         words = f"windows of {seconds:g} s, {friction}, {integrator}"

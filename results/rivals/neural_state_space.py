@@ -38,9 +38,9 @@ Step = Callable[[Any, Any, Any], Any]
 """``f(x, u, params)`` of states (rows, 2n) and inputs (rows, m)."""
 
 
-def layers(sizes: list[int], seed: int = 0) -> list[Any]:
-    """Weights and offsets, the last ones zero: a step that changes nothing."""
-    keys = jax.random.split(jax.random.PRNGKey(seed), len(sizes))
+def layers(sizes: list[int]) -> list[Any]:
+    """Weights by PyTorch's seed and offsets, the last ones zero: a step that changes nothing."""
+    keys = jax.random.split(jax.random.PRNGKey(torch.initial_seed()), len(sizes))
     found = []
     for key, size, out in zip(keys, sizes[:-1], sizes[1:], strict=False):
         found += [jax.random.normal(key, (size, out)) / jnp.sqrt(size), jnp.zeros(out)]
@@ -141,9 +141,10 @@ def fitted(
 
 
 def candidates(machine: Machine) -> Iterator[tuple[str, Callable[[], RollsOut]]]:
-    sizes = ([16], [16, 16], [32], [8], [32, 32])
-    kinds = [("network", size) for size in sizes]
-    kinds = [kinds[0], ("linear", []), ("recurrent", [16]), *kinds[1:], ("recurrent", [32])]
+    kinds: list[tuple[str, list[int]]] = [
+        ("network", [16]), ("linear", []), ("recurrent", [16]), ("network", [16, 16]),
+        ("network", [32]), ("network", [8]), ("network", [32, 32]), ("recurrent", [32]),
+    ]  # fmt: skip
     for decay, seconds in itertools.product((1e-6, 1e-4, 1e-8), (0.5, 1.0)):
         for kind, hidden in kinds:
             settings = {"kind": kind, "hidden": hidden, "seconds": seconds, "decay": decay}

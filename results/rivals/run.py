@@ -1,4 +1,4 @@
-"""Fit rivals to machines, all five without a name; their rows go to rivals.csv beside this file.
+"""Fit rivals to machines, by default to all five; their rows go to rivals.csv beside this file.
 
 python results/rivals/run.py --rivals sindy,mujoco_sysid --budget 120 MACHINE ...
 """
@@ -34,8 +34,16 @@ if __name__ == "__main__":
     parser.add_argument("machines", nargs="*", default=MACHINES)
     parser.add_argument("--rivals", default=",".join(RIVALS))
     parser.add_argument("--budget", type=float, default=120.0, help="processor time [s]")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of networks; rivals.csv keeps those of 0"
+    )
     given = parser.parse_args()
+    for words, known in ((given.machines, MACHINES), (given.rivals.split(","), RIVALS)):
+        for word in words:
+            if word not in known:
+                parser.error(f"{word} is unknown; there are {', '.join(known)}")
     torch.set_num_threads(1)
+    torch.manual_seed(given.seed)
     for name in given.machines:
         of = machine(name)
         for key in given.rivals.split(","):
@@ -45,8 +53,9 @@ if __name__ == "__main__":
             model, settings, count, seconds = chosen(rival, of, given.budget)
             found = measures(model, of)
             print(f"  chosen: {settings}; {found}", flush=True)
-            kept(
-                {"machine": name, "rival": rival.NAME, **found, "seconds": seconds,
-                 "candidates": count, "settings": settings, "given": rival.GIVEN}
-            )  # fmt: skip
+            if given.seed == 0:
+                kept(
+                    {"machine": name, "rival": rival.NAME, **found, "seconds": seconds,
+                     "candidates": count, "settings": settings, "given": rival.GIVEN}
+                )  # fmt: skip
             print(f"  {time.process_time() - start:.0f} s in all", flush=True)

@@ -23,7 +23,9 @@ from symo_exp.mechanics.explicit import RK4
 from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "pysindy", "angles are angles; velocities and accelerations from the recording"
-SUBSTEPS, REST = 4, 0.1
+SUBSTEPS = 4
+REST = 0.1
+"""Velocity [rad/s] below which dry friction fades."""
 
 
 def quantities(q: Tensor, v: Tensor, u: Tensor, *, dry: bool) -> Tensor:
