@@ -59,6 +59,23 @@ def test_rollouts_are_those_of_single_steps(kind, name, n):
     torch.testing.assert_close(found.v, expected.v, atol=1e-7, rtol=1e-7)
 
 
+@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize("name", METHODS)
+def test_rollouts_of_whips_are_those_of_single_steps(name, n):
+    """Motions near the limit of the time step, where Newton's method also finds remote roots."""
+    root, matrix = Newton(tolerance=1e-10, max_iterations=50), torch.eye(n, dtype=torch.float64)
+    flow = VariationalFlow(ChainPendulum(n), METHODS[name], 0.05, matrix, root=root).double()
+    generator = torch.Generator().manual_seed(3)
+    q, v = torch.randn(2, 100, n, dtype=torch.float64, generator=generator)
+    u = torch.zeros(100, STEPS + 1, n, dtype=torch.float64)
+    found = flow.rollout(q, 3.0 * v, u)
+    expected = flow.rollout(q, 3.0 * v, u, advance=flow.advance)
+    sound = expected.converged.all(1)
+    assert sound.sum() >= 80
+    assert torch.equal(found.converged, expected.converged)
+    torch.testing.assert_close(found.q[sound], expected.q[sound], atol=1e-6, rtol=1e-6)
+
+
 @every_case
 def test_slopes_are_those_of_differences(kind, name, n):
     flow, q, v, u = flow_and_starts(kind, name, n)

@@ -193,10 +193,17 @@ class StretchState(NamedTuple):
     """Rows whose step is lost in rounding."""
     before: StretchPoint | None
     """The previous iterate."""
+    length: Float[Tensor, " batch"]
+    """Of the previous step."""
+    lost: Bool[Tensor, " batch"]
+    """Rows of which a step was longer than the one before."""
 
 
 class StretchNewton(Rule[StretchPoint, StretchState]):
     """Undamped steps of Newton's method, dry friction by chords; rows that diverge are given up.
+
+    A row diverges if a step is longer than the one before (the natural monotonicity test, Deuflhard
+    2011): what it would converge to later is a root far from the motion.
 
     Args:
         tolerance: Bound on ``‖g‖₂ / √k`` of a step.
@@ -208,17 +215,18 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
     def converged(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, " batch"]:
         """Return the rows that are roots, or as near to one as rounding allows."""
         norm = at.norm()
-        return (norm <= self._tolerance) | (state.settled & norm.isfinite())
+        return ~state.lost & ((norm <= self._tolerance) | (state.settled & norm.isfinite()))
 
     @override
     def start(self, x: Tensor, at: StretchPoint) -> StretchState:
-        return StretchState(torch.zeros_like(x[:, 0], dtype=torch.bool), None)
+        none = torch.zeros_like(x[:, 0], dtype=torch.bool)
+        return StretchState(none, None, torch.full_like(x[:, 0], torch.inf), none)
 
     @override
     def active(
         self, x: Tensor, at: StretchPoint, state: StretchState
     ) -> tuple[Tensor, StretchState]:
-        return at.norm().isfinite() & ~self.converged(at, state), state
+        return at.norm().isfinite() & ~state.lost & ~self.converged(at, state), state
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -231,7 +239,9 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
         step = at.newton_step(state.before)
         there = at.moved(x, step)
         settled = (step.abs() <= at.resolution(x)).all(-1)
-        return there, StretchState(settled, at)
+        length = step.norm(dim=-1)
+        grows = (length > state.length) & ~settled & ~self.converged(at, state)
+        return there, StretchState(settled, at, length, state.lost | grows)
 
     @override
     def judge(
