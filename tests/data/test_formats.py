@@ -43,6 +43,17 @@ def csv(name: str, change: Callable[[pd.DataFrame], pd.DataFrame] = lambda t: t,
     return write
 
 
+def text(change: Callable[[list[str]], list[str]], **options):
+    """A file of the motion with other lines."""
+
+    def write(folder: Path) -> object:
+        lines = motion().to_csv(index=False, **options).splitlines()
+        (folder / "x.csv").write_text("\n".join(change(lines)) + "\n")
+        return folder / "x.csv"
+
+    return write
+
+
 def arrays(folder: Path, name: str, **changes: np.ndarray) -> Path:
     t = motion()
     found = {"t": t.t.to_numpy(), "q": t[["q_0"]].to_numpy(), "u": t.u_0.to_numpy(), "rate": 100.0}
@@ -67,6 +78,26 @@ WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
     "decimal commas": (csv("x.csv", sep=";", decimal=","), {}),
     "tabs": (csv("x.csv", sep="\t"), {}),
     "blanks": (csv("x.csv", sep=" "), {}),
+    "a text file": (csv("x.txt", sep="\t"), {}),
+    "comments": (text(lambda lines: ["# a log, by hand", "% 2024", *lines]), {}),
+    "names in a comment": (text(lambda lines: ["# a log", "# " + lines[0], *lines[1:]]), {}),
+    "names in a comment, blanks": (
+        text(lambda lines: ["# " + lines[0], *lines[1:]], sep=" "),
+        {},
+    ),
+    "a row of units": (text(lambda lines: [lines[0], "s,rad,Nm", *lines[1:]]), {}),
+    "nanoseconds of a clock": (
+        csv(
+            "x.csv",
+            lambda t: t.assign(t=(1e9 * t.t).round().astype("int64") + 1_700_000_000_000_000_000),
+        ),
+        {},
+    ),
+    "milliseconds of a clock": (
+        csv("x.csv", lambda t: t.assign(t=(1e3 * t.t).round() + 1.7e12)),
+        {},
+    ),
+    "a row twice": (csv("x.csv", lambda t: t.iloc[[*range(9), 8, *range(9, len(t))]]), {}),
     "time": (csv("x.csv", lambda t: t.rename(columns={"t": "Time [s]"})), {}),
     "a unit in the name": (
         csv("x.csv", lambda t: t.assign(t=1e3 * t.t).rename(columns={"t": "time_ms"})),
@@ -161,6 +192,10 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             "'data.columns={t: timestamp, q_pos: pos_m, u_motor_volt: motor_volt}'",
         ),
         (lambda t: t.assign(t=1e3 * t.t), "give data.time_unit=ms"),
+        (
+            lambda t: t.rename(columns={"t": "Time (s)", "q_0": "Arm Angle (rad)"}),
+            '\'data.columns={t: "Time (s)", q_Arm: "Arm Angle (rad)"}\'',
+        ),
         (lambda t: t.assign(t=1e9 * t.t), "give data.time_unit=ns"),
         (
             lambda t: t.assign(q_0=(200 * t.t) % 360),
@@ -216,6 +251,20 @@ def test_a_few_rows_without_a_number_are_left_out_and_it_is_said(tmp_path: Path)
     assert f"{len(table) - len(kept)} of {len(table)} rows" in note
 
 
+def test_a_clock_that_starts_anew_begins_a_recording(tmp_path: Path) -> None:
+    table = motion(6.0)
+    pieces = np.array_split(np.arange(len(table)), 3)
+    anew = [
+        table.iloc[rows].assign(t=table.t.iloc[rows] - table.t.iloc[rows[0]]) for rows in pieces
+    ]
+    pd.concat(anew).to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    found = read_recordings(tmp_path / "x.csv", system)
+    assert "3 recordings" in found.notes[-1]
+    for one, rows in zip(found.recordings, pieces, strict=True):
+        np.testing.assert_allclose(one.samples.q[:, 0], table.q_0.iloc[rows], rtol=1e-12)
+
+
 def test_arrays_may_hold_many_trajectories() -> None:
     q = np.arange(24.0).reshape(2, 4, 3)
     found = from_arrays({"t": np.arange(4.0), "q": q, "mass": np.array([1.0, 2.0]), "note": "x"})
@@ -257,7 +306,9 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
         (".", None, "the folder has no"),
         ("x*.csv", None, "no file matches"),
         ("absent.csv", None, "No such file"),
-        ("x.txt", b"", r"expected a file that ends in \.parquet, \.csv, "),
+        ("x.xlsx", b"", r"expected a file that ends in \.csv, .*save the sheet as CSV"),
+        ("x.txt", b"", "it is empty"),
+        ("bare.csv", b"0.0,1.0,2.0\n0.1,1.0,2.0\n", r"first line has numbers \(0.0, 1.0, 2.0\)"),
         ("x.npz", b"nonsense", "cannot be read"),
         ("x.mat", b"nonsense", "cannot be read"),
         ("x.db3", b"nonsense", "ROS bag"),

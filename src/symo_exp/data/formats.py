@@ -22,6 +22,8 @@ import scipy.io
 from symo_exp.errors import ConfigError
 
 TABLES = (".parquet", ".csv", ".npz", ".mat")
+TEXT = (".csv", ".tsv", ".txt", ".dat")
+"""Text files; in a folder only the first kind is taken for a recording."""
 BAGS = (".db3", ".mcap", ".bag")
 TIME = re.compile(
     r"(?:t|time|timestamp|stamp)(?:_(s|sec|ms|us|ns)| *[\[(](s|sec|ms|us|ns)[\])])?", re.IGNORECASE
@@ -33,6 +35,14 @@ UNREADABLE = (
 )  # fmt: skip
 """Errors of a file that is damaged or of another format, those of pandas and Arrow among them."""
 JOINTS = "sensor_msgs/msg/JointState"
+COMMENT = re.compile(r"\s*[#%]+\s*")
+"""The beginning of a line before the table."""
+NUMBER = re.compile(r"\s*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?\s*")
+"""A word that is a number, perhaps with a decimal comma."""
+BEGINNING = 50
+"""Lines of a text file from which its dialect is inferred."""
+SPREADSHEETS = (".xlsx", ".xls", ".ods")
+"""Suffixes of files that have to be exported first."""
 
 Location = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """One file, folder or glob pattern, or a list of them."""
@@ -91,10 +101,11 @@ def files(path: Location) -> list[Path]:
         if not found:
             raise ConfigError(f"{shown(path)}: no file matches")
         return [one for match in found for one in files(match)]
-    if file.suffix not in TABLES:
+    if file.suffix not in (*TABLES, *TEXT):
+        mend = "; save the sheet as CSV" if file.suffix in SPREADSHEETS else ""
         raise ConfigError(
-            f"{shown(path)}: expected a file that ends in {', '.join(TABLES[:-1])} or {TABLES[-1]},"
-            " a ROS 2 bag, or a folder of these"
+            f"{shown(path)}: expected a file that ends in {', '.join((*TEXT, *TABLES[2:]))} or "
+            f"{TABLES[0]}, a ROS 2 bag, or a folder of these{mend}"
         )
     return [file]
 
@@ -106,8 +117,8 @@ def is_bag(file: Path) -> bool:
 
 def columns_of(file: Path) -> list[str]:
     """Return the names of a file's columns without reading all of its rows."""
-    if file.suffix == ".csv":
-        return Dialect.of(file).header(file)
+    if file.suffix in TEXT:
+        return list(Dialect.of(file).names)
     if file.suffix == ".parquet":
         return [str(name) for name in pyarrow.parquet.read_schema(file).names]
     return [str(name) for name in table_of(file).columns]
@@ -115,7 +126,7 @@ def columns_of(file: Path) -> list[str]:
 
 def table_of(file: Path) -> pd.DataFrame:
     """Return all rows of a file; the columns are those of ``columns_of``."""
-    if file.suffix == ".csv":
+    if file.suffix in TEXT:
         return Dialect.of(file).read(file)
     if file.suffix == ".parquet":  # an index that was written along is a column like others
         return pyarrow.parquet.read_table(file).to_pandas(ignore_metadata=True)
@@ -128,37 +139,55 @@ def table_of(file: Path) -> pd.DataFrame:
 
 
 class Dialect(NamedTuple):
-    """Separator of columns and decimal sign of a text file."""
+    """How a text file writes a table.
+
+    Attributes:
+        separator: Between columns.
+        decimal: Decimal sign.
+        skipped: Lines before the rows, the line of names included.
+        names: Names of the columns.
+    """
 
     separator: str
     decimal: str
+    skipped: int
+    names: tuple[str, ...]
 
     @classmethod
     def of(cls, file: Path) -> Dialect:
-        """Infer the dialect from the first lines of a file."""
+        """Infer the dialect from the first lines of a file.
+
+        Lines that begin with # or % are comments before the table. The last of them has the names
+        if rows of numbers follow, as NumPy's ``savetxt`` writes them.
+        """
         with file.open(encoding="utf-8-sig", newline="") as text:
-            first, *others = [text.readline() for _ in range(20)]
+            lines = [text.readline().rstrip("\r\n") for _ in range(BEGINNING)]
+        comments = next((k for k, x in enumerate(lines) if not COMMENT.match(x)), len(lines) - 1)
+        first, *others = lines[comments:]
+        if comments and re.match(NUMBER.pattern + r"(?:[,;\s]|$)", first):
+            comments, others = comments - 1, lines[comments:]
+            first = COMMENT.sub("", lines[comments], count=1)
         counts = Counter({sign: first.count(sign) for sign in (",", ";", "\t")})
         separator, count = counts.most_common(1)[0]
         if count == 0 and len(first.split()) > 1:
             separator = " "
         cells = [cell for line in others for cell in line.strip().split(separator)]
         comma = separator != "," and any(re.fullmatch(r"\s*[-+]?\d*,\d+\D*\d*", c) for c in cells)
-        return cls(separator, "," if comma else ".")
-
-    def header(self, file: Path) -> list[str]:
-        """Return the names in the first line."""
-        with file.open(encoding="utf-8-sig", newline="") as text:
-            if self.separator == " ":
-                return text.readline().split()
-            return [name.strip() for name in next(csv.reader(text, delimiter=self.separator), [])]
+        if separator == " ":
+            names = first.split()
+        else:
+            names = [name.strip() for name in next(csv.reader([first], delimiter=separator), [])]
+        return cls(separator, "," if comma else ".", comments + 1, tuple(names))
 
     def read(self, file: Path) -> pd.DataFrame:
         """Return the table."""
-        if self == Dialect(",", "."):
-            return pd.read_csv(file)
         separator = r"\s+" if self.separator == " " else self.separator
-        return pd.read_csv(file, sep=separator, decimal=self.decimal)
+        try:
+            return pd.read_csv(
+                file, sep=separator, decimal=self.decimal, skiprows=self.skipped, header=None
+            )
+        except pd.errors.EmptyDataError:
+            return pd.DataFrame(columns=self.names)
 
     @property
     def note(self) -> str | None:

@@ -8,7 +8,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from symo_exp.data.formats import TIME, Dialect, Location, columns_of, few, files, readable, shown
+from symo_exp.data.formats import (
+    NUMBER,
+    TEXT,
+    TIME,
+    Dialect,
+    Location,
+    columns_of,
+    few,
+    files,
+    readable,
+    shown,
+)
 from symo_exp.errors import ConfigError
 
 OTHERS = ("trajectory", "split", "t")
@@ -19,7 +30,7 @@ UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TRAJECTORY = ("traj", "traj_id", "trajectory_id", "episode", "episode_id")
 """Names that are read as ``trajectory``."""
 
-POSITION = re.compile(r"^(?:pos|position|angle)_|_(?:pos|position|angle|rad)$")
+POSITION = re.compile(r"^(?:pos|position|angle)[_ ]|[_ ](?:pos|position|angle)$", re.I)
 VELOCITY = re.compile(r"^(?:d|dot_|vel_|velocity_|omega_)(?=.)|_?(?:dot|vel|velocity)$")
 INPUT = re.compile(
     r"u\d*|tau\d*|torques?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?|ctrl|act"
@@ -27,7 +38,8 @@ INPUT = re.compile(
     re.I,
 )
 """A word of an input's name."""
-UNIT = re.compile(r"_(?:m|mm|cm|rad|deg|n|nm|v|a)$", re.I)
+UNIT = re.compile(r"(_| *[\[(])((?:m|mm|cm|rad|deg)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I)
+"""A unit at the end of a name, after an underscore or in brackets."""
 
 
 class Header(NamedTuple):
@@ -35,12 +47,12 @@ class Header(NamedTuple):
 
     Attributes:
         names: Names in the order of the file; a column that is set aside begins with a dot.
-        seconds: Unit of the times [s].
+        seconds: Unit of the times [s], if the name of their column states it.
         notes: Differences of the table from the file, a line each.
     """
 
     names: tuple[str, ...]
-    seconds: float
+    seconds: float | None
     notes: tuple[str, ...]
 
 
@@ -75,9 +87,14 @@ def header_of(path: Location, file: Path, columns: Mapping[str, str] | None) -> 
     where = shown(path if isinstance(path, str | os.PathLike) and Path(path) == file else file)
     with readable(file):
         found = columns_of(file)
-        note = Dialect.of(file).note if file.suffix == ".csv" else None
+        note = Dialect.of(file).note if file.suffix in TEXT else None
     if not found:
         raise ConfigError(f"{where}: cannot be read (it is empty)")
+    if all(map(NUMBER.fullmatch, found)):
+        raise ConfigError(
+            f"{where}: the first line has numbers ({few(found)}), not names; add a line such as "
+            "t,q_arm,u_motor"
+        )
     if twice := sorted({name for name in found if found.count(name) > 1}):
         raise ConfigError(f"{where}: column {', '.join(twice)} is there more than once")
     new, unit, notes = renamed(where, found, columns)
@@ -96,8 +113,10 @@ def names(kind: str, columns: Sequence[str]) -> tuple[str, ...]:
 
 def renamed(
     where: str, found: Sequence[str], columns: Mapping[str, str] | None
-) -> tuple[list[str], float, list[str]]:
+) -> tuple[list[str], float | None, list[str]]:
     """Return columns by the names of this project, the unit of time [s] and notes for the log.
+
+    The unit is ``None`` where no name states it.
 
     A column whose own name is taken by the mapping is set aside: its name begins with a dot then.
     """
@@ -109,10 +128,10 @@ def renamed(
             notes.append(f"column {theirs} is read as {ours}")
     taken = set(new.values())
     result = [new.get(name, f".{name}" if name in taken else name) for name in found]
-    unit = next((_unit(theirs) for theirs, ours in new.items() if ours == "t"), "s")
-    if unit != "s":
+    unit = next((_unit(theirs) for theirs, ours in new.items() if ours == "t"), None)
+    if unit not in (None, "s"):
         notes.append(f"times are in {unit}, as their column's name says")
-    return result, UNITS[unit], notes
+    return result, None if unit is None else UNITS[unit], notes
 
 
 def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None) -> dict[str, str]:
@@ -149,10 +168,10 @@ def _aliases(found: Sequence[str], taken: set[str]) -> dict[str, str]:
     }
 
 
-def _unit(name: str) -> str:
+def _unit(name: str) -> str | None:
     match = TIME.fullmatch(name)
     unit = match and (match[1] or match[2])
-    return {"sec": "s"}.get(unit.lower(), unit.lower()) if unit else "s"
+    return {"sec": "s"}.get(unit.lower(), unit.lower()) if unit else None
 
 
 def suggestion(found: Sequence[str]) -> str:
@@ -160,20 +179,45 @@ def suggestion(found: Sequence[str]) -> str:
     others = [n for n in found if n not in OTHERS and not re.match(r"[qvu]_.|__index_", n)]
     times = [name for name in others if TIME.fullmatch(name)]
     free = [n for n in others if n not in times and n.lower() not in TRAJECTORY]
-    inputs = [n for n in free if any(map(INPUT.fullmatch, re.split(r"[^a-zA-Z0-9]+", n)))]
-    free = [name for name in free if name not in inputs]
-    places = {POSITION.sub("", UNIT.sub("", name), count=1): name for name in free}
-    rates = {stem: n for n in free if (stem := VELOCITY.sub("", n, count=1)) != n}
-    places = {stem: n for stem, n in places.items() if n not in rates.values()}
+    kinds = {name: _kind(name) for name in free}
+    stems = {name: UNIT.sub("", name) for name in free}
+    inputs = [name for name in free if kinds[name] == "u"]
+    rates = {
+        stem: name
+        for name in free
+        if kinds[name] in ("v", "") and (stem := VELOCITY.sub("", stems[name], 1)) != stems[name]
+    }
+    places = {
+        POSITION.sub("", stems[name], count=1): name
+        for name in free
+        if kinds[name] in ("q", "") and name not in rates.values()
+    }
     mapping = {"t": times[0]} if times and "t" not in found else {}
     mapping |= {f"q_{_short(stem)}": name for stem, name in list(places.items())[:4]}
     if places and set(places) <= set(rates):
         mapping |= {f"v_{_short(stem)}": rates[stem] for stem in list(places)[:4]}
-    mapping |= {f"u_{name}": name for name in inputs[:4]}
-    pairs = mapping or {"q_theta": "angle"}
-    return "'data.columns={" + ", ".join(f"{a}: {b}" for a, b in pairs.items()) + "}'"
+    mapping |= {f"u_{_short(name)}": name for name in inputs[:4]}
+    pairs = (mapping or {"q_theta": "angle"}).items()
+    return "'data.columns={" + ", ".join(f"{a}: {_quoted(b)}" for a, b in pairs) + "}'"
+
+
+def _kind(name: str) -> str:
+    """Return ``q``, ``v`` or ``u`` as the unit or a word of a name says, else nothing."""
+    unit = UNIT.search(name)
+    if unit and (unit[1] != "_" or len(unit[2]) > 1):  # _a may be a name
+        if unit[2].lower().startswith(("n", "v", "a")):
+            return "u"
+        return "v" if unit[2].endswith("/s") else "q"
+    words = re.split(r"[^a-zA-Z0-9]+", name)
+    return "u" if any(map(INPUT.fullmatch, words)) else ""
 
 
 def _short(stem: str) -> str:
-    """``1`` of ``q1``."""
-    return stem[1:] if re.fullmatch(r"q\d+", stem) else stem
+    """Return a name without blanks and brackets; ``1`` of ``q1``."""
+    if re.fullmatch(r"q\d+", stem):
+        return stem[1:]
+    return re.sub(r"\W+", "_", stem).strip("_")
+
+
+def _quoted(name: str) -> str:
+    return name if re.fullmatch(r"[\w.-]+", name) else f'"{name}"'

@@ -32,8 +32,6 @@ log = logging.getLogger(__name__)
 
 TIME_TOLERANCE = 1e-3
 """Largest relative difference of a recorded step that equals ``system.time_step``."""
-SLOW = 0.5
-"""Steps [s] from which times are taken for those of another unit."""
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
 UNIT = 1e-3
@@ -108,7 +106,7 @@ class RecordedData(DataModule):
         columns: A mapping of the names above to those of the table.
         wrapped: Whether angles jump by a turn; they are unwrapped then.
         degrees: Whether angles and their velocities are in degrees.
-        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None``: that of the column's name
+        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's name or values say
             (``t_ms``), else seconds.
         train: Names of the training trajectories. ``None``: the column ``split`` says.
         val: Those for validation.
@@ -376,12 +374,6 @@ def _equal(t: np.ndarray, h: float) -> bool:
 def _check_steps(where: str, t: np.ndarray, h: float) -> None:
     usual = float(np.median(np.diff(t)))
     if usual > h * (1 + TIME_TOLERANCE):
-        for unit, seconds in UNITS.items():
-            if usual >= SLOW and usual * seconds <= h * (1 + TIME_TOLERANCE):
-                raise ConfigError(
-                    f"{where} steps by {usual:.6g} s, but system.time_step={h:g}; if its times are "
-                    f"in {unit}, give data.time_unit={unit}"
-                )
         raise ConfigError(
             f"{where} steps by {usual:.6g} s, but system.time_step={h:g}, which may not be finer "
             f"than the recording; set system.time_step={usual:.3g} or more"

@@ -19,7 +19,11 @@ from symo_exp.mechanics.types import Coordinates, Trajectories
 from symo_exp.systems.base import System
 
 DROPPED = 0.05
-"""Share of the rows with empty numbers up to which they are left out."""
+"""Share of the rows, without a number or with an earlier time, up to which they are left out."""
+SLOW = 1.0
+"""Time between samples from which the unit of time has to be given."""
+EPOCH = (1e9, 4.1e9)
+"""Seconds since 1970 of the years 2001 to 2099."""
 
 
 class Recording(NamedTuple):
@@ -64,7 +68,8 @@ def read_recordings(
         path: A file, a folder, a glob pattern or a list of them.
         system: Whose coordinates and inputs are read.
         columns: A mapping of this project's column names to those of the files.
-        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of the column's name.
+        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of the column's name
+            or of its values.
 
     Raises:
         ConfigError: If a file cannot be read or is not sound.
@@ -95,7 +100,7 @@ def _within(file: Path, recordings: Sequence[Recording]) -> Iterator[Recording]:
 
 @lru_cache(maxsize=64)  # shared by the jobs of a sweep
 def _read(
-    where: str, file: Path, version: int, found: tuple[str, ...], seconds: float,
+    where: str, file: Path, version: int, found: tuple[str, ...], seconds: float | None,
     coordinates: Coordinates, inputs: tuple[str, ...],
 ) -> RecordingTable:  # fmt: skip
     wanted = {
@@ -118,16 +123,17 @@ def _read(
     with readable(file):
         table = table_of(file)
         table.columns = pd.Index(found)
-    table["t"], seconds = _seconds(table["t"], seconds)
+    notes: list[str] = []
+    table["t"], seconds = _from_dates(table["t"], seconds, notes)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
-    table, notes = _without_gaps(where, table, numbers)
-    if seconds != 1.0:
-        table["t"] *= seconds
+    table = _without_gaps(where, table, numbers, notes)
+    table["t"] *= _seconds(where, table["t"].to_numpy()) if seconds is None else seconds
+    table = _without_repeats(where, _numbered(table, notes), notes)
     columns = Columns(where, wanted, len(inputs))
     known = {*numbers, *OTHERS}
     unread = [c.lstrip(".") for c in found if c not in known and c[:8] != "__index_"]
-    return RecordingTable(tuple(columns.divide(table)), tuple(unread), notes)
+    return RecordingTable(tuple(columns.divide(table)), tuple(unread), tuple(notes))
 
 
 class Columns(NamedTuple):
@@ -145,7 +151,7 @@ class Columns(NamedTuple):
         groups = [("", table)] if "trajectory" not in table else _groups(table)
         for label, rows in groups:
             order = np.argsort(rows["t"].to_numpy(), kind="stable")
-            _check_times(f"{self.where}: trajectory {label}", rows["t"].to_numpy(), order)
+            _check_times(f"{self.where}: trajectory {label}", rows["t"].to_numpy())
             parts = list(rows["split"].astype(str).unique()) if "split" in rows else [""]
             if len(parts) > 1:
                 raise ConfigError(
@@ -181,33 +187,51 @@ def _check_places(where: str, found: Sequence[str], wanted: Mapping[str, Sequenc
             )
 
 
-def _seconds(times: pd.Series, unit: float) -> tuple[pd.Series, float]:
-    """Return dates and times of day as seconds from the first one; other times as they are."""
+def _from_dates(
+    times: pd.Series, seconds: float | None, notes: list[str]
+) -> tuple[pd.Series, float | None]:
+    """Return times and their unit [s]; dates and times of a clock are counted from the first."""
     if pd.api.types.is_numeric_dtype(times):
-        return times, unit
+        first = times.iloc[0] if len(times) else 0
+        for name, unit in UNITS.items():
+            if unit < 1.0 and seconds in (None, unit) and EPOCH[0] <= first * unit <= EPOCH[1]:
+                if seconds is None:
+                    notes.append(f"times are in {name} since 1970, as their size says")
+                return times - first, unit
+        return times, seconds
+    dated = pd.api.types.is_datetime64_any_dtype(times)
+    if not dated and pd.to_numeric(times, errors="coerce").notna().any():
+        return times, seconds  # and words among them
     try:
         dates = pd.to_datetime(times, utc=True)
     except (ValueError, TypeError):
-        return times, unit
+        return times, seconds
     return (dates - dates.min()).dt.total_seconds(), 1.0
 
 
 def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
-    try:
-        values = given.to_numpy(dtype=np.float64, na_value=np.nan)
-    except (ValueError, TypeError):
-        raise ConfigError(f"{where}: column {column} holds values that are not numbers") from None
-    return np.asarray(values)
+    """Return a column as numbers, ``nan`` for a few words among them."""
+    if not pd.api.types.is_numeric_dtype(given):
+        values = pd.to_numeric(given, errors="coerce")
+        words = values.isna() & given.notna()
+        if words.mean() > DROPPED:
+            row = int(np.argmax(words))
+            raise ConfigError(
+                f"{where}: column {column} holds values that are not numbers, "
+                f"{repr(given.iloc[row])[:40]} in data row {row + 1}"
+            )
+        given = values
+    return np.asarray(given.to_numpy(dtype=np.float64, na_value=np.nan))
 
 
 def _without_gaps(
-    where: str, table: pd.DataFrame, numbers: Sequence[str]
-) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Return the rows whose numbers are all finite, and a note; refuse a table with few of them."""
+    where: str, table: pd.DataFrame, numbers: Sequence[str], notes: list[str]
+) -> pd.DataFrame:
+    """Return the rows whose numbers are all finite; refuse a table with few of them."""
     bad = ~np.isfinite(table[list(numbers)])
     rows = bad.any(axis=1).to_numpy()
     if not rows.any():
-        return table, ()
+        return table
     column, first = bad.sum().idxmax(), int(np.argmax(rows)) + 1
     told = f"{int(rows.sum())} of {len(rows)} rows"
     if rows.mean() > DROPPED:
@@ -216,18 +240,69 @@ def _without_gaps(
             f"{column}, first data row {first}; at most {100 * DROPPED:g} % are left out: remove "
             "them or the column"
         )
-    note = f"{told} are left out: a number is empty or not finite, first data row {first}"
-    return table[~rows], (note,)
+    notes.append(f"{told} are left out: a number is missing or not finite, first data row {first}")
+    return table[~rows].reset_index(drop=True)
 
 
-def _check_times(where: str, t: np.ndarray, order: np.ndarray) -> None:
-    """Refuse repeated times, and a clock that was set back: that is a second recording."""
+def _seconds(where: str, t: np.ndarray) -> float:
+    """Return the unit of times that none is stated for, a second.
+
+    Raises:
+        ConfigError: If the samples would be slow.
+    """
+    gaps = np.diff(np.unique(t))
+    step = float(np.median(gaps)) if len(gaps) else 0.0
+    if step >= SLOW:
+        other = next((name for name, unit in UNITS.items() if step * unit < 0.1), "ns")
+        raise ConfigError(
+            f"{where}: times are {step:.6g} apart, and nothing says their unit; if they are in "
+            f"{other}, give data.time_unit={other}, if in seconds, data.time_unit=s"
+        )
+    return 1.0
+
+
+def _numbered(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
+    """Return a table in which recordings are numbered where the clock starts anew.
+
+    A clock starts anew if it goes back by more than half of the time since its last start.
+    """
+    if "trajectory" in table:
+        return table
+    t = table["t"].to_numpy()
+    starts = np.flatnonzero(np.diff(t) < 0) + 1
+    pieces = list(zip([0, *starts], [*starts, len(t)], strict=True))
+    if len(starts) == 0 or len(starts) > len(t) / 4:
+        return table  # in order, or in no order at all
+    if any(t[last] > 0.5 * (t[first] + t[last - 1]) for first, last in pieces[:-1]):
+        return table
+    notes.append(f"times start anew {len(starts)} time(s): {len(pieces)} recordings")
+    numbers = np.concatenate([np.full(b - a, k + 1) for k, (a, b) in enumerate(pieces)])
+    return table.assign(trajectory=numbers)
+
+
+def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
+    """Return the first row of each time; refuse a table in which many times repeat."""
+    keys = table[["t"]]
+    if "trajectory" in table:
+        keys = keys.assign(trajectory=table["trajectory"].astype(str))
+    again = keys.duplicated().to_numpy()
+    if not again.any():
+        return table
+    told = f"{int(again.sum())} of {len(again)} rows repeat the time of an earlier one"
+    if again.mean() > DROPPED:
+        at = table["t"].iloc[int(np.argmax(again))]
+        raise ConfigError(
+            f"{where}: {told}, first t={at:.6g}; at most {100 * DROPPED:g} % are left out: number "
+            "recordings apart in the column trajectory"
+        )
+    notes.append(f"{told} and are left out")
+    return table[~again]
+
+
+def _check_times(where: str, t: np.ndarray) -> None:
+    """Refuse a clock that was set back: that is a second recording."""
     if len(t) < 3:
         raise ConfigError(f"{where} has {len(t)} node(s); a sample needs 3")
-    gaps = np.diff(t[order])
-    if not gaps.all():
-        at = t[order][int(np.argmin(gaps))]
-        raise ConfigError(f"{where} steps by 0 s at t={at:.6g}; each time may occur once")
     back = np.flatnonzero(np.diff(t) < 0)
     if 0 < len(back) < len(t) / 4:
         raise ConfigError(
