@@ -30,7 +30,9 @@ def test_a_plan_uses_more_of_a_larger_budget_and_never_more_than_there_is(n, sec
         plans.make_plan(one, candidates, b, 2, 1.0, "key") for b in (budget, 10 * budget)
     )
     assert small.seconds <= large.seconds <= seconds
-    assert small.epochs <= large.epochs
+    assert small.effort.epochs <= large.effort.epochs
+    assert small.effort.measured <= large.effort.measured
+    assert small.effort.sparse >= large.effort.sparse
     assert set(small.names) <= set(large.names)
     assert 2 <= small.folds <= 6
     assert small.names
@@ -42,7 +44,39 @@ def test_the_planned_time_does_not_grow_with_data_beyond_the_budget():
         plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
         chosen = [c for c in ladder(one) if c.name in plan.names]
         nodes = round(plan.seconds / one.time_step)
-        assert plan.first * sum(plan.expected(c, nodes, 2) for c in chosen) < 1200.0
+        assert plan.first * sum(plan.expected(c, nodes, one) for c in chosen) < 1200.0
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("time_step", [0.02, 0.005, 0.001])
+@pytest.mark.parametrize("budget", [20.0, 120.0, 600.0, 3600.0])
+def test_a_plan_takes_more_than_its_budget_only_if_it_is_the_least(n, time_step, budget):
+    one = replace(machine(n), time_step=time_step)
+    plan = plans.make_plan(one, ladder(one), budget, 1, 1.0, "key")
+    if plan.needed > budget:
+        assert plan.variations == plans.FEWEST_VARIATIONS
+        if plan.needed > 2 * budget:
+            assert (len(plan.names), plan.folds) == (2, 3)
+            assert plan.effort.sparse
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_plans_count_the_steps_that_validations_take(n):
+    """Shorter time steps, more coordinates and more held-out data cost more, the former most."""
+    one, effort = machine(n), plans.EFFORTS[-1]
+    base = ladder(one)[0]
+
+    def validation(effort=effort, **changed):
+        return effort.validation(base, replace(one, **changed))
+
+    assert validation(time_step=0.002) == pytest.approx(10 * validation())
+    assert validation(angular=(True,) * (n + 1)) > validation()
+    thrifty = [replace(effort, sparse=True, measured=x) for x in plans.MEASURED]
+    each = [validation(x, seconds=600.0) for x in (effort, *thrifty)]
+    assert all(more > less for more, less in itertools.pairwise(each))
+    for candidate in ladder(one):
+        total = effort.total(candidate)
+        assert total <= plans.SPARSE * thrifty[0].between(candidate) < 2 * total
 
 
 def test_a_plan_is_kept_with_the_search_and_forgotten_for_another(tmp_path):

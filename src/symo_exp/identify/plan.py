@@ -8,30 +8,37 @@ import os
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from symo_exp.data.folds import VALIDATED
 from symo_exp.errors import ConfigError
+from symo_exp.evaluation.horizon import EVERY, HORIZONS, LONG, RUN_IN
 from symo_exp.files import write_whole
 from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.recordings import Machine
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 REFERENCE = 0.37
-"""Time of ``_exercise`` on the machine on which ``NODE`` and ``MEASURING`` were measured [s]."""
+"""Time of ``_exercise`` on the machine on which the times below were measured [s]."""
 NODE = 30e-6
 """Time of an epoch of links in a plane, midpoint rule, a node and coordinate [s]."""
-VALIDATION = 0.2
-"""Time of the rollouts of a validation, a coordinate [s]; hardly more with more windows."""
+STEP, ROW = 0.5e-3, 1.2e-6
+"""Time of a step of the rollouts of a validation, and what a rollout and a pair of coordinates, a
+coordinate and itself included twice, add to it [s]."""
+FITTED = 6 * RUN_IN
+"""Length of the run-ins of a window that are rolled out to fit its start [s]."""
 STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
 SCREENING, VARYING, REFITTING = 0.45, 0.35, 0.2
 """Shares of the budget; in the last one a model is fitted to as many data as there is time for."""
-MEASURED = 60.0
-"""Length of held-out data at most, on which candidates are measured [s]."""
+MEASURED = (60.0, 30.0, 15.0, VALIDATED)
+"""Lengths of held-out data at most, on which candidates are measured [s]."""
 FOLDS, FEWEST_NODES, MOST_NODES = 6, 800, 30_000
-EFFORTS = ((20, 20), (10, 10))
-"""Epochs with held nodes and for each epsilon, from the most thorough."""
+DOMINANT = 0.5
+"""Share of the time of a training from which there are fewer validations, on fewer data."""
+SPARSE = 2
+"""Validations of a training where they are dominant: in the middle and at the end."""
 PROMOTED, VARIED = 3, 1.5
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
 FEWEST_VARIATIONS = 2
@@ -40,6 +47,66 @@ DATA = 0.6
 """Share of the time that fewer data leave at least where data are reduced first."""
 PATIENCE = 4.0
 """A run that takes so many times longer than planned is ended."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The effort of a training.
+
+    Args:
+        start: Epochs with held nodes.
+        epochs: Epochs for each epsilon.
+        sparse: Whether there are few validations, instead of one after each stage.
+        measured: Length of held-out data at most [s].
+    """
+
+    start: int
+    epochs: int
+    sparse: bool = False
+    measured: float = MEASURED[0]
+
+    def total(self, candidate: Candidate) -> int:
+        """Return the epochs of a training."""
+        stages = 4 + 3 * (candidate.settings.get("dissipation") == "learned")
+        return candidate.starts * self.start + stages * self.epochs
+
+    def between(self, candidate: Candidate) -> int:
+        """Return the epochs between validations."""
+        return math.ceil(self.total(candidate) / SPARSE) if self.sparse else self.epochs
+
+    def training(self, candidate: Candidate, nodes: int, n: int) -> float:
+        """Return the time of a training on the reference machine without validations [s]."""
+        return STARTING + NODE * candidate.cost * n * nodes * self.total(candidate)
+
+    def validation(self, candidate: Candidate, machine: Machine) -> float:
+        """Return the time of the validations of a training on the reference machine [s].
+
+        Steps are taken one after another, for all windows at once, and again along the longest
+        recording as a whole.
+        """
+        step = float(candidate.settings.get("system.time_step", machine.time_step))
+        held_out = machine.seconds / FOLDS
+        piece = min(machine.seconds / machine.recordings, held_out)
+        seconds = min(held_out, self.measured)
+        piece = min(piece, max(VALIDATED, piece * seconds / held_out))
+
+        def rolled(length: float, rows: float) -> float:
+            return length / step * (STEP + ROW * machine.n * (machine.n + 1) * rows)
+
+        found = rolled(HORIZONS[-1] + FITTED, max(1.0, seconds / EVERY))
+        if piece >= LONG:
+            found += rolled(piece, seconds / piece)
+        slow = math.sqrt(candidate.cost * step / machine.time_step)
+        return slow * found * self.total(candidate) / self.between(candidate)
+
+    def expected(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
+        """Return the time of a run on the reference machine [s]."""
+        training = self.training(candidate, nodes, machine.n)
+        return training + self.validation(candidate, machine)
+
+
+EFFORTS = (Effort(20, 20), Effort(10, 10))
+"""Of trainings, from the most thorough."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +120,8 @@ class Plan:
         folds: Of the cross-validation.
         first: Folds of the first round.
         seconds: Length of the training part of a fold [s].
-        start: Epochs with held nodes.
-        epochs: Epochs for each epsilon.
+        effort: Of the trainings.
+        needed: Wall time that the plan takes [s]; more than the budget where that is too little.
         names: Candidates of the first round.
         variations: How many variations of the best candidate are tried.
         key: Digest of the arguments that the plan depends on.
@@ -67,8 +134,8 @@ class Plan:
     folds: int
     first: int
     seconds: float
-    start: int
-    epochs: int
+    effort: Effort
+    needed: float
     names: tuple[str, ...]
     variations: int
     key: str
@@ -77,29 +144,30 @@ class Plan:
     def overrides(self, candidate: Candidate) -> list[str]:
         """Return the settings of the training of a candidate."""
         return [
-            f"optimizer.start={self.start}",
-            f"optimizer.epochs={self.epochs}",
-            f"trainer.validate_every={self.epochs}",
+            f"optimizer.start={self.effort.start}",
+            f"optimizer.epochs={self.effort.epochs}",
+            f"trainer.validate_every={self.effort.between(candidate)}",
             f"optimizer.starts={candidate.starts}",
+            f"data.val_seconds={self.effort.measured:g}",
         ]
 
-    def expected(self, candidate: Candidate, nodes: int, n: int) -> float:
-        """Return the time of a run on so many nodes and coordinates [s]."""
-        return _expected(candidate, nodes, n, self.start, self.epochs) / self.speed
+    def expected(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
+        """Return the time of a run on so many nodes [s]."""
+        return self.effort.expected(candidate, nodes, machine) / self.speed
 
     def most_seconds(self, candidate: Candidate, machine: Machine) -> float:
         """Return the length of data that a candidate can be fitted to in its time [s]."""
-        nodes, time = machine.nodes, REFITTING * self.budget
-        time += self.expected(candidate, 0, machine.n)  # what does not depend on the nodes
+        nodes, work = machine.nodes, REFITTING * self.budget * self.speed
+        fixed = self.effort.training(candidate, 0, machine.n)  # does not depend on the nodes
         while nodes > FEWEST_NODES and (
-            nodes > MOST_NODES or self.expected(candidate, nodes, machine.n) > time
+            nodes > MOST_NODES or self.effort.training(candidate, nodes, machine.n) - fixed > work
         ):
             nodes = max(FEWEST_NODES, int(nodes / 1.25))
         return machine.seconds if nodes == machine.nodes else nodes * machine.time_step
 
-    def limit(self, candidate: Candidate, nodes: int, n: int) -> float:
+    def limit(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time after which a training is ended [s]."""
-        return max(20.0, PATIENCE * self.expected(candidate, nodes, n))
+        return max(20.0, PATIENCE * self.expected(candidate, nodes, machine))
 
 
 def seconds_of(text: object) -> float:
@@ -124,8 +192,9 @@ def make_plan(
 ) -> Plan:  # fmt: skip
     """Return the most thorough plan that fits the budget.
 
-    First the epochs are reduced, then the data where they take most of the time, then the folds and
-    the candidates, the costliest first. Two variations are always tried.
+    First the epochs are reduced, then validations where they take most of the time of a training
+    and the data where these take much, then the folds and the candidates, the costliest first. Two
+    variations are always tried.
     """
     work = budget * cores * speed
     folds = max(2, min(FOLDS, machine.recordings if machine.recordings >= 3 else FOLDS))
@@ -133,8 +202,8 @@ def make_plan(
     nodes_all, chosen = machine.nodes, list(candidates)
     first = min(2, folds)
 
-    def screening(effort: tuple[int, int], nodes: int, tried: Sequence[Candidate]) -> float:
-        each = [_expected(c, nodes, machine.n, *effort) for c in tried]
+    def screening(effort: Effort, nodes: int, tried: Sequence[Candidate]) -> float:
+        each = [effort.expected(c, nodes, machine) for c in tried]
         best = sorted(each)[: max(2, len(each) // 2)]
         return first * sum(each) + (folds - first) * sum(best)
 
@@ -150,20 +219,42 @@ def make_plan(
     def data_matter() -> bool:
         return screening(effort, FEWEST_NODES, chosen) < DATA * screening(effort, nodes, chosen)
 
-    while too_much() and nodes > FEWEST_NODES and data_matter():
-        nodes = max(FEWEST_NODES, int(nodes / 1.25))
+    def validations_matter() -> bool:
+        validation = effort.validation(chosen[0], machine)
+        return validation > DOMINANT * effort.expected(chosen[0], nodes, machine)
+
+    thrifty = [replace(effort, sparse=True, measured=seconds) for seconds in MEASURED]
+
+    def lighten(*, anyway: bool) -> None:
+        """Reduce validations and data where they matter, or ``anyway``."""
+        nonlocal effort, nodes
+        while too_much():
+            if thrifty and validations_matter():
+                effort = thrifty.pop(0)
+            elif nodes > FEWEST_NODES and (anyway or data_matter()):
+                nodes = max(FEWEST_NODES, int(nodes / 1.25))
+            elif anyway and thrifty:
+                effort = thrifty.pop(0)
+            else:
+                break
+
+    lighten(anyway=False)
     while too_much() and folds > 4:
         folds -= 1
     while too_much() and len(chosen) > 2:
-        chosen.remove(max(chosen, key=lambda c: (_expected(c, nodes, machine.n, *effort), c.rank)))
-    while too_much() and nodes > FEWEST_NODES:
-        nodes = max(FEWEST_NODES, int(nodes / 1.25))
+        chosen.remove(max(chosen, key=lambda c: (effort.expected(c, nodes, machine), c.rank)))
+    lighten(anyway=True)
     while too_much() and folds > 3:
         folds -= 1
-    one = VARIED * _expected(chosen[0], nodes, machine.n, *effort)
+    one = VARIED * effort.expected(chosen[0], nodes, machine)
     variations, left = FEWEST_VARIATIONS, VARYING * work / one
-    while first * (variations + 1) + min(PROMOTED, variations // 2 + 1) * (folds - first) <= left:
+
+    def runs(variations: int) -> int:
+        return first * variations + min(PROMOTED, (variations + 1) // 2) * (folds - first)
+
+    while runs(variations + 1) <= left:
         variations += 1
+    needed = screening(effort, nodes, chosen) + one * runs(variations)
     return Plan(
         budget=budget,
         cores=cores,
@@ -171,8 +262,8 @@ def make_plan(
         folds=folds,
         first=first,
         seconds=nodes * machine.time_step,
-        start=effort[0],
-        epochs=effort[1],
+        effort=effort,
+        needed=needed / (cores * speed) + REFITTING * budget,
         names=tuple(c.name for c in chosen),
         variations=variations,
         key=key,
@@ -183,7 +274,8 @@ def kept_plan(file: Path, key: str) -> Plan | None:
     """Return the plan of an earlier start of the same search."""
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
-        found = Plan(**{**kept, **{name: tuple(kept[name]) for name in ("names", "without")}})
+        listed = {name: tuple(kept[name]) for name in ("names", "without")}
+        found = Plan(**{**kept, **listed, "effort": Effort(**kept["effort"])})
     except (OSError, ValueError, TypeError, KeyError):
         return None
     return found if found.key == key else None
@@ -213,15 +305,6 @@ def machine_speed() -> float:
     except OSError:
         pass  # a home that cannot be written: it is measured again
     return speed
-
-
-def _expected(candidate: Candidate, nodes: int, n: int, start: int, epochs: int) -> float:
-    """Return the time of a run on the reference machine [s]."""
-    stages = 4 + 3 * (candidate.settings.get("dissipation") == "learned")
-    total = candidate.starts * start + stages * epochs
-    training = NODE * candidate.cost * n * nodes * total
-    measuring = VALIDATION * n * math.sqrt(candidate.cost) * total / epochs
-    return STARTING + training + measuring
 
 
 def _exercise() -> float:

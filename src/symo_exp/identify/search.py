@@ -172,12 +172,13 @@ class Search:
         plan = self._plan
         there = self._machine.seconds * (plan.folds - 1) / plan.folds
         share = min(plan.seconds / there, 1.0)
+        more = ", the least, more than the budget" if plan.needed > plan.budget else ""
         left = f" ({equal} more are equal with the given settings)" if equal else ""
         return (
             f"plan: {len(plan.names)} candidates{left} and up to {plan.variations} variations over "
             f"{plan.folds} folds, {plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
-            f"{plan.epochs} epochs a stage, {plan.cores} runs at a time, about "
-            f"{plan.budget / 60:.3g} min"
+            f"{plan.effort.epochs} epochs a stage, {plan.cores} runs at a time, about "
+            f"{plan.needed / 60:.2g} min{more}"
         )
 
     # -- rounds ------------------------------------------------------------------------------------
@@ -373,18 +374,20 @@ class Search:
 
     def _last_epoch(self, best: Trial) -> int:
         """Return the epochs after which the folds were best, their median over whole stages."""
-        begun = best.candidate.starts * self._plan.start
+        effort = self._plan.effort
+        begun = best.candidate.starts * effort.start
         stages = []
         for k in best.errors:
             rows = read(self._folders[best.candidate.name, k] / SERIES)
             losses = [(row["val_loss"], row["epoch"]) for row in rows if "val_loss" in row]
-            last = min(losses)[1] + 1 if losses else begun + self._plan.epochs
-            stages.append(max(1, math.ceil((last - begun) / self._plan.epochs)))
-        return int(begun + self._plan.epochs * round(median(stages)))
+            last = min(losses)[1] + 1 if losses else begun + effort.epochs
+            stages.append(max(1, math.ceil((last - begun) / effort.epochs)))
+        return int(begun + effort.epochs * round(median(stages)))
 
     def _epochs(self, candidate: Candidate) -> int:
         """Return how many epochs a run has at least that was not ended."""
-        return candidate.starts * self._plan.start + EPSILONS * self._plan.epochs
+        effort = self._plan.effort
+        return candidate.starts * effort.start + EPSILONS * effort.epochs
 
     # -- folders -----------------------------------------------------------------------------------
 
@@ -414,7 +417,6 @@ class Search:
                 "measures=false",
                 f"learner.validation.iterations={ITERATIONS}",
                 f"data.seconds={plan.seconds:g}",
-                f"data.val_seconds={plans.MEASURED:g}",
                 self._limit(candidate, nodes),
                 *plan.overrides(candidate),
                 *candidate.overrides(),
@@ -431,7 +433,7 @@ class Search:
 
     def _limit(self, candidate: Candidate, nodes: int) -> str:
         """Return the setting of the time after which a training is ended."""
-        limit = self._plan.limit(candidate, nodes, self._machine.n)
+        limit = self._plan.limit(candidate, nodes, self._machine)
         return f"trainer.time_limit={limit:.0f}" if self._clock else "trainer.time_limit=null"
 
     def _link_best(self) -> None:
