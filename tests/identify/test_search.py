@@ -64,6 +64,12 @@ def test_a_search_that_grossly_overruns_says_so_and_repeats_itself(workplace, ca
     assert again.splitlines()[-3:] == said.splitlines()[-3:]
 
 
+def test_the_recordings_of_the_test_part_are_named(workplace):
+    table(count=4, seconds=6.0).to_csv("mine.csv", index=False)
+    (said,) = [note for note in examine({"path": "mine.csv"}).notes if "for the test" in note]
+    assert said == "recordings: 3 to choose and train models, for the test 3"
+
+
 @pytest.mark.parametrize("gap", [0.0, 1.0])
 def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so(gap, workplace):
     frame = table(count=4, seconds=6.0)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from symo_exp.data.diagnose import POOR, SUSPECT, noise_of
-from symo_exp.data.formats import shown
+from symo_exp.data.formats import few, shown
 from symo_exp.data.header import header, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part
 from symo_exp.data.table import Recording, read_recordings
@@ -187,12 +187,16 @@ def _parts(
     table = read_recordings(path, system, data.get("columns"), data.get("time_unit"))
     named = {part: data.get(part) for part in ("train", "val", "test")}
     counts = data.get("n_val"), data.get("n_test")
-    recordings, notes = list(table.recordings), list(table.notes)
+    recordings, notes, note = list(table.recordings), list(table.notes), None
     if all(given is None for given in (*named.values(), *counts)):
         recordings, note = with_every_part(recordings, time_step or STEPS[0])
         notes += [note] if note else []
     parts = divided(shown(path), recordings, named, *counts)
-    return [*parts["train"], *parts["val"]], parts["test"], notes
+    used = [*parts["train"], *parts["val"]]
+    if not note:
+        tested = few([one.label for one in parts["test"]])
+        notes.append(f"recordings: {len(used)} to choose and train models, for the test {tested}")
+    return used, parts["test"], notes
 
 
 def _in_radians(recording: Recording, angular: np.ndarray, data: Mapping[str, Any]) -> Recording:
