@@ -32,7 +32,7 @@ STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
 SCREENING, VARYING, REFITTING = 0.45, 0.35, 0.2
 """Shares of the budget; in the last one a model is fitted to as many data as there is time for."""
-MEASURED = (60.0, 30.0, 15.0)
+MEASURED = (60.0, 4 * VALIDATED, 2 * VALIDATED)
 """Lengths of held-out data at most, on which candidates are measured [s]."""
 FOLDS, FEWEST_NODES, MOST_NODES = 6, 800, 30_000
 DOMINANT = 0.5
