@@ -1,0 +1,81 @@
+"""Fits of a machine in other units take the same steps."""
+
+from functools import partial
+
+import pytest
+import torch
+
+from symo_exp.mechanics.galerkin import Galerkin
+from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.mechanics.units import SI, Units
+from symo_exp.mechanics.variational import VariationalMidpoint
+from symo_exp.models.objectives import PreconditionedResidual
+from symo_exp.models.symo import SyMo
+from symo_exp.nets.dissipation import MachineFriction
+from symo_exp.nets.lagrangians import NetworkLagrangian, PlanarLagrangian
+from symo_exp.nets.springs import LinearSprings
+from symo_exp.optim.total_least_squares import TotalLeastSquares
+from symo_exp.training.learner import Learner
+
+CASES = [
+    (VariationalMidpoint(), (False, True)),
+    (VariationalMidpoint(), (True, False, True)),
+    (Galerkin(stages=2), (False,)),  # its inner steps compare lengths with angles
+]
+UNITS = [Units(1e-6, 1e-3, 1e3), Units(1e3, 1.0, 1e-3), Units(1.0, 1.0, 1e-9)]
+STEP = 0.02
+
+
+def motions(units, angular):
+    """Smooth motions with noise, the same in any units; and the inputs' matrix."""
+    generator = torch.Generator().manual_seed(len(angular))
+    t = STEP * torch.arange(60, dtype=torch.float64).unsqueeze(1)
+    waves = torch.rand(2, len(angular), generator=generator, dtype=torch.float64)
+    noise = torch.randn(60, len(angular), generator=generator, dtype=torch.float64)
+    q = torch.sin((1.0 + 3.0 * waves[0]) * t + 6.0 * waves[1]) + 1e-3 * noise
+    sizes = _coordinates(units, angular).sizes
+    trajectory = Trajectory(q * sizes, torch.zeros_like(q), torch.cos(3.0 * t))
+    return [trajectory], (units.size("N m") / sizes).unsqueeze(1)
+
+
+def fitted(units, angular, integrator, lagrangian):
+    """Return the noise and a rollout of a model after some steps in some units."""
+    torch.manual_seed(0)
+    data, input_matrix = motions(units, angular)
+    coordinates = _coordinates(units, angular)
+    model = SyMo(
+        lagrangian,
+        coordinates=coordinates,
+        input_matrix=input_matrix,
+        time_step=STEP * units.time,
+        integrator=integrator,
+        root=Newton(tolerance=1e-10, max_iterations=50),
+        dissipation=partial(MachineFriction, stribeck=True, constant=True),
+        springs=LinearSprings,
+        objective=PreconditionedResidual(),
+    ).double()
+    optimizer = TotalLeastSquares(
+        model.parameters(), epsilons=(1.0,), starts=1, start=2, epochs=2, input_weight=1e-2
+    )
+    while not optimizer.finished:
+        metrics = optimizer.epoch(Learner(model), data)
+    q = data[0].q[:2] / coordinates.sizes
+    start = q[:1] * coordinates.sizes, (q[1:] - q[:1]) / STEP * coordinates.sizes / units.time
+    path = model.for_evaluation().rollout(*start, data[0].u[None, :6])
+    return float(metrics["noise_estimate"]), path.q / coordinates.sizes
+
+
+@pytest.mark.parametrize("units", UNITS)
+@pytest.mark.parametrize(("integrator", "angular"), CASES)
+@pytest.mark.parametrize(
+    "lagrangian", [partial(PlanarLagrangian, relative=True), partial(NetworkLagrangian, width=3)]
+)
+def test_a_fit_in_other_units_has_the_same_predictions(lagrangian, integrator, angular, units):
+    expected = fitted(SI, angular, integrator, lagrangian)
+    found = fitted(units, angular, integrator, lagrangian)
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+
+def _coordinates(units, angular):
+    return Coordinates(tuple(map(str, range(len(angular)))), angular, units=units)
