@@ -176,10 +176,23 @@ PARTS: dict[str, dict[str, Any]] = {
 """What a Lagrangian may consist of, of one coordinate: tracing a chain takes long."""
 
 
+QUICK = {
+    ("network, springs and friction", "e2e_symo"), ("links in space with motors", "l_node"),
+    ("known", "l_node"),
+}  # fmt: skip
+"""Each part once; the other methods are among the long proofs."""
+
+
 @pytest.mark.usefixtures("traced_only")
-@pytest.mark.parametrize("method", ["l_node", "e2e_symo"])
-@pytest.mark.parametrize("parts", PARTS)
-def test_every_lagrangian_is_compiled(method, parts):
+@pytest.mark.parametrize(
+    ("parts", "method"),
+    [
+        pytest.param(parts, method, marks=[] if (parts, method) in QUICK else pytest.mark.slow)
+        for parts in PARTS
+        for method in ("l_node", "e2e_symo")
+    ],
+)
+def test_every_lagrangian_is_compiled(parts, method):
     model = learner(method, dict(combinations())[method], 1, **PARTS[parts])
     if not model.reads_velocity:
         model.model.flow.root = Newton(tolerance=1e-8)
