@@ -140,7 +140,10 @@ def _pt2(program: Any, path: Path, model: DynamicsModel) -> None:
         f"{ARGUMENTS} -> {RESULTS}; arguments (batch, n) and (batch, m), a single state is a batch "
         f"of one; coordinates {names}; time step {model.time_step} s\n"
     )
-    torch.export.save(program, path, extra_files={"symo_exp.txt": about})
+    with warnings.catch_warnings():
+        # of buffers that are views of one tensor, each of which is written as it is
+        warnings.filterwarnings("ignore", "No complete tensor found", UserWarning)
+        torch.export.save(program, path, extra_files={"symo_exp.txt": about})
 
 
 def _onnx(program: Any, path: Path, model: DynamicsModel) -> None:
