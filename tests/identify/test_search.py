@@ -10,6 +10,7 @@ import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.data.diagnose import noise_of
 from symo_exp.errors import ConfigError
+from symo_exp.identify import search
 from symo_exp.identify.candidates import ladder
 from symo_exp.identify.recordings import examine
 from symo_exp.runs.folder import RunFolder
@@ -51,13 +52,15 @@ def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, 
 
 
 @pytest.mark.slow
-def test_a_search_that_grossly_overruns_says_so_and_repeats_itself(workplace, capsys):
+def test_a_search_that_grossly_overruns_says_so_and_repeats_itself(workplace, capsys, monkeypatch):
+    monkeypatch.setattr(search, "OVERRUN", 0.01)
     table().to_csv("mine.csv", index=False)
     words = ["-cn", "machine", "data.path=mine.csv", "budget=1s", "hydra/launcher=basic",
-             "logger=none", "pictures=false"]  # fmt: skip
+             "logger=none", "pictures=false", "dissipation=viscous"]  # fmt: skip
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "are left out" in said
+    assert "whatever its name says: dissipation=viscous\n" in said
     assert main(words) == 0
     again = capsys.readouterr().out
     assert "are left out" not in again

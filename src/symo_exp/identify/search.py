@@ -118,6 +118,8 @@ class Search:
             print(note)
         if not machine.moves:
             return self._no_model()
+        if replaced := self._replaced(every):
+            print(f"of every candidate, whatever its name says: {' '.join(replaced)}")
         print(self._told_plan(len(every) - len(candidates)), flush=True)
         chosen = [c for c in candidates if c.name in plan.names]
         self._screen(chosen)
@@ -128,6 +130,12 @@ class Search:
         if best is None:
             return self._no_model()
         return self._finish(best)
+
+    def _replaced(self, candidates: Sequence[Candidate]) -> list[str]:
+        """Return the given settings that stand for other ones of candidates."""
+        keys = {key for one in candidates for key in one.settings}
+        keys |= {key.partition(".")[0] for key in keys} - {"system"}
+        return [value for key, value in self._given.items() if key in keys]
 
     # -- before anything starts --------------------------------------------------------------------
 
@@ -303,7 +311,8 @@ class Search:
         if stage in self._plan.without:
             return False
         elapsed = time.monotonic() - self._start
-        if not self._clock or elapsed <= OVERRUN * share * self._plan.budget:
+        planned = max(self._plan.budget, self._plan.needed)
+        if not self._clock or elapsed <= OVERRUN * share * planned:
             return True
         print(
             f"after {elapsed / 60:.2g} min, more than {OVERRUN:g} times the time planned, "
