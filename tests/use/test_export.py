@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 
 import jaxtyping
 import pytest
@@ -9,6 +10,10 @@ import torch
 
 import symo_exp
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import Units
+from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
+from symo_exp.nets.springs import LinearSprings
 from tests.models.methods import combinations, make, windows
 
 
@@ -79,6 +84,31 @@ def test_a_step_runs_without_this_package(tmp_path):
 @pytest.mark.parametrize(("method", "integrator"), combinations())
 def test_every_step_runs_without_this_package(method, integrator, n, tmp_path):
     check_alone(make(method, integrator, n), n, tmp_path, iterations=6)
+
+
+PARTS = {
+    "springs": {"springs": LinearSprings},
+    "friction of machines": {"dissipation": partial(MachineFriction, stribeck=True, width=3)},
+    "units of its own": {
+        "coordinates": Coordinates(("x", "a"), (False, True), units=Units(0.1, 2.0, 10.0)),
+        "springs": LinearSprings,
+        "dissipation": LearnedDissipation,
+    },
+}
+
+
+@pytest.mark.parametrize("parts", PARTS)
+def test_every_part_of_a_lagrangian_is_exported_for_any_batch(parts, tmp_path):
+    model = make("symo", "midpoint", 2, **PARTS[parts])
+    step = torch.export.load(symo_exp.export(model, tmp_path / "model.pt2")).module()
+    generator = torch.Generator().manual_seed(0)
+    for batch in (1, 4):
+        q, v = 0.1 * torch.randn(2, batch, 2, dtype=torch.float64, generator=generator)
+        u = torch.ones(batch, 1, dtype=torch.float64)
+        *state, found = step(q, v, u, u)
+        assert found.all()
+        for mine, theirs in zip(state, model.step(q, v, u, u), strict=False):
+            torch.testing.assert_close(mine, theirs, atol=1e-8, rtol=1e-6)
 
 
 def test_a_variational_step_reports_roots_that_were_not_found(tmp_path):

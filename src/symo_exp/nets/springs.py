@@ -69,8 +69,8 @@ class LinearSprings(nn.Module):
     def force(self, q: Float[Tensor, "batch N"], n: int) -> Float[Tensor, "batch n"]:
         """Return ``f − K x``, zero along rotations, of ``n`` coordinates."""
         x = q[:, : len(self.preload)]
-        stiffness = repeated(self.stiffness, len(q))[:, self.places]
-        force = repeated(self.preload, len(q)) - matvec(stiffness, x)
+        stiffness = repeated(self.stiffness, q.shape[0])[:, self.places]
+        force = repeated(self.preload, q.shape[0]) - matvec(stiffness, x)
         return nn.functional.pad(force, (0, n - x.shape[1]))
 
 
