@@ -14,7 +14,9 @@ from symo_exp.mechanics.bodies import joint_order
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import SI, Units
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
@@ -65,7 +67,20 @@ def sprung(angular):
     return DissipativeLagrangian(lagrangian, found.dissipation)
 
 
-LEARNED = {"rigid": rigid, "sprung": sprung}
+UNITS = Units(length=2.0, time=0.5, mass=3.0)
+
+
+def scaled(angular):
+    """Rigid links with springs, whose parameters are in other units."""
+    found = sprung(angular)
+    coordinates = Coordinates(tuple(map(str, angular)), angular, units=UNITS)
+    return DissipativeLagrangian(
+        ScaledLagrangian(found.conservative, coordinates).double(),
+        ScaledDissipation(found.dissipation, coordinates).double(),
+    )
+
+
+LEARNED = {"rigid": rigid, "sprung": sprung, "scaled": scaled}
 
 
 def model_of(lagrangian, coordinates, matrix, system=None):
@@ -101,7 +116,8 @@ def case(request):
         return model_of(lagrangian, system.coordinates, matrix), q, v, joints
     n = len(given)
     q, v = torch.randn(2, 2, n, generator=torch.Generator().manual_seed(1)).double().unbind()
-    coordinates = Coordinates(tuple(f"q{i}" for i in range(n)), given)
+    units = UNITS if kind == "scaled" else SI
+    coordinates = Coordinates(tuple(f"q{i}" for i in range(n)), given, units=units)
     eye = torch.eye(n).double()
     return model_of(LEARNED[kind](given), coordinates, eye), q, v, eye
 
@@ -279,3 +295,22 @@ def test_a_model_without_bodies_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="does not consist of rigid bodies"):
         symo_exp.export(model, tmp_path / "machine.xml")
     assert not list(tmp_path.iterdir())
+
+
+def test_dry_friction_of_other_units_is_in_si_units(tmp_path):
+    plain = Coordinates(("x", "q"), (False, True))
+    coordinates = plain._replace(units=UNITS)
+    friction = perturbed(LearnedDissipation(coordinates=plain, coulomb=True))
+    chain = RigidChain(coordinates=plain).double()
+    model = model_of(
+        DissipativeLagrangian(
+            ScaledLagrangian(chain, coordinates).double(),
+            ScaledDissipation(friction, coordinates).double(),
+        ),
+        coordinates,
+        torch.eye(2).double(),
+    )
+    theirs = mujoco.MjModel.from_xml_path(str(symo_exp.export(model, tmp_path / "machine.xml")))
+    q, v = torch.zeros(1, 2).double(), torch.full((1, 2), 1e4).double()
+    dry = model.dissipation.force(q, 2.0 * v) - 2.0 * model.dissipation.force(q, v)
+    np.testing.assert_allclose(theirs.dof_frictionloss, dry[0].detach(), rtol=1e-5)

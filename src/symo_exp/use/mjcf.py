@@ -15,7 +15,8 @@ from symo_exp.errors import ConfigError
 from symo_exp.files import write_whole
 from symo_exp.mechanics.bodies import Joint, freedoms_of, of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
-from symo_exp.mechanics.scaled import ScaledLagrangian
+from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
+from symo_exp.mechanics.units import Units
 from symo_exp.models.base import DynamicsModel
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
@@ -44,17 +45,28 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
     dissipation: Any = None
     if isinstance(lagrangian, DissipativeLagrangian):
         lagrangian, dissipation = lagrangian.conservative, lagrangian.dissipation
+    units, sizes = model.coordinates.units, model.coordinates.sizes
+    if isinstance(lagrangian, ScaledLagrangian):
+        lagrangian = lagrangian.inner
+    if isinstance(dissipation, ScaledDissipation):
+        dissipation = dissipation.inner
     springs: LinearSprings | None = None
     if isinstance(lagrangian, SprungLagrangian):
         lagrangian, springs = lagrangian.conservative, lagrangian.springs
-    found = linkage(lagrangian, model.coordinates.names)
+    found = _in_si(linkage(lagrangian, model.coordinates.names), units)
     if path.suffix == ".urdf" and any(joint.axes is not None for joint in found.joints):
         raise ConfigError(f"{path.name}: a URDF has no ball joints, as this model has; write .xml")
     inverse = torch.linalg.inv(found.matrix)
     damping, friction, missing = passive(dissipation, found.matrix.shape[0])
-    damping = inverse.T @ damping @ inverse
+    energy = units.size("N m")
+    damping = inverse.T @ (energy * units.time * damping / torch.outer(sizes, sizes)) @ inverse
+    friction = [_unit_direction(energy * c, torch.tensor(a).double() / sizes) for c, a in friction]
     if springs is not None:
-        found = found._replace(joints=_with_springs(found.joints, springs, inverse, missing))
+        flat = sizes[: len(springs.preload)]
+        stiffness = energy * springs.matrix.double() / torch.outer(flat, flat)
+        preload = energy * springs.preload.double() / flat
+        sprung = _with_springs(found.joints, stiffness, preload, inverse, missing)
+        found = found._replace(joints=sprung)
     damping, friction = _of_balls(found.joints, damping, friction, missing)
     along: Coupled = [(c, _tidy(torch.tensor(a).double() @ inverse)) for c, a in friction]
     if not torch.equal(found.matrix, torch.eye(len(inverse)).double()):
@@ -93,12 +105,31 @@ def linkage(lagrangian: Any, names: tuple[str, ...]) -> Linkage:
     )
 
 
-@linkage.register
-def _(lagrangian: ScaledLagrangian, names: tuple[str, ...]) -> Linkage:
-    raise ConfigError(
-        "this model has parameters in units of its own (system.scale), and .xml and .urdf are "
-        "written in SI units; learn without system.scale, or write .pt2"
-    )
+def _unit_direction(coefficient: float, direction: Tensor) -> tuple[float, list[float]]:
+    """Return a direction whose largest entry is one, and its coefficient."""
+    largest = float(direction.abs().max())
+    return coefficient * largest, (direction / largest).tolist()
+
+
+def _in_si(found: Linkage, units: Units) -> Linkage:
+    """Return rigid bodies, whose numbers are in other units, in SI units."""
+    length, inertia = units.length, units.size("kg m^2")
+
+    def scaled(joint: Joint) -> Joint:
+        size = length if joint.slides else 1.0
+        return joint._replace(
+            anchor=_times(length, joint.anchor),
+            reference=size * joint.reference,
+            mass=units.mass * joint.mass,
+            centre=_times(length, joint.centre),
+            inertia=tuple(_times(inertia, row) for row in joint.inertia),  # type: ignore[arg-type]
+            armature=inertia / size**2 * joint.armature,
+            stiffness=units.size("N m") / size**2 * joint.stiffness,
+            rest=size * joint.rest,
+        )
+
+    gravity = _times(units.size("m/s^2"), found.gravity)
+    return found._replace(joints=[scaled(joint) for joint in found.joints], gravity=gravity)
 
 
 @linkage.register
@@ -222,13 +253,16 @@ def _with_friction(joints: Sequence[Joint], damping: Tensor, along: Coupled) -> 
 
 
 def _with_springs(
-    joints: Sequence[Joint], springs: LinearSprings, inverse: Tensor, missing: list[str]
+    joints: Sequence[Joint],
+    stiffness: Tensor,
+    preload: Tensor,
+    inverse: Tensor,
+    missing: list[str],
 ) -> list[Joint]:
     """Return the joints with the springs that act on one of them alone."""
-    flat = len(springs.preload)
+    flat = len(preload)
     to_joints = inverse[:flat, :flat]
-    stiffness = to_joints.T @ springs.matrix.double() @ to_joints
-    preload = to_joints.T @ springs.preload.double()
+    stiffness, preload = to_joints.T @ stiffness @ to_joints, to_joints.T @ preload
     own = torch.diag(stiffness.diagonal())
     if (stiffness - own).abs().max() > 1e-12 * stiffness.abs().max():
         missing.append("springs between joints are not in this file")
@@ -310,6 +344,11 @@ def _tidy(values: Tensor) -> list[float]:
     """Numbers without the rounding errors of products of whole ones, to 12 digits."""
     least = 1e-12 * float(values.abs().max()) if len(values) else 0.0
     return [float(f"{x:.12g}") if abs(x) > least else 0.0 for x in values.tolist()]
+
+
+def _times(factor: float, values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return factor * x, factor * y, factor * z
 
 
 def _three(values: Tensor) -> tuple[float, float, float]:
