@@ -38,7 +38,7 @@ YAML = {
 """What a file of a model holds, and words of the refusal."""
 FOLDER = "is not the name of a folder"
 BELOW = "names a folder below output_dir"
-FILES = ".parquet, .csv, .npz"
+FILES = "expected a file that ends in .csv"
 STORE = "is not supported by MLflow"
 PLACES = [
     ("output_dir=", f"output_dir='' {FOLDER}"),
@@ -62,9 +62,9 @@ PLACES = [
     ("logger.flush_seconds=-1", "logger.flush_seconds=-1 must be"),
     ("resume=perhaps", "resume=perhaps: expected true or false"),
     ("pictures=3", "pictures=3: expected true or false"),
-    ("data=recorded data.path=folder", FILES),
+    ("data=recorded data.path=folder", "the folder has no .parquet, .csv, .npz"),
     ("data=recorded data.path=/dev/null", FILES),
-    ("data=recorded data.path=../whole.txt", FILES),
+    ("data=recorded data.path=../whole.pdf", FILES),
 ]
 SWEPT = [
     ("defaults: 7\n", "defaults must be a list"),
