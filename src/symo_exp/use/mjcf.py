@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from symo_exp.errors import ConfigError
 from symo_exp.files import write_whole
 from symo_exp.mechanics.bodies import Joint, freedoms_of, of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
-from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
+from symo_exp.mechanics.scaled import Scale, ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.units import Units
 from symo_exp.models.base import DynamicsModel
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
@@ -45,9 +45,9 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
     dissipation: Any = None
     if isinstance(lagrangian, DissipativeLagrangian):
         lagrangian, dissipation = lagrangian.conservative, lagrangian.dissipation
-    units, sizes = model.coordinates.units, model.coordinates.sizes
+    units, scale = model.coordinates.units, Scale(model.coordinates)
     if isinstance(lagrangian, ScaledLagrangian):
-        lagrangian = lagrangian.inner
+        lagrangian, scale = lagrangian.inner, lagrangian.scale
     if isinstance(dissipation, ScaledDissipation):
         dissipation = dissipation.inner
     springs: LinearSprings | None = None
@@ -58,15 +58,10 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
         raise ConfigError(f"{path.name}: a URDF has no ball joints, as this model has; write .xml")
     inverse = torch.linalg.inv(found.matrix)
     damping, friction, missing = passive(dissipation, found.matrix.shape[0])
-    energy = units.size("N m")
-    damping = inverse.T @ (energy * units.time * damping / torch.outer(sizes, sizes)) @ inverse
-    friction = [_unit_direction(energy * c, torch.tensor(a).double() / sizes) for c, a in friction]
+    damping = inverse.T @ scale.matrix(damping, 1) @ inverse
+    friction = [_unit_direction(c, scale.force(torch.tensor(a).double())) for c, a in friction]
     if springs is not None:
-        flat = sizes[: len(springs.preload)]
-        stiffness = energy * springs.matrix.double() / torch.outer(flat, flat)
-        preload = energy * springs.preload.double() / flat
-        sprung = _with_springs(found.joints, stiffness, preload, inverse, missing)
-        found = found._replace(joints=sprung)
+        found = found._replace(joints=_with_springs(found.joints, springs, scale, inverse, missing))
     damping, friction = _of_balls(found.joints, damping, friction, missing)
     along: Coupled = [(c, _tidy(torch.tensor(a).double() @ inverse)) for c, a in friction]
     if not torch.equal(found.matrix, torch.eye(len(inverse)).double()):
@@ -254,15 +249,16 @@ def _with_friction(joints: Sequence[Joint], damping: Tensor, along: Coupled) -> 
 
 def _with_springs(
     joints: Sequence[Joint],
-    stiffness: Tensor,
-    preload: Tensor,
+    springs: LinearSprings,
+    scale: Scale,
     inverse: Tensor,
     missing: list[str],
 ) -> list[Joint]:
     """Return the joints with the springs that act on one of them alone."""
-    flat = len(preload)
-    to_joints = inverse[:flat, :flat]
-    stiffness, preload = to_joints.T @ stiffness @ to_joints, to_joints.T @ preload
+    flat, turns = len(springs.preload), len(inverse) - len(springs.preload)
+    matrix = nn.functional.pad(springs.matrix.double(), (0, turns, 0, turns))
+    stiffness = inverse.T @ scale.matrix(matrix, 0) @ inverse
+    preload = inverse.T @ scale.force(nn.functional.pad(springs.preload.double(), (0, turns)))
     own = torch.diag(stiffness.diagonal())
     if (stiffness - own).abs().max() > 1e-12 * stiffness.abs().max():
         missing.append("springs between joints are not in this file")
