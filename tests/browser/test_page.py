@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import time
 
 import pytest
 
@@ -259,6 +258,4 @@ def test_the_page_of_400_runs_is_small():
         for s in ("pendulum", "cartpole", "acrobot", "arm") for seed in range(5)
     ]  # fmt: skip
     assert len(rows) == 400
-    start = time.process_time()
     assert len(html(general_report(tidy(rows), ""))) < 1_300_000
-    assert time.process_time() - start < 5

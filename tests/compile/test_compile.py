@@ -23,6 +23,7 @@ from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.models.objectives import Objective, Residual, Residuals
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownLagrangian
+from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings
 from symo_exp.systems.chain import ChainPendulum
@@ -171,6 +172,7 @@ PARTS: dict[str, dict[str, Any]] = {
         "lagrangian": RigidChain,
         "dissipation": partial(MachineFriction, stribeck=True),
     },
+    "links in a plane": {"lagrangian": PlanarLinks, "dissipation": LearnedDissipation},
     "known": {"lagrangian": partial(KnownLagrangian, system=ChainPendulum(1))},
 }
 """What a Lagrangian may consist of, of one coordinate: tracing a chain takes long."""
@@ -178,7 +180,7 @@ PARTS: dict[str, dict[str, Any]] = {
 
 QUICK = {
     ("network, springs and friction", "e2e_symo"), ("links in space with motors", "l_node"),
-    ("known", "l_node"),
+    ("links in a plane", "e2e_symo"), ("known", "l_node"),
 }  # fmt: skip
 """Each part once; the other methods are among the long proofs."""
 

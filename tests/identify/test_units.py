@@ -63,7 +63,7 @@ def test_a_log_in_any_unit_has_the_same_best_candidate_and_error(
 ):
     found = errors(length, force, tmp_path)
     best = min(found, key=found.get)
-    assert best == min(in_metres, key=in_metres.get) == "links in a plane, springs"
+    assert best == min(in_metres, key=in_metres.get) == "rigid links, springs"
     assert found[best] == pytest.approx(in_metres[best], rel=0.05)
     if np.log10(length) % 3 == 0.0:  # the units of parameters have the same prefixes
         assert found == pytest.approx(in_metres, rel=1e-3)

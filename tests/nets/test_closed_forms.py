@@ -16,6 +16,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedBodyDrag
 from symo_exp.nets.known import KnownLagrangian
+from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
@@ -40,6 +41,7 @@ NETWORKS = [
     *((angular, {"rotations": r}) for angular, r in (((), 1), ((True, False), 1), ((True,), 2))),
 ]  # fmt: skip
 CHAINS = [(True,), (False,), (False, True, True), (True, False, True, True), (True,) * 7]
+PLANAR = [*CHAINS, (True, True), (False, False), (True, False, False, True)]
 PIVOT = Coordinates.of(rotations=("R",))
 FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",), [(0, 0)])
 BODIES = {"pivot": PIVOT, "free": FREE}
@@ -77,6 +79,11 @@ def chain(angular: tuple[bool, ...]) -> Lagrangian:
     return RigidChain(coordinates=Coordinates(names, angular)).double()
 
 
+def planar(angular: tuple[bool, ...], relative: bool) -> Lagrangian:
+    names = tuple(f"q{i}" for i in range(len(angular)))
+    return moved(PlanarLinks(coordinates=Coordinates(names, angular), relative=relative), 0.3)
+
+
 def body(coordinates: Coordinates, **kind: Any) -> Lagrangian:
     return moved(LearnedRigidBody(coordinates=coordinates, **kind), 0.3)
 
@@ -102,6 +109,8 @@ CONSERVATIVE: dict[str, tuple[Callable[[], Lagrangian], int]] = {
     **{f"known {name}": (partial(known, system), system.coordinates.n)
        for name, system in (SYSTEMS | {"crane": models.read(models.CRANE)}).items()},
     **{f"chain {angular}": (partial(chain, angular), len(angular)) for angular in CHAINS},
+    **{f"planar links {angular} {relative}": (partial(planar, angular, relative), len(angular))
+       for angular in PLANAR for relative in (True, False)},
     **{f"body {name} {kind}": (partial(body, coordinates, **settings), coordinates.n)
        for name, coordinates in BODIES.items() for kind, settings in BODY_KINDS.items()},
     **{f"{make.__name__} {where.names}": (partial(make, where), where.n)

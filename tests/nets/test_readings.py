@@ -11,6 +11,7 @@ from symo_exp.models.learned import learned_lagrangian
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.lagrangians import PlanarLagrangian
+from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.readings import readings
 from symo_exp.nets.springs import LinearSprings
 from symo_exp.nets.structured_lagrangian import StructuredLagrangian
@@ -42,16 +43,20 @@ def test_bodies_of_a_chain_are_those_of_the_machine(name):
 
 
 @pytest.mark.parametrize("relative", [False, True])
-def test_coefficients_of_links_are_those_of_the_lagrangian(relative):
+@pytest.mark.parametrize("kind", [PlanarLagrangian, PlanarLinks])
+def test_coefficients_of_links_are_those_of_the_lagrangian(kind, relative):
     """Coefficients are compared with averages of inertia and potential over the angles."""
     torch.manual_seed(1)
     coordinates = Coordinates(("x", "a", "b"), (False, True, True))
-    module = StructuredLagrangian(
-        angular=coordinates.angular, width=1, depth=1, squares=True, relative=relative
-    ).double()
-    last = module.net.weights[-1]
+    module = kind(coordinates=coordinates, relative=relative).double()
     with torch.no_grad():
-        last.copy_(0.1 * torch.randn_like(last))
+        if kind is PlanarLinks:
+            module.points.normal_()
+            module.weights.normal_()
+            module.rotors.zero_()
+        else:
+            last = module.net.weights[-1]
+            last.copy_(0.1 * torch.randn_like(last))
     found = values(module, coordinates)
     assert found["x.inertia"][1] == "kg"
     assert found["a.inertia.x"][1] == "kg m"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,11 +20,15 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.embedding import directions
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 from symo_exp.systems.mujoco_library import library
+from tests.nets.test_planar_links import PLANAR as PLANAR_SYSTEMS
+from tests.nets.test_planar_links import links_of
 from tests.oscillator import oscillator
 from tests.systems import models
 from tests.systems.every import FLAT, SYSTEMS, points
@@ -55,6 +60,25 @@ def rigid(angular):
     return DissipativeLagrangian(RigidChain(coordinates=coordinates).double(), perturbed(friction))
 
 
+def planar(angular, relative=True):
+    """Links in a plane whose slide has no force but the weight of what it carries."""
+    coordinates = Coordinates(tuple(f"q{i}" for i in range(len(angular))), angular)
+    links = perturbed(PlanarLinks(coordinates=coordinates, relative=relative))
+    if not all(angular):
+        gravity = -1.0 - 9.0j
+        products = links.points.detach().view(len(angular), -1)
+        x, y = products.chunk(2, dim=1)
+        moment = torch.complex(x, y).conj() @ torch.complex(x, y).T
+        weights = 1j * gravity.conjugate() * moment[0]
+        weights[0] = (
+            -gravity.real * links.mass_matrix(torch.zeros(1, len(angular)).double())[0, 0, 0]
+        )
+        with torch.no_grad():
+            links.weights.copy_(torch.cat((weights.real, weights.imag)))
+    friction = LearnedDissipation(coordinates=coordinates, joints="neighbours")
+    return DissipativeLagrangian(links, perturbed(friction))
+
+
 def sprung(angular):
     """Rigid links with a spring on every joint."""
     found = rigid(angular)
@@ -80,7 +104,14 @@ def scaled(angular):
     )
 
 
-LEARNED = {"rigid": rigid, "sprung": sprung, "scaled": scaled}
+LEARNED = {
+    "rigid": rigid,
+    "planar": planar,
+    "absolute": partial(planar, relative=False),
+    "sprung": sprung,
+    "scaled": scaled,
+}
+PLANAR = ("planar", "absolute")
 
 
 def model_of(lagrangian, coordinates, matrix, system=None):
@@ -101,8 +132,11 @@ def cases():
     for name, system in (FLAT | {"crane": crane}).items():
         yield pytest.param(("known", system), id=name)
     for angular in ((True,), (False, True, True), (True,) * 4):
-        for kind in LEARNED:
+        for kind in (kind for kind in LEARNED if kind not in PLANAR):
             yield pytest.param((kind, angular), id=f"{kind}{len(angular)}")
+    for angular in ((True,), (False,), (False, True), (True, True)):
+        for kind in PLANAR:
+            yield pytest.param((kind, angular), id=f"{kind}{angular}")
 
 
 @pytest.fixture(params=cases())
@@ -119,7 +153,8 @@ def case(request):
     units = UNITS if kind == "scaled" else SI
     coordinates = Coordinates(tuple(f"q{i}" for i in range(n)), given, units=units)
     eye = torch.eye(n).double()
-    return model_of(LEARNED[kind](given), coordinates, eye), q, v, eye
+    joints = torch.linalg.inv(directions(given)).double() if kind == "absolute" else eye
+    return model_of(LEARNED[kind](given), coordinates, eye), q, v, joints
 
 
 def test_mujoco_has_the_same_mass_matrix_and_forces(case, tmp_path):
@@ -295,6 +330,46 @@ def test_a_model_without_bodies_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="does not consist of rigid bodies"):
         symo_exp.export(model, tmp_path / "machine.xml")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", PLANAR_SYSTEMS)
+def test_links_in_a_plane_of_any_number_are_bodies_if_the_machine_is(name, tmp_path):
+    system = PLANAR_SYSTEMS[name]
+    links, n = links_of(system), system.coordinates.n
+    with torch.no_grad():
+        links.inertias.fill_(0.1)  # of a body, which points have not
+    model = model_of(links, system.coordinates, torch.eye(n).double())
+    theirs = mujoco.MjModel.from_xml_path(str(symo_exp.export(model, tmp_path / "machine.xml")))
+    data, mass = mujoco.MjData(theirs), np.zeros((n, n))
+    q, *_ = points(system, 1)
+    a = system.linkage.matrix
+    data.qpos[:] = (a @ q[0]).numpy()
+    mujoco.mj_forward(theirs, data)
+    for i, unit in enumerate(np.eye(n)):
+        mujoco.mj_mulM(theirs, data, mass[i], unit)
+    found = a.numpy().T @ mass @ a.numpy()
+    np.testing.assert_allclose(found, links.mass_matrix(q)[0].detach(), rtol=1e-8, atol=1e-8)
+
+
+def test_three_learned_links_that_are_no_bodies_are_refused(tmp_path):
+    angular = (True,) * 3
+    coordinates = Coordinates(("a", "b", "c"), angular)
+    model = model_of(planar(angular), coordinates, torch.eye(3).double())
+    with pytest.raises(ConfigError, match="learned links differ from rigid bodies"):
+        symo_exp.export(model, tmp_path / "machine.xml")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_constant_force_along_a_slide_is_reported(tmp_path, caplog):
+    angular = (False, True)
+    coordinates = Coordinates(("x", "a"), angular)
+    lagrangian = planar(angular)
+    with torch.no_grad():
+        lagrangian.conservative.weights[0] -= 3.0
+    symo_exp.export(
+        model_of(lagrangian, coordinates, torch.eye(2).double()), tmp_path / "machine.xml"
+    )
+    assert "constant force of 3 N along x is not in this file" in caplog.text
 
 
 def test_dry_friction_of_other_units_is_in_si_units(tmp_path):

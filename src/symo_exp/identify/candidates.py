@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from symo_exp.identify.recordings import Machine
 
-PLANE = "links in a plane"
+LINKS = "rigid links"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
 LEAST_REST = 0.01
@@ -19,8 +19,10 @@ STRIBECK = 5.0
 INPUT_NOISE = 100.0
 """Noise of inputs over that of configurations where it is estimated, in units of the machine."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
-    "relative": {"lagrangian": "relative"},
-    "absolute": {"lagrangian": "absolute"},
+    "relative": {"lagrangian": "planar"},
+    "absolute": {"lagrangian": "planar", "lagrangian.relative": "false"},
+    "general relative": {"lagrangian": "relative"},
+    "general absolute": {"lagrangian": "absolute"},
     "small network": {
         "lagrangian": "network", "net.width": "2", "net.depth": "1", "lagrangian.harmonics": "1",
     },
@@ -38,7 +40,7 @@ class Candidate:
         name: In words.
         rank: Place in the order of simplicity; smaller is simpler.
         settings: Overrides by key.
-        cost: Of an epoch, relative to links in a plane in the midpoint rule.
+        cost: Of an epoch, relative to general links in a plane in the midpoint rule.
         starts: How many starts the optimiser has.
     """
 
@@ -67,18 +69,25 @@ class Candidate:
 
 def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
-    chain = machine.n > 1 and all(machine.angular)
-    first = _candidate("relative angles" if chain else PLANE, 1.0, "relative", FRICTION)
+    several = sum(machine.angular) > 1
+    relative = ", relative angles" if several else ""
+    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", FRICTION, cost=0.8)
     found = [first]
     if machine.stiffness is not None:
         found.append(_sprung(first, machine))
     if machine.driven:  # motors, screws and belts
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
-    if sum(machine.angular) > 1:
-        found.append(_candidate("absolute angles", 1.1, "absolute", NEIGHBOURS))
+    if several:
+        name = f"{LINKS}, absolute angles"
+        found.append(_candidate(name, 1.1, "absolute", NEIGHBOURS, cost=0.8))
     if not machine.driven:  # bearings: dry friction may be too little to be found
         found += [_viscous(candidate) for candidate in found]
-    if chain and machine.n > 2:
+    found.append(_candidate(f"general links{relative}", 1.8, "general relative", FRICTION))
+    if several:
+        found.append(
+            _candidate("general links, absolute angles", 1.9, "general absolute", NEIGHBOURS)
+        )
+    if machine.n > 2 and all(machine.angular):
         found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=2.0))
     network = _candidate("network", 4.0, "network", FRICTION, cost=1.5, starts=2)
     found += [
@@ -86,7 +95,7 @@ def ladder(machine: Machine) -> list[Candidate]:
         network,
         _with_learned_friction(network),
     ]
-    if sum(machine.angular) > 1:
+    if several:
         found.append(
             _candidate(
                 "network, friction between neighbours", 4.1, "network", NEIGHBOURS, cost=1.5,

@@ -22,7 +22,7 @@ UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 REFERENCE = 0.37
 """Time of ``_exercise`` on the machine on which the times below were measured [s]."""
 NODE = 30e-6
-"""Time of an epoch of links in a plane, midpoint rule, a node and coordinate [s]."""
+"""Time of an epoch of general links in a plane, midpoint rule, a node and coordinate [s]."""
 STEP, ROW = 0.5e-3, 1.2e-6
 """Time of a step of the rollouts of a validation, and what a rollout and a pair of coordinates, a
 coordinate and itself included twice, add to it [s]."""

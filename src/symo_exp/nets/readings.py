@@ -17,6 +17,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedBodyDrag, LearnedDrag
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import SprungLagrangian
@@ -107,6 +108,33 @@ def _(module: LearnedRigidBody, coordinates: Coordinates) -> list[Reading]:
     factor = module.factor(module.moments)
     found = _body("body", factor @ factor.mT)
     return found + ([] if module.gravity is None else _vector("gravity", "m/s^2", module.gravity))
+
+
+@readings.register
+def _(module: PlanarLinks, coordinates: Coordinates) -> list[Reading]:
+    """Coefficients in the directions of the links, as below, and the inertias of rotors."""
+    names, angular, n = coordinates.names, coordinates.angular, coordinates.n
+    products = module.products()
+    weights = module.weights.view(2, n)
+    found = []
+    for i, name in enumerate(names):
+        own = products[i, i] + module.inertias[i].square()
+        found.append(Reading(f"{name}.inertia", _inertia(angular[i], angular[i]), own))
+        for j in range(i):
+            unit = _inertia(angular[i], angular[j])
+            found.append(Reading(f"{name}.inertia.{names[j]}", unit, products[i, j]))
+        if angular[i]:
+            size = weights[:, i].square().sum().clamp_min(1e-300).sqrt()
+            found.append(Reading(f"{name}.gravity_moment", "N m", size))
+        else:
+            found.append(Reading(f"{name}.gravity_force", "N", -weights[0, i]))
+    for name, rotor in zip(
+        [name for name, angle in zip(names, angular, strict=True) if angle][1:],
+        () if module.rotors is None else module.rotors,
+        strict=True,
+    ):
+        found.append(Reading(f"{name}.armature", "kg m^2", rotor.square()))
+    return found
 
 
 @readings.register

@@ -16,15 +16,18 @@ from symo_exp.files import write_whole
 from symo_exp.mechanics.bodies import Joint, freedoms_of, of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.scaled import Scale, ScaledDissipation, ScaledLagrangian
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 from symo_exp.models.base import DynamicsModel
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 from symo_exp.systems.base import LagrangianSystem, Linkage
 from symo_exp.systems.mjcf import mjcf, unwritten, urdf
+from symo_exp.use.planar_bodies import constant_forces, planar_bodies
 
 log = logging.getLogger(__name__)
 
@@ -53,11 +56,13 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
     springs: LinearSprings | None = None
     if isinstance(lagrangian, SprungLagrangian):
         lagrangian, springs = lagrangian.conservative, lagrangian.springs
-    found = _in_si(linkage(lagrangian, model.coordinates.names), units)
+    found = _in_si(linkage(lagrangian, model.coordinates), units)
     if path.suffix == ".urdf" and any(joint.axes is not None for joint in found.joints):
         raise ConfigError(f"{path.name}: a URDF has no ball joints, as this model has; write .xml")
     inverse = torch.linalg.inv(found.matrix)
     damping, friction, missing = passive(dissipation, found.matrix.shape[0])
+    if isinstance(lagrangian, PlanarLinks):
+        missing += constant_forces(lagrangian, model.coordinates)
     damping = inverse.T @ scale.matrix(damping, 1) @ inverse
     friction = [_unit_direction(c, scale.force(torch.tensor(a).double())) for c, a in friction]
     if springs is not None:
@@ -92,11 +97,11 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
 
 
 @singledispatch
-def linkage(lagrangian: Any, names: tuple[str, ...]) -> Linkage:
+def linkage(lagrangian: Any, coordinates: Coordinates) -> Linkage:
     """Return the rigid bodies of a Lagrangian; refuse one that has none."""
     raise ConfigError(
         f"{type(lagrangian).__name__} does not consist of rigid bodies, which .xml and .urdf "
-        "require; learn with lagrangian=rigid, rigid_body or known, or write .pt2"
+        "require; learn with lagrangian=planar, rigid, rigid_body or known, or write .pt2"
     )
 
 
@@ -128,14 +133,14 @@ def _in_si(found: Linkage, units: Units) -> Linkage:
 
 
 @linkage.register
-def _(lagrangian: RigidChain, names: tuple[str, ...]) -> Linkage:
+def _(lagrangian: RigidChain, coordinates: Coordinates) -> Linkage:
     joints, at = [], torch.zeros(3, dtype=torch.float64)
     axes, places = (x.double().view(-1, 3) for x in (lagrangian.axes, lagrangian.places))
     moments = torch.cat(
         (lagrangian.moments.view(-1, 10), lagrangian.moments.new_zeros(len(axes), 1)), 1
     )
     factors = moments.double()[:, lagrangian.place]
-    for i, name in enumerate(names):
+    for i, name in enumerate(coordinates.names):
         at = at + places[i]
         mass, centre, inertia = of_pseudo_inertia(factors[i] @ factors[i].T)
         joints.append(
@@ -152,11 +157,16 @@ def _(lagrangian: RigidChain, names: tuple[str, ...]) -> Linkage:
                 armature=float(lagrangian.rotors[i].square()),
             )
         )
-    return Linkage(joints, _three(lagrangian.gravity), torch.eye(len(names)).double())
+    return Linkage(joints, _three(lagrangian.gravity), torch.eye(len(joints)).double())
 
 
 @linkage.register
-def _(lagrangian: LearnedRigidBody, names: tuple[str, ...]) -> Linkage:
+def _(lagrangian: PlanarLinks, coordinates: Coordinates) -> Linkage:
+    return planar_bodies(lagrangian, coordinates)
+
+
+@linkage.register
+def _(lagrangian: LearnedRigidBody, coordinates: Coordinates) -> Linkage:
     if lagrangian.gravity is None or lagrangian.input_net is not None:
         raise ConfigError(
             "networks of the rotation are no rigid body, which .xml requires; learn with "
@@ -167,7 +177,7 @@ def _(lagrangian: LearnedRigidBody, names: tuple[str, ...]) -> Linkage:
 
 
 @linkage.register
-def _(lagrangian: KnownLagrangian, names: tuple[str, ...]) -> Linkage:
+def _(lagrangian: KnownLagrangian, coordinates: Coordinates) -> Linkage:
     twin = lagrangian.system.with_constants(lagrangian.constants())
     found: Linkage | None = twin.linkage
     if found is None:
@@ -179,7 +189,7 @@ def _(lagrangian: KnownLagrangian, names: tuple[str, ...]) -> Linkage:
 
 
 @linkage.register
-def _(lagrangian: LagrangianSystem, names: tuple[str, ...]) -> Linkage:
+def _(lagrangian: LagrangianSystem, coordinates: Coordinates) -> Linkage:
     if lagrangian.linkage is None:
         raise ConfigError(f"{type(lagrangian).__name__} is not described by rigid bodies")
     return lagrangian.linkage
