@@ -15,6 +15,7 @@ from symo_exp.evaluation.horizon import (
     tolerance,
     whole_error,
 )
+from symo_exp.evaluation.recordings import held_out_error
 from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import fitted_start
@@ -128,6 +129,16 @@ def test_errors_are_root_mean_squares_over_coordinates_and_time(n):
         assert found[f"rmse_{seconds:g}s"] == pytest.approx(expected)
         assert found[f"pooled_rmse_{seconds:g}s"] == pytest.approx(expected)
     assert found["valid_s"] == pytest.approx(H * math.floor(0.1 * n**0.5 / (0.5 * H) + 1e-9))
+
+
+def test_the_score_of_candidates_does_not_depend_on_the_unit_of_length():
+    """The first coordinate in mm, the other in rad, over windows and whole recordings."""
+    motions = steady(3.0, 5.0)
+    units = torch.tensor([1e3, 1.0], dtype=torch.float64)
+    longer = [Trajectory(one.q * units, one.v * units, one.u) for one in motions]
+    still = held_out_error(Off(), motions, H, PLACE)
+    assert held_out_error(Off(), longer, H, PLACE, units) == pytest.approx(still)
+    assert held_out_error(Off(), longer, H, PLACE) > 10.0 * still
 
 
 @BOTH

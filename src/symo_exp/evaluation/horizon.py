@@ -96,13 +96,16 @@ class Predictions:
         """Length of the longest window [s]."""
         return (self.q.shape[1] - 1) * self.time_step
 
-    def errors(self) -> Float[Tensor, "windows steps"]:
+    def errors(self, units: Float[Tensor, " n"] | float = 1.0) -> Float[Tensor, "windows steps"]:
         """Return the mean squared error over coordinates at each predicted node.
 
         Infinite where the prediction is not finite, NaN after the end of the trajectory.
+
+        Args:
+            units: Units of the coordinates' errors [rad, m].
         """
         true = self.q_true[:, 1:]
-        error = squared_error(*self._compared()).mean(2)
+        error = (squared_error(*self._compared()) / torch.as_tensor(units).square()).mean(2)
         return error.where(true.isfinite().all(2), torch.nan)
 
     @property
@@ -113,9 +116,11 @@ class Predictions:
     def _compared(self) -> tuple[Tensor, Tensor]:
         return comparable(self.space, self.q[:, 1:], self.q_true[:, 1:])
 
-    def rmse(self, seconds: float) -> Float[Tensor, " windows"]:
+    def rmse(
+        self, seconds: float, units: Float[Tensor, " n"] | float = 1.0
+    ) -> Float[Tensor, " windows"]:
         """Return the root mean square error of each window over coordinates and time."""
-        return self._until(seconds).nanmean(1).sqrt()
+        return self._until(seconds, units).nanmean(1).sqrt()
 
     def valid_seconds(self) -> Float[Tensor, " windows"]:
         """Return the time until the error, RMS over coordinates, exceeds 0.1 [rad, m]."""
@@ -145,8 +150,8 @@ class Predictions:
             found[f"pooled_{name}"] = self._until(seconds).nanmean().sqrt().item()
         return found
 
-    def _until(self, seconds: float) -> Tensor:
-        return self.errors()[:, : max(1, round(seconds / self.time_step))]
+    def _until(self, seconds: float, units: Tensor | float = 1.0) -> Tensor:
+        return self.errors(units)[:, : max(1, round(seconds / self.time_step))]
 
 
 def cut(
@@ -236,20 +241,25 @@ def predict_whole(
 
 @torch.no_grad()
 def whole_error(
-    model: RollsOut, trajectories: Sequence[Trajectory], time_step: float, place: Tensor
+    model: RollsOut,
+    trajectories: Sequence[Trajectory],
+    time_step: float,
+    place: Tensor,
+    units: Float[Tensor, " n"] | float = 1.0,
 ) -> float | None:
     """Return the error over whole recordings of 4 s or more; ``None`` if there are none.
 
-    It is the root mean square over recordings [rad, m], each in open loop from its first nodes and
-    at most the standard deviation of its motion: then nothing is known of where it is. A rollout
-    ends where this is certain, as it soon is of a motion that is chaotic.
+    It is the root mean square over recordings in ``units`` [rad, m] of the coordinates, each in
+    open loop from its first nodes and at most the standard deviation of its motion: then nothing is
+    known of where it is. A rollout ends where this is certain, as it soon is of a motion that is
+    chaotic.
     """
     long = [one for one in trajectories if (len(one.q) - 1) * time_step >= LONG * (1 - 1e-9)]
     if not long:
         return None
     q, v, u, state = _started(model, long, time_step, place)
     u, space = u.to(place), space_of(q, v)
-    plain, there = space.along(q), q.isfinite().all(2)
+    plain, there = space.along(q) / torch.as_tensor(units), q.isfinite().all(2)
     most = (plain - plain.nanmean(1, keepdim=True)).square().nanmean((1, 2))
     total, count = torch.zeros_like(most), there.sum(1)
     rows, segment = torch.arange(len(q)), round(HORIZONS[-1] / time_step)
@@ -257,7 +267,8 @@ def whole_error(
         path = model.rollout(*state, u[rows, k : k + segment + 1])
         true = q[rows, k + 1 : k + segment + 1]
         found = path.q[:, 1:].double().cpu()
-        error = squared_error(*comparable(space, found, true)).mean(2)
+        squares = squared_error(*comparable(space, found, true))
+        error = (squares / torch.as_tensor(units).square()).mean(2)
         total[rows] += error.where(there[rows, k + 1 : k + segment + 1], 0.0).sum(1)
         left = (total < most * count)[rows] & there[rows, min(k + segment, q.shape[1] - 1)]
         rows, state = rows[left], State(path.q[left, -1], path.v[left, -1])

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.evaluation.horizon import (
@@ -84,8 +85,8 @@ class HeldOutErrors:
 
     def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
         """Return the score of a model on held-out trajectories."""
-        place = model.input_matrix
-        return held_out_error(model, trajectories, model.time_step, place, self.iterations)
+        h, place, units = model.time_step, model.input_matrix, model.coordinates.sizes
+        return held_out_error(model, trajectories, h, place, units, self.iterations)
 
 
 def held_out_error(
@@ -93,9 +94,13 @@ def held_out_error(
     trajectories: Sequence[Trajectory],
     time_step: float,
     place: Tensor,
+    units: Float[Tensor, " n"] | float = 1.0,
     iterations: int = ITERATIONS,
 ) -> float:
-    """Return the geometric mean of the errors ``rmse_<T>s`` [rad, m], infinite without a window.
+    """Return the geometric mean of the errors ``rmse_<T>s``, infinite without a window.
+
+    ``units`` are those of the coordinates [rad, m], of which no one outweighs the others in units
+    in which they move by about one.
 
     Where there are recordings of 4 s or more, it includes the error over them as a whole
     (``whole_error``), in which drifts show that windows of 2 s do not. ``place`` and ``iterations``
@@ -105,8 +110,8 @@ def held_out_error(
     if windows is None:
         return math.inf
     found = predict(model, windows, time_step, place, iterations)
-    errors = [median(found.rmse(seconds)) for seconds in HORIZONS]
-    whole = whole_error(model, trajectories, time_step, place)
+    errors = [median(found.rmse(seconds, units)) for seconds in HORIZONS]
+    whole = whole_error(model, trajectories, time_step, place, units)
     errors += [] if whole is None else [whole]
     return math.prod(errors) ** (1 / len(errors))
 

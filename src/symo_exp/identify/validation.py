@@ -65,7 +65,7 @@ def baseline_error(folder: RunFolder) -> float:
     system = instantiate(config.system)
     data = instantiate(config.data, _partial_=True)(system=system)
     h, place = system.time_step, torch.zeros((), dtype=torch.float64)
-    return held_out_error(ConstantVelocity(h), data.load().val, h, place)
+    return held_out_error(ConstantVelocity(h), data.load().val, h, place, system.coordinates.sizes)
 
 
 def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:

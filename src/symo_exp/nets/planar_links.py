@@ -98,8 +98,8 @@ class _Links(NamedTuple):
 class PlanarLinks(nn.Module, Lagrangian):
     """Rigid links in a plane, on hinges and slides of directions that do not turn.
 
-    ``2n² + 4n`` parameters: the velocities ``G`` of ``n`` points, the roots ``o`` and ``ρ`` of
-    inertias, and the potential's ``w``. Any values have a positive definite inertia.
+    Parameters are the velocities ``G`` of ``n`` points, the roots ``o`` and ``ρ`` of inertias, and
+    the potential's ``w``, at most ``2n² + 4n`` numbers. Any have a positive definite inertia.
 
     Args:
         coordinates: The coordinates; angles are hinges, others slides.
