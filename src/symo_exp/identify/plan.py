@@ -197,7 +197,8 @@ def make_plan(
     variations are always tried.
     """
     work = budget * cores * speed
-    folds = max(2, min(FOLDS, machine.recordings if machine.recordings >= 3 else FOLDS))
+    whole = 3 <= machine.recordings < FOLDS and machine.seconds < FOLDS * LONG
+    folds = machine.recordings if whole else FOLDS  # blocks of long recordings
     share = (folds - 1) / folds
     nodes_all, chosen = machine.nodes, list(candidates)
     first = min(2, folds)
