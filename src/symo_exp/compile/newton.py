@@ -23,12 +23,14 @@ from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, MidpointExpansion, MomentumMatching
 from symo_exp.models.flows import VariationalFlow
 from symo_exp.models.objectives import NOTHING, RootError, Statistics
+from symo_exp.nets.planar_links import PlanarExpansion
 from symo_exp.nets.springs import SprungExpansion
 from symo_exp.nets.structured_lagrangian import StructuredExpansion
 
 carry(AutodiffExpansion)
 carry(DissipativeExpansion)
 carry(MidpointExpansion)
+carry(PlanarExpansion)
 carry(SprungExpansion)
 carry(StructuredExpansion)
 

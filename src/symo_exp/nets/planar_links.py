@@ -38,7 +38,7 @@ from symo_exp.mechanics.lagrangian import (
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
 from symo_exp.nets.embedding import directions, require_flat
-from symo_exp.nets.roles import mark_squares
+from symo_exp.nets.roles import mark, mark_squares
 
 POINTS, POTENTIAL = 0.1, 0.01
 """Sizes of ``G`` and ``w`` at the start of training, relative to ``o`` and ``o²``."""
@@ -139,6 +139,7 @@ class PlanarLinks(nn.Module, Lagrangian):
         for squared in (self.inertias, self.rotors):
             if squared is not None:
                 mark_squares(squared)
+        mark(self.parameters(), "coefficient")
 
     @override
     def mass_matrix(self, q: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
@@ -161,7 +162,7 @@ class PlanarLinks(nn.Module, Lagrangian):
     @override
     @torch.no_grad()
     def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:
-        return _PlanarExpansion(self, self._at(q), v @ self.turn.T)
+        return PlanarExpansion(self, self._at(q), v @ self.turn.T)
 
     def products(self) -> Float[Tensor, "n n"]:
         """Return ``Σ_b G_bk · G_bl``, the factors of the cosines in ``H``."""
@@ -195,7 +196,7 @@ class PlanarLinks(nn.Module, Lagrangian):
         )
 
 
-class _PlanarExpansion(Expansion):
+class PlanarExpansion(Expansion):
     """``ℒ`` of planar links around ``(q, v)``; ``v`` is that of ``s``."""
 
     parts = ("_lagrangian", "_links", "_v")
