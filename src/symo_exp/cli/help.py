@@ -12,22 +12,22 @@ from symo_exp.shipped import CONF, SWEEPS
 
 EXAMPLES = {
     ("model=symo", "system=acrobot"): "One run:",
-    ("model=symo", "-m", "data.n_traj=8,16"): "A sweep, a run for each value:",
+    ("model=symo", "-m", "data.n_traj=8,16"): "A sweep, one run per value:",
     ("-cn", "smoke"): "A sweep kept in a file:",
-    ("record", "Swimmer-v5", "--out", "F.csv"): "Motions of a Gymnasium environment as recordings:",
+    ("record", "Swimmer-v5", "--out", "F.csv"): "Record motions of a Gymnasium environment:",
 }
 SETTINGS = {
     "data.n_traj": "training trajectories",
     "data.noise_std": "noise [m, rad; m/s, rad/s]",
     "trainer.max_epochs": "epochs of training",
-    "seed": "of data, first weights and order of batches",
+    "seed": "of data, initial weights and order of batches",
     "experiment": "the group of the run in MLflow and in the output folder",
 }
 """Settings that people change, besides choices of files."""
 NOTES = """\
 --cfg job              shows every setting and its value; set any of them: data.noise_std=1e-3
 -m                     runs every combination of values given with commas: seed=0,1,2
-hydra/launcher=joblib  runs the jobs of a sweep side by side, one process a core;
+hydra/launcher=joblib  runs the jobs of a sweep in parallel, one process per core;
                        submitit_slurm_cpu, on a cluster (docs/clusters.md)
 --config-dir FOLDER    adds your own system/NAME.yaml, data/NAME.yaml and so on to these
 --hydra-help           shows the options of Hydra itself

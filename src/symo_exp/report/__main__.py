@@ -30,34 +30,39 @@ SEVERAL: dict[str, Any] = {"nargs": "+", "default": []}
 OPTIONS: dict[str, dict[str, Any]] = {
     "--experiment": {
         **SEVERAL, "metavar": "NAME",
-        "help": "only these experiments; default: of several the one that is chosen when asked, "
-        "or without a terminal the one that ran last",
+        "help": "only these experiments; default: if there are several, the command asks for one; "
+        "without a terminal it takes the last one that ran",
     },
     "--all": {"action": "store_true", "help": "all experiments together"},
     "--settings": {
         "metavar": "TEXT",
-        "help": "compare the runs with these settings, as the tables name them (defaults: those "
-        "that change none); default: those of the last sweep",
+        "help": "compare the runs with these settings, in the words of the tables (defaults for "
+        "runs that change none); default: those of the last sweep",
     },
     "--system": {**SEVERAL, "metavar": "NAME", "help": "only these systems"},
     "--seed": {**SEVERAL, "metavar": "N", "type": int, "help": "only these seeds"},
     "--tracking-uri": {
-        "metavar": "URI", "help": "default: MLFLOW_TRACKING_URI, else SQLite in --directory",
+        "metavar": "URI",
+        "help": "tracking store; default: MLFLOW_TRACKING_URI, else SQLite in --directory",
     },
     "--directory": {
         "metavar": "FOLDER",
-        "help": f"of the SQLite store; default: {STORE}, and without it the runs in {OUTPUTS}",
+        "help": f"folder of the SQLite store; default: {STORE} or, without a store, the runs in "
+        f"{OUTPUTS}",
     },
-    "--runs": {**SEVERAL, "type": Path, "metavar": "PATH", "help": "same as PATH"},
-    "--out": {"default": "report", "type": Path, "metavar": "FOLDER", "help": "default: report"},
+    "--runs": {**SEVERAL, "type": Path, "metavar": "PATH", "help": "the same as PATH above"},
+    "--out": {
+        "default": "report", "type": Path, "metavar": "FOLDER",
+        "help": "folder to write; default: report",
+    },
     "--formats": {
         "nargs": "*", "default": [], "choices": ("png", "pdf", "svg"), "metavar": "FORMAT",
         "help": "also write the figures as files: png, pdf, svg",
     },
-    "--no-page": {"action": "store_true", "help": "leave out index.html"},
+    "--no-page": {"action": "store_true", "help": "do not write index.html"},
     "--thesis": {
         "action": "store_const", "const": THESIS, "default": VIEW, "dest": "view",
-        "help": "with chapter 6 of the thesis: its published numbers, tables and statements",
+        "help": "add chapter 6 of the thesis: its published numbers, tables and claims",
     },
 }  # fmt: skip
 
