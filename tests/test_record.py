@@ -73,7 +73,7 @@ def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
         (["symo_exp/Pendulum-v0", "--policy", "empty.py"], "has no function policy"),
         (["symo_exp/Pendulum-v0", "--policy", "broken.py"], "fails: division"),
         (["symo_exp/Pendulum-v0", "--policy", "wide.py"], "expected 1 finite"),
-        (["symo_exp/Pendulum-v0", "--steps", "1"], "--steps of at least 2"),
+        (["symo_exp/Pendulum-v0", "--steps", "1"], "at least 1 episode and 2 steps"),
         (["symo_exp/Pendulum-v0", "--out", "mine.txt"], "ends in .parquet or .csv"),
         (["symo_exp/Pendulum-v0", "--out", "no/where.csv"], "cannot be written"),
     ],

@@ -28,7 +28,7 @@ def add(folder: str | Path | None) -> None:
         return
     path = Path(str(folder)).expanduser().absolute()
     if not path.is_dir():
-        raise ConfigError(f"code={folder} is not a folder: it names the one with your modules")
+        raise ConfigError(f"code={folder}: no such folder; give the folder with your modules")
     if path not in _folders:
         _folders.append(path)
         sys.path.append(str(path))

@@ -56,20 +56,32 @@ def main(argv: Sequence[str]) -> int:
         prog=python_command("symo_exp", "record"),
         description="Record the motions of a Gymnasium environment as a table to learn from.",
     )
-    parser.add_argument("env", metavar="ENV", help="its name: Swimmer-v5, symo_exp/Acrobot-v0")
+    parser.add_argument(
+        "env", metavar="ENV", help="the environment, such as Swimmer-v5 or symo_exp/Acrobot-v0"
+    )
     parser.add_argument(
         "--policy",
         default="random",
         metavar="random|FILE",
         help="a .py file with policy(observation); default: random actions",
     )
-    parser.add_argument("--out", type=Path, default=Path("recording.parquet"), metavar="FILE")
-    parser.add_argument("--episodes", type=int, default=16, metavar="N")
-    parser.add_argument("--steps", type=int, default=200, metavar="N", help="of each, at most")
-    parser.add_argument("--seed", type=int, default=0, metavar="N")  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, default=Path("recording.parquet"), metavar="FILE",
+        help="a .parquet or .csv file; default: %(default)s",
+    )  # fmt: skip
+    for name, default, told in (
+        ("--episodes", 16, "number of episodes"),
+        ("--steps", 200, "largest number of steps in an episode"),
+        ("--seed", 0, "of the environment and of random actions"),
+    ):
+        told += "; default: %(default)s"
+        parser.add_argument(name, type=int, default=default, metavar="N", help=told)
     options = parser.parse_args(argv)
     if min(options.episodes, options.steps - 1) < 1:
-        raise ConfigError("record: --episodes of at least 1 and --steps of at least 2 are needed")
+        raise ConfigError(
+            f"record --episodes {options.episodes} --steps {options.steps}: expected at least 1 "
+            "episode and 2 steps"
+        )
     if options.out.suffix not in (".parquet", ".csv"):
         raise ConfigError(f"--out {options.out}: expected a file that ends in .parquet or .csv")
     env = _made(options.env)
@@ -95,8 +107,8 @@ def record_episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int
         action = np.asarray(policy(observation), dtype=np.float64)
         if action.shape != env.action_space.shape or not np.isfinite(action).all():
             raise ConfigError(
-                f"the policy gave {action.tolist()}: expected {env.action_space.shape[0]} finite "
-                "number(s)"
+                f"the policy returned {action.tolist()}: expected {env.action_space.shape[0]} "
+                "finite number(s)"
             )
         action = np.clip(action, env.action_space.low, env.action_space.high)
         observation, _, terminated, truncated, _ = env.step(action)

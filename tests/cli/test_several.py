@@ -75,7 +75,7 @@ def test_an_invalid_list_of_sweeps_is_refused(content, wanted, folder, started, 
 def test_a_sweep_of_ones_own_does_not_hide_one_that_ships(folder, started, capsys):
     (folder / "tables.yaml").write_text(ONE)
     assert main(["--config-dir", str(folder), "-cn", "tables"]) == 2
-    assert "tables.yaml has the name of a sweep that ships" in capsys.readouterr().err
+    assert "tables.yaml has the name of a sweep of symo_exp" in capsys.readouterr().err
     assert started == []
 
 

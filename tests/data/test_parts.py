@@ -168,7 +168,7 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({}, {"test": ["z"]}, "has no trajectory z; it has a, b, c, d, e"),
         ({}, {"test": ["a"], "val": ["a"]}, "trajectory a is named twice"),
         ({}, {"test": []}, "data.test=[]: expected the names"),
-        ({}, {"test": ["a"], "n_val": 1}, "leave out n_val"),
+        ({}, {"test": ["a"], "n_val": 1}, "leave out data.n_val"),
         ({"split": "val"}, {}, "no trajectory for train; its column split has val"),
         ({"split": ["train", "test"] * 20}, {}, "trajectory a is in the splits train, test"),
         ({"q_": 0.0}, {}, "system.input_matrix=null: say how the 2 input(s) (motor0, motor1)"),
@@ -177,9 +177,9 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({}, {"angular": ["leg"]}, "which of arm0, arm1 are angles?"),
         ({"u_motor2": 0.0}, {}, "such as system.input_matrix=[[0,1,0],[0,0,1]]"),
         ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
-        ({}, {"columns": {"q_arm2": "gone"}}, "has no column gone to be q_arm2"),
+        ({}, {"columns": {"q_arm2": "gone"}}, "q_arm2=gone, but"),
         ({}, {"columns": {"leg": "note"}}, "leg=note is not allowed"),
-        ({}, {"columns": {"v_a": "note", "v_b": "note"}}, "one column cannot be two"),
+        ({}, {"columns": {"v_a": "note", "v_b": "note"}}, "one column has two names"),
     ],
 )
 def test_contradictions_of_table_and_settings_are_refused(

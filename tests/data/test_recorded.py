@@ -147,7 +147,7 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
         (lambda t: t.drop(columns="v_x"), "no column v_x"),
         (lambda t: t.drop(columns="t"), "no column t"),
         (lambda t: t.drop(columns="trajectory").iloc[:9], "number trajectories apart"),
-        (lambda t: t.assign(t=2 * t["t"]), "steps by 0.1 s"),
+        (lambda t: t.assign(t=2 * t["t"]), "a sample every 0.1 s"),
         (lambda t: t[(t["t"] < 0.19) | (t["t"] > 0.32)], "nothing is left for train; train: gaps"),
         (lambda t: pd.concat([t, t.iloc[:9]]), "9 of 69 rows repeat the time of an earlier one"),
         (lambda t: t.assign(q_x=t["q_x"].where(t.index % 9 > 0)), "most of them in column q_x"),

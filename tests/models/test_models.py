@@ -280,12 +280,12 @@ def test_states_may_be_tensors_arrays_or_lists_single_or_batched(method, integra
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda m: m.step([0.0], [0.0, 0.0]), r"q has shape \(1,\); \(2\) fits a single state"),
-        (lambda m: m.step([[0.0, 0.0]] * 3, [[0.0, 0.0]] * 2), r"\(3, 2\) fits 3 states"),
-        (lambda m: m.step([0.0, 0.0], [0.0, 0.0], 1.0), r"u has shape \(\); \(1\) fits"),
-        (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], [1.0]), r"u has .*; \(nodes, 1\) fits"),
+        (lambda m: m.step([0.0], [0.0, 0.0]), r"q has shape \(1,\): expected \(2\) for a"),
+        (lambda m: m.step([[0.0, 0.0]] * 3, [[0.0, 0.0]] * 2), r"expected \(3, 2\) for 3 states"),
+        (lambda m: m.step([0.0, 0.0], [0.0, 0.0], 1.0), r"u has shape \(\): expected \(1\) for"),
+        (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], [1.0]), r"u has .*: expected \(nodes, 1\)"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=-1), "steps=-1: expected a whole"),
-        (lambda m: m.rollout("still", [0.0, 0.0], steps=1), "q is no array of numbers"),
+        (lambda m: m.rollout("still", [0.0, 0.0], steps=1), "q is not an array of numbers"),
     ],
 )
 def test_invalid_states_are_refused_in_one_line(call, said):

@@ -109,7 +109,7 @@ def test_features_that_rotations_lack_are_refused_in_one_line() -> None:
     system = stated("rigid_body")
     model = model_of(system, "variational")
     q, v, _ = system.points(2, seed=0)
-    with pytest.raises(ConfigError, match="intervals are of lengths and angles"):
+    with pytest.raises(ConfigError, match="intervals are computed for lengths and angles"):
         model.rollout_interval(q, v, steps=2)
     field = model_of(system, "explicit").flow.field  # type: ignore[union-attr]
     with pytest.raises(ConfigError, match=r"model\.sensitivity=adjoint"):

@@ -206,7 +206,7 @@ DETOUR = "symo_exp.systems.mujoco_library.os.mkdir"
         ),
         (
             lambda c: c["model"].update(root="${oc.create:{_target_: os.mkdir, path: harm}}"),
-            "holds an unresolved setting",
+            "contains an unresolved setting",
         ),
         (lambda c: c.pop("model"), "it has no model"),
         (lambda c: c.update(system=3), "it has no system"),

@@ -173,7 +173,7 @@ def test_motions_end_at_a_joint_limit(caplog: pytest.LogCaptureFixture) -> None:
         assert len(one.q) == 34 or not -2 <= entire.q[len(one.q), 2] <= 1
     assert found["end"].integration.q.shape[1] >= 3
     assert f"{sum(x < 34 for x in lengths)} of 6 train" in caplog.text
-    assert "motions are converged" in caplog.text
+    assert "motions have the accuracy of data.solver" in caplog.text
 
 
 def test_a_trained_run_needs_neither_file_nor_mujoco(
@@ -207,7 +207,7 @@ MALFORMED = {
     ),
     "a push in world axes": (
         mjcf('<body><freejoint name="hull"/><geom size="1"/></body>',
-             MOTOR.format('<motor name="p" joint="hull" gear="0 1 0 0 0 0"/>')), "p pushes a free",
+             MOTOR.format('<motor name="p" joint="hull" gear="0 1 0 0 0 0"/>')), "p acts on a free",
     ),
     "a torque in axes of the parent": (
         mjcf('<body><joint type="ball" name="b"/><geom size="1"/></body>',
@@ -227,13 +227,13 @@ MALFORMED = {
     "a site's motor": (
         mjcf(HINGE.replace("</body>", '<site name="p"/></body>'),
              MOTOR.format('<motor site="p"/>')),
-        "on no free body",
+        "not on a free body",
     ),
     "a weak motor": (mjcf(HINGE, MOTOR.format(
         '<motor name="w" joint="arm" ctrlrange="-9 9" forcerange="-1 1"/>')), "w has a forcerange"),
     "a weak joint": (
         mjcf(HINGE.replace('"arm"', '"arm" actuatorfrcrange="-1 1"'),
-             MOTOR.format('<motor joint="arm" gear="5"/>')), "arm: actuatorfrcrange",
+             MOTOR.format('<motor joint="arm" gear="5"/>')), "exceed actuatorfrcrange",
     ),
     "floating": (mjcf(HINGE.replace("<body>", '<body gravcomp="1">')), "gravity compensation"),
     "wind": (mjcf(HINGE, option='<option wind="1 0 0" density="1"/>'), "wind"),

@@ -50,7 +50,7 @@ def test_errors_of_a_run_are_raised(workplace, monkeypatch):
     for words, said in {
         ("modle=symo",): "modle",
         ("model=symo", "integrator=rk4"): "integrator=midpoint",
-        ("--cfg", "job"): "not start a run",
+        ("--cfg", "job"): "starts a run",
         ("data.n_traj",): "not a setting",
     }.items():
         with pytest.raises(ConfigError, match=said):

@@ -25,7 +25,7 @@ CHECK_ONLY = "hydra.sweeper.check_only=true"
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise ConfigError(f"{message}; -h shows what can be typed")
+        raise ConfigError(f"{message}; -h lists all options")
 
 
 class Command:
@@ -71,7 +71,7 @@ class Command:
         folders = [SWEEPS] if self.folder is None else [SWEEPS, self.folder]
         files = [f for folder in folders if (f := folder / f"{self.name}.yaml").is_file()]
         if len(files) > 1:
-            raise ConfigError(f"{files[1]} has the name of a sweep that ships; rename it")
+            raise ConfigError(f"{files[1]} has the name of a sweep of symo_exp; rename it")
         if not files or not self.runs:
             return []
         (file,) = files

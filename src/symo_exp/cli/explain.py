@@ -30,7 +30,7 @@ TWICE = re.compile(r"Multiple values for (\S+)\. |(\S+) appears more than once i
 def explained(error: BaseException) -> ConfigError:
     """Return an error of a command or a configuration file as a ``ConfigError``."""
     if isinstance(error, RecursionError):
-        return ConfigError("a configuration file refers to itself")
+        return ConfigError("a configuration file refers to itself, by an anchor or in its defaults")
     if isinstance(error, UnicodeDecodeError):
         return ConfigError(f"a configuration file is not UTF-8 text: {error}")
     cause: BaseException | None = error
@@ -62,6 +62,6 @@ def _unknown_choice(file: str, options: Sequence[str] | None) -> ConfigError:
     options = options or sorted(choice.stem for choice in (CONF / group).glob("*.yaml"))
     for prefix, (needed, extra) in EXTRAS.items():
         if group.startswith("hydra/") and value.startswith(prefix) and needed not in options:
-            return ConfigError(f"{group}={value} needs more: {install_command(extra)}")
+            return ConfigError(f"{group}={value} needs a package: {install_command(extra)}")
     hint = did_you_mean(value, options)
     return ConfigError(f"{group}={value} is not a choice; possible: {', '.join(options)}{hint}")

@@ -36,7 +36,7 @@ def ended(splits: Splits, ends: Sequence[Range]) -> tuple[Splits, str]:
         if max(len(one.q) for one in part) < FEWEST:
             raise ConfigError(
                 f"joint limits end every motion of data.n_{name} before its third node; "
-                "system.limits=off lifts them, a narrower system.box keeps away from them"
+                "set system.limits=off or choose a narrower system.box"
             )
     before = {name: getattr(splits, name) for name in parts}
     counts = ", ".join(

@@ -99,7 +99,7 @@ def files(path: Location) -> list[Path]:
     if not file.exists() and glob.has_magic(str(file)):
         found = [Path(one) for one in sorted(glob.glob(str(file), recursive=True))]
         if not found:
-            raise ConfigError(f"{shown(path)}: no file matches")
+            raise ConfigError(f"{shown(path)}: no file matches this pattern")
         return [one for match in found for one in files(match)]
     if file.suffix not in (*TABLES, *TEXT):
         mend = "; save the sheet as CSV" if file.suffix in SPREADSHEETS else ""

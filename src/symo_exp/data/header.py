@@ -96,7 +96,7 @@ def header_of(path: Location, file: Path, columns: Mapping[str, str] | None) -> 
             "t,q_arm,u_motor"
         )
     if twice := sorted({name for name in found if found.count(name) > 1}):
-        raise ConfigError(f"{where}: column {', '.join(twice)} is there more than once")
+        raise ConfigError(f"{where}: column {', '.join(twice)} occurs twice; rename one of the two")
     new, unit, notes = renamed(where, found, columns)
     if not names("q", new):
         raise ConfigError(
@@ -146,7 +146,8 @@ def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None
     for theirs, ours in new.items():
         if theirs not in found:
             raise ConfigError(
-                f"data.columns: {where} has no column {theirs} to be {ours}; it has {few(found)}"
+                f"data.columns: {ours}={theirs}, but {where} has no such column; it has "
+                f"{few(found)}"
             )
         if ours not in OTHERS and not re.fullmatch(r"[qvu]_.+", ours):
             raise ConfigError(
@@ -154,7 +155,7 @@ def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None
                 f"{', '.join(OTHERS)}, q_<name>, v_<name>, u_<name>"
             )
     if len(new) < len(columns):
-        raise ConfigError(f"data.columns={dict(columns)}: one column cannot be two")
+        raise ConfigError(f"data.columns={dict(columns)}: one column has two names; give it one")
     return new
 
 

@@ -55,7 +55,9 @@ def divided(
     counted = n_val is not None or n_test is not None
     listed = {part: _labels(part, labels) for part, labels in named.items() if labels is not None}
     if listed and counted:
-        raise ConfigError(f"data.{next(iter(listed))} names trajectories: leave out n_val, n_test")
+        raise ConfigError(
+            f"data.{next(iter(listed))} names trajectories: leave out data.n_val and data.n_test"
+        )
     if listed:
         parts = _by_name(where, recordings, listed)
     elif not counted and any(r.part for r in recordings):

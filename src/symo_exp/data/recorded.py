@@ -299,15 +299,15 @@ class Nodes:
             samples = self._resampled(samples, h)
             if len(samples.t) < 3:
                 raise ConfigError(
-                    f"{where} lasts for {len(samples.t)} node(s) at system.time_step={h:g}; "
-                    "a sample needs 3"
+                    f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; "
+                    "at least 3 are needed"
                 )
         q, u = samples.q, samples.u
         v = samples.v
         if v is None:
             v = central_differences(torch.tensor(q), h, self._coordinates.space).numpy()
         if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
-            raise ConfigError(f"{where} has numbers so large that their differences overflow")
+            raise ConfigError(f"{where}: differences of numbers overflow; remove such numbers")
         return Trajectory(*(torch.tensor(field) for field in (q, v, u)))
 
     def _resampled(self, samples: Samples, h: float) -> Samples:
@@ -329,8 +329,8 @@ class Nodes:
             if not abs(size[worst] - 1.0) <= UNIT:
                 raise ConfigError(
                     f"{where}: q_{name}_w, q_{name}_x, q_{name}_y, q_{name}_z have the norm "
-                    f"{size[worst]:.6g} in row {worst + 1}; a unit quaternion is wanted, "
-                    f"to {UNIT:g}"
+                    f"{size[worst]:.6g} in row {worst + 1}; expected a unit quaternion, to within "
+                    f"{UNIT:g}"
                 )
         if not coordinates.rotations:
             return samples
@@ -375,8 +375,8 @@ def _check_steps(where: str, t: np.ndarray, h: float) -> None:
     usual = float(np.median(np.diff(t)))
     if usual > h * (1 + TIME_TOLERANCE):
         raise ConfigError(
-            f"{where} steps by {usual:.6g} s, but system.time_step={h:g}, which may not be finer "
-            f"than the recording; set system.time_step={usual:.3g} or more"
+            f"{where} has a sample every {usual:.6g} s, and system.time_step={h:g} may not be "
+            f"shorter; set system.time_step={usual:.3g} or more"
         )
 
 

@@ -147,7 +147,7 @@ class Columns(NamedTuple):
         """Yield the trajectories of a table."""
         for column in {"trajectory", "split"} & set(table.columns):
             if table[column].isna().any():
-                raise ConfigError(f"{self.where}: rows without a {column}")
+                raise ConfigError(f"{self.where}: rows without a {column}; give each row one")
         groups = [("", table)] if "trajectory" not in table else _groups(table)
         for label, rows in groups:
             order = np.argsort(rows["t"].to_numpy(), kind="stable")
@@ -292,8 +292,8 @@ def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.Da
     if again.mean() > DROPPED:
         at = table["t"].iloc[int(np.argmax(again))]
         raise ConfigError(
-            f"{where}: {told}, first t={at:.6g}; at most {100 * DROPPED:g} % are left out: number "
-            "recordings apart in the column trajectory"
+            f"{where}: {told}, first t={at:.6g}; at most {100 * DROPPED:g} % are left out: give "
+            "each recording a number of its own in the column trajectory"
         )
     notes.append(f"{told} and are left out")
     return table[~again]
@@ -302,12 +302,12 @@ def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.Da
 def _check_times(where: str, t: np.ndarray) -> None:
     """Refuse a clock that was set back: that is a second recording."""
     if len(t) < 3:
-        raise ConfigError(f"{where} has {len(t)} node(s); a sample needs 3")
+        raise ConfigError(f"{where} has {len(t)} node(s); at least 3 are needed")
     back = np.flatnonzero(np.diff(t) < 0)
     if 0 < len(back) < len(t) / 4:
         raise ConfigError(
-            f"{where} goes back in time after t={t[back[0]]:.6g}; number recordings apart in the "
-            "column trajectory, or sort the rows by t"
+            f"{where} goes back in time after t={t[back[0]]:.6g}; give each recording a number "
+            "of its own in the column trajectory, or sort the rows by t"
         )
 
 

@@ -38,7 +38,7 @@ def check_fit(reference: Reference, n: int, m: int) -> None:
         reason = str(error).partition("\n")[0]
     raise ConfigError(
         f"reference: {type(reference).__name__} does not fit a system of {n} coordinate(s) and "
-        f"{m} input(s) ({reason}); choose that of the machine, or reference=none"
+        f"{m} input(s) ({reason}); choose the one of this machine, or reference=none"
     )
 
 

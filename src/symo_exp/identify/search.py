@@ -487,8 +487,8 @@ def _by_key(overrides: Sequence[str]) -> dict[str, str]:
     for override in OverridesParser.create().parse_overrides(list(overrides)):
         if override.is_sweep_override():
             raise ConfigError(
-                f"{override.input_line}: a search has one value for each setting; its candidates "
-                "are its own"
+                f"{override.input_line}: a search takes one value for each setting, and chooses "
+                "its candidates itself"
             )
         line = override.input_line
         assert line is not None

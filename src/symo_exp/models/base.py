@@ -157,7 +157,9 @@ class DynamicsModel(nn.Module):
             ``lower`` and ``upper``, (B, T+1, n), or (T+1, n) from a single state.
         """
         if self.flow.space.rotations:
-            raise ConfigError("intervals are of lengths and angles, and this model has rotations")
+            raise ConfigError(
+                "intervals are computed for lengths and angles only, and this model has rotations"
+            )
         given = Inputs(self.input_matrix, q0, self.flow.space)
         v, controls = given.state("v0", v0), given.controls(u, steps)
         found = interval(self.flow, self.posterior, given.q, v, controls, level)

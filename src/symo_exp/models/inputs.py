@@ -81,7 +81,7 @@ class Inputs:
             return found.to(self._like)
         except (TypeError, ValueError, RuntimeError) as error:
             reason = str(error).partition("\n")[0]
-            raise ConfigError(f"{name} is no array of numbers: {reason}") from None
+            raise ConfigError(f"{name} is not an array of numbers: {reason}") from None
 
     def _read(self, name: str, given: Array, *shape: int | str) -> Tensor:
         """Return numbers of a shape, in which a size given by a name may be any."""
@@ -90,5 +90,5 @@ class Inputs:
         if x.ndim != len(wanted) or list(x.shape) != sizes:
             kind = "a single state" if self.single else f"{wanted[0]} states"
             fits = ", ".join(map(str, wanted))
-            raise ConfigError(f"{name} has shape {tuple(x.shape)}; ({fits}) fits {kind}")
+            raise ConfigError(f"{name} has shape {tuple(x.shape)}: expected ({fits}) for {kind}")
         return x.unsqueeze(0) if self.single else x

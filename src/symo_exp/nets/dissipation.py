@@ -59,7 +59,7 @@ class LearnedDissipation(nn.Module, Dissipation):
             raise ConfigError(f"dissipation.joints={joints}: expected own or neighbours")
         for name, value in (("rest_velocity", rest_velocity), ("start", start)):
             if not value > 0.0:
-                raise ConfigError(f"dissipation.{name}={value}: expected above 0")
+                raise ConfigError(f"dissipation.{name}={value}: expected a number above 0")
         n = coordinates.n
         found = torch.eye(n)
         if joints == "neighbours":
@@ -242,11 +242,11 @@ class MachineFriction(LearnedDissipation):
         if not 0.0 < least_rest_velocity <= rest_velocity:
             raise ConfigError(
                 f"dissipation.least_rest_velocity={least_rest_velocity}: "
-                f"expected above 0, at most rest_velocity={rest_velocity}"
+                f"expected a number above 0, at most rest_velocity={rest_velocity}"
             )
         if not stribeck_velocity > 0.0:
             raise ConfigError(
-                f"dissipation.stribeck_velocity={stribeck_velocity}: expected above 0"
+                f"dissipation.stribeck_velocity={stribeck_velocity}: expected a number above 0"
             )
         self._least_rest = least_rest_velocity / rest_velocity
         self._stribeck_velocity = stribeck_velocity

@@ -112,9 +112,9 @@ class LearnedBodyDrag(nn.Module, Dissipation):
         super().__init__()
         require_one_body(coordinates, "dissipation=body_drag", "dissipation=viscous")
         if not start > 0.0:
-            raise ConfigError(f"dissipation.start={start}: expected above 0")
+            raise ConfigError(f"dissipation.start={start}: expected a number above 0")
         if not radius > 0.0:
-            raise ConfigError(f"dissipation.radius={radius}: expected above 0 m")
+            raise ConfigError(f"dissipation.radius={radius}: expected a number above 0 m")
         self._triangle = Triangle(3)
         self._matrices = 2 * coordinates.n // 3
         units = torch.ones(coordinates.n // 3, 1, 1)

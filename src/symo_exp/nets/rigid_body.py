@@ -66,7 +66,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
                 f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
         if not radius > 0.0:
-            raise ConfigError(f"lagrangian.radius={radius}: expected above 0 m")
+            raise ConfigError(f"lagrangian.radius={radius}: expected a number above 0 m")
         if input_width and not learned_inputs:
             raise ConfigError(
                 f"lagrangian.input_width={input_width}: a network for the input matrix needs the "

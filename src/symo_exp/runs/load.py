@@ -87,7 +87,7 @@ def _read_weights(path: Path) -> dict[str, torch.Tensor]:
     if not isinstance(weights, dict) or not any(
         isinstance(value, torch.Tensor) and value.is_floating_point() for value in weights.values()
     ):
-        raise ConfigError(f"{path} holds no weights")
+        raise ConfigError(f"{path} contains no weights")
     return weights
 
 
@@ -101,7 +101,7 @@ def _check(node: Any, folder: Path) -> None:
             code.locate(node["_target_"], f"{folder}: _target_", code.MODELS)
         node = list(node.values())
     if isinstance(node, str) and "${" in node:
-        raise ConfigError(f"{folder} holds an unresolved setting, {node!r}")
+        raise ConfigError(f"{folder} contains an unresolved setting, {node!r}")
     if isinstance(node, list):
         for value in node:
             _check(value, folder)

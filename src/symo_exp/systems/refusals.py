@@ -20,9 +20,9 @@ def refusals(model: Any) -> Iterator[str]:
         if joint_kind(model, i) in ("ball", "free") and model.jnt_stiffness[i]:
             yield f"joint {joint_name(model, i)}: springs of ball and free joints are not supported"
     if model.njnt == 0:
-        yield "it has no joints, and nothing moves"
+        yield "it has no joints; give a model with joints"
     if model.neq and model.eq_active0.any():
-        yield f"{int(model.eq_active0.sum())} equality constraint(s); take them out of the model"
+        yield f"{int(model.eq_active0.sum())} equality constraint(s) are not supported; remove them"
     for count, what in (
         ("ntendon", "tendon"), ("nflex", "flexible body"), ("nplugin", "plugin"),
         ("nplastic", "plastic spring"), ("ngravcomp", "body with gravity compensation"),
@@ -34,7 +34,7 @@ def refusals(model: Any) -> Iterator[str]:
         if np.any(getattr(model, name, 0)):
             yield f"{name} is not zero: only linear springs and dampers are supported"
     if model.opt.wind.any():
-        yield "wind is not supported; the fluid has to be still"
+        yield "wind is not supported; remove it"
     if model.geom_fluid[:, 0].any() and (model.opt.density or model.opt.viscosity):
         yield "fluidshape=ellipsoid is not supported; use fluidshape=none"
     yield from _actuators(model, mj)
@@ -44,20 +44,20 @@ def _actuators(model: Any, mj: Any) -> Iterator[str]:
     if getattr(model, "nactuator", model.nu) != model.nu:
         yield "an actuator has several controls; only one each is supported"
     if model.nu and model.opt.disableactuator:
-        yield "actuators are disabled by their group; take them out of the model"
+        yield "actuators disabled by their group are not supported; remove them"
     own, parent = int(mj.mjtTrn.mjTRN_JOINT), int(mj.mjtTrn.mjTRN_JOINTINPARENT)
     for i in range(model.nu):
         name, kind = f"actuator {actuator_name(model, i)}", int(model.actuator_trntype[i])
         if (site := site_of(model, i)) is not None:
             if model.actuator_trnid[i, 1] >= 0 or free_joint(model, site) is None:
-                yield f"{name} acts at a site that is on no free body, or refers to another one"
+                yield f"{name} acts at a site that is not on a free body, or has a reference site"
         elif kind not in (own, parent):
-            yield f"{name} acts on no joint; motors at joints or sites are supported"
+            yield f"{name} does not act on a joint; only motors at joints or sites are supported"
         elif (joint := joint_kind(model, model.actuator_trnid[i, 0])) in ("ball", "free"):
             if kind == parent:
                 yield f"{name}: torques of {joint} joints act in their own axes; use joint="
             elif joint == "free" and model.actuator_gear[i, :3].any():
-                yield f"{name} pushes a free body in world axes; let it act at a site of the body"
+                yield f"{name} acts on a free body in world axes; let it act at a site of the body"
         if (model.actuator_gaintype[i], model.actuator_biastype[i]) != (0, 0):
             yield f"{name} is not a motor (force proportional to its control)"
         strongest = abs(model.actuator_gainprm[i, 0]) * controls(model, i)
@@ -66,23 +66,23 @@ def _actuators(model: Any, mj: Any) -> Iterator[str]:
     for j in np.flatnonzero(model.jnt_actfrclimited).tolist():
         strongest = _range_of_force(model, model.jnt_dofadr[j])
         if not _within(strongest, model.jnt_actfrcrange[j]):
-            yield f"joint {joint_name(model, j)}: actuatorfrcrange is less than its motors give"
+            yield f"joint {joint_name(model, j)}: its motors exceed actuatorfrcrange; raise it"
 
 
 def notes(model: Any) -> Iterator[str]:
     """Yield a line for each feature of a model that is switched off or handled differently."""
     pairs = _touching(model)
     if pairs:
-        yield f"contacts are switched off ({pairs} pair(s) of geoms could touch)"
+        yield f"contacts are ignored ({pairs} pair(s) of geoms could touch)"
     kinds = ("Euler", "RK4", "implicit", "implicitfast")
     integrator = int(model.opt.integrator)
     name = kinds[integrator] if integrator < len(kinds) else str(integrator)
-    yield f"motions are converged, not stepped by {name} at {model.opt.timestep:g} s"
+    yield f"motions have the accuracy of data.solver, not of {name} at {model.opt.timestep:g} s"
     for i in np.flatnonzero(model.jnt_limited).tolist():
         if joint_kind(model, i) == "ball":
-            yield f"the range of the ball joint {joint_name(model, i)} is switched off"
+            yield f"the range of the ball joint {joint_name(model, i)} is ignored"
     if model.dof_frictionloss.any():
-        yield "dry friction is smoothed about standstill (system.rest_velocity)"
+        yield "dry friction is smoothed around zero velocity (system.rest_velocity)"
 
 
 def joint_kind(model: Any, i: int) -> str:

@@ -37,9 +37,9 @@ class Copies:
         if system.box is None:
             n, m = system.input_matrix.shape
             raise ConfigError(
-                f"where do the states of {type(system).__name__} start, and how far do its inputs "
-                f"go? Give box=dict(q=..., v=..., u=...), a list of [low, high] for each of the "
-                f"{n} coordinate(s) and {m} input(s)"
+                f"the ranges of states and inputs of {type(system).__name__} are not known: give "
+                f"box=dict(q=..., v=..., u=...), a list of [low, high] for each of the {n} "
+                f"coordinate(s) and {m} input(s)"
             )
         self.system, self.box = system, system.box
         self._motion, self._reward = motion, reward or potential_reward(system)

@@ -236,7 +236,9 @@ def environment(
             "symo_exp.load gives it"
         )
     if system is None:
-        raise ConfigError("the system of this model is not known: environment(model, system=...)")
+        raise ConfigError(
+            "the system of this model is not known: give it, environment(model, system=...)"
+        )
     if box is not None:
         system = dataclasses.replace(system, box=box)
     options = {"max_episode_steps": MAX_EPISODE_STEPS, **options}

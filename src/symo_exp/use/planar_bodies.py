@@ -105,8 +105,8 @@ def _read(links: PlanarLinks, coordinates: Coordinates) -> _Learned:
     slides = n - sum(angular)
     if slides > 1 or any(angular[:slides]):
         raise ConfigError(
-            "lagrangian=planar does not know the order of several slides, or what a slide after a "
-            "hinge moves, which .xml and .urdf require; learn with lagrangian=rigid"
+            "lagrangian=planar does not determine the order of several slides, or which bodies a "
+            "slide after a hinge moves, as .xml and .urdf require; learn with lagrangian=rigid"
         )
     x, y = links.points.detach().double().view(n, 2, n).unbind(1)
     points = torch.complex(x, y)
@@ -156,8 +156,8 @@ def _require_rigid(
     if max(apart) > AGREEMENT:
         raise ConfigError(
             f"the learned links differ from rigid bodies by {max(apart):.1g} of their inertia or "
-            "weight: three joints or more of lagrangian=planar can, and a file of rigid bodies "
-            "cannot; learn with lagrangian=rigid, or write .pt2"
+            "weight, which is possible with three or more joints of lagrangian=planar; learn with "
+            "lagrangian=rigid, or write .pt2"
         )
 
 

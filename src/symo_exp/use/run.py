@@ -83,7 +83,7 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
         [*words, *(f"{key}={override_value(value)}" for key, value in settings.items())]
     )
     if not command.runs:
-        raise ConfigError(f"{' '.join(command.options)} does not start a run")
+        raise ConfigError(f"{' '.join(command.options)}: expected a command that starts a run")
     with watched() as folders:
         try:
             codes = [one.execute() for one in command.several() or [command]]
