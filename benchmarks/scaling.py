@@ -1,4 +1,4 @@
-"""`python -m benchmarks.scaling`: how a training step's cost grows.
+"""`python -m benchmarks.scaling`: growth of the cost of a training step.
 
 Time per optimiser step of the project against batch, width and number of coordinates, one series
 a method, with the exponent of a power law fitted to the upper half of each series; and the peak

@@ -181,7 +181,7 @@ def table(folder: Path) -> str:
             done = pd.concat([done, pd.DataFrame([found])], ignore_index=True)
             done.to_csv(file, index=False)
     lines = [
-        "| | | upright | off the plan, median | learned | planned |",
+        "| | | upright | deviation from plan, median | learning | planning |",
         "|---|---|---|---|---|---|",
     ]
     for (system, method), rows in done.groupby(["system", "model"], sort=False):
@@ -196,11 +196,15 @@ def table(folder: Path) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--system", choices=TASKS, default="cartpole")
-    parser.add_argument("--model", choices=LEARN, default="symo")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--system", choices=TASKS, default="cartpole", help="default: %(default)s")
+    parser.add_argument(
+        "--model", choices=LEARN, default="symo", help="method; default: %(default)s"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of recordings and weights; default: %(default)s"
+    )
     parser.add_argument("--animation", type=Path, help="file to write, .webp or .gif")
-    parser.add_argument("--table", type=Path, help="folder for the table of all trials")
+    parser.add_argument("--table", type=Path, help="run all trials; folder of their table")
     given = parser.parse_args()
     if given.table is not None:
         print(table(given.table))

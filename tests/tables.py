@@ -48,7 +48,7 @@ def systems() -> dict[str, Any]:
 
 
 def arguments_of(system: Any) -> dict[str, Any]:
-    """What every model is told of a system."""
+    """Arguments from a system that every model takes."""
     return {
         "coordinates": system.coordinates,
         "input_matrix": system.input_matrix,

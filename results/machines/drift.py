@@ -1,4 +1,4 @@
-"""Whether a fit to the error over long pieces drifts less, on motions that it has not seen.
+"""Measure the drift of a model fitted to the error over long pieces, on other motions.
 
     python results/machines/drift.py halves FILE FOLDER
     python results/machines/drift.py refine RUN EPOCHS

@@ -1,4 +1,4 @@
-"""How much faster rollouts are that solve ten steps at once, and how much they differ.
+"""Compare the time and the results of rollouts that solve ten steps at once, or one by one.
 
     python results/machines/stretches.py RUN
 

@@ -31,7 +31,7 @@ RATE = 0.005  # s between the rows of the recording
 AXES = [[0, 0, 1], [0, 1, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0], [0, 0, 1]]
 PLACES = [[0, 0, 0], [0, 0.035, 0], [0, 0, 0.225], [0, 0, 0.225], [0, 0, 0], [0, 0, 0.065]]
 DRIVES = torch.cat((torch.eye(6), torch.tensor([[0.0, 0, 0, 0, 1, 1]]))).double()
-"""What turns in the drives: each joint, and the gears of motor 6."""
+"""Velocities of the drives from those of the joints: each joint, and the gears of motor 6."""
 
 
 class Samples(NamedTuple):

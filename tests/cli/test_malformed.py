@@ -35,7 +35,7 @@ YAML = {
     "dangling": (NODE + "net: ${nowhere}\n", "'nowhere' not found"),
     "circle": (NODE + "net: ${model.integrator}\nintegrator: ${model.net}\n", "model.net"),
 }
-"""What a file of a model holds, and words of the refusal."""
+"""Contents of a model file, and words of the refusal."""
 FOLDER = "is not the name of a folder"
 BELOW = "names a folder below output_dir"
 FILES = "expected a file that ends in .csv"
