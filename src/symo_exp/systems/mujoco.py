@@ -84,7 +84,9 @@ def environment_mechanism(name: str) -> dict[str, Any]:
         except Exception as error:  # an environment is anybody's code
             raise ConfigError(f"{where}: Gymnasium cannot make it: {single_line(error)}") from None
         if not isinstance(model, library().MjModel):
-            raise ConfigError(f"{where} is not an environment with a MuJoCo model")
+            raise ConfigError(
+                f"{where} is not an environment with a MuJoCo model; give one, such as Swimmer-v5"
+            )
         return _with(of_model(model, where), warnings)
 
 
