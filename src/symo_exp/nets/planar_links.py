@@ -40,8 +40,9 @@ from symo_exp.nets.affine import repeated
 from symo_exp.nets.embedding import directions, require_flat
 from symo_exp.nets.roles import mark, mark_squares
 
-POINTS, POTENTIAL = 0.1, 0.01
-"""Sizes of ``G`` and ``w`` at the start of training, relative to ``o`` and ``o²``."""
+TURNING, UNLIKE, ROTOR, POTENTIAL = 0.01, 0.1, 0.1, 0.01
+"""At the start of training: the share of ``o²`` in the inertia, and the sizes of differences of
+``G`` from a chain, of ``ρ`` and of ``w``, relative to the inertia or its root."""
 
 
 class _Links(NamedTuple):
@@ -100,6 +101,9 @@ class PlanarLinks(nn.Module, Lagrangian):
 
     Parameters are the velocities ``G`` of ``n`` points, the roots ``o`` and ``ρ`` of inertias, and
     the potential's ``w``, at most ``2n² + 4n`` numbers. Any have a positive definite inertia.
+    Training starts near a chain of equal links with equal masses at their ends, parallel at zero:
+    fits from independent links, or with parameters that are shrunk to zero first, take longer or
+    end at another minimum.
 
     Args:
         coordinates: The coordinates; angles are hinges, others slides.
@@ -131,10 +135,12 @@ class PlanarLinks(nn.Module, Lagrangian):
         ):
             self.register_buffer(name, constant, persistent=False)
         root = math.sqrt(initial_inertia)
-        self.points = nn.Parameter(POINTS * root * torch.randn(2 * n * n))
-        self.inertias = nn.Parameter(torch.full((n,), root))
+        ends = math.sqrt((1.0 - TURNING) * 2 / (n + 1)) * torch.ones(n, n).triu()
+        chain = torch.cat((ends, torch.zeros(n, n)), dim=1).flatten()
+        self.points = nn.Parameter(root * (chain + UNLIKE * torch.randn(2 * n * n)))
+        self.inertias = nn.Parameter(torch.full((n,), math.sqrt(TURNING) * root))
         self.weights = nn.Parameter(POTENTIAL * initial_inertia * torch.randn(2 * n))
-        rotors = torch.full((len(self.joints),), POINTS * root)
+        rotors = torch.full((len(self.joints),), ROTOR * root)
         self.rotors = nn.Parameter(rotors) if len(rotors) else None
         for squared in (self.inertias, self.rotors):
             if squared is not None:
