@@ -45,6 +45,15 @@ def test_ties_go_to_the_simpler(simple, complicated, chosen):
     assert best.candidate.rank == chosen
 
 
+def test_scatter_does_not_make_a_candidate_a_tie_that_is_worse_than_a_simpler_one():
+    steady, scattered, best = [0.011] * 4, [0.01, 0.01, 0.01, 0.09], [0.0105, 0.01, 0.01, 0.01]
+    trials = [trial(1, steady), trial(2, scattered), trial(3, best)]
+    chosen = choose(trials, range(4))
+    assert chosen is not None
+    assert chosen.candidate.rank == 3
+    assert not beats(trials[2].errors, trials[1].errors, range(4))
+
+
 def test_a_candidate_that_failed_or_has_not_all_folds_is_not_chosen():
     whole = trial(3, [1.0, 1.0])
     assert choose([trial(1, [0.1]), trial(2, [0.1, 0.1], {2: "boom"}), whole], range(2)) is whole

@@ -72,14 +72,17 @@ def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
     """Return the simplest of the trials that the best one does not beat for certain.
 
     One beats another if the mean over the folds of the difference of the logarithms of their
-    errors exceeds one standard error of this mean.
+    errors exceeds one standard error of this mean. Trials with a larger mean error than a simpler
+    one do not compete: if they are not beaten for certain, their errors scatter.
     """
     complete = [t for t in trials if not t.failed and all(k in t.errors for k in folds)]
-    if not complete:
+    complete.sort(key=lambda t: (t.candidate.rank, t.mean(folds)))
+    means = [t.mean(folds) for t in complete]
+    useful = [t for k, t in enumerate(complete) if means[k] <= min(means[: k + 1])]
+    if not useful:
         return None
-    best = min(complete, key=lambda t: t.mean(folds))
-    tied = [t for t in complete if not beats(best.errors, t.errors, folds)]
-    return min(tied, key=lambda t: (t.candidate.rank, t.mean(folds)))
+    best = useful[-1]
+    return next(t for t in useful if not beats(best.errors, t.errors, folds))
 
 
 def beats(one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]) -> bool:
