@@ -22,21 +22,21 @@ class Falling:
         return second - H**2 * (theta[:, :1] * windows.u + theta[:, 1:2])
 
 
-def motions(sigma, tau, count=3, seed=0):
+def motions(sigma, tau, count=3, seed=0, nodes=NODES):
     generator = torch.Generator().manual_seed(seed)
     found = []
     for k in range(count):
-        t = H * torch.arange(NODES).double()
+        t = H * torch.arange(nodes).double()
         u = torch.sin((1.0 + k) * t)
-        q, v = torch.zeros(NODES).double(), 0.3
-        for i in range(1, NODES):
+        q, v = torch.zeros(nodes).double(), 0.3
+        for i in range(1, nodes):
             kick = (
                 H**2 * (2.0 * u[i - 1] - 0.5) + tau * torch.randn(1, generator=generator).double()
             )
             step = (q[i - 1] - q[i - 2] if i > 1 else H * v) + kick
             q[i] = q[i - 1] + step
-        y = q + sigma * torch.randn(NODES, generator=generator).double()
-        found.append(Trajectory(y[:, None], torch.zeros(NODES, 1).double(), u[:, None]))
+        y = q + sigma * torch.randn(nodes, generator=generator).double()
+        found.append(Trajectory(y[:, None], torch.zeros(nodes, 1).double(), u[:, None]))
     return found
 
 
@@ -59,7 +59,7 @@ def test_the_covariance_is_that_of_estimates(epsilon):
     """The scatter of estimates from many sets of noise is that of one posterior."""
     sigma, tau, estimates, covariances = 1e-2, 1e-3, [], []
     for seed in range(40):
-        data = motions(sigma, tau, count=1, seed=seed)
+        data = motions(sigma, tau, count=1, seed=seed, nodes=100)
         problem = Falling()
         with torch.no_grad():  # residuals are linear: one step is the estimate
             problem.theta.copy_(_estimate(problem, data, epsilon))
