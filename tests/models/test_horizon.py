@@ -145,7 +145,7 @@ def test_a_pendulum_is_recovered_from_noisy_configurations(method, optimizer):
 def test_outliers_hardly_change_the_estimate():
     """Least squares are misled by them."""
     without, robust, squares = (
-        identified("l_node", "gauss_newton", **kind)
+        identified("e2e_symo", "gauss_newton", **kind)
         for kind in ({}, {"outliers": 0.3}, {"outliers": 0.3, "huber": None})
     )
     assert (robust - without).abs().max() < 0.2 * (squares - without).abs().max()

@@ -21,21 +21,21 @@ TIGHT = Solver("DOP853", rtol=1e-12, atol=1e-13)
 
 
 @every_system
-@pytest.mark.parametrize("scale", [0.0, 1.0])
-def test_work_of_the_input_is_the_energy_gained(name: str, scale: float) -> None:
-    """Under a constant input ``ΔE = (B u)ᵀ Δq``; without one, energy is conserved."""
+def test_work_of_the_input_is_the_energy_gained(name: str) -> None:
+    """Under a constant input ``ΔE = (B u)ᵀ Δq``; without one, energy is conserved.
+
+    A constant torque in body axes has no potential.
+    """
     system = SYSTEMS[name]
     q, v, u = points(system, 2)
-    u = scale * u
+    u[: None if system.space.rotations else 1] = 0.0
     path = simulate(system, q, v, u, 20, Solver())
     energy = along(system.energy, path.q, path.v)
     kinetic = along(system.kinetic, path.q, path.v)
-    if system.space.rotations and scale:
-        pytest.skip("a constant torque in body axes has no potential")
     way = system.space.along(path.q) - system.space.along(path.q)[:, :1]
     work = ((u @ system.input_matrix.T).unsqueeze(1) * way).sum(-1)
     torch.testing.assert_close(energy - energy[:, :1], work, rtol=1e-7, atol=1e-7)
-    assert (kinetic - kinetic[:, :1]).abs().max() > 1e-2  # it did move
+    assert (kinetic - kinetic[:, :1]).abs().amax(1).min() > 1e-2  # they did move
 
 
 def alone(system: LagrangianSystem, q: torch.Tensor, v: torch.Tensor, u: torch.Tensor, steps: int):
