@@ -63,7 +63,14 @@ def in_metres(tmp_path_factory):
     return errors(1.0, 1.0, tmp_path_factory.mktemp("metres"))
 
 
-@pytest.mark.parametrize(("length", "force"), FACTORS[1:])
+@pytest.mark.parametrize(
+    ("length", "force"),
+    [
+        FACTORS[1],
+        *(pytest.param(*factors, marks=pytest.mark.slow) for factors in FACTORS[2:4]),
+        FACTORS[4],
+    ],
+)
 def test_a_log_in_any_unit_has_the_same_best_candidate_and_error(
     length, force, tmp_path, in_metres
 ):
