@@ -47,24 +47,25 @@ needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ com
 SLOW = [
     pytest.param(*case, marks=pytest.mark.slow)
     for case in [
-        ("symo", "midpoint", "row", True),
-        ("node", "rk4", "row", True),
-        ("l_node", "rk4", "row", True),
-        ("e2e_symo", "midpoint", "row", True),
-        ("e2e_symo", "midpoint", "batch", True),
+        ("symo", "midpoint", 2, "row", True),
+        ("node", "rk4", 2, "row", True),
+        ("l_node", "rk4", 2, "row", True),
+        ("e2e_symo", "midpoint", 2, "row", True),
+        ("e2e_symo", "midpoint", 2, "batch", True),
     ]
 ]
 
 
 @needs_compiler
 @pytest.mark.parametrize(
-    ("method", "integrator", "stopping", "validation"), [("symo", "midpoint", "row", False), *SLOW]
+    ("method", "integrator", "n", "stopping", "validation"),
+    [("symo", "midpoint", 1, "row", False), *SLOW],
 )
 def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
-    method, integrator, stopping, validation
+    method, integrator, n, stopping, validation
 ):
     """At sizes where narrow products are turned, and by an optimiser that reads memory."""
-    model, data = learner(method, integrator, 2, width=64), windows(2, samples=64)
+    model, data = learner(method, integrator, n, width=64), windows(n, samples=64)
     if not model.reads_velocity:
         model.model.flow.root = Newton(tolerance=1e-8, stopping=stopping)
     before = copy.deepcopy(model.state_dict())
@@ -78,8 +79,8 @@ def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
     expected = step()
     compile_training(model, validation=validation)
     with torch.no_grad():  # a batch of another size comes first
-        model.validation_loss(windows(2, samples=9))
-    model.loss_and_gradients(windows(2, samples=9))
+        model.validation_loss(windows(n, samples=9))
+    model.loss_and_gradients(windows(n, samples=9))
     for _ in range(2):
         model.load_state_dict(before)
         with torch.no_grad():
@@ -129,8 +130,18 @@ def traced_only(monkeypatch):
     return graphs
 
 
+LONG = {("l_node", "dopri5"), ("l_node", "rk4")}
+"""Compositions of a field and an integrator that other cases have with another partner."""
+
+
 @pytest.mark.usefixtures("traced_only")
-@pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows()))
+@pytest.mark.parametrize(
+    ("method", "integrator", "n"),
+    [
+        pytest.param(*case, marks=pytest.mark.slow if case[:2] in LONG else [])
+        for case in pairwise(flows())
+    ],
+)
 def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator, n):
     """Rollouts have several lengths and initial states several memory layouts."""
     model, data = make(method, integrator, n), windows(n)
@@ -147,10 +158,10 @@ def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator, n):
 
 @pytest.mark.parametrize("method", learned())
 def test_one_graph_is_for_any_number_of_rows_and_another_for_one_row(method, traced_only):
-    model = learner(method, dict(combinations())[method], 2)
+    model = learner(method, dict(combinations())[method], 1)
 
     def at(samples):
-        loss = model.loss_and_gradients(windows(2, samples=samples))
+        loss = model.loss_and_gradients(windows(1, samples=samples))
         return loss, [parameter.grad.clone() for parameter in model.parameters()]
 
     sizes = (64, 5, 2, 1)
@@ -265,7 +276,7 @@ def test_a_rollout_by_compiled_kernels_is_the_uncompiled_one(method, caplog):
 @pytest.mark.usefixtures("traced_only")
 def test_rows_that_a_compiled_rollout_cannot_finish_are_as_uncompiled():
     """One row is lost from the start, one is too fast for a root: its neighbours keep theirs."""
-    model, data = make("symo", "midpoint", 2), windows(2)
+    model, data = make("symo", "midpoint", 1), windows(1)
     v = data.v.clone()
     v[0], v[1] = 1e200, 80.0
     one, three = (model.rollout(data.q, v, steps=steps) for steps in (1, 3))
@@ -295,7 +306,7 @@ def broken_compiler(monkeypatch):
 
 @pytest.mark.usefixtures("broken_compiler")
 def test_a_compiler_that_fails_is_reported_once_and_not_needed(caplog):
-    fit, data = learner("symo", "midpoint", 2), windows(2)
+    fit, data = learner("node", "midpoint", 1), windows(1)
     model = fit.model
     expected = fit.loss_and_gradients(data)
     rolled = model.rollout(data.q, data.v, steps=3)
@@ -347,27 +358,41 @@ class Counted(Residual):
         return Residuals(values, {"largest": values.abs().max()})
 
 
-@pytest.mark.usefixtures("traced_only")
-@pytest.mark.parametrize(
-    ("method", "options"),
-    [
-        ("symo", {"objective": Counted()}),
-        ("e2e_symo", {"guess": "datum"}),
-        ("e2e_symo", {"guess": "inertial", "root": Newton(tolerance=1e-6, stopping="batch")}),
-    ],
-)
-def test_statistics_and_validation_of_a_compiled_training_are_the_uncompiled_ones(method, options):
-    """They are means over rows, of which some are roots from the start."""
+STATISTICS: list[tuple[str, dict[str, Any]]] = [
+    ("symo", {"objective": Counted()}),
+    ("e2e_symo", {"guess": "datum"}),
+    ("e2e_symo", {"guess": "inertial", "root": Newton(tolerance=1e-6, stopping="batch")}),
+]
+
+
+def roots_among(method, options):
+    """Return a learner and a batch, some of whose rows are roots from the start."""
     model, data = learner(method, "midpoint", 1, **options), windows(1, samples=8)
-    if method == "e2e_symo" and model.objective.guess == "datum":
-        reached = model.model.predict(data).q.detach()
-        data = data._replace(q_next=torch.where(torch.arange(8)[:, None] < 3, reached, data.q_next))
-    loss, expected = model.uncompiled_training(data)
-    compile_training(model, validation=True)
+    reached = model.model.predict(data).q.detach()
+    return model, data._replace(
+        q_next=torch.where(torch.arange(8)[:, None] < 3, reached, data.q_next)
+    )
+
+
+@pytest.mark.usefixtures("traced_only")
+@pytest.mark.parametrize(("method", "options"), STATISTICS)
+def test_statistics_of_a_compiled_training_are_the_uncompiled_ones(method, options):
+    """They are means over rows."""
+    model, data = roots_among(method, options)
+    _, expected = model.uncompiled_training(data)
+    compile_training(model)
     _, found = model.compiled["training step"](data)
     assert expected
     torch.testing.assert_close(dict(found), dict(expected), check_dtype=False)
+
+
+@pytest.mark.usefixtures("traced_only")
+@pytest.mark.parametrize(("method", "options"), STATISTICS[:2])
+def test_a_compiled_validation_is_the_uncompiled_one(method, options):
+    model, data = roots_among(method, options)
     with torch.no_grad():
+        loss = model.validation_loss(data)
+        compile_training(model, validation=True)
         torch.testing.assert_close(model.validation_loss(data), loss, atol=0, rtol=1e-9)
 
 
