@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from functools import partial
+from itertools import cycle
 
 import jaxtyping
 import pytest
@@ -13,8 +14,15 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
+from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.springs import LinearSprings
 from tests.models.methods import combinations, make, windows
+from tests.systems.every import SYSTEMS
+from tests.tables import arguments_of
+
+ROTATING = [name for name, system in SYSTEMS.items() if system.space.rotations]
+"""Systems with rotations."""
+PIVOT = "spherical_pendulum"
 
 
 @pytest.fixture(autouse=True)
@@ -42,14 +50,22 @@ torch.save(q, "end.pt")
 """
 
 
-def states(n):
-    data = windows(n)
-    return data.q, data.v, data.u, data.u_next
+def on(name, method, integrator, **overrides):
+    """A model for the coordinates of a system."""
+    system = SYSTEMS[name]
+    return make(method, integrator, system.coordinates.n, **arguments_of(system), **overrides)
 
 
-def check_alone(model, n, folder, iterations):
+def states(model):
+    """Smooth states of a model and controls."""
+    data, m = windows(model.coordinates.n), model.input_matrix.shape[1]
+    q = model.flow.space.of_vector(data.q)
+    return q, data.v, data.u.expand(-1, m), data.u_next.expand(-1, m)
+
+
+def check_alone(model, folder, iterations):
     """Compare the exported step with the model in another process."""
-    given = states(n)
+    given = states(model)
     with torch.no_grad():
         expected = tuple(model.step(*given))[:3]
     torch.save((given, expected), folder / "states.pt")
@@ -63,11 +79,20 @@ def check_alone(model, n, folder, iterations):
     torch.testing.assert_close(torch.load(folder / "end.pt"), end)
 
 
-@pytest.mark.parametrize("method", ["node", "l_node", "symo"])
-def test_a_step_takes_either_precision_and_returns_plain_tensors(method, tmp_path):
-    model = make(method, "midpoint", 2).float()
-    step = torch.export.load(symo_exp.export(model, tmp_path / "model.pt2")).module()
-    given = [x.float() for x in states(2)]
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [
+        ("chain_2", "node"),
+        (PIVOT, "l_node"),
+        (PIVOT, "symo"),
+        *(pytest.param(*x, marks=pytest.mark.slow) for x in [(PIVOT, "node"), ("chain_2", "symo")]),
+    ],
+)
+def test_a_step_takes_either_precision_and_returns_plain_tensors(method, name, tmp_path):
+    model = on(name, method, "midpoint").float()
+    path = symo_exp.export(model, tmp_path / "model.pt2", iterations=1)
+    step = torch.export.load(path).module()
+    given = [x.float() for x in states(model)]
     single, double = step(*given), step(*(x.double() for x in given))
     for a, b in zip(single, double, strict=True):
         assert a.dtype == b.dtype != torch.float64
@@ -76,31 +101,50 @@ def test_a_step_takes_either_precision_and_returns_plain_tensors(method, tmp_pat
 
 
 def test_a_step_runs_without_this_package(tmp_path):
-    check_alone(make("node", "midpoint", 1), 1, tmp_path, iterations=1)
+    check_alone(make("node", "midpoint", 1), tmp_path, iterations=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [2, 3])
 @pytest.mark.parametrize(("method", "integrator"), combinations())
 def test_every_step_runs_without_this_package(method, integrator, n, tmp_path):
-    check_alone(make(method, integrator, n), n, tmp_path, iterations=6)
+    check_alone(make(method, integrator, n), tmp_path, iterations=6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "method", "integrator"),
+    [(name, *pair) for pair, name in zip(combinations(), cycle(ROTATING), strict=False)],
+)
+def test_every_step_on_rotations_runs_without_this_package(name, method, integrator, tmp_path):
+    check_alone(on(name, method, integrator), tmp_path, iterations=6)
 
 
 PARTS = {
     "springs": {"springs": LinearSprings},
     "friction of machines": {"dissipation": partial(MachineFriction, stribeck=True, width=3)},
+    "known equations": {
+        "coordinates": SYSTEMS["chain_2"].coordinates,
+        "lagrangian": partial(KnownLagrangian, system=SYSTEMS["chain_2"]),
+    },
     "units of its own": {
         "coordinates": Coordinates(("x", "a"), (False, True), units=Units(0.1, 2.0, 10.0)),
         "springs": LinearSprings,
         "dissipation": LearnedDissipation,
     },
 }
+QUICK = ["units of its own"]
+"""Parts that are not left to the long proofs."""
 
 
-@pytest.mark.parametrize("parts", PARTS)
+@pytest.mark.parametrize(
+    "parts",
+    [x if x in QUICK else pytest.param(x, marks=pytest.mark.slow) for x in PARTS],
+)
 def test_every_part_of_a_lagrangian_is_exported_for_any_batch(parts, tmp_path):
     model = make("symo", "midpoint", 2, **PARTS[parts])
-    step = torch.export.load(symo_exp.export(model, tmp_path / "model.pt2")).module()
+    path = symo_exp.export(model, tmp_path / "model.pt2", iterations=4)
+    step = torch.export.load(path).module()
     generator = torch.Generator().manual_seed(0)
     for batch in (1, 4):
         q, v = 0.1 * torch.randn(2, batch, 2, dtype=torch.float64, generator=generator)
@@ -111,13 +155,19 @@ def test_every_part_of_a_lagrangian_is_exported_for_any_batch(parts, tmp_path):
             torch.testing.assert_close(mine, theirs, atol=1e-8, rtol=1e-6)
 
 
-def test_a_variational_step_reports_roots_that_were_not_found(tmp_path):
-    model = make("symo", "midpoint", 1)
-    path = symo_exp.export(model, tmp_path / "x.pt2", iterations=2)
-    *state, found = torch.export.load(path).module()(*states(1))
+@pytest.mark.parametrize(
+    ("name", "iterations"), [("chain_1", 2), pytest.param(PIVOT, 1, marks=pytest.mark.slow)]
+)
+def test_a_variational_step_reports_roots_that_were_not_found(name, iterations, tmp_path):
+    model = on(name, "symo", "midpoint")
+    path = symo_exp.export(model, tmp_path / "x.pt2", iterations=iterations)
+    q, *moving = states(model)
+    at_rest = torch.arange(len(q)) == 0
+    given = [q, *(x.masked_fill(at_rest[:, None], 0.0) for x in moving)]
+    *state, found = torch.export.load(path).module()(*given)
     assert found.any()
     assert not found.all()
-    for mine, theirs in zip(state, model.step(*states(1)), strict=False):
+    for mine, theirs in zip(state, model.step(*given), strict=False):
         torch.testing.assert_close(mine[found], theirs[found])
 
 

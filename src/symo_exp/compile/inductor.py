@@ -6,7 +6,7 @@ import logging
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from symo_exp.compile.kernels import CHEAPER
 from symo_exp.mechanics.rows import Rowwise
 
 OPTIONS = {
@@ -90,8 +89,17 @@ def stand_ins(fixed: Sequence[Tensor], batched: Sequence[Tensor], rows: int | No
     return [*(stand_in(x, None) for x in fixed), *(stand_in(x, rows) for x in batched)]
 
 
-def trace(function: Callable[..., list[Tensor]], example: Sequence[Tensor]) -> torch.fx.GraphModule:
-    """Return the operations of a function of stand-ins, with the cheaper kernels in place.
+def trace(
+    function: Callable[..., Sequence[Tensor]],
+    example: Sequence[Tensor],
+    kernels: Mapping[Any, Callable[..., Any]],
+) -> torch.fx.GraphModule:
+    """Return the operations of a function of stand-ins, derivatives among them.
+
+    Args:
+        function: The function.
+        example: Its arguments.
+        kernels: Functions that take the place of operations.
 
     Raises:
         OpenRowsError: If the operations depend on a number of rows that was left open.
@@ -102,10 +110,33 @@ def trace(function: Callable[..., list[Tensor]], example: Sequence[Tensor]) -> t
     mode = _mode(example)
     known = len(mode.shape_env.guards)  # the compiler has left its own there
     with mode, enable_python_dispatcher():
-        graph = make_fx(function, decomposition_table=CHEAPER)(*example)
+        graph = make_fx(function, decomposition_table=kernels)(*example)
     if len(mode.shape_env.guards) > known:
-        raise OpenRowsError
+        raise OpenRowsError("its operations depend on the number of rows")
     return graph
+
+
+def simplify(graph: torch.fx.GraphModule) -> None:
+    """Remove views that change no shape, and operations whose results nothing uses.
+
+    Products of matrices leave such views behind. Results stay the same to the last bit.
+
+    Args:
+        graph: A graph from ``trace``, which is changed.
+    """
+    from torch.fx.experimental.symbolic_shapes import statically_known_true, sym_eq
+
+    aten = torch.ops.aten
+    views = (aten.view.default, aten._unsafe_view.default, aten.expand.default)
+    for target in views:
+        for node in graph.graph.find_nodes(op="call_function", target=target):
+            source = node.args[0]
+            before, after = (tuple(x.meta["val"].shape) for x in (source, node))
+            if statically_known_true(sym_eq(before, after)):
+                node.replace_all_uses_with(source)
+                graph.graph.erase_node(node)
+    graph.graph.eliminate_dead_code()
+    graph.recompile()
 
 
 def _mode(tensors: Sequence[Tensor]) -> Any:

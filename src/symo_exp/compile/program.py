@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from symo_exp.compile.inductor import OpenRowsError, flatten, lower, stand_ins, trace, unflatten
+from symo_exp.compile.kernels import CHEAPER
 
 
 class Packed(NamedTuple):
@@ -130,7 +131,7 @@ class Program:
     ) -> Callable[..., list[Tensor]]:
         example = stand_ins(self._parameters, given, rows)
         with torch.no_grad():
-            graph = trace(run, example)
+            graph = trace(run, example, CHEAPER)
             constants = [getattr(graph, x.target) for x in graph.graph.find_nodes(op="get_attr")]
             assert not any(x is y for x in constants for y in self._parameters)
             return lower(graph, example)

@@ -187,7 +187,7 @@ class _Motion(NamedTuple):
 
     def momentum(self) -> Tensor:
         """Return ``m ẋ + R (ω × μ)`` and ``J ω + μ × w``."""
-        spin = matvec(self.body.inertia.expand(len(self.omega), 3, 3), self.omega)
+        spin = matvec(self.body.inertia.expand(self.omega.shape[0], 3, 3), self.omega)
         if self.velocity is None or self.w is None or self.c is None:
             return spin
         linear = self.body.mass * self.velocity + matvec(self.turn, self.c)

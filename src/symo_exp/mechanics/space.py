@@ -274,7 +274,7 @@ class Space:
         phi, (flat, omega) = self.vectors(x), self._parts(v)
         series = ExponentialSeries.of(phi)
         inverse = polynomial(phi, series.s, 0.5, series.gamma)
-        rate = (inverse @ omega.reshape(-1, 3, 1)).view(len(v), -1)
+        rate = (inverse @ omega.reshape(-1, 3, 1)).view(v.shape[0], -1)
         return torch.cat((flat, rate), dim=1)
 
     def coadjoint(
@@ -319,7 +319,7 @@ class Space:
         r, flat = self.rotations, n - 3 * self.rotations
         if n == 3:
             return rotations
-        found = rotations.new_zeros(len(rotations) // r, n, n)
+        found = rotations.new_zeros(rotations.shape[0] // r, n, n)
         if diagonal:
             found.diagonal(dim1=1, dim2=2)[:, :flat] = diagonal
         for i, block in enumerate(rotations.unflatten(0, (-1, r)).unbind(1)):

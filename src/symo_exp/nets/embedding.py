@@ -99,7 +99,7 @@ class Embedding(nn.Module):
         flat = features.dx[:, : self._flat].unsqueeze(1) * self.selection.T
         if not self.space.rotations:
             return flat
-        one = torch.eye(3 * self.space.rotations).to(flat).expand(len(flat), -1, -1)
+        one = torch.eye(3 * self.space.rotations).to(flat).expand(flat.shape[0], -1, -1)
         turns = features.x[:, None, self._flat :].expand(-1, one.shape[1], -1)
         entries = self.space.push(turns, one)
         return block_diagonal(flat, entries)

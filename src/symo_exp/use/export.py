@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from symo_exp.compile.inductor import simplify, stand_ins, trace
 from symo_exp.compile.newton import iterate_branch_free
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Newton
@@ -50,10 +51,10 @@ class FixedStep(nn.Module):
         before, after = flow.discrete.impulses(forces)
         problem = flow.matching(q, flow.encode(q, v) + before, forces)
         root = Newton(tolerance=flow.rollout_root.tolerance)  # row by row, whatever the rollout's
-        at = iterate_branch_free(problem, root, problem.start(q + h * v))
+        at = iterate_branch_free(problem, root, problem.start(flow.space.retract(q, h * v)))
         for _ in range(self.iterations):
             at = iterate_branch_free(problem, root, at.next)
-        q_next = at.x[:, : q.shape[1]]
+        q_next = flow.space.point(q, at.x[:, : v.shape[1]])
         return q_next, flow.decode(q_next, at.expansion.values.d2 + after), at.found
 
 
@@ -63,11 +64,12 @@ def export(
     """Write the step of a model to a file that runs without this package.
 
     ``*.pt2`` and ``*.onnx`` map ``(q, v, u, u_next)`` to ``(q_next, v_next, converged)``, in SI
-    units: ``q``, ``v`` are (batch, n), ``u``, ``u_next`` (batch, m), ``converged`` (batch,). The
-    batch has any size; a single state is a batch of one. Arguments of a ``*.pt2`` may be float32
-    or float64, those of a ``*.onnx`` have the precision of the model; results have it in both. The
-    control goes linearly from ``u`` to ``u_next``. ``*.pt2`` is read by
-    ``torch.export.load(path).module()``, ``*.onnx`` by any ONNX runtime.
+    units: ``q`` is (batch, N), ``v`` (batch, n), ``u``, ``u_next`` (batch, m), ``converged``
+    (batch,); N is n, or more by six for each rotation, whose matrix has nine entries. The batch has
+    any size; a single state is a batch of one. Arguments of a ``*.pt2`` may be float32 or float64,
+    those of a ``*.onnx`` have the precision of the model; results have it in both. The control goes
+    linearly from ``u`` to ``u_next``. ``*.pt2`` is read by ``torch.export.load(path).module()``,
+    ``*.onnx`` by any ONNX runtime.
 
     ``*.xml`` is the model itself as MJCF, ``*.urdf`` as URDF, where it consists of rigid bodies
     (``symo_exp.use.mjcf.write_bodies``).
@@ -87,11 +89,6 @@ def export(
     path = Path(path)
     if path.suffix in (".xml", ".urdf"):
         return write_bodies(model, path)
-    if model.flow.space.rotations:
-        raise ConfigError(
-            f"{path}: steps of systems with rotations are not exported; use symo_exp.load, or "
-            "write rigid bodies as .xml"
-        )
     if path.suffix not in (".pt2", ".onnx"):
         raise ConfigError(f"{path}: expected a name that ends in .pt2, .onnx, .xml or .urdf")
     if iterations < 1:
@@ -117,28 +114,27 @@ ONNX = ("onnx", "onnxscript")
 
 def _program(step: FixedStep, model: DynamicsModel, *, exact: bool) -> Any:
     """Return the step as a graph, which converts arguments to its precision unless ``exact``."""
-    (n, m), like = model.input_matrix.shape, model.input_matrix
+    (n, m), like, rows = model.input_matrix.shape, model.input_matrix, 3
     if not exact:  # a conversion is part of the graph if there is one to do
         like = like.to(torch.float32 if like.dtype == torch.float64 else torch.float64)
-    example = [like.new_full((3, size), 0.1) for size in (n, n, m, m)]
-    batch = torch.export.Dim("batch", min=1)
+    q, v, u = (like.new_full((rows, size), 0.1) for size in (n, n, m))
+    example = (model.flow.space.of_vector(q), v, u, u.clone())
     with torch.no_grad():
-        program = torch.export.export(
-            step, tuple(example), dynamic_shapes=({0: batch},) * 4, strict=False
-        )
-    graph = program.graph_module.graph
-    for node in list(graph.nodes):  # conversions do not insist on the precision of the example
-        if "assert_tensor_metadata" in str(node.target):
-            graph.erase_node(node)
-    program.graph_module.recompile()
-    return program
+        step(*example)  # constants that functions keep would have no data if a trace made them
+        # Derivatives that the step takes become operations here; ``torch.export`` loses them.
+        graph = trace(step, stand_ins((), example, rows), {})
+        for node, name in zip(graph.graph.find_nodes(op="placeholder"), ARGUMENTS, strict=True):
+            node.target = name  # callers may give arguments by name
+        simplify(graph)
+        batch = torch.export.Dim("batch", min=1)
+        return torch.export.export(graph, example, dynamic_shapes=({0: batch},) * 4, strict=False)
 
 
 def _pt2(program: Any, path: Path, model: DynamicsModel) -> None:
-    names = ", ".join(model.coordinates.names)
+    stored, names = (", ".join(x) for x in (model.coordinates.stored, model.coordinates.names))
     about = (
-        f"{ARGUMENTS} -> {RESULTS}; arguments (batch, n) and (batch, m), a single state is a batch "
-        f"of one; coordinates {names}; time step {model.time_step} s\n"
+        f"{ARGUMENTS} -> {RESULTS}; a row for each state, a single state is a batch of one; "
+        f"columns of q: {stored}; of v: {names}; time step {model.time_step} s\n"
     )
     with warnings.catch_warnings():
         # of buffers that are views of one tensor, each of which is written as it is
