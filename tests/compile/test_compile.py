@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 import torch._inductor
+import torch.utils._pytree as pytree
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from symo_exp.compile import (
@@ -219,6 +220,13 @@ def test_every_lagrangian_is_compiled(parts, method):
     torch.testing.assert_close(found, expected, atol=1e-10, rtol=1e-6)
 
 
+@pytest.mark.parametrize("parts", PARTS)
+def test_a_compiled_step_can_carry_every_lagrangian(parts):
+    model, data = learner("e2e_symo", "midpoint", 1, **PARTS[parts]), windows(1)
+    expansion = model.model.flow.lagrangian.expand(data.q, torch.ones_like(data.q))
+    assert all(isinstance(x, torch.Tensor) for x in pytree.tree_leaves(expansion))
+
+
 class Weighted(Residual):
     """An objective of a user's own, which depends on the number of rows."""
 
@@ -306,7 +314,7 @@ def broken_compiler(monkeypatch):
 
 @pytest.mark.usefixtures("broken_compiler")
 def test_a_compiler_that_fails_is_reported_once_and_not_needed(caplog):
-    fit, data = learner("node", "midpoint", 1), windows(1)
+    fit, data = learner("symo", "midpoint", 1), windows(1)
     model = fit.model
     expected = fit.loss_and_gradients(data)
     rolled = model.rollout(data.q, data.v, steps=3)

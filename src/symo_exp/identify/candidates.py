@@ -71,7 +71,7 @@ def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
     several = sum(machine.angular) > 1
     relative = ", relative angles" if several else ""
-    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", FRICTION, cost=0.8)
+    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", FRICTION, cost=0.8, starts=2)
     found = [first]
     if machine.stiffness is not None:
         found.append(_sprung(first, machine))
@@ -79,7 +79,7 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     if several:
         name = f"{LINKS}, absolute angles"
-        found.append(_candidate(name, 1.1, "absolute", NEIGHBOURS, cost=0.8))
+        found.append(_candidate(name, 1.1, "absolute", NEIGHBOURS, cost=0.8, starts=2))
     if not machine.driven:  # bearings: dry friction may be too little to be found
         found += [_viscous(candidate) for candidate in found]
     found.append(_candidate(f"general links{relative}", 1.8, "general relative", FRICTION))
