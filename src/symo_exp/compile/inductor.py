@@ -127,6 +127,7 @@ def simplify(graph: torch.fx.GraphModule) -> None:
     from torch.fx.experimental.symbolic_shapes import statically_known_true, sym_eq
 
     aten = torch.ops.aten
+    # products of matrices are traced with _unsafe_view, an operation without a public name
     views = (aten.view.default, aten._unsafe_view.default, aten.expand.default)
     for target in views:
         for node in graph.graph.find_nodes(op="call_function", target=target):
