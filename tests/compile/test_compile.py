@@ -395,7 +395,7 @@ def test_statistics_of_a_compiled_training_are_the_uncompiled_ones(method, optio
 
 
 @pytest.mark.usefixtures("traced_only")
-@pytest.mark.parametrize(("method", "options"), STATISTICS[:2])
+@pytest.mark.parametrize(("method", "options"), STATISTICS)
 def test_a_compiled_validation_is_the_uncompiled_one(method, options):
     model, data = roots_among(method, options)
     with torch.no_grad():

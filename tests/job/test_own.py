@@ -132,7 +132,9 @@ def test_a_stored_run_is_loaded_without_code_that_is_not_given(mine, workplace):
     assert not (workplace / "harm").exists()
 
 
-@pytest.mark.parametrize(("word", "wanted"), [("code=nowhere", "no such"), ("code=3", "code")])
+@pytest.mark.parametrize(
+    ("word", "wanted"), [("code=nowhere", "no such folder"), ("code=3", "code")]
+)
 def test_an_invalid_folder_of_code_is_refused(word, wanted, workplace):
     assert wanted in refusal(word, "model=node", *QUIET)
 

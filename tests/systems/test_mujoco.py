@@ -233,7 +233,8 @@ MALFORMED = {
         '<motor name="w" joint="arm" ctrlrange="-9 9" forcerange="-1 1"/>')), "w has a forcerange"),
     "a weak joint": (
         mjcf(HINGE.replace('"arm"', '"arm" actuatorfrcrange="-1 1"'),
-             MOTOR.format('<motor joint="arm" gear="5"/>')), "exceed actuatorfrcrange",
+             MOTOR.format('<motor joint="arm" gear="5"/>')),
+        "arm: its motors exceed actuatorfrcrange",
     ),
     "floating": (mjcf(HINGE.replace("<body>", '<body gravcomp="1">')), "gravity compensation"),
     "wind": (mjcf(HINGE, option='<option wind="1 0 0" density="1"/>'), "wind"),

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from symo_exp.identify.recordings import Machine
 
-MUCH_FRICTION = 1.0
-"""Coefficients of friction at the start of training, for an inertia of one."""
+FREE_DAMPING = 1.0
+"""Friction at the start of training over the inertia, of machines without inputs."""
 LINKS = "rigid links"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
@@ -73,9 +73,9 @@ def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
     several = sum(machine.angular) > 1
     relative = ", relative angles" if several else ""
-    # only inputs tell the inertia: without any, training starts with much friction for the inertia
-    much = {} if machine.driven else {"dissipation.start": f"{MUCH_FRICTION:g}"}
-    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", {**FRICTION, **much}, cost=0.8)
+    # without inputs only the ratio to the inertia counts, and from too little friction fits hang
+    start = {} if machine.driven else {"dissipation.start": f"{FREE_DAMPING:g}"}
+    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", {**FRICTION, **start}, cost=0.8)
     found = [first]
     if machine.stiffness is not None:
         found.append(_sprung(first, machine))
@@ -83,7 +83,7 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     if several:
         name = f"{LINKS}, absolute angles"
-        found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **much}, cost=0.8))
+        found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, cost=0.8))
     if not machine.driven:  # bearings: dry friction may be too little to be found
         found += [_viscous(candidate) for candidate in found]
     found.append(_candidate(f"general links{relative}", 1.8, "general relative", FRICTION))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import numpy as np
 import torch
@@ -77,8 +78,8 @@ def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
     """
     complete = [t for t in trials if not t.failed and all(k in t.errors for k in folds)]
     complete.sort(key=lambda t: (t.candidate.rank, t.mean(folds)))
-    means = [t.mean(folds) for t in complete]
-    useful = [t for k, t in enumerate(complete) if means[k] <= min(means[: k + 1])]
+    least = accumulate((t.mean(folds) for t in complete), min)
+    useful = [t for t, smallest in zip(complete, least, strict=True) if t.mean(folds) <= smallest]
     if not useful:
         return None
     best = useful[-1]
