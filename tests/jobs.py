@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 from hydra.core.global_hydra import GlobalHydra
+from omegaconf import OmegaConf
 
 from symo_exp.cli.command import Command
 from symo_exp.cli.explain import BAD_INPUT, explained
@@ -39,6 +40,11 @@ def job_of(*words: str) -> Job:
     """The only one."""
     (job,) = jobs_of(*words)
     return job
+
+
+def settings_of(*words: str) -> list[Any]:
+    """The resolved settings of each job, as attributes."""
+    return [OmegaConf.create(job.values) for job in jobs_of(*words)]
 
 
 def refusal(*words: str) -> str:

@@ -40,7 +40,7 @@ def test_a_recording_of_ours_is_the_simulated_motion(workplace, capsys):
     _, warning, command = capsys.readouterr().out.strip().splitlines()
     assert warning.startswith("warning: the median episode has 7 nodes (0.3 s)")
     (job,) = jobs_of(*shlex.split(command)[3:])
-    assert job.config.system.angular == ["theta"]
+    assert job.values["system"]["angular"] == ["theta"]
 
 
 def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
@@ -61,7 +61,7 @@ def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
         assert first.v_hinge2.iloc[k + 1] == env.unwrapped.data.qvel[2]
     words = ["system=gymnasium", f"system.id={name}", "data=recorded", "system.time_step=0.05"]
     (job,) = jobs_of(*words, "data.path=recording.parquet")
-    assert job.config.system.mechanism["inputs"]["names"] == ["slide"]
+    assert job.values["system"]["mechanism"]["inputs"]["names"] == ["slide"]
 
 
 @pytest.mark.parametrize(

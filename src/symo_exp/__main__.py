@@ -6,32 +6,26 @@ PyTorch and the like take seconds to import, so they are imported where they are
 
 from __future__ import annotations
 
-import os
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, debugging
 from symo_exp.process import stopping
-
-if TYPE_CHECKING:
-    from symo_exp.cli.command import Command
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code."""
     argv = list(sys.argv[1:] if argv is None else argv)
-    debug = os.environ.get("SYMO_EXP_DEBUG") == "1"
     try:
         return _execute(argv)
     except ConfigError as error:
-        if debug:
+        if debugging():
             traceback.print_exc()
         print(f"symo_exp: error: {error}", file=sys.stderr)
         return 2
     except Exception as error:
-        if debug:
+        if debugging():
             raise
         kind = type(error).__name__
         print(f"symo_exp: {kind}: {error} (SYMO_EXP_DEBUG=1 shows where)", file=sys.stderr)
@@ -64,23 +58,14 @@ def _execute(argv: list[str]) -> int:
         return 0
     several = command.several()
     for one in several:  # a word that one of them cannot take is found before anything runs
-        _run(one, CHECK_ONLY)
+        one.execute(CHECK_ONLY)
     codes = []
     for one in several:
         print(f"== {one.name}", flush=True)
-        codes.append(_run(one))
+        codes.append(one.execute())
         if codes[-1] > 128:  # a signal keeps the others away
             break
-    return next((code for code in codes if code), 0) if several else _run(command)
-
-
-def _run(command: Command, *extra: str) -> int:
-    from symo_exp.cli.explain import BAD_INPUT, explained
-
-    try:
-        return command.execute(*extra)
-    except BAD_INPUT as error:
-        raise explained(error) from error
+    return next((code for code in codes if code), 0) if several else command.execute()
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """The error of invalid user input, and messages of one line."""
 
+import os
+
 
 class ConfigError(ValueError):
     """Raised for invalid user input.
@@ -12,22 +14,18 @@ class ConfigError(ValueError):
         super().__init__(" ".join(str(message).split()))  # the user's words may have more lines
 
 
+def debugging() -> bool:
+    """Return whether errors are shown with their traceback."""
+    return os.environ.get("SYMO_EXP_DEBUG") == "1"
+
+
 def one_line(error: BaseException) -> str:
     """Return the message of an error, with that of its cause where it adds something."""
-    error = _refusal(error) or error
     cause = error.__cause__
     text = str(error)
     if not isinstance(error, ConfigError) and cause is not None and str(cause) not in text:
         text = f"{text}: {cause}"
     return " ".join(text.split())
-
-
-def _refusal(error: BaseException) -> ConfigError | None:
-    """Return the error of a resolver, which OmegaConf wraps."""
-    inner: BaseException | None = error
-    while inner is not None and type(inner).__module__.startswith("omegaconf."):
-        inner = inner.__cause__ or inner.__context__
-    return inner if isinstance(inner, ConfigError) else None
 
 
 class Refused(BaseException):

@@ -15,7 +15,7 @@ from symo_exp.job.moved import MOVED
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.sweeper import Sweep, watched
-from tests.jobs import jobs_of, refusal
+from tests.jobs import jobs_of, refusal, settings_of
 from tests.tiny import TINY
 
 QUIET = [*TINY, "logger=none", "pictures=false"]
@@ -176,11 +176,13 @@ def test_help_and_settings_come_without_the_heavy_libraries(workplace):
 
 
 def test_overrides_may_stand_on_both_sides_of_an_option():
-    jobs = jobs_of("model=e2e_symo", "system=acrobot", "-m", "data.n_traj=8,16,32,64,128")
-    assert [job.config.data.n_traj for job in jobs] == [8, 16, 32, 64, 128]
-    assert {job.config.model._target_ for job in jobs} == {"symo_exp.models.e2e_symo.E2ESyMo"}
-    assert {job.config.system._target_ for job in jobs} == {"symo_exp.systems.acrobot.Acrobot"}
-    assert [job.label for job in jobs] == [f"data.n_traj={n}" for n in (8, 16, 32, 64, 128)]
+    words = ["model=e2e_symo", "system=acrobot", "-m", "data.n_traj=8,16,32,64,128"]
+    found = settings_of(*words)
+    assert [config.data.n_traj for config in found] == [8, 16, 32, 64, 128]
+    assert {config.model._target_ for config in found} == {"symo_exp.models.e2e_symo.E2ESyMo"}
+    assert {config.system._target_ for config in found} == {"symo_exp.systems.acrobot.Acrobot"}
+    labels = [job.label for job in jobs_of(*words)]
+    assert labels == [f"data.n_traj={n}" for n in (8, 16, 32, 64, 128)]
 
 
 def test_a_model_that_is_not_learned_is_measured_without_training(workplace):

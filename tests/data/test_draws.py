@@ -14,7 +14,7 @@ from symo_exp.systems.base import SamplingBox
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
 from tests.data.small import small
-from tests.jobs import job_of
+from tests.jobs import settings_of
 from tests.tables import choices
 
 BOX = SamplingBox(q=((1.0, 2.0), (-3.0, 0.0)), v=((0.0, 0.1), (5.0, 6.0)), u=((-7.0, -6.0),))
@@ -24,7 +24,8 @@ SYSTEMS = ("pendulum", "cartpole")  # of the published states one was drawn in a
 
 def draws(name: str, system: str):
     """As the configuration makes them."""
-    return instantiate(job_of(f"draws={name}", f"system={system}").config.draws)
+    (config,) = settings_of(f"draws={name}", f"system={system}")
+    return instantiate(config.draws)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

@@ -13,7 +13,7 @@ def test_values_are_set_as_hydra_sets_them(workplace):
     shared = jobs_of(*words, "learner.gradient_clip=1,2")
     alone = [job_of(*words, f"++learner.gradient_clip={x}") for x in (1, 2)]
     for one, other in zip(shared, alone, strict=True):
-        assert one.config == other.config
+        assert one.settings == other.settings
         assert one.folder.path == other.folder.path
 
 

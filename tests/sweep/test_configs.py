@@ -11,7 +11,7 @@ from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.compose import expand
 from symo_exp.thesis.published import published
-from tests.jobs import job_of, jobs_of
+from tests.jobs import job_of, jobs_of, settings_of
 from tests.systems.models import PENDULUMS
 from tests.tables import choices, known_systems, systems, variational_integrators
 
@@ -134,7 +134,7 @@ def test_every_shipped_file_has_a_summary(file):
 def test_thesis_and_default_protocol(workplace):
     """The settings that the thesis states, and the ones in which the default differs from it."""
     words = ["model=e2e_symo", "system=acrobot", "-m", "preset=default,thesis"]
-    default, thesis = (job.config for job in jobs_of(*words))
+    default, thesis = settings_of(*words)
     for config in default, thesis:
         assert config.net.width == 256
         assert config.trainer.max_epochs == 2000
@@ -148,7 +148,7 @@ def test_thesis_and_default_protocol(workplace):
     assert default.root.rollout.tolerance <= 1e-9
     assert thesis.integrator.sensitivity == "adjoint"
     assert (thesis.data.solver.method, thesis.data.solver.rtol) == ("RK45", 1e-3)
-    assert job_of("system=pendulum").config.net.width == 128
+    assert job_of("system=pendulum").values["net"]["width"] == 128
 
 
 RATES = published()[["system", "noise_std", "learning_rate"]].drop_duplicates()
@@ -157,4 +157,4 @@ RATES = published()[["system", "noise_std", "learning_rate"]].drop_duplicates()
 @pytest.mark.parametrize(("system", "noise_std", "learning_rate"), RATES.to_numpy().tolist())
 def test_the_learning_rates_are_the_published_ones(system, noise_std, learning_rate, workplace):
     job = job_of(f"system={system}", f"data.noise_std={noise_std}")
-    assert job.config.optimizer.lr == learning_rate
+    assert job.values["optimizer"]["lr"] == learning_rate

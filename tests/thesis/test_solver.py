@@ -15,7 +15,7 @@ from symo_exp.job.recipe import build
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.simulation import simulate
 from symo_exp.thesis.solver import SolveIvp
-from tests.jobs import job_of, jobs_of
+from tests.jobs import job_of, settings_of
 from tests.systems.every import SYSTEMS, points
 
 NODES = 5
@@ -60,13 +60,13 @@ def test_rest_stays_at_rest() -> None:
 )
 def test_published_trajectories_are_those_of_the_experiments(words, workplace):
     pairs = ["-m", "model=l_node", "integrator=rk4,midpoint"]
-    rk4, midpoint = (job.config for job in jobs_of(*words.split(), *pairs))
+    rk4, midpoint = settings_of(*words.split(), *pairs)
     assert rk4.system.gravity == midpoint.system.gravity == 9.81
     assert rk4.data.solver._target_.endswith("SolveIvp")
     assert rk4.model.rollout_integrator._target_.endswith("ClassicalRK4")
     assert midpoint.model.rollout_integrator is None
-    (moon, _) = jobs_of(*words.split(), *pairs, "system.gravity=1.62")
-    assert moon.config.system.gravity == 1.62
+    (moon, _) = settings_of(*words.split(), *pairs, "system.gravity=1.62")
+    assert moon.system.gravity == 1.62
 
 
 @pytest.mark.slow

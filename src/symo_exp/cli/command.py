@@ -78,7 +78,7 @@ class Command:
         try:
             content = yaml.safe_load(file.read_text(encoding="utf-8"))
         except (OSError, ValueError, yaml.YAMLError) as error:
-            raise ConfigError(f"{file} cannot be read: {' '.join(str(error).split())}") from error
+            raise ConfigError(f"{file} cannot be read: {error}") from error
         if not isinstance(content, dict) or set(content) != {"sweeps"}:
             return []
         names = content["sweeps"]
@@ -93,13 +93,13 @@ class Command:
         """Run the command by Hydra and return the exit code.
 
         Raises:
-            ConfigError: If a job under another sweeper than ours is refused.
-            Exception: Any error of Hydra, which would otherwise print it and exit.
+            ConfigError: For bad input, which Hydra would otherwise print before it exits.
         """
         if self.runs:
             phases.say("reading the configuration")
         import hydra
 
+        from symo_exp.cli.explain import BAD_INPUT, explained
         from symo_exp.job.job import job
 
         os.environ.setdefault("HYDRA_FULL_ERROR", "1")
@@ -112,6 +112,8 @@ class Command:
             return int(end.code or 0)
         except Refused as refused:
             raise refused.error from refused
+        except BAD_INPUT as error:
+            raise explained(error) from error
         finally:
             sys.argv = before
             phases.clear()

@@ -48,7 +48,7 @@ def explained(error: BaseException) -> ConfigError:
                 siblings: Any = OmegaConf.to_container(parent, resolve=False)
                 groups = [] if "." in name else [x.name for x in CONF.iterdir() if x.is_dir()]
                 return unknown_key(name, dict.fromkeys(groups) | siblings)
-        cause = cause.__cause__
+        cause = cause.__cause__ or cause.__context__
     return ConfigError(one_line(error))
 
 

@@ -57,7 +57,7 @@ def check_parts(settings: Settings, known: Mapping[str, Any]) -> None:
 
 def _check_node(
     node: Mapping[str, Any],
-    known: Mapping[str, Any] | None,
+    known: Mapping[str, Any],
     references: Mapping[str, str],
     path: str = "",
 ) -> None:
@@ -66,28 +66,26 @@ def _check_node(
     A node with a ``_target_`` may hold what its constructor takes; any other node, what the files
     have at the same place. A reference is checked where it points to.
     """
-    parameters = _parameters(node["_target_"], path) if "_target_" in node else None
+    if "_target_" in node:
+        hints = _parameters(node["_target_"], path)
+    else:
+        hints = {key: bool if isinstance(x, bool) else Any for key, x in known.items()}
     for key, value in node.items():
         name = f"{path}.{key}" if path else key
-        if parameters is None:
-            if known is None or key not in known:
-                raise unknown_key(name, known or {})
-            if isinstance(known[key], bool) and not isinstance(value, bool):
-                raise ConfigError(f"{name}={override_value(value)}: expected true or false")
-        elif key not in _INSTANTIATE_KEYS:
-            if key not in parameters:
-                raise unknown_key(name, parameters)
+        if key not in _INSTANTIATE_KEYS:
+            if key not in hints:
+                raise unknown_key(name, {**hints, **known})
             if value == MISSING:
                 raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
-            if problem := mismatch(value, parameters[key]):
-                source = references.get(name, name).removeprefix("${").removesuffix("}")
+            if problem := mismatch(value, hints[key]):
+                source = references.get(name, name)
                 raise ConfigError(f"{source}={override_value(value)} has the wrong type: {problem}")
-        if name in references or (parameters is not None and _free(parameters.get(key))):
+        if name in references or _free(hints.get(key)):
             continue
-        below = None if known is None else known.get(key)
+        below = known.get(key)
         for item in value if isinstance(value, list) else [value]:
             if isinstance(item, Mapping):
-                _check_node(item, below if isinstance(below, Mapping) else None, references, name)
+                _check_node(item, below if isinstance(below, Mapping) else {}, references, name)
 
 
 def unknown_key(name: str, siblings: Mapping[str, Any]) -> ConfigError:

@@ -20,7 +20,7 @@ class Settings(NamedTuple):
     values: dict[str, Any]
     """Plain values."""
     references: dict[str, str]
-    """By dotted name, the settings that refer to others, as they are written."""
+    """By dotted name, of settings that refer to another: the name of that one."""
 
     def is_reference(self, name: str) -> bool:
         """Return whether a setting, or a node above it, only refers to another."""
@@ -51,9 +51,9 @@ def unresolved(config: DictConfig) -> Any:
 
 
 def references(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield dotted names and texts of settings that refer to others."""
+    """Yield the dotted names of settings that refer to others, as ``${NAME}``, and ``NAME``."""
     if isinstance(node, str) and "${" in node:
-        yield path, node
+        yield path, node.removeprefix("${").removesuffix("}")
     elif isinstance(node, Mapping):
         for key, value in node.items():
             yield from references(value, f"{path}.{key}" if path else str(key))

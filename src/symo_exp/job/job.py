@@ -7,14 +7,14 @@ import math
 import os
 import shlex
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from symo_exp.errors import ConfigError, Refused, one_line
+from symo_exp.errors import ConfigError, Refused, debugging, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.config import Settings, resolve
 from symo_exp.job.lines import brief, run_line
@@ -56,18 +56,12 @@ def job(config: DictConfig) -> float | None:
     stopping.install()
     if stopping.requested():
         return None
-    choices, asked = dict(hydras.runtime.choices), list(hydras.overrides.task)
-    sweeper = hydras.sweeper._target_
     settings = resolve(config)
-
-    def about() -> About:
-        return describe_job(settings, choices, asked, typed(hydras) if sweeper == OURS else None)
-
-    failure = _do(settings.values, folder, about)
+    failure = _do(settings, folder, hydras)
     phases.clear()
     if failure is not None and debugging():
         raise failure
-    if sweeper.startswith(READS_FOLDERS):
+    if hydras.sweeper._target_.startswith(READS_FOLDERS):
         return None
     if isinstance(failure, ConfigError):
         raise Refused(failure)
@@ -101,20 +95,13 @@ def is_done(settings: Mapping[str, Any], folder: RunFolder) -> bool:
     return drawn and measured and not folder.missing_studies(settings["study"])
 
 
-def debugging() -> bool:
-    """Return whether errors are shown with their traceback."""
-    return os.environ.get("SYMO_EXP_DEBUG") == "1"
-
-
-def _do(
-    settings: Mapping[str, Any], folder: RunFolder, about: Callable[[], About]
-) -> BaseException | None:
+def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | None:
     """Do what is left of the run and return what ended it early, if anything did."""
     start = time.perf_counter()
     tracker: Any = None
     time_is_up = False
     with stopping.urgent(), folder.alone():
-        if is_done(settings, folder):
+        if is_done(settings.values, folder):
             return None
         trained = folder.outcome().status == "finished"
         failure: BaseException | None = None
@@ -124,9 +111,12 @@ def _do(
             with first_import("symo_exp.job.recipe"):
                 from symo_exp.job.recipe import build, perform
 
-            parts = build(settings, folder)
+            parts = build(settings.values, folder)
             tracker = parts.tracker
-            perform(parts, settings, folder, about(), trained=trained)
+            words = typed(hydras) if hydras.sweeper._target_ == OURS else None
+            choices, asked = dict(hydras.runtime.choices), list(hydras.overrides.task)
+            about = describe_job(settings, choices, asked, words)
+            perform(parts, settings.values, folder, about, trained=trained)
         except stopping.Interrupted as error:
             time_is_up = error.signum == stopping.TIME_IS_UP
             failure, status, reason = error, "interrupted", str(error)

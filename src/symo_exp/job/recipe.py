@@ -168,7 +168,7 @@ def make(settings: Mapping[str, Any], group: str, **given: Any) -> Any:
         cause = (isinstance(error, InstantiationException) and error.__cause__) or error
         if isinstance(cause, ConfigError):
             raise cause from error
-        raise ConfigError(f"{group}: {' '.join(str(cause).split())}") from error
+        raise ConfigError(f"{group}: {cause}") from error
 
 
 @contextmanager

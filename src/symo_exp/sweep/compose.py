@@ -20,15 +20,14 @@ from symo_exp.runs.folder import RunFolder
 class Job(NamedTuple):
     """One job of a sweep.
 
-    ``label`` tells it from the other jobs, ``overrides`` make it, and ``files`` is the
-    configuration that its choices of files alone would give.
+    ``label`` tells it from the other jobs, ``overrides`` make it, and ``known`` are the settings,
+    unresolved, that its choices of files alone would give.
     """
 
     label: str
     overrides: list[str]
-    config: DictConfig
     settings: Settings
-    files: DictConfig
+    known: dict[str, Any]
     choices: dict[str, Any]
     folder: RunFolder
 
@@ -38,7 +37,7 @@ class Job(NamedTuple):
         return self.settings.values
 
 
-def expand(arguments: Sequence[str], params: Mapping[str, Any] | None = None) -> list[list[str]]:
+def expand(arguments: Sequence[str], params: Mapping[str, Any]) -> list[list[str]]:
     """Return the overrides of every combination of the values that are swept.
 
     Args:
@@ -47,7 +46,6 @@ def expand(arguments: Sequence[str], params: Mapping[str, Any] | None = None) ->
             pairs; of these the ones are taken that agree with the command line, and where none
             agrees, the values of the command line alone.
     """
-    params = params or {}
     single = {key: value for key, value in params.items() if "," not in key}
     axes: dict[tuple[str, ...], list[list[str]]] = {tuple(key.split(",")): [] for key in params}
     given = [f"{key}={value}" for key, value in single.items()]
@@ -56,7 +54,7 @@ def expand(arguments: Sequence[str], params: Mapping[str, Any] | None = None) ->
         if override.is_sweep_override():
             axes[key,] = [[f"{key}={value}"] for value in override.sweep_string_iterator()]
         else:
-            axes[key,] = [[override.input_line or f"{key}={override.get_value_element_as_str()}"]]
+            axes[key,] = [[str(override.input_line)]]
     for key in params.keys() - single:
         names = tuple(key.split(","))
         typed = [axes.pop((name,)) for name in names if (name,) in axes]
@@ -113,21 +111,18 @@ class Composer:
             OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
         chosen = dict(config.hydra.runtime.choices)
         folder = RunFolder(f"{config.hydra.sweep.dir}/{config.hydra.sweep.subdir}")
-        with open_dict(config):
-            del config["hydra"]
-        return Job(label, overrides, config, resolve(config), files, chosen, folder)
+        return Job(label, overrides, resolve(config), unresolved(files), chosen, folder)
 
     def options(self, group: str) -> list[str]:
         """Return the files of a group, none if the name is a setting."""
         if group not in self._options:
-            dotted = "." in group
-            self._options[group] = [] if dotted else self.loader.get_group_options(group)
+            self._options[group] = self.loader.get_group_options(group)
         return self._options[group]
 
     def check_choices(self, job: Job) -> None:
         """Refuse a choice that lacks what the model refers to."""
         for argument in job.values["model"]:
-            name = job.settings.references.get(f"model.{argument}", "").strip("${}")
+            name = job.settings.references.get(f"model.{argument}", "")
             group, inside, _ = name.partition(".")
             if not inside or group not in job.choices or job.settings.value(name) is not None:
                 continue
@@ -146,10 +141,9 @@ class Composer:
         """
         if overrides not in self._merged:
             own = self.loader.load_sweep_config(self.master, list(overrides))
-            sweep, runtime = (own.hydra[k] for k in ("sweep", "runtime"))
-            raw = {"sweep": unresolved(sweep), "runtime": {"choices": unresolved(runtime.choices)}}
             with open_dict(own):
-                del own["hydra"]
-                own["hydra"] = raw
+                hydra = unresolved(own.pop("hydra"))
+                choices = {"choices": hydra["runtime"]["choices"]}
+                own["hydra"] = {"sweep": hydra["sweep"], "runtime": choices}
             self._merged[overrides] = own
         return self._merged[overrides]

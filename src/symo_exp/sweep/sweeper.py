@@ -22,11 +22,10 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from symo_exp.cli.explain import BAD_INPUT, explained
-from symo_exp.errors import ConfigError, one_line
+from symo_exp.errors import ConfigError, debugging, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
-from symo_exp.job.config import unresolved
-from symo_exp.job.job import debugging, is_done, publish
+from symo_exp.job.job import is_done, publish
 from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
 from symo_exp.shell import python_command
@@ -149,12 +148,11 @@ class Sweep:
         """Return a job whose places and, unless it is done, settings are checked."""
         job = self._composer.job(overrides, label)
         values = job.values
-        known = unresolved(job.files)
-        check_parts(job.settings, known)
+        check_parts(job.settings, job.known)
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
         if not is_done(values, job.folder):
             self._composer.check_choices(job)
-            check_settings(job.settings, known)
+            check_settings(job.settings, job.known)
         return job
 
     def check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
@@ -287,8 +285,8 @@ class Sweep:
         return 0 if all(outcome.status == "finished" for outcome in outcomes) else 1
 
 
-def _labelled(error: Exception, label: str) -> ConfigError:
-    return ConfigError(f"{label}: {one_line(error)}" if label else one_line(error))
+def _labelled(error: ConfigError, label: str) -> ConfigError:
+    return ConfigError(f"{label}: {error}" if label else error)
 
 
 def _clear(job: Job) -> None:

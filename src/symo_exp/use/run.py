@@ -11,7 +11,6 @@ import pandas as pd
 from PIL import Image
 
 from symo_exp.cli.command import Command
-from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.runs.folder import LOG, PICTURES, ROLLOUTS, RunFolder
@@ -85,10 +84,7 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
     if not command.runs:
         raise ConfigError(f"{' '.join(command.options)}: expected a command that starts a run")
     with watched() as folders:
-        try:
-            codes = [one.execute() for one in command.several() or [command]]
-        except BAD_INPUT as error:
-            raise explained(error) from error
+        codes = [one.execute() for one in command.several() or [command]]
     if any(code > 128 for code in codes):
         raise KeyboardInterrupt
     for folder in folders:
