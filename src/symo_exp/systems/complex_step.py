@@ -10,7 +10,7 @@ from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
 
-_STEP = 1e-20  # Nothing is subtracted, so the step only has to vanish beside 1.
+STEP = 1e-20  # Nothing is subtracted, so the step only has to vanish beside 1.
 
 
 def rates(
@@ -27,23 +27,23 @@ def rates(
     space = lagrangian.space
     if space.rotations:
         axes = torch.eye(n, dtype=q.dtype, device=q.device).unsqueeze(1).expand(n, batch, n)
-        along_axes = torch.complex(q.expand(n, -1, -1), _STEP * space.push(q, axes))
+        along_axes = torch.complex(q.expand(n, -1, -1), STEP * space.push(q, axes))
     else:
         along_axes = q + _imaginary_axes(n, q.dtype, q.device)
-    along_v = torch.complex(q, _STEP * space.push(q, v)).unsqueeze(0)
+    along_v = torch.complex(q, STEP * space.push(q, v)).unsqueeze(0)
     shifted = torch.cat([along_axes, along_v]).view(-1, q.shape[1])
     mass, potential = lagrangian.terms(shifted)
     mass = mass.view(n + 1, batch, n, n)
     slope = potential.imag.view(n + 1, batch)[:n]
-    mass_slope_v = (mass.imag * v.unsqueeze(-2)).sum(-1) / _STEP
-    dq = 0.5 * (mass_slope_v[:n] * v).sum(-1) - slope / _STEP
+    mass_slope_v = (mass.imag * v.unsqueeze(-2)).sum(-1) / STEP
+    dq = 0.5 * (mass_slope_v[:n] * v).sum(-1) - slope / STEP
     return Rates(mass[0].real, mass_slope_v[n], dq.T)
 
 
 @cache
 def _imaginary_axes(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """``i ε`` times the unit vectors, (n, 1, n)."""
-    axes = _STEP * torch.eye(n, dtype=dtype, device=device).unsqueeze(1)
+    axes = STEP * torch.eye(n, dtype=dtype, device=device).unsqueeze(1)
     return torch.complex(torch.zeros_like(axes), axes)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 from typing_extensions import Self, override
 
 from symo_exp.mechanics.bodies import (
@@ -27,11 +28,13 @@ from symo_exp.mechanics.bodies import (
     pseudo_inertia,
 )
 from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.lagrangian import Rates, matvec
 from symo_exp.mechanics.space import quaternion
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import Range, SamplingBox, completed
 from symo_exp.systems.checks import one_of
+from symo_exp.systems.complex_step import STEP
 from symo_exp.systems.scene import scene
 
 
@@ -185,7 +188,7 @@ class Multibody(LagrangianSystem):
 
     @override
     def mass_matrix(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch n n"]:
-        return self._mass_matrix(self._tree.poses(q))
+        return self._mass_matrix(self._jacobians(self._tree.poses(q)))
 
     @override
     def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
@@ -194,21 +197,63 @@ class Multibody(LagrangianSystem):
     @override
     def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
         at = self._tree.poses(q)
-        return self._mass_matrix(at), self._potential(q, at)
+        return self._mass_matrix(self._jacobians(at)), self._potential(q, at)
 
-    def _mass_matrix(self, at: Poses) -> Tensor:
-        mass, centre, inertia, armature = (x.to(at.shift) for x in self._numbers[:4])
-        linear, turning = self._tree.jacobians(at, range(len(self.joints)), centre)
+    @override
+    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
+        """Return the terms of the equations of motion by one complex step, along ``v``.
+
+        For the columns ``J_i`` and ``W_i`` of the Jacobians of a body, and its body rates ω::
+
+            ∂ċ/∂q_i = d/dt J_i + J (e_i × v),    ∂ω/∂q_i = d/dt W_i + ω × W_i + W (e_i × v)
+
+        with ``e_i × v`` among the rates of the same ball joint. The complex step of any system
+        takes n + 1 directions instead.
+        """
+        if torch.is_grad_enabled() and (q.requires_grad or v.requires_grad):
+            return super().rates(q, v)
+        mass, _, inertia, _, stiffness, rest, gravity = (x.to(q) for x in self._numbers)
+        along_v = torch.complex(q, STEP * self.space.push(q, v))
+        moving = self._jacobians(self._tree.poses(along_v))
+        columns, rate = moving.real.contiguous(), moving.imag / STEP
+        matrix = self._mass_matrix(columns)
+        (c, w), (c_bias, w_bias) = (
+            (v[:, None, None] @ x).squeeze(2).split(3, -1) for x in (columns, rate)
+        )
+        linear, spin = mass[:, None] * c, _times(inertia, w)
+        pushed = _onto(rate, linear, spin)
+        moment = torch.linalg.cross(spin, w)
+        dq = pushed + _onto(columns, (mass[:, None] * gravity).expand_as(c), moment)
+        dq = dq + self.space.coadjoint(v, matvec(matrix, v))
+        flat = self._flat
+        spring = stiffness[flat] * (q[:, : len(flat)] - rest[flat])
+        dq = dq - functional.pad(spring, (0, v.shape[1] - len(flat)))
+        bias = _onto(columns, mass[:, None] * c_bias, _times(inertia, w_bias))
+        return Rates(matrix, pushed + bias, dq)
+
+    def _jacobians(self, at: Poses) -> Float[Tensor, "batch bodies n 6"]:
+        """Return ``∂ċ/∂v`` of the centres in world axes and ``∂ω/∂v`` in body axes."""
+        centre = self._numbers[1].to(at.shift)
+        return torch.cat(self._tree.jacobians(at, range(len(self.joints)), centre), -1)
+
+    def _mass_matrix(self, jacobians: Float[Tensor, "batch bodies n 6"]) -> Tensor:
+        mass, _, inertia, armature = (x.to(jacobians) for x in self._numbers[:4])
+        linear, turning = jacobians.split(3, -1)
         weighted = torch.cat([mass[:, None, None] * linear, turning @ inertia], -1)
-        found = torch.einsum("bjik,bjlk->bil", torch.cat([linear, turning], -1), weighted)
+        found = torch.einsum("bjik,bjlk->bil", jacobians, weighted)
         owners = [i for i, _ in freedoms(self.joints)]
         return 0.5 * (found + found.mT) + torch.diag(armature[owners])
 
     def _potential(self, q: Tensor, at: Poses) -> Tensor:
         mass, centre, _, _, stiffness, rest, gravity = (x.to(q) for x in self._numbers)
-        flat = [i for i, k in freedoms(self.joints) if k is None]
+        flat = self._flat
         springs = 0.5 * (stiffness[flat] * (q[:, : len(flat)] - rest[flat]) ** 2).sum(-1)
         return springs - (mass * (at.of(centre) @ gravity)).sum(-1)
+
+    @cached_property
+    def _flat(self) -> list[int]:
+        """The joints of lengths and angles, in the order of the coordinates."""
+        return [i for i, k in freedoms(self.joints) if k is None]
 
     @cached_property
     def dissipation(self) -> Dissipation | None:
@@ -324,3 +369,18 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_plain(item) for item in value]
     return value
+
+
+def _times(
+    matrices: Float[Tensor, "bodies 3 3"], vectors: Float[Tensor, "batch bodies 3"]
+) -> Float[Tensor, "batch bodies 3"]:
+    return (matrices @ vectors.unsqueeze(-1)).squeeze(-1)
+
+
+def _onto(
+    jacobians: Float[Tensor, "batch bodies n 6"],
+    forces: Float[Tensor, "batch bodies 3"],
+    moments: Float[Tensor, "batch bodies 3"],
+) -> Float[Tensor, "batch n"]:
+    """Return the generalised forces of forces at the centres and of moments in body axes."""
+    return (jacobians @ torch.cat([forces, moments], -1).unsqueeze(-1)).sum(1).squeeze(-1)
