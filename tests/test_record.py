@@ -69,7 +69,8 @@ def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
     [
         (["Nothing-v0"], "cannot make it"),
         (["CartPole-v1"], "its coordinates are unknown"),
-        (["symo_exp/Pendulum-v0", "--policy", "none.py"], "expected random or a .py file"),
+        (["symo_exp/Pendulum-v0", "--policy", "none.py"], "none.py: there is no such file"),
+        (["symo_exp/Pendulum-v0", "--policy", "mine.txt"], "expected random or a .py file"),
         (["symo_exp/Pendulum-v0", "--policy", "empty.py"], "has no function policy"),
         (["symo_exp/Pendulum-v0", "--policy", "broken.py"], "fails: division"),
         (["symo_exp/Pendulum-v0", "--policy", "wide.py"], "expected 1 finite"),

@@ -201,10 +201,12 @@ def _policy(given: str, env: Any, seed: int) -> Policy:
     if given == "random":
         env.action_space.seed(seed)
         return lambda _: env.action_space.sample()
-    if not Path(given).is_file() or Path(given).suffix != ".py":
+    if Path(given).suffix != ".py":
         raise ConfigError(
             f"--policy {given}: expected random or a .py file with policy(observation)"
         )
+    if not Path(given).is_file():
+        raise ConfigError(f"--policy {given}: there is no such file")
     try:
         found = runpy.run_path(given).get("policy")
     except Exception as error:  # a user's own code
