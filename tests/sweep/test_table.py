@@ -41,6 +41,15 @@ def test_the_table_fits_and_the_best_of_each_column_is_marked(tmp_path):
     assert units.startswith("* the best; MSE in m², rad²; energy in J²; inertia in kg²")
 
 
+def test_a_single_run_has_no_room_for_marks_and_its_name_is_whole(tmp_path):
+    values = {"train_mse": 3.39e-18, "test_mse": 5.23e-18, "integration_mse": 9.76e-12,
+              "energy_mse": 1.11e-15, "inertia_mse": 4.16e-15}  # fmt: skip
+    lines = table(["SyMo cartpole n=32"], [made(tmp_path / "a", **values)]).splitlines()
+    assert lines[1].startswith("SyMo cartpole n=32  3.39e-18  5.23e-18  ")
+    assert max(map(len, lines)) <= 80
+    assert "*" not in "".join(lines)
+
+
 def test_measures_of_no_run_have_no_column_and_failures_have_a_reason(tmp_path):
     folders = [made(tmp_path / "a", test_mse=1.0), made(tmp_path / "b", status="failed")]
     header, first, second, units, failed = table(["seed=0", "seed=1"], folders).splitlines()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from symo_exp.report.looks import written
+from symo_exp.report.looks import duration, written
 from symo_exp.runs.folder import PARAMETERS, RunFolder
 
 MEASURES = {
@@ -57,11 +57,3 @@ def brief(label: str) -> str:
         named = {"model": "", "system": "", "integrator": "", "data.n_traj": "n="} if equals else {}
         words.append(named.get(key, key.rpartition(".")[2] + equals) + value)
     return " ".join(words)
-
-
-def duration(seconds: float) -> str:
-    """Return a duration in a suitable unit."""
-    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 1.5 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"

@@ -135,9 +135,14 @@ def in_order(pair: Pair) -> tuple[int, str, int, str]:
     return at[0], pair[0], at[1], pair[1]
 
 
+def label_and_unit(metric: str) -> tuple[str, str]:
+    """Return the label of a measure, and its unit or units, separated by commas."""
+    return MEASURES.get(metric, (metric.replace("_", " "), ""))
+
+
 def measure_name(metric: str, *, axis: bool = False) -> str:
     """Return the label of a measure with its unit; several units only for an axis."""
-    label, unit = MEASURES.get(metric, (metric.replace("_", " "), ""))
+    label, unit = label_and_unit(metric)
     return f"{label} [{unit}]" if unit and (axis or "," not in unit) else label
 
 
@@ -161,6 +166,14 @@ def written(x: float) -> str:
         return f"{x:.3g}"
     digits, exponent = f"{x:.2e}".split("e")
     return f"{digits}e{int(exponent)}"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration in a suitable unit: ``108 s``, ``4 h``."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
 
 
 def number(x: float) -> str:

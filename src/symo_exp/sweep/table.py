@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from symo_exp.evaluation.verdict import comparison, verdict
-from symo_exp.job.lines import MEASURES, UNITS, brief, duration, parameter_lines, run_line
+from symo_exp.job.lines import MEASURES, UNITS, brief, parameter_lines, run_line
 from symo_exp.process import phases, stopping
-from symo_exp.report.looks import written
+from symo_exp.report.looks import duration, written
 from symo_exp.runs.folder import LOG, RunFolder
 from symo_exp.runs.outcome import Outcome
 
@@ -64,11 +64,12 @@ def _column(name: str, found: Sequence[Mapping[str, float]]) -> list[str]:
     values = [measures.get(name, math.nan) for measures in found]
     there = [x for x in values if not math.isnan(x)]
     best = min(there) if len(there) > 1 else math.nan
+    unmarked = " " * (len(found) > 1)  # no place for a mark where there is nothing to compare
     cells = [
-        f"{written(x)}{'*' if x == best else ' '}" if name in measures else "- "
+        f"{written(x)}{'*' if x == best else unmarked}" if name in measures else "- "
         for x, measures in zip(values, found, strict=True)
     ]
-    return [MEASURES[name] + " ", *cells]
+    return [MEASURES[name] + unmarked, *cells]
 
 
 def _failures(
