@@ -117,6 +117,25 @@ def test_a_chart_becomes_a_file_that_is_the_same_again(form, tmp_path):
         assert first.read_bytes() == again.read_bytes()
 
 
+@pytest.mark.parametrize(("low", "high"), [(21.0, 29.0), (2.0, 9.0), (1.0, 1e3)])
+def test_a_logarithmic_axis_has_labels_all_along(low, high, tmp_path):
+    x = np.geomspace(low, high, 5)
+    rows = pd.DataFrame({"x": x, "y": x, "method": "symo", "integrator": "", "source": "ours"})
+    panel = Panel("", "there", "", rows, x_log=True, mark="points")
+    (file,) = draw_charts(Figure("k", "", "", [panel]), tmp_path, ["svg"])
+    shown = re.findall(r">([-.\de]+)</text>", file.read_text().partition(">there<")[0])
+    labels = np.array([float(text) for text in shown])
+    third = (high / low) ** (1 / 3)
+    for k in range(3):
+        assert ((labels >= low * third**k * 0.99) & (labels <= low * third ** (k + 1))).any(), k
+
+
+def test_a_single_run_has_no_chart_of_one_point():
+    table = runs()
+    assert curves.speed(table)
+    assert not curves.speed(table[table.run_id == table.run_id.iloc[0]])
+
+
 def test_published_values_and_several_integrators_have_legends():
     spec = vl_convert.vegalite_to_vega(declare(FIGURES[0], interactive=False))
     shown = {key for legend in spec["legends"] for key in legend if key in ("fill", "strokeDash")}

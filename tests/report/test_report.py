@@ -83,9 +83,9 @@ def test_the_answer_is_of_the_last_sweep_unless_other_settings_are_asked_for(tmp
                                                    ("fast", "b", "2026-01-02", 1))
             for seed in range(seeds) for method in ("symo", "node")]  # fmt: skip
     text = (made(tmp_path, rows) / "report.md").read_text()
-    assert "Answer and figures: runs with fast; 10 runs have other settings" in text
+    assert "Settings of the answer and the figures: fast; 10 runs have other settings" in text
     asked = made(tmp_path, rows, "--settings", "trainer.max_epochs=2") / "report.md"
-    assert "Answer and figures: runs with trainer.max_epochs=2; 2 runs" in asked.read_text()
+    assert "answer and the figures: trainer.max_epochs=2; 2 runs" in asked.read_text()
 
 
 def test_run_folders_are_reported_where_there_is_no_store(tmp_path, monkeypatch):
@@ -110,10 +110,16 @@ def test_recordings_without_sizes_or_truth_are_reported(tmp_path):
 def test_unfinished_runs_and_empty_stores_are_reported(tmp_path):
     rows = [row(system="acrobot", status="FAILED", reason="out of memory")]
     text = (made(tmp_path, rows) / "report.md").read_text()
-    assert "1 runs: 1 failed" in text
+    assert "1 run: 1 failed." in text
     assert "| acrobot | SyMo, midpoint | 32 | 0 | 0 | failed | out of memory |" in text
     text = (made(tmp_path, rows, "--seed", "5") / "report.md").read_text()
     assert "There are no finished runs yet" in text
+
+
+def test_a_single_run_is_described_with_units(tmp_path):
+    text = (made(tmp_path, [row(MEASURES)]) / "report.md").read_text()
+    assert "**In time** (32 trajectories): training of SyMo 40 s (pendulum)." in text
+    assert "1 run: 1 finished.\n" in text
 
 
 def test_bad_input_is_a_line_and_code_2(store, tmp_path, capsys):

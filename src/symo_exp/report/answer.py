@@ -9,7 +9,16 @@ import numpy as np
 import pandas as pd
 
 from symo_exp.report.cells import DEFAULTS, Compared
-from symo_exp.report.looks import in_order, letters, look, measure_name, number, pair_name, short
+from symo_exp.report.looks import (
+    in_order,
+    label_and_unit,
+    letters,
+    look,
+    measure_name,
+    number,
+    pair_name,
+    short,
+)
 from symo_exp.report.ranking import MarginInterval, between, logarithms, resampled
 from symo_exp.report.tables import ResultTable
 
@@ -181,8 +190,10 @@ def sentence(found: Ranked) -> str:
     everywhere = medians.dropna(axis=1)
     if everywhere.shape[1] < 2:
         least = zip(medians.index, medians.idxmin(axis=1), medians.min(axis=1), strict=True)
-        told = ", ".join(f"{name} {short(10**x)} ({system})" for system, name, x in least)
-        return f"{start}: {measure_name(found.metric)} of {told}."
+        label, unit = label_and_unit(found.metric)
+        of = f" {unit}" if unit and "," not in unit else ""
+        told = ", ".join(f"{name} {short(10**x)}{of} ({system})" for system, name, x in least)
+        return f"{start}: {label} of {told}."
     best, second = everywhere.mean().sort_values(kind="stable").index[:2]
     apart = everywhere[second].mean() - everywhere[best].mean()
     says = f"**{best}** {question.says}, {_times(apart)} times {question.than} {second}"

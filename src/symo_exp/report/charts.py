@@ -236,7 +236,9 @@ def _axis(
     else:  # Vega draws the ticks between powers of ten where there are fewer powers than this
         words["tickCount"] = min(int(decades), 6) if decades >= 2 else 10 if log else 5
     if log and not ticks:
-        words |= {"gridOpacity": FAINT, "labelExpr": f"{ROUND} ? ({LABEL}) : ''"}
+        words["gridOpacity"] = FAINT
+        if decades >= 1:  # within a power of ten Vega spaces the ticks evenly
+            words["labelExpr"] = f"{ROUND} ? ({LABEL}) : ''"
     return {"scale": scale, "axis": alt.Axis(**words)}
 
 

@@ -105,8 +105,13 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
 
 
 def speed(runs: pd.DataFrame) -> list[Figure]:
-    """Return errors against the time of training, a point for each run of any settings."""
+    """Return errors against the time of training, a point for each run of any settings.
+
+    There is no figure of a single run.
+    """
     learned = runs[(runs.source == "ours") & ~(runs.noise_std > 0)]
+    if learned.run_id.nunique() < 2:
+        return []
     words = zip(learned.variant, learned.n_traj, learned.seed, strict=True)
     said = [f"{v or 'defaults'}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]
     learned = learned.assign(median=learned.value, text=said)

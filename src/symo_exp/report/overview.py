@@ -12,7 +12,7 @@ from symo_exp.report.cells import DEFAULTS, Compared, at_step, cells, usual_step
 from symo_exp.report.document import Section
 from symo_exp.report.growth import growth
 from symo_exp.report.held_out import recording_answers, recording_names, recording_sections
-from symo_exp.report.looks import look, measure_name, number, pair_names, short, stroke
+from symo_exp.report.looks import duration, look, measure_name, number, pair_names, short, stroke
 from symo_exp.report.runs import without_result
 from symo_exp.report.tables import ResultTable
 from symo_exp.tracking.store import Store
@@ -98,7 +98,7 @@ def scope(runs: pd.DataFrame, compared: Compared) -> list[str]:
     if not (compared.variant or rest):
         return []
     others = f"; {rest} runs have other settings, which the tables list" if rest else ""
-    return [f"Answer and figures: runs with {compared.variant or DEFAULTS}{others}."]
+    return [f"Settings of the answer and the figures: {compared.variant or DEFAULTS}{others}."]
 
 
 def state(runs: pd.DataFrame) -> list[str]:
@@ -108,8 +108,9 @@ def state(runs: pd.DataFrame) -> list[str]:
         return []
     told = ", ".join(f"{n} {status.lower()}" for status, n in each.status.value_counts().items())
     finished = each[each.status == "FINISHED"]
-    hours = finished.seconds.sum() / 3600
-    lines = [f"{len(each)} runs: {told}. The finished ones trained for {hours:.1f} hours."]
+    lines = [f"{len(each)} {'runs' if len(each) > 1 else 'run'}: {told}."]
+    if len(finished):
+        lines.append(f"Time of the finished ones together: {duration(finished.seconds.sum())}.")
     if revisions := sorted({r[:10] for r in finished.revision if r}):
         lines.append(f"Revisions: {', '.join(revisions)}.")
     return lines

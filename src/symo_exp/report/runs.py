@@ -200,7 +200,7 @@ def _load(path: Path) -> pd.DataFrame:
         found = (RunFolder(file.parent) for file in sorted(path.rglob(ABOUT)))
         rows = [row for folder in found if (row := _in_folder(folder)) is not None]
         if not rows:
-            raise ConfigError(f"--runs {path} has no run in it, nor in a folder below")
+            raise ConfigError(f"{path} has no run in it, nor in a folder below")
         return tidy(rows)
     try:
         if path.suffix == ".parquet":
@@ -213,11 +213,10 @@ def _load(path: Path) -> pd.DataFrame:
         typed = table if absent else _typed(table[SAVED].assign(files=""))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
-        raise ConfigError(f"--runs {path} cannot be read ({reason})") from error
+        raise ConfigError(f"{path} cannot be read ({reason})") from error
     if absent:
         raise ConfigError(
-            f"--runs {path} has no column {absent[0]!r}: "
-            "give the runs.csv or runs.parquet of a report"
+            f"{path} has no column {absent[0]!r}: give the runs.csv or runs.parquet of a report"
         )
     return typed
 
