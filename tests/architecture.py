@@ -24,7 +24,7 @@ RULES = {
     "models": ({"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "torchdiffeq"}),
     "compile": ({"mechanics", "nets", "models"}, {"torch", "jaxtyping"}),
     "data": (
-        {"mechanics", "systems"},
+        {"mechanics", "systems", "process"},
         {"torch", "jaxtyping", "lightning", "numpy", "scipy", "pandas", "pyarrow", "filelock",
          "rosbags"},
     ),

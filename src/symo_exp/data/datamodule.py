@@ -20,6 +20,7 @@ from symo_exp.data.ends import ended
 from symo_exp.data.simulate import generate
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
+from symo_exp.process import phases
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.checks import whole_number
 from symo_exp.systems.simulation import Solver
@@ -185,10 +186,12 @@ class TrajectoryData(DataModule):
         arrays: dict[str, np.ndarray] = {}
         for split in Splits._fields:
             rollout = split == "integration"
+            steps = 1 + (self.integration_steps if rollout else self.n_steps)
+            phases.say(f"simulating {self.counts[split]} motions of {steps} steps ({split})")
             trajectories = generate(
                 self.system,
                 starts[split],
-                steps=1 + (self.integration_steps if rollout else self.n_steps),
+                steps=steps,
                 forced=not rollout,
                 solver=self.solver,
                 lead=self.draws.lead,
