@@ -185,6 +185,20 @@ def test_joined_variations_have_what_both_switch_on():
 
 
 @pytest.mark.parametrize("driven", [True, False])
+def test_a_variation_is_given_to_a_simpler_candidate_with_all_that_it_changes(driven):
+    one = machine(driven=driven)
+    for simple, base in itertools.combinations(ladder(one), 2):
+        for variation in variations(base, one):
+            given = joined(base, simple, variation)
+            changed = {k: v for k, v in variation.settings.items() if base.settings.get(k) != v}
+            kept = {k: v for k, v in simple.settings.items() if k not in changed}
+            for key, value in kept.items() | changed.items():
+                assert given.settings[key] in (value, "true")
+            assert given.name == f"{simple.name}, {variation.name.removeprefix(f'{base.name}, ')}"
+            assert given.rank - simple.rank == pytest.approx(variation.rank - base.rank)
+
+
+@pytest.mark.parametrize("driven", [True, False])
 def test_driven_machines_have_a_candidate_with_the_friction_of_motors(driven):
     """Among the first, with a width that follows the speed of the machine."""
     one = replace(machine(1, angular=False, driven=driven), rest_velocity=0.004)

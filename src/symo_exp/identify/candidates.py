@@ -141,10 +141,10 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield from motors
     if settings["dissipation"] == "friction":
         yield _viscous(candidate)
-    if "springs" not in settings and machine.stiffness is None:
-        yield _sprung(candidate, machine)
     if settings["dissipation"] in ("friction", "viscous"):
         yield _with_learned_friction(candidate)
+    if "springs" not in settings and machine.stiffness is None:
+        yield _sprung(candidate, machine)
     if machine.driven:
         force = machine.units.size("N m" if any(machine.angular) else "N")
         weight = f"{INPUT_NOISE * force:g}"
@@ -179,7 +179,10 @@ def distinct_candidates(
 
 
 def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
-    """Return the candidate that has two variations of another; what either switches on is on."""
+    """Return the candidate that has what distinguishes ``one`` and ``other`` from ``base``.
+
+    What either switches on is on.
+    """
     settings = dict(one.settings)
     for key, value in other.settings.items():
         if base.settings.get(key) != value and settings.get(key) != "true":
@@ -190,7 +193,7 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
         rank=one.rank + other.rank - base.rank,
         settings=settings,
         cost=one.cost * other.cost / base.cost,
-        starts=base.starts,
+        starts=one.starts,
     )
 
 

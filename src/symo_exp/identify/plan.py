@@ -251,7 +251,8 @@ def make_plan(
     variations, left = FEWEST_VARIATIONS, VARYING * work / one
 
     def runs(variations: int) -> int:
-        return first * variations + min(PROMOTED, (variations + 1) // 2) * (folds - first)
+        promoted = min(PROMOTED, (variations + 1) // 2)
+        return first * variations + promoted * (folds - first) + folds  # and of a simpler one
 
     while runs(variations + 1) <= left:
         variations += 1

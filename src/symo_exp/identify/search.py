@@ -212,7 +212,11 @@ class Search:
             ]
 
     def _vary(self, base: Trial) -> None:
-        """Try variations of the best candidate, and what is better together."""
+        """Try variations of the best candidate, what is better together, and this on a simpler one.
+
+        A candidate with many parameters also represents errors of the integrator; a simpler one
+        may have the smaller error once these are removed.
+        """
         plan = self._plan
         known = [trial.candidate for trial in self._trials.values()]
         new = distinct_candidates(variations(base.candidate, self._machine), self._given, known)
@@ -234,6 +238,19 @@ class Search:
                 self._try([c], folds)
             if joint is base or self._gains(c, joint, folds):
                 joint = self._trials[c.name]
+        if joint is not base and (simple := self._simpler(known, base, folds)) is not None:
+            also = joined(base.candidate, simple, joint.candidate)
+            if self._in_time(0.75, "joint variations"):
+                self._try(distinct_candidates([also], self._given, known), folds)
+
+    def _simpler(
+        self, candidates: Sequence[Candidate], base: Trial, folds: Sequence[int]
+    ) -> Candidate | None:
+        """Return the best of the candidates that are simpler than one and not hopeless."""
+        simpler = [c for c in candidates if c.rank < base.candidate.rank]
+        ranked = self._ranked(simpler, folds)
+        least = HOPELESS * base.mean(folds)
+        return next((c for c in ranked if self._trials[c.name].mean(folds) <= least), None)
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
         trial = self._trials[candidate.name]
