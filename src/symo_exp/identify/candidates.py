@@ -73,9 +73,11 @@ def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
     several = sum(machine.angular) > 1
     relative = ", relative angles" if several else ""
-    # without inputs only the ratio to the inertia counts, and from too little friction fits hang
+    # without inputs only the ratio to the inertia counts, and from too little friction fits hang;
+    # with inputs no friction is suitable for all machines, and a second start finds the fit
     start = {} if machine.driven else {"dissipation.start": f"{FREE_DAMPING:g}"}
-    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", {**FRICTION, **start}, cost=0.8)
+    starts = 2 if machine.driven else 1
+    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", {**FRICTION, **start}, 0.8, starts)
     found = [first]
     if machine.stiffness is not None:
         found.append(_sprung(first, machine))
@@ -83,7 +85,7 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     if several:
         name = f"{LINKS}, absolute angles"
-        found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, cost=0.8))
+        found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 0.8, starts))
     if not machine.driven:  # bearings: dry friction may be too little to be found
         found += [_viscous(candidate) for candidate in found]
     found.append(_candidate(f"general links{relative}", 1.8, "general relative", FRICTION))
