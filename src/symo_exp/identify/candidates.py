@@ -88,11 +88,11 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 0.8, starts))
     if not machine.driven:  # bearings: dry friction may be too little to be found
         found += [_viscous(candidate) for candidate in found]
-    found.append(_candidate(f"general links{relative}", 1.8, "general relative", FRICTION))
+    name = f"general links{relative}"
+    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.0, starts))
     if several:
-        found.append(
-            _candidate("general links, absolute angles", 1.9, "general absolute", NEIGHBOURS)
-        )
+        name = "general links, absolute angles"
+        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.0, starts))
     if machine.n > 2 and all(machine.angular):
         found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=2.0))
     network = _candidate("network", 4.0, "network", FRICTION, cost=1.5, starts=2)
