@@ -1,4 +1,4 @@
-"""The sweeper of symo_exp, in the namespace where Hydra looks for plugins.
+"""The sweepers of symo_exp, in the namespace where Hydra looks for plugins.
 
 Hydra imports every plugin at each start, so that slow imports stand where they are used.
 """
@@ -36,5 +36,35 @@ class SymoExpSweeper(Sweeper):
         assert self.hydra_context is not None
         assert self.config is not None
         sweep = Sweep(self.hydra_context, self.task_function, self.config)
-        if code := sweep.run(arguments, self.params or {}, check_only=self.check_only):
+        if code := self.run(sweep, arguments):
             raise SystemExit(code)
+
+    def run(self, sweep: Any, arguments: list[str]) -> int:
+        """Run the jobs of these overrides and return the exit code."""
+        code: int = sweep.run(arguments, self.params or {}, check_only=self.check_only)
+        return code
+
+
+class SymoExpMachineSweeper(SymoExpSweeper):
+    """A search over candidate models of recordings: see ``symo_exp.identify.search``.
+
+    Args:
+        budget: Of wall time.
+        clock: Whether stages are left out when the search grossly overruns its budget, and
+            trainings ended; on a busy machine the plan alone may decide.
+        check_only: Whether nothing is run.
+    """
+
+    def __init__(
+        self, budget: str | float = "10min", clock: bool = True, check_only: bool = False
+    ) -> None:
+        super().__init__(check_only=check_only)
+        self.budget, self.clock = budget, clock
+
+    def run(self, sweep: Any, arguments: list[str]) -> int:
+        """Search and return the exit code."""
+        from symo_exp.identify.search import Search
+
+        assert self.config is not None
+        search = Search(sweep, self.config, arguments, self.budget, clock=self.clock)
+        return search.run(check_only=self.check_only)

@@ -37,6 +37,7 @@ from symo_exp.mechanics.variational import (
     Forces,
     Slots,
     VariationalIntegrator,
+    block_matrix,
     distinct,
 )
 
@@ -379,7 +380,7 @@ class GalerkinExpansion(DiscreteExpansion):
         w = self.basis.inertia(self.at.mass(), self.h)
         if self.dissipates:
             w = w + self.basis.damping(self.at.damping())
-        return _matrix(w[1:-1, 1:-1])
+        return block_matrix(w[1:-1, 1:-1])
 
     @property
     def dissipates(self) -> bool:
@@ -401,7 +402,7 @@ class GalerkinExpansion(DiscreteExpansion):
     @override
     def mismatch_jacobian(self) -> Tensor:
         w = self.hessian()
-        return _matrix(torch.cat((w[:-1, -1:], w[:-1, 1:-1]), dim=1))
+        return block_matrix(torch.cat((w[:-1, -1:], w[:-1, 1:-1]), dim=1))
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
@@ -459,15 +460,13 @@ class GalerkinExpansion(DiscreteExpansion):
         if self._condensed is None:
             w = self.hessian()
             ends = w[[0, -1]][:, 1:-1]
-            transfer = torch.linalg.solve_ex(_matrix(w[1:-1, 1:-1]), _matrix(ends), left=False)[0]
+            transfer = torch.linalg.solve_ex(
+                block_matrix(w[1:-1, 1:-1]), block_matrix(ends), left=False
+            )[0]
             n = w.shape[-1]
-            d2d1 = w[0, -1] - transfer[:, :n] @ _matrix(w[1:-1, -1:])
+            d2d1 = w[0, -1] - transfer[:, :n] @ block_matrix(w[1:-1, -1:])
             self._condensed = d2d1, transfer
         return self._condensed
-
-
-def _matrix(blocks: Float[Tensor, "a b batch n n"]) -> Float[Tensor, "batch a*n b*n"]:
-    return blocks.permute(2, 0, 3, 1, 4).flatten(3).flatten(1, 2)
 
 
 def _row(blocks: Float[Tensor, "a batch n"]) -> Float[Tensor, "batch a*n"]:

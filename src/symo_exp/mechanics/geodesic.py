@@ -46,6 +46,7 @@ from symo_exp.mechanics.variational import (
     Forces,
     Slots,
     VariationalIntegrator,
+    block_matrix,
 )
 
 
@@ -485,7 +486,7 @@ class GeodesicExpansion(DiscreteExpansion):
     @override
     def mismatch_jacobian(self) -> Tensor:
         derivatives = self._derivatives()[:-1]
-        return _matrix(torch.cat((derivatives[:, -1:], derivatives[:, :-1]), dim=1))
+        return block_matrix(torch.cat((derivatives[:, -1:], derivatives[:, :-1]), dim=1))
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
@@ -555,10 +556,10 @@ class GeodesicExpansion(DiscreteExpansion):
             derivatives = self._derivatives()
             ends, inner = derivatives[[0, -1]], derivatives[1:-1]
             transfer = torch.linalg.solve_ex(
-                _matrix(inner[:, :-1]), _matrix(ends[:, :-1]), left=False
+                block_matrix(inner[:, :-1]), block_matrix(ends[:, :-1]), left=False
             )[0]
             n = derivatives.shape[-1]
-            d2d1 = derivatives[0, -1] - transfer[:, :n] @ _matrix(inner[:, -1:])
+            d2d1 = derivatives[0, -1] - transfer[:, :n] @ block_matrix(inner[:, -1:])
             self._condensed = d2d1, transfer
         return self._condensed
 
@@ -801,7 +802,3 @@ class Ends(NamedTuple):
         start = polynomial_slope(self.phi, y, c.s, (0.5, 0.0), (c.gamma, c.gamma1))
         n = last.shape[1]
         return self.space.blocks(start, n, 0.0), self.space.blocks(start + cross(y), n, 0.0)
-
-
-def _matrix(blocks: Float[Tensor, "a b batch n n"]) -> Float[Tensor, "batch a*n b*n"]:
-    return blocks.permute(2, 0, 3, 1, 4).flatten(3).flatten(1, 2)

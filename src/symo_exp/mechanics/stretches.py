@@ -20,7 +20,12 @@ from typing_extensions import override
 from symo_exp.mechanics.roots import Rule, rounding
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import Space
-from symo_exp.mechanics.variational import DiscreteExpansion, DiscreteLagrangian, Forces
+from symo_exp.mechanics.variational import (
+    DiscreteExpansion,
+    DiscreteLagrangian,
+    Forces,
+    block_matrix,
+)
 
 FEW = 64
 """Rows up to which it costs more to select some than to continue with all."""
@@ -167,13 +172,13 @@ class StretchPoint(Rowwise):
         (batch, steps, n), k = self.p.shape, self.mismatch.shape[2]
         w = self.expansion.hessian(None if before is None else before.expansion)
         order = [-1, *range(1, len(w) - 1)]  # of a step's unknowns: its end, then inner ones
-        own = _matrix(w[:-1][:, order])
+        own = block_matrix(w[:-1][:, order])
         pushed = torch.cat((torch.eye(n).to(w), w.new_zeros(k - n, n))).expand(len(own), k, n)
         given = mismatch.transpose(0, 1).flatten(0, 1)
-        right = torch.cat((_matrix(w[:-1, :1]), pushed, given), dim=2)
+        right = torch.cat((block_matrix(w[:-1, :1]), pushed, given), dim=2)
         found = -torch.linalg.solve_ex(own, right)[0]
         by_state, shift = found.split((2 * n, given.shape[2]), dim=2)
-        last = _matrix(w[-1:, order])  # ∂p⁺ in the unknowns of a step
+        last = block_matrix(w[-1:, order])  # ∂p⁺ in the unknowns of a step
         by_start = torch.nn.functional.pad(w[-1, 0], (0, n))
         carry = torch.cat((by_state[:, :n], last @ by_state + by_start), dim=1)
         push = torch.cat((shift[:, :n], last @ shift), dim=1)
@@ -248,7 +253,3 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
         self, active: Tensor, at: StretchPoint, there: StretchPoint, state: StretchState
     ) -> tuple[None, StretchState]:
         return None, state
-
-
-def _matrix(blocks: Float[Tensor, "a b rows n n"]) -> Float[Tensor, "rows a*n b*n"]:
-    return blocks.permute(2, 0, 3, 1, 4).flatten(3).flatten(1, 2)

@@ -424,3 +424,8 @@ def distinct(rows: Float[Tensor, "batch k"]) -> tuple[Tensor, Tensor]:
     place = torch.empty_like(order)
     place[order] = new.cumsum(0) - 1
     return order[new], place
+
+
+def block_matrix(blocks: Float[Tensor, "a b batch n n"]) -> Float[Tensor, "batch a*n b*n"]:
+    """Return the matrix of these blocks for each sample."""
+    return blocks.permute(2, 0, 3, 1, 4).flatten(3).flatten(1, 2)

@@ -123,28 +123,27 @@ class KnownLagrangian(nn.Module, Lagrangian):
     @override
     def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         tracked = torch.is_grad_enabled()
-        with torch.enable_grad():
-            q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
-            mass, potential = self.terms(q_)
-            p = matvec(mass, v)
-            total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
-            (dq,) = torch.autograd.grad(total, q_, create_graph=tracked)
-            dq = self.space.pull(q_, dq)
+        _, _, p, dq = self._around(q, v, tracked)
         return Gradients(dq, p) if tracked else Gradients(dq.detach(), p.detach())
 
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         tracked = torch.is_grad_enabled()
+        q_, mass, p, dq = self._around(q, v, tracked)
         with torch.enable_grad():
-            q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
-            mass, potential = self.terms(q_)
-            p = matvec(mass, v)
-            total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
-            (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
             turned = _derivative_along(p, q_, self.space.push(q_, v), tracked)
-            dq = self.space.pull(q_, dq)
         found = Rates(mass, turned, dq)
         return found if tracked else Rates(*(x.detach() for x in found))
+
+    @torch.enable_grad()
+    def _around(self, q: Tensor, v: Tensor, tracked: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return ``q`` as a leaf, ``H``, ``H v`` and ``ℒ_q``, whose graph is kept."""
+        q_ = q if tracked and q.requires_grad else q.detach().requires_grad_()
+        mass, potential = self.terms(q_)
+        p = matvec(mass, v)
+        total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
+        (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
+        return q_, mass, p, self.space.pull(q_, dq)
 
     def _of_one(self, logarithms: Tensor, factors: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``H`` and ``V`` of one sample with constants of its own."""

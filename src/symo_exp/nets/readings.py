@@ -48,13 +48,9 @@ def _(module: DissipativeLagrangian, coordinates: Coordinates) -> list[Reading]:
     return [reading for part in parts for reading in readings(part, coordinates)]
 
 
-@readings.register
-def _(module: ScaledLagrangian, coordinates: Coordinates) -> list[Reading]:
-    return [_in_si(reading, coordinates) for reading in readings(module.inner, coordinates)]
-
-
-@readings.register
-def _(module: ScaledDissipation, coordinates: Coordinates) -> list[Reading]:
+@readings.register(ScaledLagrangian)
+@readings.register(ScaledDissipation)
+def _(module: ScaledLagrangian | ScaledDissipation, coordinates: Coordinates) -> list[Reading]:
     return [_in_si(reading, coordinates) for reading in readings(module.inner, coordinates)]
 
 

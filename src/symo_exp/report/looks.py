@@ -140,10 +140,10 @@ def label_and_unit(metric: str) -> tuple[str, str]:
     return MEASURES.get(metric, (metric.replace("_", " "), ""))
 
 
-def measure_name(metric: str, *, axis: bool = False) -> str:
-    """Return the label of a measure with its unit; several units only for an axis."""
+def measure_name(metric: str) -> str:
+    """Return the label of a measure with its unit, if it has one unit."""
     label, unit = label_and_unit(metric)
-    return f"{label} [{unit}]" if unit and (axis or "," not in unit) else label
+    return f"{label} [{unit}]" if unit and "," not in unit else label
 
 
 def unit(metric: str) -> str:

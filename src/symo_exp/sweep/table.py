@@ -15,7 +15,6 @@ from symo_exp.job.lines import MEASURES, UNITS, brief, parameter_lines, run_line
 from symo_exp.process import phases, stopping
 from symo_exp.report.looks import duration, written
 from symo_exp.runs.folder import LOG, RunFolder
-from symo_exp.runs.outcome import Outcome
 
 ENDED = "finished", "failed", "refused", "interrupted"
 WIDTH = 80
@@ -46,7 +45,11 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
         lines += textwrap.wrap(told, WIDTH)
     verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
     parameters = parameter_lines(folders[0]) if len(folders) == 1 and found[0] else []
-    failures = _failures(labels, folders, outcomes)
+    failures = [
+        f"{outcome.status}: {label}: {outcome.reason} (log: {folder / LOG})"
+        for label, folder, outcome in zip(labels, folders, outcomes, strict=True)
+        if outcome.status != "finished"
+    ]
     return "\n".join([*lines, *parameters, *verdicts, *failures])
 
 
@@ -70,16 +73,6 @@ def _column(name: str, found: Sequence[Mapping[str, float]]) -> list[str]:
         for x, measures in zip(values, found, strict=True)
     ]
     return [MEASURES[name] + unmarked, *cells]
-
-
-def _failures(
-    labels: Sequence[str], folders: Sequence[RunFolder], outcomes: Sequence[Outcome]
-) -> list[str]:
-    return [
-        f"{outcome.status}: {label}: {outcome.reason} (log: {folder / LOG})"
-        for label, folder, outcome in zip(labels, folders, outcomes, strict=True)
-        if outcome.status != "finished"
-    ]
 
 
 def _fitted(text: str, room: int) -> str:
