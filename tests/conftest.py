@@ -8,7 +8,7 @@ import pytest
 import torch
 from jaxtyping import install_import_hook
 
-from tests import shapes
+from tests import composed, shapes
 from tests.tiny import copy_store
 
 # The shapes in the signatures of the mathematics are checked wherever a test calls it. (Not in
@@ -28,6 +28,12 @@ install_import_hook(
 @pytest.fixture(autouse=True, scope="session")
 def _one_thread():
     torch.set_num_threads(1)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _composed_once():
+    with composed.once():
+        yield
 
 
 @pytest.fixture(autouse=True)
