@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -34,7 +35,7 @@ from symo_exp.mechanics.variational import (
     VariationalIntegrator,
     VariationalMidpoint,
 )
-from tests.differences import assert_gradients, slopes
+from tests.differences import assert_gradients, slopes_by_rows
 from tests.mechanics import trace_form
 from tests.mechanics.motions import ROUNDING
 
@@ -200,16 +201,13 @@ def test_slots_are_the_derivatives_of_the_discrete_action(name: str, stages: int
         value = lagrangian.kinetic(place, v) - lagrangian.potential(place)
         return basis.total(value.unsqueeze(1), H)[:, 0]
 
+    def moved(steps: Tensor) -> tuple[Tensor, Tensor]:
+        a, b = q0.expand(len(steps), -1), q1.expand(len(steps), -1)
+        return action(space.retract(a, steps), b), action(a, space.retract(b, steps))
+
     for which, found in enumerate(slots):
-        for row in range(len(q0)):
-            a, b = q0[row : row + 1], q1[row : row + 1]
-
-            def moved(step: Tensor, a: Tensor = a, b: Tensor = b, which: int = which) -> Tensor:
-                step = step.unsqueeze(0)
-                return action(*((space.retract(a, step), b), (a, space.retract(b, step)))[which])
-
-            expected = slopes(moved, torch.zeros_like(v[row]))[0]
-            torch.testing.assert_close(found[row], expected, rtol=1e-8, atol=1e-8)
+        expected = slopes_by_rows(lambda steps, i=which: moved(steps)[i], torch.zeros_like(v[0]))
+        torch.testing.assert_close(found[0], expected, rtol=1e-8, atol=1e-8)
 
 
 @every_case
@@ -222,23 +220,30 @@ def test_jacobians_of_a_step(stages: int, name: str) -> None:
     whole = integrator.expand(controlled, q0, q1, H, controls).d2d1()
     found = integrator.expand_at(controlled, q0, x, H, controls).mismatch_jacobian()
     for row in range(2):
-        at = slice(row, row + 1)
-        some = Forces(*(u[at] for u in controls))
 
-        def residual(x: Tensor, at: slice = at, some: Forces = some) -> Tensor:
-            there = integrator.expand_at(controlled, q0[at], x[None], H, some)
-            return there.mismatch(torch.zeros_like(v[at]))[0]
+        def repeated(like: Tensor, row: int = row) -> tuple[Tensor, Forces]:
+            ends = [u[row].expand(len(like), -1) for u in controls]
+            return q0[row].expand(len(like), -1), Forces(*ends)
 
-        def d1(x: Tensor, at: slice = at, some: Forces = some) -> Tensor:
-            end = integrator.space.point(q0[at], x[None])
-            return integrator.slots(controlled, q0[at], end, H, some).d1[0]
+        def residual(x: Tensor, repeated: Callable = repeated) -> Tensor:
+            start, forces = repeated(x)
+            there = integrator.expand_at(controlled, start, x, H, forces)
+            return there.mismatch(x.new_zeros(len(x), v.shape[1]))
+
+        def d1(x: Tensor, repeated: Callable = repeated) -> Tensor:
+            start, forces = repeated(x)
+            end = integrator.space.point(start, x)
+            return integrator.slots(controlled, start, end, H, forces).d1
 
         for mine, function, place in (
             (found[row], residual, x[row]),
             (whole[row], d1, integrator.space.chart(q0, q1)[row]),
         ):
             torch.testing.assert_close(
-                mine, slopes(function, place), rtol=1e-6, atol=1e-7 * float(mine.abs().max())
+                mine,
+                slopes_by_rows(function, place),
+                rtol=1e-6,
+                atol=1e-7 * float(mine.abs().max()),
             )
 
 
@@ -328,9 +333,9 @@ def explicit(method: object, name: str, steps: int, duration: float = 0.4) -> tu
 
 
 @functools.cache
-def reference(name: str) -> tuple[Tensor, Tensor]:
-    """The motion to 1e-13."""
-    return explicit(DormandPrince5(), name, 160)
+def reference(name: str, order: int) -> tuple[Tensor, Tensor]:
+    """The motion to 1e-13, or to 1e-11 for what errs more by far."""
+    return explicit(DormandPrince5(), name, 160 if order > 4 else 60)
 
 
 ORDERS = {
@@ -348,7 +353,7 @@ def test_orders_with_controls_and_friction(name: str, method: object) -> None:
     runs = explicit if not isinstance(integrator, VariationalIntegrator) else path
     if runs is path:
         integrator = geodesic(CASES[name][0].space, method)
-    exact = torch.cat(reference(name), dim=1)
+    exact = torch.cat(reference(name, order), dim=1)
     errors = [float((torch.cat(runs(integrator, name, k), 1) - exact).abs().max()) for k in steps]
     found = math.log(errors[0] / errors[1]) / math.log(steps[1] / steps[0])
     assert errors[1] > ROUNDING
@@ -385,7 +390,7 @@ def test_a_motion_has_no_residual_and_the_world_may_be_turned(stages: int) -> No
 
 @pytest.mark.parametrize("stages", STAGES)
 @pytest.mark.parametrize(
-    ("steps", "bound"), [(200, 1e-12), pytest.param(100_000, 1e-11, marks=pytest.mark.slow)]
+    ("steps", "bound"), [(80, 1e-12), pytest.param(100_000, 1e-11, marks=pytest.mark.slow)]
 )
 def test_a_free_body_keeps_momentum_and_its_energy_does_not_drift(
     stages: int, steps: int, bound: float
@@ -422,7 +427,7 @@ def drifts(stages: int, steps: int) -> tuple[float, tuple[float, float]]:
 
 
 def both_forms(h: float) -> list[tuple[Tensor, Tensor]]:
-    """Momenta, residuals over ``h`` and configurations after 0.4 s, geodesic and trace form."""
+    """Momenta, residuals over ``h`` and configurations after 0.1 s, geodesic and trace form."""
     body, space = Body(), Space(1)
     discrete = DiscreteLagrangian(geodesic(space, 1), Controlled(body, torch.eye(3).double()), h)
     q, v, bend = space.of_vector(drawn(3)), drawn(3, seed=1), drawn(3, seed=2)
@@ -434,7 +439,7 @@ def both_forms(h: float) -> list[tuple[Tensor, Tensor]]:
     with torch.no_grad():
         momentum = discrete.momentum(*nodes[:2], none)
         residual = discrete.residual(*nodes, none, none) / h
-        for _ in range(round(0.4 / h)):
+        for _ in range(round(0.1 / h)):
             found = discrete.step(ROOT, *there[0], none, there[0][0])
             there = [(found.q, found.p), trace_form.step(body, *there[1], h)]
     return [(momentum, after), (residual, (after - before) / h), (there[0][0], there[1][0])]
@@ -451,13 +456,13 @@ def test_order_two_is_that_of_the_trace_form() -> None:
 
 
 def test_the_trace_form_keeps_the_momentum_of_a_free_body() -> None:
-    """Over 1000 steps, to rounding: the oracle is what it says."""
+    """Over 200 steps, to rounding: the oracle is what it says."""
     body, h = Body(), 0.05
     body.gravity = torch.zeros(3).double()
     q, v = body.space.of_vector(drawn(3)), drawn(3, seed=1)
     p = body.momentum(q, v)
     start = (q.view(-1, 3, 3) @ p.unsqueeze(-1)).squeeze(-1)
-    for _ in range(1000):
+    for _ in range(200):
         q, p = trace_form.step(body, q, p, h)
     end = (q.view(-1, 3, 3) @ p.unsqueeze(-1)).squeeze(-1)
     assert (end - start).norm(dim=1).max() < 1e-12 * start.norm(dim=1).max()

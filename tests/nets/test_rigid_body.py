@@ -155,7 +155,8 @@ def test_inertia_and_centre_are_recovered_from_exact_poses() -> None:
     found, windows = learner(3), cut_windows(motions(2, 12))
     optimizer = LevenbergMarquardt(found.parameters())
     for _ in range(25):
-        optimizer.epoch(found, [windows])
+        if float(optimizer.epoch(found, [windows])["train_loss"]) < 1e-24:
+            break
     assert inertia_error(found) < 1e-6
 
 
@@ -170,7 +171,9 @@ def pendulum(seed: int) -> SyMo:
         )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 5))]
+)
 @pytest.mark.parametrize("axis", range(3))
 def test_a_pendulum_about_any_axis_is_found_from_any_start(axis: int, seed: int) -> None:
     """Large inertias about the other axes must not hide torques about these."""
@@ -191,8 +194,8 @@ def test_a_pendulum_about_any_axis_is_found_from_any_start(axis: int, seed: int)
     windows = cut_windows(Trajectories(path.q, path.v, u).each())
     found = Learner(pendulum(seed))
     optimizer = LevenbergMarquardt(found.parameters())
-    losses = [float(optimizer.epoch(found, [windows])["train_loss"]) for _ in range(20)]
-    assert losses[-1] < 1e-20
+    losses = (float(optimizer.epoch(found, [windows])["train_loss"]) for _ in range(20))
+    assert any(loss < 1e-20 for loss in losses)
 
 
 @pytest.mark.slow
@@ -210,8 +213,11 @@ def test_inertia_and_centre_are_recovered_from_noisy_poses() -> None:
 # All methods
 
 
-@pytest.mark.parametrize("name", TURNING)
-@pytest.mark.parametrize(("method", "integrator"), combinations())
+@pytest.mark.parametrize(
+    ("name", "method", "integrator"),
+    [pytest.param(name, *pair, marks=[pytest.mark.slow] * ((i - j) % len(TURNING) not in (0, 2)))
+     for i, pair in enumerate(combinations()) for j, name in enumerate(TURNING)],
+)  # fmt: skip
 def test_every_method_has_a_loss_and_its_gradient(name: str, method: str, integrator: str) -> None:
     """Gradients of all parameters, against differences along random directions."""
     system = TURNING[name]

@@ -117,9 +117,11 @@ class Gram:
         return Linearised(self.residuals(windows).detach(), slopes.flatten(1).unsqueeze(1), ())
 
     def fitted(self, epochs, **settings):
-        """Return the losses of some epochs."""
-        optimizer = LevenbergMarquardt([self.x], **settings)
-        return [float(optimizer.epoch(self, [self.samples])["train_loss"]) for _ in range(epochs)]
+        """Return the losses of some epochs, to the first that is zero but for rounding."""
+        optimizer, losses = LevenbergMarquardt([self.x], **settings), [math.inf]
+        while losses[-1] > 1e-20 and len(losses) <= epochs:
+            losses.append(float(optimizer.epoch(self, [self.samples])["train_loss"]))
+        return losses
 
 
 @pytest.mark.parametrize("n", [2, 3, 6])
@@ -127,7 +129,7 @@ def test_shortened_steps_take_fewer_epochs(n):
     def epochs(shortest):
         found = [Gram(n, seed).fitted(60, shortest=shortest) for seed in range(4)]
         assert max(losses[-1] for losses in found) < 1e-20
-        return sum(loss > 1e-20 for losses in found for loss in losses)
+        return sum(map(len, found))
 
     assert epochs(0.03) < 0.9 * epochs(1.0)
 
@@ -168,7 +170,7 @@ def chained(model):
 
 @pytest.mark.parametrize("make_optimizer", [lambda m: LevenbergMarquardt(m.parameters()), chained,
                                             lambda m: LBFGS(m.parameters())])  # fmt: skip
-@pytest.mark.parametrize("stop", [1, 4])
+@pytest.mark.parametrize("stop", [1, 3])
 def test_a_resumed_run_gives_the_same_bits(make_optimizer, stop, tmp_path):
     def run(model, optimizer, epochs):
         for _ in range(epochs):
@@ -176,7 +178,7 @@ def test_a_resumed_run_gives_the_same_bits(make_optimizer, stop, tmp_path):
             optimizer.validated(model.loss(windows(2)))
 
     whole, part = (learner("symo", "midpoint", 2) for _ in range(2))
-    run(whole, make_optimizer(whole), 6)
+    run(whole, make_optimizer(whole), 4)
     first = make_optimizer(part)
     run(part, first, stop)
     torch.save((part.state_dict(), first.state_dict()), tmp_path / "state")
@@ -185,7 +187,7 @@ def test_a_resumed_run_gives_the_same_bits(make_optimizer, stop, tmp_path):
     weights, state = torch.load(tmp_path / "state", weights_only=True)
     again.load_state_dict(weights)
     second.load_state_dict(copy.deepcopy(state))
-    run(again, second, 6 - stop)
+    run(again, second, 4 - stop)
     for a, b in zip(whole.parameters(), again.parameters(), strict=True):
         assert torch.equal(a, b)
 

@@ -66,11 +66,15 @@ def fitted(units, angular, integrator, lagrangian):
     return float(metrics["noise_estimate"]), path.q / coordinates.sizes
 
 
-@pytest.mark.parametrize("units", UNITS)
-@pytest.mark.parametrize(("integrator", "angular"), CASES)
+LAGRANGIANS = [partial(PlanarLagrangian, relative=True), partial(NetworkLagrangian, width=3)]
+
+
 @pytest.mark.parametrize(
-    "lagrangian", [partial(PlanarLagrangian, relative=True), partial(NetworkLagrangian, width=3)]
-)
+    ("lagrangian", "integrator", "angular", "units"),
+    [pytest.param(lagrangian, *case, units, marks=[pytest.mark.slow] * ((i + j - k) % 3 != 0))
+     for i, lagrangian in enumerate(LAGRANGIANS)
+     for j, case in enumerate(CASES) for k, units in enumerate(UNITS)],
+)  # fmt: skip
 def test_a_fit_in_other_units_has_the_same_predictions(lagrangian, integrator, angular, units):
     expected = fitted(SI, angular, integrator, lagrangian)
     found = fitted(units, angular, integrator, lagrangian)
