@@ -25,8 +25,8 @@ def parent(jobs: Sequence[Job], name: str, tracker: Any) -> Iterator[None]:
     folder = RunFolder(jobs[0].folder.path.parent / ".sweeps" / digest(names))
     with nullcontext() if folder.in_use() else folder.alone():
         folder.mark_published(None)
-        command = {COMMAND: f"python -m symo_exp {name}"}
-        folder.describe(About(name, {"jobs": len(jobs)}, tags=command))
+        tags = {COMMAND: f"python -m symo_exp {name}"}
+        folder.describe(About(name, {"jobs": len(jobs)}, tags=tags))
         folder.record("running")
         publish(tracker, folder)
         about = folder.about()
@@ -49,8 +49,9 @@ def parent(jobs: Sequence[Job], name: str, tracker: Any) -> Iterator[None]:
                 folder.record("failed", f"{bad} of {len(jobs)} runs failed")
             else:
                 folder.record("finished")
-            told = {RESULT: _result(jobs)} if _result(jobs) else {}
-            folder.describe(About(name, {"jobs": len(jobs)}, tags=command | told))
+            if result := _result(jobs):
+                tags[RESULT] = result
+            folder.describe(About(name, {"jobs": len(jobs)}, tags=tags))
         finally:
             os.environ.pop(SWEEP, None)
             os.environ.pop(VARIED, None)
