@@ -108,6 +108,8 @@ BAD = [
 
 ENDS = [
     ("--foo", "--foo", "-h"),
+    ("--cfg jobs", "jobs", "hydra"),
+    ("--info everything", "everything", "defaults-tree"),
     ("-cn nothing", "no nothing.yaml", "the sweeps are: "),
     ("--config-dir nowhere", "nowhere", "not found"),
     ("data.n_traj", "data.n_traj", "data.n_traj="),

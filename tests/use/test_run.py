@@ -35,8 +35,10 @@ def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
     before = (run.folder / "metrics.json").stat().st_mtime_ns
     assert symo_exp.run(*SMALL).folder == run.folder  # it is finished
     assert (run.folder / "metrics.json").stat().st_mtime_ns == before
-    with pytest.raises(ConfigError, match="not a run folder"):
+    with pytest.raises(ConfigError, match="not a run folder: it does not exist"):
         symo_exp.Run("nowhere")
+    with pytest.raises(ConfigError, match=r"not a run folder: it has no config.yaml"):
+        symo_exp.Run(run.folder.parent)
 
 
 def test_a_sweep_gives_its_runs_in_order(workplace):

@@ -16,10 +16,10 @@ from symo_exp.process import phases
 from symo_exp.shipped import CONF, SWEEPS
 
 SWITCHES = "-m --multirun", "-r --run", "--hydra-help", "--resolve", "-sc --shell-completion"
-WITH_A_VALUE = (
-    "-cn --config-name", "-cd --config-dir", "-cp --config-path", "-c --cfg", "-p --package",
-)  # fmt: skip
-"""Options of Hydra."""
+WITH_A_VALUE = "-cn --config-name", "-cd --config-dir", "-cp --config-path", "-p --package"
+CFG = "job", "hydra", "all"
+INFO = "all", "config", "defaults", "defaults-tree", "plugins", "searchpath"
+"""Options of Hydra, and the values of two of them."""
 CHECK_ONLY = "hydra.sweeper.check_only=true"
 
 
@@ -44,7 +44,8 @@ class Command:
             parser.add_argument(*flags.split(), action="store_true")
         for flags in WITH_A_VALUE:
             parser.add_argument(*flags.split())
-        parser.add_argument("-i", "--info", nargs="?", const="all")
+        parser.add_argument("-c", "--cfg", choices=CFG)
+        parser.add_argument("-i", "--info", nargs="?", const="all", choices=INFO)
         parser.add_argument("overrides", nargs="*")
         self._given = parser.parse_intermixed_args(list(argv))
         self.overrides: list[str] = self._given.overrides

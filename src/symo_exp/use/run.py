@@ -13,7 +13,7 @@ from PIL import Image
 from symo_exp.cli.command import Command
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
-from symo_exp.runs.folder import LOG, PICTURES, ROLLOUTS, RunFolder
+from symo_exp.runs.folder import CONFIG, LOG, PICTURES, ROLLOUTS, RunFolder
 from symo_exp.shell import override_value
 from symo_exp.sweep.sweeper import watched
 from symo_exp.tracking.load import load
@@ -24,8 +24,9 @@ class Run:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        if not self.folder.is_dir():
-            raise ConfigError(f"{folder} is not a run folder: it does not exist")
+        if not (self.folder / CONFIG).is_file():
+            reason = f"it has no {CONFIG}" if self.folder.is_dir() else "it does not exist"
+            raise ConfigError(f"{folder} is not a run folder: {reason}")
 
     def __repr__(self) -> str:
         return f"Run({os.path.relpath(self.folder)!r})"
