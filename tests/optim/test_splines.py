@@ -23,7 +23,8 @@ def _smoothed(q: torch.Tensor) -> torch.Tensor:
 def test_splines_are_those_of_scipy(noise: float) -> None:
     """The values are those of scipy's spline with the least error in cross-validation.
 
-    Scipy searches for ``λ`` instead of its logarithm: not above the number of nodes, nor that of small noise.
+    Scipy searches for ``λ`` instead of its logarithm, up to the number of nodes, and does not
+    resolve that of small noise.
     """
     q = TRUE + noise * torch.randn(NODES, 2, generator=torch.Generator().manual_seed(0)).double()
     found = _smoothed(q)

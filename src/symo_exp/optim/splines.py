@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import lapack
 from scipy.optimize import minimize_scalar
 from torch import Tensor
 
@@ -83,7 +83,7 @@ class _Spline:
     def _fit(self, log_lambda: float) -> tuple[np.ndarray, float]:
         """Return ``λ Q γ`` and the logarithm of the determinant of ``R + λ QᵀQ``."""
         weight = math.exp(log_lambda)
-        factor = cholesky_banded(self._r + weight * self._bending)
-        gamma = cho_solve_banded((factor, False), self._second)
+        factor, _ = lapack.dpbtrf(self._r + weight * self._bending)
+        gamma, _ = lapack.dpbtrs(factor, self._second)
         residuals = weight * np.diff(np.pad(gamma, 2), 2)
         return residuals, 2.0 * float(np.log(factor[-1]).sum())
