@@ -42,7 +42,7 @@ class Candidate:
         name: In words.
         rank: Place in the order of simplicity; smaller is simpler.
         settings: Overrides by key.
-        cost: Of an epoch, relative to general links in a plane in the midpoint rule.
+        cost: Of an epoch, relative to rigid links in a plane in the midpoint rule.
         starts: How many starts the optimiser has.
     """
 
@@ -77,7 +77,7 @@ def ladder(machine: Machine) -> list[Candidate]:
     # with inputs no friction is suitable for all machines, and a second start finds the fit
     start = {} if machine.driven else {"dissipation.start": f"{FREE_DAMPING:g}"}
     starts = 2 if machine.driven else 1
-    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", {**FRICTION, **start}, 0.8, starts)
+    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", {**FRICTION, **start}, 1.0, starts)
     found = [first]
     if machine.stiffness is not None:
         found.append(_sprung(first, machine))
@@ -85,26 +85,26 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     if several:
         name = f"{LINKS}, absolute angles"
-        found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 0.8, starts))
+        found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 1.0, starts))
     if not machine.driven:  # bearings: dry friction may be too little to be found
         found += [_viscous(candidate) for candidate in found]
     name = f"general links{relative}"
-    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.0, starts))
+    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts))
     if several:
         name = "general links, absolute angles"
-        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.0, starts))
+        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts))
     if machine.n > 2 and all(machine.angular):
-        found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=2.0))
-    network = _candidate("network", 4.0, "network", FRICTION, cost=1.5, starts=2)
+        found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=3.3))
+    network = _candidate("network", 4.0, "network", FRICTION, cost=2.0, starts=2)
     found += [
-        _candidate("small network", 3.0, "small network", FRICTION, cost=1.2, starts=2),
+        _candidate("small network", 3.0, "small network", FRICTION, cost=1.6, starts=2),
         network,
         _with_learned_friction(network),
     ]
     if several:
         found.append(
             _candidate(
-                "network, friction between neighbours", 4.1, "network", NEIGHBOURS, cost=1.5,
+                "network, friction between neighbours", 4.1, "network", NEIGHBOURS, cost=2.0,
                 starts=2,
             )
         )  # fmt: skip
@@ -132,7 +132,7 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         step = f"{machine.time_step / 2:g}"
         finer.append(candidate.changed("half the time step", 0.2, 2.0, system__time_step=step))
     if settings["integrator"] == "midpoint":
-        finer.append(candidate.changed("Galerkin order 4", 0.3, 2.5, integrator="galerkin4"))
+        finer.append(candidate.changed("Galerkin order 4", 0.3, 3.6, integrator="galerkin4"))
     # motors stick and slip within a step, which no polynomial of a higher order follows
     yield from finer if machine.driven else reversed(finer)
     if machine.delay:

@@ -19,11 +19,12 @@ from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.recordings import Machine
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
-REFERENCE = 0.37
+REFERENCE = 0.64
 """Time of ``_exercise`` on the machine on which the times below were measured [s]."""
-NODE = 30e-6
-"""Time of an epoch of general links in a plane, midpoint rule, a node and coordinate [s]."""
-STEP, ROW = 0.5e-3, 1.2e-6
+EPOCH, NODE = 40e-3, 15e-6
+"""Times of an epoch of rigid links in a plane, midpoint rule: a fixed one, and what a node and
+coordinate adds [s]."""
+STEP, ROW = 2.2e-3, 2.5e-6
 """Time of a step of the rollouts of a validation, and what a rollout and a pair of coordinates, a
 coordinate and itself included twice, add to it [s]."""
 FITTED = 6 * RUN_IN
@@ -76,7 +77,7 @@ class Effort:
 
     def training(self, candidate: Candidate, nodes: int, n: int) -> float:
         """Return the time of a training on the reference machine without validations [s]."""
-        return STARTING + NODE * candidate.cost * n * nodes * self.total(candidate)
+        return STARTING + candidate.cost * (EPOCH + NODE * n * nodes) * self.total(candidate)
 
     def validation(self, candidate: Candidate, machine: Machine) -> float:
         """Return the time of the validations of a training on the reference machine [s].
@@ -310,21 +311,24 @@ def machine_speed() -> float:
 
 
 def _exercise() -> float:
-    """Return the processor time of operations like those of a training [s]."""
+    """Return the processor time of operations like those of a training [s].
+
+    These are short: their number counts more than their arithmetic.
+    """
     import torch
 
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         generator = torch.Generator().manual_seed(0)
-        x = torch.rand(1024, 32, generator=generator, dtype=torch.float64)
-        w = torch.rand(32, 32, generator=generator, dtype=torch.float64)
-        small = torch.rand(1024, 3, 3, generator=generator, dtype=torch.float64)
-        small = small @ small.mT + torch.eye(3)
+        q = torch.rand(1500, 2, generator=generator, dtype=torch.float64)
+        m = torch.rand(1500, 2, 2, generator=generator, dtype=torch.float64)
         start = time.process_time()
-        for _ in range(2000):
-            torch.tanh(x @ w).square().sum(1)
-            torch.linalg.solve(small, small)
+        for _ in range(1000):
+            x = q.clone().requires_grad_()
+            moved = (m @ x.unsqueeze(-1)).squeeze(-1)
+            energy = (moved * x).sum(1) + torch.sin(x).square().sum(1)
+            torch.autograd.grad(energy.sum(), x)
         return time.process_time() - start
     finally:
         torch.set_num_threads(before)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import hydra
+from hydra.core.global_hydra import GlobalHydra
 
 from symo_exp.job.config import Settings, references, unresolved
 from symo_exp.runs.digest import INCIDENTAL, relevant
@@ -50,15 +52,13 @@ class Differences(NamedTuple):
 
 
 def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
-    """Return the differences of a run; compositions are what takes the time."""
+    """Return the differences of a run."""
     groups = {g: c for g, c in choices.items() if isinstance(c, str) and "/" not in g}
     chosen = [f"{group}={groups[group]}" for group in CHOSEN if group in groups]
-    usual = hydra.compose("config", chosen, return_hydra_config=True)
-    same = usual.hydra.runtime.choices.items()
+    usual = _shipped(*chosen)
+    same = usual.choices.items()
     others = [f"{g}={c}" for g, c in sorted(groups.items() - same) if g not in INCIDENTAL]
-    if others:
-        usual = hydra.compose("config", [*chosen, *others])
-    files = unresolved(usual)
+    files = (_shipped(*chosen, *others) if others else usual).values
     theirs = dict(relevant(files)) | {n: settings.value(other) for n, other in references(files)}
     different = [
         name
@@ -67,3 +67,23 @@ def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
     ]
     told = [name for name in different if name in TOLD]
     return Differences(settings, chosen, others, [n for n in different if n not in TOLD], told)
+
+
+class _Shipped(NamedTuple):
+    """The choices and unresolved settings of a configuration without changed settings."""
+
+    choices: dict[str, Any]
+    values: dict[str, Any]
+
+
+def _shipped(*choices: str) -> _Shipped:
+    sources = GlobalHydra.instance().config_loader().get_sources()
+    return _composed(choices, tuple(source.path for source in sources))
+
+
+@lru_cache(maxsize=64)
+def _composed(choices: tuple[str, ...], sources: tuple[str, ...]) -> _Shipped:
+    """Compose, which takes a second; runs of a search have few combinations of choices."""
+    config = hydra.compose("config", list(choices), return_hydra_config=True)
+    values = unresolved(config)
+    return _Shipped(values.pop("hydra")["runtime"]["choices"], values)
