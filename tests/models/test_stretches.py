@@ -21,15 +21,22 @@ KINDS = {
 }
 TURNING = {name: x for name, x in systems().items() if x.coordinates.space.rotations}
 METHODS = variational_integrators()
+ON_ROTATIONS = [name for name, method in METHODS.items() if method.stages is not None]
+CASES = [
+    (kind, name, 1 + i % 3) for i, (kind, name) in enumerate(itertools.product(KINDS, METHODS))
+] + [
+    (kind, name, TURNING[kind].coordinates.n)
+    for kind, name in itertools.product(TURNING, ON_ROTATIONS)
+]
+QUICK = {
+    *zip(KINDS, itertools.cycle(METHODS)),
+    *zip(TURNING, itertools.cycle(ON_ROTATIONS)),
+}
 every_case = pytest.mark.parametrize(
     ("kind", "name", "n"),
-    [(kind, name, 1 + i % 3) for i, (kind, name) in enumerate(itertools.product(KINDS, METHODS))]
-    + [
-        (kind, name, TURNING[kind].coordinates.n)
-        for kind, name in itertools.product(TURNING, METHODS)
-        if METHODS[name].stages is not None
-    ],
+    [pytest.param(*x, marks=[] if x[:2] in QUICK else pytest.mark.slow) for x in CASES],
 )
+"""Each kind of friction, and each space, with one method; the others are among the long proofs."""
 
 
 def flow_and_starts(kind, name, n, **root):
