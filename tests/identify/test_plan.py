@@ -229,3 +229,13 @@ def test_the_plan_leaves_out_the_costliest_candidate_first():
     for budget in (30.0, 100.0, 300.0, 1000.0):
         names = plans.make_plan(one, candidates, budget, 1, 1.0, "key").names
         assert names == tuple(c.name for c in candidates)[: len(names)]
+
+
+def test_the_speed_is_measured_once_by_each_version(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(plans, "_exercise", lambda: plans.REFERENCE / 2)
+    assert plans.machine_speed() == 2.0
+    monkeypatch.setattr(plans, "_exercise", lambda: plans.REFERENCE)
+    assert plans.machine_speed() == 2.0
+    monkeypatch.setattr(plans, "REFERENCE", 3 * plans.REFERENCE)
+    assert plans.machine_speed() == 3.0

@@ -296,15 +296,16 @@ def machine_speed() -> float:
     cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser()
     file = cache / "symo_exp" / "speed.json"
     try:
-        return float(json.loads(file.read_text(encoding="utf-8"))["speed"])
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        if kept["reference"] == REFERENCE:  # else measured by another version
+            return float(kept["speed"])
     except (OSError, ValueError, TypeError, KeyError):
         pass
     speed = float(f"{REFERENCE / min(_exercise() for _ in range(2)):.2g}")
+    text = json.dumps({"speed": speed, "reference": REFERENCE})
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(
-            file, lambda whole: whole.write_text(json.dumps({"speed": speed}), encoding="utf-8")
-        )
+        write_whole(file, lambda whole: whole.write_text(text, encoding="utf-8"))
     except OSError:
         pass  # a home that cannot be written: it is measured again
     return speed
