@@ -233,9 +233,7 @@ def test_the_plan_leaves_out_the_costliest_candidate_first():
 
 def test_the_speed_is_measured_once_by_each_version(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(plans, "_exercise", lambda: plans.REFERENCE / 2)
-    assert plans.machine_speed() == 2.0
-    monkeypatch.setattr(plans, "_exercise", lambda: plans.REFERENCE)
-    assert plans.machine_speed() == 2.0
-    monkeypatch.setattr(plans, "REFERENCE", 3 * plans.REFERENCE)
-    assert plans.machine_speed() == 3.0
+    for time, reference, expected in ((0.5, 1.0, 2.0), (1.0, 1.0, 2.0), (1.0, 3.0, 3.0)):
+        monkeypatch.setattr(plans, "REFERENCE", reference)
+        monkeypatch.setattr(plans, "_exercise", lambda time=time: time)
+        assert plans.machine_speed() == expected
