@@ -27,6 +27,9 @@ coordinate adds [s]."""
 STEP, ROW = 2.2e-3, 2.5e-6
 """Time of a step of the rollouts of a validation, and what a rollout and a pair of coordinates, a
 coordinate and itself included twice, add to it [s]."""
+STICKING = 4.0
+"""Factor of the time of a validation with inputs and several coordinates: steps in which some stick
+are taken one by one."""
 FITTED = 6 * RUN_IN
 """Length of the run-ins of a window that are rolled out to fit its start [s]."""
 STARTING = 1.0
@@ -98,6 +101,8 @@ class Effort:
         if piece >= LONG:
             found += rolled(piece, seconds / piece)
         slow = math.sqrt(candidate.cost * step / machine.time_step)
+        if machine.driven and machine.n > 1:
+            slow *= STICKING
         return slow * found * self.total(candidate) / self.between(candidate)
 
     def expected(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
