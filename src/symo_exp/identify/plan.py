@@ -20,7 +20,7 @@ from symo_exp.identify.recordings import Machine
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 REFERENCE = 0.64
-"""Time of ``_exercise`` on the machine on which the times below were measured [s]."""
+"""Time of ``exercise`` on the machine on which the times below were measured [s]."""
 EPOCH, NODE = 40e-3, 15e-6
 """Times of an epoch of rigid links in a plane, midpoint rule: a fixed one, and what a node and
 coordinate adds [s]."""
@@ -306,7 +306,7 @@ def machine_speed() -> float:
             return float(kept["speed"])
     except (OSError, ValueError, TypeError, KeyError):
         pass
-    speed = float(f"{REFERENCE / min(_exercise() for _ in range(2)):.2g}")
+    speed = float(f"{REFERENCE / min(exercise() for _ in range(2)):.2g}")
     text = json.dumps({"speed": speed, "reference": REFERENCE})
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -316,7 +316,7 @@ def machine_speed() -> float:
     return speed
 
 
-def _exercise() -> float:
+def exercise() -> float:
     """Return the processor time of operations like those of a training [s].
 
     These are short: their number counts more than their arithmetic.
