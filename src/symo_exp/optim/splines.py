@@ -13,15 +13,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.linalg import lapack
 from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from symo_exp.mechanics.space import space_of
 from symo_exp.mechanics.types import Trajectory
+from symo_exp.optim.banded import BandFactor
 
 LEAST, MOST = 1e-8, 1e2
 """Bounds of ``λ``: interpolation, and as many times the nodes."""
@@ -50,40 +49,31 @@ def _smoothed(trajectory: Trajectory, velocities: bool) -> Tensor:
 def _splines(y: Tensor) -> Tensor:
     if len(y) < 6:  # too few to tell noise from motion
         return y.clone()
-    columns = [_Spline(c).best() for c in y.T.numpy()]
-    return torch.stack([torch.as_tensor(c) for c in columns], dim=1)
+    return torch.stack([_spline(c) for c in y.T], dim=1)
 
 
-class _Spline:
-    """Smoothing splines of one column of values at unit spacing."""
+def _spline(y: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """Return the values of the spline with the least error in cross-validation."""
+    second = y.diff(n=2)
 
-    def __init__(self, y: np.ndarray) -> None:
-        self._y, self._second = y, np.diff(y, 2)
-        m = len(self._second)
-        bending = np.array([1.0, -4.0, 6.0])  # upper bands of QᵀQ and of R, the diagonal last
-        self._bending = np.repeat(bending[:, None], m, axis=1)
-        self._r = np.repeat(np.array([0.0, 1 / 6, 2 / 3])[:, None], m, axis=1)
+    def factor(log_lambda: float) -> BandFactor:
+        weight, m = math.exp(log_lambda), len(second)
+        bands = 2 / 3 + 6 * weight, 1 / 6 - 4 * weight, weight  # of R + λ QᵀQ
+        blocks = [torch.full((m - k, 1, 1), x, dtype=y.dtype) for k, x in enumerate(bands)]
+        found = BandFactor.of(blocks, 0.0)
+        assert found is not None
+        return found
 
-    def best(self) -> np.ndarray:
-        """Return the values of the spline with the least error in cross-validation."""
-        bounds = math.log(LEAST), math.log(MOST * len(self._y))
-        found = minimize_scalar(
-            self._score, bounds=bounds, method="bounded", options={"xatol": APART}
-        )
-        residuals, _ = self._fit(found.x)
-        return self._y - residuals
+    def residuals(log_lambda: float) -> Tensor:
+        gamma = factor(log_lambda).solve(second.unsqueeze(1)).squeeze(1)
+        return math.exp(log_lambda) * torch.nn.functional.pad(gamma, (2, 2)).diff(n=2)
 
-    def _score(self, log_lambda: float) -> float:
+    def score(log_lambda: float) -> float:
         """Return the logarithm of ``Σ (y − f)² / (n − trace)²``."""
-        residuals, _ = self._fit(log_lambda)
-        above, below = (self._fit(log_lambda + sign * APART / 2)[1] for sign in (1, -1))
-        size = float(np.linalg.norm(residuals))
+        above, below = (factor(log_lambda + x).log_determinant for x in (APART / 2, -APART / 2))
+        size = float(residuals(log_lambda).norm())
         return 2.0 * math.log(max(size, 1e-300) / ((above - below) / APART))
 
-    def _fit(self, log_lambda: float) -> tuple[np.ndarray, float]:
-        """Return ``λ Q γ`` and the logarithm of the determinant of ``R + λ QᵀQ``."""
-        weight = math.exp(log_lambda)
-        factor, _ = lapack.dpbtrf(self._r + weight * self._bending)
-        gamma, _ = lapack.dpbtrs(factor, self._second)
-        residuals = weight * np.diff(np.pad(gamma, 2), 2)
-        return residuals, 2.0 * float(np.log(factor[-1]).sum())
+    bounds = math.log(LEAST), math.log(MOST * len(y))
+    found = minimize_scalar(score, bounds=bounds, method="bounded", options={"xatol": APART})
+    return y - residuals(found.x)
