@@ -198,6 +198,18 @@ def test_a_variation_is_given_to_a_simpler_candidate_with_all_that_it_changes(dr
             assert given.rank - simple.rank == pytest.approx(variation.rank - base.rank)
 
 
+def test_a_variation_that_replaces_what_distinguishes_two_candidates_is_tried_once():
+    base = ladder(machine(driven=True))[0]
+    friction = {"dissipation": "viscous"}
+    viscous = replace(base, name="viscous", settings={**base.settings, **friction})
+    (learned,) = [
+        one
+        for one in variations(base, machine(driven=True))
+        if one.settings["dissipation"] == "learned"
+    ]
+    assert distinct_candidates([joined(base, viscous, learned)], {}, [learned]) == []
+
+
 @pytest.mark.parametrize("driven", [True, False])
 def test_driven_machines_have_a_candidate_with_the_friction_of_motors(driven):
     """Among the first, with a width that follows the speed of the machine."""

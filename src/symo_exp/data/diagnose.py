@@ -22,6 +22,8 @@ SPRUNG = 0.5
 """Share of what gravity leaves unexplained that springs leave at most where they are likely."""
 HELP = 0.1
 """Share of the unexplained power that meaningful inputs explain at least."""
+SHORTEST = 2 * HALF + 3
+"""Nodes of a motion that a test function fits into, at least."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,7 @@ def explained_power(
     """
 
     def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return _terms(q, v, u if driven else u[:, :0], coordinates)
+        return acceleration_terms(q, v, u if driven else u[:, :0], coordinates)
 
     found = _regression(motions, h, terms)
     return None if found is None else max(0.0, 1.0 - found[0])
@@ -226,7 +228,7 @@ def input_gains(motions: Sequence[Motion], coordinates: Coordinates, h: float) -
     """
 
     def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.concatenate([_terms(q, v, u[:, :0], coordinates), u], axis=1)
+        return np.concatenate([acceleration_terms(q, v, u[:, :0], coordinates), u], axis=1)
 
     found = _regression(motions, h, terms)
     return None if found is None else found[1][-motions[0][1].shape[1] :].T
@@ -270,16 +272,7 @@ def _regression(
         The mean square of leave-one-out errors over the mean square, and the coefficients (k, n);
         ``None`` with fewer than 20 rows or without motion.
     """
-    s = np.arange(-HALF, HALF + 1) / (HALF + 1)
-    bump = (1 - s**2) ** 3
-    rows = []
-    for q, u in motions:
-        if len(q) < len(bump) + 2:
-            continue
-        v, middle = (q[2:] - q[:-2]) / (2 * h), q[1:-1]
-        both = np.concatenate([np.diff(q, 2, axis=0) / h**2, terms(middle, v, u[1:-1])], axis=1)
-        weak = np.lib.stride_tricks.sliding_window_view(both, len(bump), axis=0) @ bump
-        rows.append(weak[::HALF])
+    rows = [weak_rows(q, u, h, terms)[::HALF] for q, u in motions if len(q) >= SHORTEST]
     table = np.concatenate(rows) if rows else np.empty((0, 1))
     n = motions[0][0].shape[1] if motions else 0
     if len(table) < 20 or not (np.isfinite(table).all() and np.ptp(table[:, :n], axis=0).all()):
@@ -288,6 +281,24 @@ def _regression(
     target, given = np.split(table / size, [n], 1)
     error, coefficients = _left_out(given, target)
     return error, coefficients * size[:n] / size[n:, None]
+
+
+def weak_rows(
+    q: np.ndarray,
+    u: np.ndarray,
+    h: float,
+    terms: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Return weak accelerations and weak terms of ``(q, v, u)`` side by side.
+
+    The first row is that of node ``HALF + 1``; there is one for each node up to the last but as
+    many.
+    """
+    s = np.arange(-HALF, HALF + 1) / (HALF + 1)
+    bump = (1 - s**2) ** 3
+    v, middle = (q[2:] - q[:-2]) / (2 * h), q[1:-1]
+    both = np.concatenate([np.diff(q, 2, axis=0) / h**2, terms(middle, v, u[1:-1])], axis=1)
+    return np.lib.stride_tricks.sliding_window_view(both, len(bump), axis=0) @ bump
 
 
 def explained_in_degrees(
@@ -314,8 +325,10 @@ def _left_out(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
     return least, right.T @ (inverse[:, None] * (left.T @ y))
 
 
-def _terms(q: np.ndarray, v: np.ndarray, u: np.ndarray, coordinates: Coordinates) -> np.ndarray:
-    """Terms of accelerations: places, products of velocities, friction, inputs."""
+def acceleration_terms(
+    q: np.ndarray, v: np.ndarray, u: np.ndarray, coordinates: Coordinates
+) -> np.ndarray:
+    """Return terms of accelerations: places, products of velocities, friction, inputs."""
     each = [
         [np.cos(x), np.sin(x)] if angular else [x]
         for x, angular in zip(q.T, coordinates.angular, strict=True)

@@ -165,6 +165,51 @@ def _of(recordings: Sequence[Recording], part: str) -> list[int]:
     return [i for i, one in enumerate(recordings) if one.part == part]
 
 
+def without(
+    recordings: Sequence[Recording], stretches: object, time_step: float
+) -> tuple[Recording, ...]:
+    """Return recordings without the samples of some stretches.
+
+    Stretches are widened to gaps at which ``uninterrupted`` cuts.
+
+    Args:
+        recordings: All of a table.
+        stretches: ``[NAME, FROM, TO]`` each, in seconds after the first sample of a recording; the
+            only recording of a table needs no name.
+        time_step: Distance of the nodes [s].
+
+    Raises:
+        ConfigError: If a stretch is none of a recording, or a recording is left out as a whole.
+    """
+    found = {one.label: one for one in recordings}
+    starts = {one.label: one.samples.t[0] for one in recordings}
+    for name, low, high in _checked_stretches(stretches, list(found)):
+        half = max((high - low) / 2, LONGEST_GAP * time_step)
+        one = found[name]
+        kept = np.abs(one.samples.t - starts[name] - (low + high) / 2) > half
+        if kept.sum() < 2:
+            raise ConfigError(f"data.leave_out leaves nothing of the trajectory {name}".rstrip())
+        found[name] = one._replace(samples=one.samples.rows(kept))
+    return tuple(found.values())
+
+
+def _checked_stretches(given: object, names: Sequence[str]) -> Iterator[tuple[str, float, float]]:
+    wanted = "expected [[NAME,FROM,TO],...] in seconds after the first sample of a trajectory"
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise ConfigError(f"data.leave_out={given}: {wanted}")
+    for one in given:
+        if isinstance(one, str) or not isinstance(one, Sequence) or len(one) not in (2, 3):
+            raise ConfigError(f"data.leave_out: {one}: {wanted}")
+        name = str(one[0]) if len(one) == 3 else names[0]
+        if name not in names or (len(one) == 2 and len(names) > 1):
+            raise ConfigError(f"data.leave_out: {one}: {wanted}, of {few(names)}")
+        low, high = one[-2:]
+        numbers = all(isinstance(x, int | float) for x in (low, high))
+        if not (numbers and -np.inf < low <= high < np.inf):
+            raise ConfigError(f"data.leave_out: {one}: {wanted}")
+        yield name, float(low), float(high)
+
+
 def uninterrupted(
     recordings: Sequence[Recording], time_step: float
 ) -> tuple[list[Recording], str | None]:

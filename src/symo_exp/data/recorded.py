@@ -17,7 +17,7 @@ from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, few, shown
 from symo_exp.data.header import UNITS, header, names
-from symo_exp.data.parts import divided, uninterrupted, with_every_part
+from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, RecordingTable, read_recordings, write_recordings
 from symo_exp.errors import ConfigError
@@ -122,6 +122,8 @@ class RecordedData(DataModule):
         seconds: Length of the training part at most [s]; ``None``: all of it.
         val_seconds: Length of the validation part at most [s]; ``None``: all of it.
         input_delay: From the record of an input to its force [s].
+        leave_out: Stretches of trajectories that are not used, ``[NAME, FROM, TO]`` each
+            (``data.parts.without``); ``None``: none.
         batch_size: ``None``: an eighth of the samples.
 
     The other arguments are those of ``DataModule``.
@@ -152,6 +154,7 @@ class RecordedData(DataModule):
         seconds: float | None = None,
         val_seconds: float | None = None,
         input_delay: float = 0.0,
+        leave_out: Sequence[Sequence[str | float]] | None = None,
         batch_size: int | None = None,
         noise_std: float = 0.0,
         input_noise_std: float = 0.0,
@@ -170,6 +173,9 @@ class RecordedData(DataModule):
             one_of("data.time_unit", time_unit, tuple(UNITS))
         where = shown(path)
         table = read_recordings(path, system, columns, time_unit)
+        if leave_out is not None:
+            kept = without(table.recordings, leave_out, system.time_step)
+            table = table._replace(recordings=kept)
         named = {"train": train, "val": val, "test": test}
         if all(given is None for given in (train, val, test, n_val, n_test)):
             whole, note = with_every_part(table.recordings, system.time_step)

@@ -20,6 +20,7 @@ from symo_exp.data.diagnose import (
 )
 from symo_exp.data.recorded import delayed
 from symo_exp.data.resample import Samples, averaged, fitted
+from symo_exp.data.shocks import shocks
 from symo_exp.data.table import Recording
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
@@ -52,6 +53,8 @@ FAR = 100.0
 """Factor from 1 up to which times and inertias are learned in SI units."""
 Sampled = tuple[Samples, np.ndarray, np.ndarray]
 """Samples, nodes a time step apart, and configurations at the nodes."""
+Shock = tuple[str, float, float]
+"""Label of a recording, first and last time of a shock in it [s]."""
 
 
 class Dynamics(NamedTuple):
@@ -150,6 +153,18 @@ def fitting_time_step(recordings: Sequence[Recording], angular: np.ndarray, fine
     return next(
         (h for h in usable if fast * h <= COARSE and _phase(beginning, h) <= COARSE), usable[-1]
     )
+
+
+def struck(recordings: Sequence[Recording], angular: np.ndarray, h: float) -> list[Shock]:
+    """Return when something that is not recorded moves the machine (``data.shocks``)."""
+    motions = [(one.label, each) for one in recordings for each in _motions([one], h)]
+    pairs = _pairs([each for _, each in motions], h, 0.0)
+    found = shocks(pairs, _coordinates(angular), h)
+    return [
+        (label, float(nodes[first]), float(nodes[last]))
+        for (label, (_, nodes, _)), runs in zip(motions, found, strict=True)
+        for first, last in runs
+    ]
 
 
 def _phase(recordings: Sequence[Recording], h: float) -> float:

@@ -12,10 +12,17 @@ import numpy as np
 from symo_exp.data.diagnose import POOR, SUSPECT, noise_of
 from symo_exp.data.formats import few, shown
 from symo_exp.data.header import header, names
-from symo_exp.data.parts import divided, uninterrupted, with_every_part
+from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
-from symo_exp.identify.motions import STEPS, dynamics, explained_by_angles, fitting_time_step
+from symo_exp.identify.motions import (
+    STEPS,
+    Shock,
+    dynamics,
+    explained_by_angles,
+    fitting_time_step,
+    struck,
+)
 from symo_exp.mechanics.units import Units
 from symo_exp.systems.recorded import Recorded
 
@@ -118,7 +125,7 @@ def examine(
             time_step=1.0,
         )  # fmt: skip
 
-    used, test, told = _parts(data, system("none"), time_step)
+    used, test, starts, told = _parts(data, system("none"), time_step)
     notes += told
     recordings = len(used)
     if angular is None:
@@ -146,6 +153,13 @@ def examine(
     _, note = uninterrupted([*used, *test], time_step)
     notes += [note] if note else []
     used, _ = uninterrupted(used, time_step)
+    if data.get("leave_out") is None and (hit := struck(used, angles, time_step)):
+        stretches = [_in_table(one, starts) for one in hit]
+        settings.append(f"data.leave_out=[{','.join(map(_listed, stretches))}]")
+        notes.append(_told_shocks(stretches))
+        data = {**data, "leave_out": stretches}
+        used, _, _, _ = _parts(data, system("none"), time_step)
+        used, _ = uninterrupted([_in_radians(one, angles, data) for one in used], time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     matrix = system("none").input_matrix.numpy() if driven else None
     shown_by = dynamics(used, angles, time_step, matrix)
@@ -181,13 +195,19 @@ def _refuse_rotations(names: Sequence[str]) -> None:
 
 def _parts(
     data: Mapping[str, Any], system: Recorded, time_step: float | None
-) -> tuple[list[Recording], list[Recording], list[str]]:
-    """Return the recordings for training and validation, those for testing, and lines on both."""
+) -> tuple[list[Recording], list[Recording], dict[str, float], list[str]]:
+    """Return the recordings for training and validation, those for testing, and lines on both.
+
+    The third result is the time of the first sample of each trajectory of the table.
+    """
     path = data["path"]
     table = read_recordings(path, system, data.get("columns"), data.get("time_unit"))
     named = {part: data.get(part) for part in ("train", "val", "test")}
     counts = data.get("n_val"), data.get("n_test")
     recordings, notes, note = list(table.recordings), list(table.notes), None
+    starts = {one.label: float(one.samples.t[0]) for one in recordings}
+    if data.get("leave_out") is not None:
+        recordings = list(without(recordings, data["leave_out"], time_step or STEPS[0]))
     if all(given is None for given in (*named.values(), *counts)):
         recordings, note = with_every_part(recordings, time_step or STEPS[0])
         notes += [note] if note else []
@@ -196,7 +216,29 @@ def _parts(
     if not note:
         tested = few([one.label for one in parts["test"]])
         notes.append(f"recordings: {len(used)} to choose and train models, for the test {tested}")
-    return used, parts["test"], notes
+    return used, parts["test"], starts, notes
+
+
+def _in_table(shock: Shock, starts: Mapping[str, float]) -> tuple[str, float, float]:
+    """Return the trajectory of the table that a shock is in, and its times after the start."""
+    label, low, high = shock
+    whole = [name for name in starts if name in ("", label) or label.startswith(f"{name}/")]
+    name = max(whole, key=len)  # pieces have the name of the trajectory first
+    return name, round(low - starts[name], 4), round(high - starts[name], 4)
+
+
+def _listed(stretch: tuple[str, float, float]) -> str:
+    name, low, high = stretch
+    quoted = name.replace("\\", "\\\\").replace("'", "\\'")
+    return f"['{quoted}',{low:g},{high:g}]"
+
+
+def _told_shocks(stretches: Sequence[tuple[str, float, float]]) -> str:
+    where = few([f"{name} {low:g} to {high:g} s".lstrip() for name, low, high in stretches])
+    return (
+        f"left out: {where}; something else moved the machine there, as the same states at other "
+        "times show (data.leave_out=[] keeps all)"
+    )
 
 
 def _in_radians(recording: Recording, angular: np.ndarray, data: Mapping[str, Any]) -> Recording:

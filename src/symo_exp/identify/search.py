@@ -56,6 +56,7 @@ from symo_exp.sweep.sweeper import Sweep
 BEST, PLAN, TABLE = "best", "plan.json", "candidates.csv"
 FILES = [
     "path", "columns", "wrapped", "degrees", "time_unit", "train", "val", "test", "n_val", "n_test",
+    "leave_out",
 ]  # fmt: skip
 """Settings of data that say where recordings are and how they are read."""
 EPSILONS = 4
@@ -238,19 +239,19 @@ class Search:
                 self._try([c], folds)
             if joint is base or self._gains(c, joint, folds):
                 joint = self._trials[c.name]
-        if joint is not base and (simple := self._simpler(known, base, folds)) is not None:
-            also = joined(base.candidate, simple, joint.candidate)
-            if self._in_time(0.75, "joint variations"):
-                self._try(distinct_candidates([also], self._given, known), folds)
+        if joint is not base and self._in_time(0.75, "joint variations"):
+            every = [trial.candidate for trial in self._trials.values()]
+            simpler = self._simpler(known, base, folds)
+            also = [joined(base.candidate, simple, joint.candidate) for simple in simpler]
+            self._try(distinct_candidates(also, self._given, every)[:1], folds)
 
     def _simpler(
         self, candidates: Sequence[Candidate], base: Trial, folds: Sequence[int]
-    ) -> Candidate | None:
-        """Return the best of the candidates that are simpler than one and not hopeless."""
-        simpler = [c for c in candidates if c.rank < base.candidate.rank]
-        ranked = self._ranked(simpler, folds)
+    ) -> list[Candidate]:
+        """Return the candidates that are simpler than one and not hopeless, the best first."""
+        ranked = self._ranked([c for c in candidates if c.rank < base.candidate.rank], folds)
         least = HOPELESS * base.mean(folds)
-        return next((c for c in ranked if self._trials[c.name].mean(folds) <= least), None)
+        return [c for c in ranked if self._trials[c.name].mean(folds) <= least]
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
         trial = self._trials[candidate.name]

@@ -1,0 +1,126 @@
+"""Shocks are found in the motions of known systems, and left out of recordings."""
+
+from __future__ import annotations
+
+import logging
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from symo_exp.data.parts import LONGEST_GAP
+from symo_exp.data.recorded import RecordedData, recorded_system
+from symo_exp.data.shocks import shocks
+from symo_exp.errors import ConfigError
+from symo_exp.identify.recordings import examine
+from symo_exp.systems.chain import ChainPendulum
+from symo_exp.systems.simulation import Solver, simulate_driven
+
+H = 0.02
+BEGIN, END = 2.0, 2.2
+STRUCK = 1
+"""The motion in which a machine is struck."""
+
+
+@cache
+def motions(n: int, blow: float, count: int = 6, steps: int = 300) -> list[pd.DataFrame]:
+    """Of a chain that smooth torques drive, one of them struck by a torque that is not recorded."""
+    system = ChainPendulum(n, time_step=H)
+    q0, v0, _ = system.box.points(count, 1)
+    wave = torch.arange(1, n + 1).double()
+
+    def recorded(t: float) -> torch.Tensor:
+        return (5.0 * torch.sin(2 * t * (1 + 0.3 * wave) + wave)).expand(count, n)
+
+    def drive(t: float) -> torch.Tensor:
+        struck = torch.zeros(count, n, dtype=torch.float64)
+        struck[STRUCK] = blow * (BEGIN <= t < END)
+        return recorded(t) + struck
+
+    solver = Solver("DOP853", 1e-6, 1e-6)
+    q, _, _ = simulate_driven(system, 0.5 * q0, 0.3 * v0, drive, steps, solver)
+    t = H * np.arange(q.shape[1])
+    u = np.stack([recorded(at).numpy() for at in t], axis=1)
+    rng = np.random.default_rng(0)
+    frames = []
+    for k in range(count):
+        angles = q[k].numpy() + 1e-4 * rng.standard_normal((len(t), n))
+        columns = {"trajectory": f"run's {k}", "t": t}
+        columns |= {f"q_theta_{i}": angles[:, i] for i in range(n)}
+        columns |= {f"u_{i}": u[k][:, i] for i in range(n)}
+        frames.append(pd.DataFrame(columns))
+    return frames
+
+
+def found(frames: list[pd.DataFrame], n: int) -> list[list[tuple[int, int]]]:
+    pairs = [(f.filter(like="q_").to_numpy(), f.filter(like="u_").to_numpy()) for f in frames]
+    return shocks(pairs, ChainPendulum(n, time_step=H).coordinates, H)
+
+
+@pytest.mark.parametrize("blow", [0.0, 60.0])
+def test_a_blow_is_found_and_nothing_else(blow: float) -> None:
+    runs = found(motions(1, blow), 1)
+    assert [k for k, each in enumerate(runs) if each] == [STRUCK] * bool(blow)
+    if blow:
+        ((first, last),) = runs[STRUCK]
+        assert H * first <= BEGIN
+        assert H * last >= END
+        assert H * (last - first) < 2 * (END - BEGIN) + 10 * H
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_machines_that_nothing_strikes_have_no_shocks(n: int) -> None:
+    assert not any(found(motions(n, 0.0), n))
+
+
+def test_a_blow_is_left_out_of_the_search_and_it_says_so(workplace) -> None:
+    pd.concat(motions(1, 60.0)).to_csv("mine.csv", index=False)
+    told = examine({"path": "mine.csv"})
+    (setting,) = [one for one in told.settings if one.startswith("data.leave_out")]
+    assert setting.startswith(r"data.leave_out=[['run\'s 1',1.9")
+    assert any("left out: run's 1" in note for note in told.notes)
+    kept = examine({"path": "mine.csv", "leave_out": []})
+    assert not any("leave_out" in one for one in kept.settings)
+    assert told.explained > kept.explained
+    assert told.seconds < kept.seconds
+
+
+def read(frames: list[pd.DataFrame], path: Path, leave_out: object) -> RecordedData:
+    pd.concat(frames).to_parquet(path, index=False)
+    system = recorded_system(path, time_step=H, angular="all")
+    data = RecordedData(system=system, path=path, dtype="float64", leave_out=leave_out)
+    data.setup()
+    return data
+
+
+@pytest.mark.parametrize("length", [0.0, 0.5])
+def test_nothing_is_interpolated_over_what_is_left_out(length, tmp_path, caplog) -> None:
+    frames = [f.assign(t=f.t + 1000.0) for f in motions(1, 0.0, count=3)]
+    with caplog.at_level(logging.INFO):
+        data = read(frames, tmp_path / "x.parquet", [["run's 0", 2.0, 2.0 + length]])
+    pieces = data.trajectories("train")
+    assert len(pieces) == 2
+    left_out = max(length / 2, LONGEST_GAP * H)
+    assert H * len(pieces[0].q) == pytest.approx(2.0 + length / 2 - left_out, abs=2 * H)
+    assert sum(len(one.q) for one in pieces) == pytest.approx(300 - 2 * left_out / H, abs=3)
+    assert any("are cut there" in r.getMessage() for r in caplog.records)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("2", "expected [[NAME,FROM,TO],...]"),
+        ([["run's 9", 0, 1]], "of run's 0, run's 1"),
+        ([[0, 1]], "of run's 0, run's 1"),
+        ([["run's 0", 2, 1]], "expected [[NAME,FROM,TO],...]"),
+        ([["run's 0", "a", 1]], "expected [[NAME,FROM,TO],...]"),
+        ([["run's 0", 0, 99]], "leaves nothing of the trajectory run's 0"),
+    ],
+)
+def test_stretches_that_are_none_are_refused(given, message, tmp_path) -> None:
+    with pytest.raises(ConfigError) as error:
+        read(motions(1, 0.0, count=3), tmp_path / "x.parquet", given)
+    assert message in str(error.value)
