@@ -62,6 +62,7 @@ def test_the_true_lagrangian_has_the_known_error_of_the_integrator(name: str):
     assert torch.get_default_dtype() == torch.float32
 
 
+@pytest.mark.slow
 def test_a_true_system_with_friction_has_a_small_error_and_loses_energy():
     system = dataclasses.replace(systems()["cartpole"], viscous=[0.3, 0.01], coulomb=[0.1, 0.0])
     sets = TrajectoryData(

@@ -83,9 +83,11 @@ def check_alone(model, folder, iterations):
     ("name", "method"),
     [
         ("chain_2", "node"),
-        (PIVOT, "l_node"),
         (PIVOT, "symo"),
-        *(pytest.param(*x, marks=pytest.mark.slow) for x in [(PIVOT, "node"), ("chain_2", "symo")]),
+        *(
+            pytest.param(*x, marks=pytest.mark.slow)
+            for x in [(PIVOT, "node"), (PIVOT, "l_node"), ("chain_2", "symo")]
+        ),
     ],
 )
 def test_a_step_takes_either_precision_and_returns_plain_tensors(method, name, tmp_path):
