@@ -15,6 +15,7 @@ from symo_exp.identify.validation import (
     choose,
     compared,
     fold_error,
+    with_least_noise,
 )
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
 from symo_exp.runs.series import Series
@@ -102,3 +103,19 @@ def test_the_baseline_is_constant_velocity_on_the_held_out_part(w, tmp_path):
     (folder / CONFIG).write_text(yaml.safe_dump({"system": system, "data": data}))
     found = baseline_error(folder)
     assert (0.5 < found < 20.0) if w else found < 1e-9
+
+
+def test_of_several_fits_the_finished_one_with_the_least_noise_is_kept(tmp_path):
+    fits = []
+    for k, (noise, status) in enumerate(
+        [(0.05, "finished"), (0.01, "finished"), (0.001, "failed"), (None, "finished")]
+    ):
+        fits.append(RunFolder(tmp_path / str(k)))
+        (tmp_path / str(k)).mkdir()
+        series = Series(fits[k] / SERIES)
+        series.append(0, {"noise_estimate": 1e-9})
+        series.append(1, {"train_loss": 1.0} if noise is None else {"noise_estimate": noise})
+        fits[k].record(status)
+    assert with_least_noise(fits) == fits[1]
+    assert with_least_noise(fits[2:]) == fits[3]
+    assert with_least_noise([]) is None

@@ -47,6 +47,7 @@ from symo_exp.identify.validation import (
     beats,
     choose,
     fold_error,
+    with_least_noise,
 )
 from symo_exp.process import phases
 from symo_exp.runs.folder import SERIES, RunFolder
@@ -65,6 +66,10 @@ HOPELESS = 4.0
 """A candidate whose error is so many times the best one's is not tried on further folds."""
 ITERATIONS = 5
 """Of the fit of starts in validations: more refine those of motions that stick alone."""
+FEWEST_FITS, MOST_FITS = 2, 4
+"""Last fits of a candidate with several starts, one for each core in between."""
+SEEDS = 1000
+"""Difference of the seeds of these fits."""
 OVERRUN = 2.0
 """Multiple of the planned time after which further stages of a search are left out."""
 
@@ -362,13 +367,16 @@ class Search:
             pictures="pictures=true",
             measures="measures=true",
         )
-        (folder,) = self._sweep.perform([overrides], [best.candidate.name])
-        if isinstance(folder, ConfigError):
-            raise folder
+        fits = self._sweep.perform(*self._begun_anew(best.candidate, overrides))
         self._summary(best)
+        trained = [fit for fit in fits if not isinstance(fit, ConfigError)]
+        if (folder := with_least_noise(trained)) is None:
+            raise next(fit for fit in fits if isinstance(fit, ConfigError))
         if folder.outcome().status != "finished":
             print(f"the last fit {folder.outcome().status}: {folder.outcome().reason}")
             return 1
+        if len(fits) > 1:
+            print(f"the last fit with the least noise of {len(fits)} is kept")
         if (done := len(read(folder / SERIES))) < epochs:
             print(f"the last fit ran out of time after {done} of {epochs} epochs")
         self._link(folder)
@@ -387,6 +395,20 @@ class Search:
             self._print_doubts()
         print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
         return 0
+
+    def _begun_anew(
+        self, candidate: Candidate, overrides: Sequence[str]
+    ) -> tuple[list[list[str]], list[str]]:
+        """Return the overrides and the names of last fits that begin differently.
+
+        Candidates with several starts have several minima, and the start with the smallest
+        residuals does not always lead to the deepest one.
+        """
+        count = min(max(FEWEST_FITS, self._plan.cores), MOST_FITS) if candidate.starts > 1 else 1
+        others = [word for word in overrides if not word.startswith("seed=")]
+        anew = [f"seed={self._master.seed + SEEDS * k}" for k in range(1, count)]
+        words = [list(overrides), *([seed, *others] for seed in anew)]
+        return words, [", ".join([candidate.name, *seed]) for seed in ([], *([x] for x in anew))]
 
     def _print_doubts(self) -> None:
         for line in doubts(self._machine):

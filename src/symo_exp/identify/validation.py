@@ -50,6 +50,17 @@ class Trial:
         return math.exp(float(np.mean([math.log(self.errors[k]) for k in chosen])))
 
 
+def with_least_noise(fits: Sequence[RunFolder]) -> RunFolder | None:
+    """Return the fit that explains its data best, a finished one if there is any."""
+
+    def rank(fit: RunFolder) -> tuple[bool, float]:
+        rows = read(fit / SERIES)
+        noise = rows[-1].get("noise_estimate", math.inf) if rows else math.inf
+        return fit.outcome().status != "finished", noise
+
+    return min(fits, key=rank, default=None)
+
+
 def fold_error(folder: RunFolder) -> float:
     """Return the smallest error of a training on its held-out part.
 
