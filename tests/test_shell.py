@@ -54,7 +54,18 @@ def test_a_shell_takes_the_words_as_they_are():
 
 @pytest.mark.parametrize(
     "value",
-    [1, 0, 1.5, 1e-7, True, None, "my file.csv", ["a b", "c'\"d"], {"q": "x y"}, {"a": [1, None]}],
+    [
+        1,
+        0,
+        1.5,
+        1e-7,
+        True,
+        None,
+        "my file.csv",
+        ["a b", "c'\"d", "größe"],
+        {"q": "x y"},
+        {"a": [1, None]},
+    ],
 )
 def test_a_value_is_spelled_as_the_command_line_reads_it(value):
     (override,) = OverridesParser.create().parse_overrides([f"key={override_value(value)}"])

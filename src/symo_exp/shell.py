@@ -34,7 +34,7 @@ def override_value(value: Any, *, nested: bool = False) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(override_value(x, nested=True) for x in value) + "]"
     if isinstance(value, str | os.PathLike):
-        return json.dumps(os.fspath(value)) if nested else os.fspath(value)
+        return json.dumps(os.fspath(value), ensure_ascii=False) if nested else os.fspath(value)
     if value is None:
         return "null"
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -80,7 +80,7 @@ def test_a_blow_is_left_out_of_the_search_and_it_says_so(workplace) -> None:
     pd.concat(motions(1, 60.0)).to_csv("mine.csv", index=False)
     told = examine({"path": "mine.csv"})
     (setting,) = [one for one in told.settings if one.startswith("data.leave_out")]
-    assert setting.startswith(r"data.leave_out=[['run\'s 1',1.9")
+    assert setting.startswith('data.leave_out=[["run\'s 1", 1.9')
     assert any("left out: run's 1" in note for note in told.notes)
     kept = examine({"path": "mine.csv", "leave_out": []})
     assert not any("leave_out" in one for one in kept.settings)

@@ -291,8 +291,7 @@ def weak_rows(
 ) -> np.ndarray:
     """Return weak accelerations and weak terms of ``(q, v, u)`` side by side.
 
-    The first row is that of node ``HALF + 1``; there is one for each node up to the last but as
-    many.
+    Row ``i`` is that of node ``i + HALF + 1``; nodes nearer to the ends have none.
     """
     s = np.arange(-HALF, HALF + 1) / (HALF + 1)
     bump = (1 - s**2) ** 3

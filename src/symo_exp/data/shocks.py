@@ -78,16 +78,15 @@ def shocks(
     strange = (left > STRANGE * usual).any(axis=1)
     hit = ((left > SHOCK * usual) & (left > 1.0)).any(axis=1)
     states = _states([motions[k] for k in long], coordinates, h)
-    found, start = [list(each) for each in nothing], 0
-    for k, each in zip(long, rows, strict=True):
-        end = start + len(each)
-        runs = _runs(strange[start:end], hit[start:end])
+    of = np.repeat(long, [len(each) for each in rows])
+    found = [list(each) for each in nothing]
+    for k in long:
+        here = np.flatnonzero(of == k)
         found[k] = [
             (first + HALF + 1, last + HALF + 1)
-            for first, last in runs
-            if _known(states, start + first, start + last, strange, start, end)
+            for first, last in _runs(strange[here], hit[here])
+            if _known(states, here[first], here[last], strange, of)
         ]
-        start = end
     lost = sum(last - first + 1 for each in found for first, last in each)
     return found if lost <= RARE * moving.sum() else nothing
 
@@ -130,16 +129,14 @@ def _states(motions: Sequence[Motion], coordinates: Coordinates, h: float) -> np
     return np.asarray(table / np.sqrt(np.mean(table**2, axis=0) + 1e-300))
 
 
-def _known(
-    states: np.ndarray, first: int, last: int, strange: np.ndarray, start: int, end: int
-) -> bool:
+def _known(states: np.ndarray, first: int, last: int, strange: np.ndarray, of: np.ndarray) -> bool:
     """Return whether states from ``first`` to ``last`` occurred elsewhere without strange errors.
 
-    Rows from ``start`` to ``end`` are of the same motion.
+    ``of`` is the motion of each row.
     """
     at = np.arange(len(states))
     for i in np.linspace(first, last, 5).round().astype(int)[1:-1]:
-        same = (at >= start) & (at < end) & (np.abs(at - i) <= APART)
+        same = (of == of[i]) & (np.abs(at - i) <= APART)
         near = np.linalg.norm(states - states[i], axis=1) < NEAR
         if (near & ~same & ~strange).sum() < KNOWN:
             return False

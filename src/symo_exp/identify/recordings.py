@@ -24,6 +24,7 @@ from symo_exp.identify.motions import (
     struck,
 )
 from symo_exp.mechanics.units import Units
+from symo_exp.shell import override_value
 from symo_exp.systems.recorded import Recorded
 
 SPAN = 2 * np.pi
@@ -155,10 +156,10 @@ def examine(
     used, _ = uninterrupted(used, time_step)
     if data.get("leave_out") is None and (hit := struck(used, angles, time_step)):
         stretches = [_in_table(one, starts) for one in hit]
-        settings.append(f"data.leave_out=[{','.join(map(_listed, stretches))}]")
+        settings.append(f"data.leave_out={override_value(stretches)}")
         notes.append(_told_shocks(stretches))
         data = {**data, "leave_out": stretches}
-        used, _, _, _ = _parts(data, system("none"), time_step)
+        used, *_ = _parts(data, system("none"), time_step)
         used, _ = uninterrupted([_in_radians(one, angles, data) for one in used], time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     matrix = system("none").input_matrix.numpy() if driven else None
@@ -225,12 +226,6 @@ def _in_table(shock: Shock, starts: Mapping[str, float]) -> tuple[str, float, fl
     whole = [name for name in starts if name in ("", label) or label.startswith(f"{name}/")]
     name = max(whole, key=len)  # pieces have the name of the trajectory first
     return name, round(low - starts[name], 4), round(high - starts[name], 4)
-
-
-def _listed(stretch: tuple[str, float, float]) -> str:
-    name, low, high = stretch
-    quoted = name.replace("\\", "\\\\").replace("'", "\\'")
-    return f"['{quoted}',{low:g},{high:g}]"
 
 
 def _told_shocks(stretches: Sequence[tuple[str, float, float]]) -> str:

@@ -405,10 +405,13 @@ class Search:
         residuals does not always lead to the deepest one.
         """
         count = min(max(FEWEST_FITS, self._plan.cores), MOST_FITS) if candidate.starts > 1 else 1
+        words, names = [list(overrides)], [candidate.name]
         others = [word for word in overrides if not word.startswith("seed=")]
-        anew = [f"seed={self._master.seed + SEEDS * k}" for k in range(1, count)]
-        words = [list(overrides), *([seed, *others] for seed in anew)]
-        return words, [", ".join([candidate.name, *seed]) for seed in ([], *([x] for x in anew))]
+        for k in range(1, count):
+            seed = f"seed={self._master.seed + SEEDS * k}"
+            words.append([seed, *others])
+            names.append(f"{candidate.name}, {seed}")
+        return words, names
 
     def _print_doubts(self) -> None:
         for line in doubts(self._machine):
