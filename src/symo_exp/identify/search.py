@@ -355,23 +355,35 @@ class Search:
         nodes = round(seconds / machine.time_step)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
         print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
-        overrides = self._overrides(
-            best.candidate,
-            f"data.fold={POOLED}",
-            f"trainer.max_epochs={epochs}",
-            f"trainer.validate_every={epochs}",  # once: nothing is held out
-            "optimizer.tolerance=1e9",  # so that the last parameters are kept
-            self._limit(best.candidate, nodes),
-            data__seconds=f"data.seconds={seconds:g}" if seconds < machine.seconds else None,
-            logger=None,
-            pictures="pictures=true",
-            measures="measures=true",
-        )
-        fits = self._sweep.perform(*self._begun_anew(best.candidate, overrides))
-        self._summary(best)
+
+        def last(seed: str | None, **changed: str | None) -> list[str]:
+            found = self._overrides(
+                best.candidate,
+                f"data.fold={POOLED}",
+                f"trainer.max_epochs={epochs}",
+                f"trainer.validate_every={epochs}",  # once: nothing is held out
+                "optimizer.tolerance=1e9",  # so that the last parameters are kept
+                self._limit(best.candidate, nodes),
+                data__seconds=f"data.seconds={seconds:g}" if seconds < machine.seconds else None,
+                **changed,
+            )
+            if seed is None:
+                return found
+            return [seed, *(word for word in found if not word.startswith("seed="))]
+
+        seeds = self._seeds(best.candidate)
+        names = [", ".join([best.candidate.name, *filter(None, [seed])]) for seed in seeds]
+        fits = self._sweep.perform([last(seed) for seed in seeds], names)
         trained = [fit for fit in fits if not isinstance(fit, ConfigError)]
         if (folder := with_least_noise(trained)) is None:
             raise next(fit for fit in fits if isinstance(fit, ConfigError))
+        if folder.outcome().status == "finished":  # it alone is tested
+            k = fits.index(folder)
+            asked = last(seeds[k], logger=None, pictures="pictures=true", measures="measures=true")
+            (tested,) = self._sweep.perform([asked], [names[k]])
+            if isinstance(tested, ConfigError):
+                raise tested
+        self._summary(best)
         if folder.outcome().status != "finished":
             print(f"the last fit {folder.outcome().status}: {folder.outcome().reason}")
             return 1
@@ -396,22 +408,16 @@ class Search:
         print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
         return 0
 
-    def _begun_anew(
-        self, candidate: Candidate, overrides: Sequence[str]
-    ) -> tuple[list[list[str]], list[str]]:
-        """Return the overrides and the names of last fits that begin differently.
+    def _seeds(self, candidate: Candidate) -> list[str | None]:
+        """Return the settings of the seeds of the last fits, ``None``: that of the search.
 
         Candidates with several starts have several minima, and the start with the smallest
         residuals does not always lead to the deepest one.
         """
-        count = min(max(FEWEST_FITS, self._plan.cores), MOST_FITS) if candidate.starts > 1 else 1
-        words, names = [list(overrides)], [candidate.name]
-        others = [word for word in overrides if not word.startswith("seed=")]
-        for k in range(1, count):
-            seed = f"seed={self._master.seed + SEEDS * k}"
-            words.append([seed, *others])
-            names.append(f"{candidate.name}, {seed}")
-        return words, names
+        if candidate.starts == 1:
+            return [None]
+        count = min(max(FEWEST_FITS, self._plan.cores), MOST_FITS)
+        return [None, *(f"seed={self._master.seed + SEEDS * k}" for k in range(1, count))]
 
     def _print_doubts(self) -> None:
         for line in doubts(self._machine):
