@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from symo_exp.identify.recordings import Machine
+from symo_exp.shell import override_value
 
 FREE_DAMPING = 1.0
 """Friction at the start of training over the inertia, of machines without inputs."""
@@ -75,7 +76,7 @@ def ladder(machine: Machine) -> list[Candidate]:
     relative = ", relative angles" if several else ""
     # without inputs only the ratio to the inertia counts, and from too little friction fits hang;
     # with inputs no friction is suitable for all machines, and a second start finds the fit
-    start = {} if machine.driven else {"dissipation.start": f"{FREE_DAMPING:g}"}
+    start = {} if machine.driven else {"dissipation.start": override_value(FREE_DAMPING)}
     starts = 2 if machine.driven else 1
     first = _candidate(f"{LINKS}{relative}", 1.0, "relative", {**FRICTION, **start}, 1.0, starts)
     found = [first]
@@ -222,8 +223,8 @@ def _sprung(candidate: Candidate, machine: Machine) -> Candidate:
     found = candidate.changed("springs", 0.05, springs="linear")
     if machine.stiffness is None:
         return found
-    rows = [f"[{','.join(f'{x:g}' for x in row)}]" for row in machine.stiffness]
-    return replace(found, settings={**found.settings, "springs.start": f"[{','.join(rows)}]"})
+    start = override_value(machine.stiffness)
+    return replace(found, settings={**found.settings, "springs.start": start})
 
 
 def _viscous(candidate: Candidate) -> Candidate:
