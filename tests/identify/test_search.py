@@ -13,6 +13,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.identify import search
 from symo_exp.identify.candidates import ladder
 from symo_exp.identify.recordings import examine
+from symo_exp.report.__main__ import main as report
 from symo_exp.runs.folder import RunFolder
 
 
@@ -44,6 +45,12 @@ def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, 
     candidates = pd.read_csv(folder / "candidates.csv")
     assert candidates.chosen.sum() == 1
     assert (candidates.error > 0).all()
+    assert report(["outputs/machine_mine", "--no-page"]) == 0
+    page = (workplace / "report" / "report.md").read_text()
+    assert "**Candidates of the search**" in page
+    assert "data.fold" not in page
+    assert (workplace / "report" / "tables").is_dir()
+    capsys.readouterr()
     written = {f: f.stat().st_mtime_ns for f in folder.glob("*/metrics.json")}
     assert main(words) == 0
     again = capsys.readouterr().out

@@ -3,6 +3,7 @@
 import math
 from types import SimpleNamespace
 
+import pandas as pd
 import pytest
 import torch
 
@@ -47,13 +48,17 @@ def recorded(n: int, lost: bool = False, **more: object):
     return model, *on_recordings(model, trajectories, reference)
 
 
+def rows_of(found):
+    return pd.DataFrame({name: column.numpy() for name, column in found.columns().items()})
+
+
 DAMPED = SimpleNamespace(force=lambda q, v: -0.3 * v)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_windows_show_prediction_measurement_and_reference(n):
     model, _, found = recorded(n)
-    (figure,) = recordings.recording_figures(model, found, "symo", "run")
+    (figure,) = recordings.recording_figures(model, rows_of(found), "symo", "run")
     assert len(figure.panels) == 3 * (n + 1)
     for panel in figure.panels[: 3 * n]:
         assert {one.source for one in panel.traces()} == {"measured", "ours", "floor"}
@@ -66,7 +71,7 @@ def test_windows_show_prediction_measurement_and_reference(n):
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_dissipation_is_drawn_over_velocity_and_time(n):
     model, _, found = recorded(n, dissipation=DAMPED)
-    _, figure = recordings.recording_figures(model, found, "symo", "run")
+    _, figure = recordings.recording_figures(model, rows_of(found), "symo", "run")
     assert len(figure.panels) == 2 * n
     for over_velocity in figure.panels[::2]:
         assert torch.allclose(
@@ -78,7 +83,7 @@ def test_a_dissipation_is_drawn_over_velocity_and_time(n):
 def test_lost_predictions_are_drawn_until_they_are_lost(tmp_path):
     model, measures, found = recorded(2, lost=True, dissipation=DAMPED)
     assert measures["pooled_rmse_2s"] > 1e100
-    made = recordings.recording_figures(model, found, "node", "lost")
+    made = recordings.recording_figures(model, rows_of(found), "node", "lost")
     assert [path.name for figure in made for path in save_figure(figure, tmp_path, ["png"])] == [
         "windows.png", "dissipation.png",
     ]  # fmt: skip

@@ -6,10 +6,14 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from symo_exp.identify.candidates import Candidate
+from symo_exp.identify.table import write_candidates
+from symo_exp.identify.validation import Trial
 from symo_exp.report.__main__ import general_report, main
 from symo_exp.report.motions import studied
 from symo_exp.report.runs import read_runs, save_runs, tidy
 from symo_exp.report.tables import markdown_table
+from symo_exp.runs.folder import CANDIDATES
 from symo_exp.tracking.store import connect
 from tests.report.stores import MEASURES, add_folder, add_run, row
 from tests.report.test_figures import PAIRS, swing
@@ -183,9 +187,23 @@ def recorded(path, method, rmse, **more):
     measures = {"windows": 9.0, "usable_s": 0.7, "noise": 1e-3, "test_mse": 1e-6}
     measures |= {f"rmse_{h}": rmse for h in horizons}
     measures |= {f"constant_velocity_rmse_{h}": 2.0 for h in horizons}
-    variant = f"recorded, data=recorded, data.path={path}"
-    return row(measures, system="recorded", method=method, recording=path, variant=variant,
-               n_traj=None, **more)  # fmt: skip
+    about = {"variant": f"recorded, data=recorded, data.path={path}", "n_traj": None, **more}
+    return row(measures, system="recorded", method=method, recording=path, **about)
+
+
+def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
+    known = Candidate("links", 1.0, {}), Candidate("network, learned friction", 5.0, {})
+    chosen, failed = Trial(known[0], errors={0: 0.1, 1: 0.2}), Trial(known[1], reasons={0: "why"})
+    write_candidates(tmp_path / CANDIDATES, [chosen, failed], chosen)
+    best = recorded("arm.csv", "symo", 0.1, files=str(tmp_path / "best"))
+    fold = recorded("arm.csv", "symo", 0.1, variant="recorded, data.fold=[0, 2]")
+    runs = tidy([best, (fold[0], {"val_loss": 0.1})])
+    tables = {t.key: t for part in general_report(runs, "it").sections for t in part.tables}
+    assert next(iter(tables["recording_arm_csv"].rows[""])) == "SyMo, midpoint"
+    candidates = tables["recording_arm_csv_candidates"].rows.set_index("candidate")
+    assert list(candidates.index) == ["links (chosen)", "network, learned friction"]
+    assert candidates.error["links (chosen)"] == "0.141"
+    assert candidates.failed["network, learned friction"] == "why"
 
 
 def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):

@@ -104,17 +104,24 @@ class Predictions:
         Args:
             units: Units of the coordinates' errors [rad, m].
         """
-        true = self.q_true[:, 1:]
-        error = (squared_error(*self._compared()) / torch.as_tensor(units).square()).mean(2)
-        return error.where(true.isfinite().all(2), torch.nan)
+        return self._errors(units)[:, 1:]
+
+    def distances(self) -> Float[Tensor, "windows nodes"]:
+        """Return the root mean square error over coordinates at each node, the start included."""
+        return self._errors(1.0).sqrt()
 
     @property
     def space(self) -> Space:
         """The space of configurations."""
         return space_of(self.q, self.v)
 
-    def _compared(self) -> tuple[Tensor, Tensor]:
-        return comparable(self.space, self.q[:, 1:], self.q_true[:, 1:])
+    def _errors(self, units: Tensor | float) -> Tensor:
+        """Return the mean squared error over coordinates at each node."""
+        error = (self._squares() / torch.as_tensor(units).square()).mean(2)
+        return error.where(self.q_true.isfinite().all(2), torch.nan)
+
+    def _squares(self) -> Tensor:
+        return squared_error(*comparable(self.space, self.q, self.q_true))
 
     def rmse(
         self, seconds: float, units: Float[Tensor, " n"] | float = 1.0
@@ -130,7 +137,7 @@ class Predictions:
     def usable_seconds(self, tolerance: Float[Tensor, " n"]) -> Float[Tensor, " windows"]:
         """Return the time until the error over ``tolerance``, RMS over coordinates, exceeds 1."""
         true = self.q_true[:, 1:]
-        error = (squared_error(*self._compared()) / tolerance.square()).mean(2)
+        error = (self._squares()[:, 1:] / tolerance.square()).mean(2)
         return self._before((error > 1.0) | ~true.isfinite().all(2))
 
     def measured_seconds(self) -> Float[Tensor, " windows"]:

@@ -46,8 +46,9 @@ class RecordedPredictions:
 
         Its columns are ``window``, ``trajectory``, ``start`` [s] (of the window, in its
         trajectory), ``t`` [s] (from there), ``q_<name>``, ``v_<name>`` (predicted),
-        ``q_true_<name>``, ``v_true_<name>`` (measured) and, of a reference, ``q_reference_<name>``;
-        of a model with a posterior ``q_lower_<name>`` and ``q_upper_<name>``, its 90 % interval.
+        ``q_true_<name>``, ``v_true_<name>`` (measured) and ``error`` [rad, m], the root mean
+        square over coordinates; of a reference, ``q_reference_<name>`` and ``error_reference``; of
+        a model with a posterior ``q_lower_<name>`` and ``q_upper_<name>``, its 90 % interval.
         """
         found = self.model
         count, nodes = found.q.shape[:2]
@@ -68,6 +69,9 @@ class RecordedPredictions:
             values = found.space.shown(values) if field[0] == "q" else values
             for i, name in enumerate(self.coordinates.names):
                 table[f"{field}_{name}"] = values[..., i]
+        table["error"] = found.distances()
+        if self.reference is not None:
+            table["error_reference"] = self.reference.distances()
         return {name: values[there] for name, values in table.items()}
 
 

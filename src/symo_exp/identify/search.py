@@ -50,11 +50,11 @@ from symo_exp.identify.validation import (
     with_least_noise,
 )
 from symo_exp.process import phases
-from symo_exp.runs.folder import SERIES, RunFolder
+from symo_exp.runs.folder import CANDIDATES, SERIES, RunFolder
 from symo_exp.runs.series import read
 from symo_exp.sweep.sweeper import Sweep
 
-BEST, PLAN, TABLE = "best", "plan.json", "candidates.csv"
+BEST, PLAN = "best", "plan.json"
 FILES = [
     "path", "columns", "wrapped", "degrees", "time_unit", "train", "val", "test", "n_val", "n_test",
     "leave_out",
@@ -515,7 +515,7 @@ class Search:
         for trial in trials:
             trial.parameters = self._parameters(trial)
         print(candidates_table(trials, best, self._plan.folds))
-        write_candidates(self._folder / TABLE, trials, best)
+        write_candidates(self._folder / CANDIDATES, trials, best)
 
     def _parameters(self, trial: Trial) -> int | None:
         from symo_exp.runs.load import from_folder

@@ -10,8 +10,6 @@ from pathlib import Path
 from symo_exp.files import write_whole
 from symo_exp.identify.validation import Trial, compared
 
-WIDTH = 80
-
 
 def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int) -> str:
     """Return a row for each candidate, the chosen one marked; failures with their reasons."""

@@ -1,4 +1,8 @@
-"""Recordings in the report: for each file the errors of models beside baseline and noise."""
+"""Recordings in the report: errors of models beside baseline and noise, and the best model.
+
+Runs that were not measured on the test part, such as folds of a search, are left out, unless none
+was.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +13,17 @@ from pathlib import PurePath
 import pandas as pd
 
 from symo_exp.evaluation.verdict import comparison, verdict
+from symo_exp.report.chosen import model_figures, parameters_table, search_table
 from symo_exp.report.document import Section
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import BASELINES, in_order, letters, pair_name, short
+from symo_exp.report.runs import local_folder
 from symo_exp.report.tables import ResultTable
 
 ERRORS = {"rmse_0.5s": 0.5, "rmse_1s": 1.0, "rmse_2s": 2.0}
 """Measures of prediction errors, and their horizons [s]."""
+TESTED = "windows"
+"""A measure of all runs that were measured on the test part."""
 TIMES = {"usable_s": "usable [s]", "valid_s": "error below 0.1 [s]"}
 WINDOWS = (
     "Medians over the windows of the test part, and over the seeds; open loop from fitted starts."
@@ -57,6 +65,8 @@ def _files(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Return the measured runs of each file by its name, or by its path if names are equal."""
     there = runs[(runs.recording != "") & (runs.metric != "")]
     there = there.assign(settings=[PATH.sub("", v).removeprefix(", ") for v in there.variant])
+    tested = there.run_id.isin(there[there.metric == TESTED].run_id)
+    there = there[tested | ~there.recording.isin(there[tested].recording)]
     paths = sorted(set(there.recording))
     names = {path: ", ".join(PurePath(p).name for p in re.findall(r"[^\[\]', ]+", path))
              for path in paths}  # fmt: skip
@@ -99,8 +109,14 @@ def _section(name: str, rows: pd.DataFrame) -> Section:
               *TIMES.values(), "verdict"]  # fmt: skip
     columns = pd.DataFrame(lines, columns=header)
     table = ResultTable(key, "Errors of open-loop predictions", columns, [WINDOWS])
-    figure = Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows))
-    return Section(key, f"Recording {name}", tables=[table], figures=[figure])
+    tables = [table]
+    figures = [Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows))]
+    best = rows.merge(medians[KEYS].head(1), on=KEYS).sort_values("seed", kind="stable").iloc[0]
+    if (folder := local_folder(best.files)) is not None:
+        title = pair_name(best.method, best.integrator)
+        figures += model_figures(folder, best.method, title, f"{key}_")
+        tables += [parameters_table(folder, key), search_table(folder, key)]
+    return Section(key, f"Recording {name}", tables=tables, figures=figures)
 
 
 def _baseline(medians: pd.DataFrame, name: str) -> pd.Series:

@@ -8,15 +8,14 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
-from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pandas as pd
 
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import Pair, axis_label, error_unit, inertia_unit, pair_name
+from symo_exp.report.runs import local_folder
 from symo_exp.runs.folder import STUDIES
 from symo_exp.tracking.store import Store, connect
 
@@ -284,16 +283,16 @@ def ranking(errors: Tensor) -> dict[str, int]:
     return {which: at for which, at in found.items() if which == "median" or at != middle}
 
 
-def ranked_as(which: str, errors: Tensor) -> str:
-    """Return the rank of a motion among several as the start of a title."""
-    return f"{which} of {len(errors)}: " if len(errors) > 1 else ""
+def ranked_as(which: str, count: int) -> str:
+    """Return the rank of a motion among ``count`` as the start of a title."""
+    return f"{which} of {count}: " if count > 1 else ""
 
 
 def _read(store: Store | None, run_id: str, files: str, study: str) -> pd.DataFrame | None:
     """Read the table of a study from a folder, or else through the store."""
-    name, parts = f"{STUDIES}/{study}.parquet", urlsplit(files)
-    if parts.scheme in ("", "file"):
-        path = Path(unquote(parts.path) if parts.scheme else files) / name
+    name = f"{STUDIES}/{study}.parquet"
+    if (folder := local_folder(files)) is not None:
+        path = folder / name
         return pd.read_parquet(path) if path.exists() else None
     if store is None:
         return None

@@ -65,7 +65,8 @@ def draw_run(
     if measured:
         made = [recordings.measured_figure(figure) for figure in made]
     if found.recorded is not None:
-        made += recordings.recording_figures(model, found.recorded, method, title)
+        table = pd.DataFrame({k: x.numpy() for k, x in found.recorded.columns().items()})
+        made += recordings.recording_figures(model, table, method, title)
     paths = [path for figure in made for path in save_figure(figure, folder, ["png"])]
     if system.skeleton(rollouts.q_true[0, 0]) is not None:
         which = ranking(_errors(rollouts))["median"]
@@ -108,7 +109,7 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
         columns = f"q_{name}", f"q_true_{name}"
         for which, one in chosen.items():
             turns = angular and (flat <= at or np.ptp(one[columns[1]]) > 2 * np.pi)
-            said = ranked_as(which, errors) + f"MSE {errors[one.trajectory.iloc[0]]:.2g}"
+            said = ranked_as(which, len(errors)) + f"MSE {errors[one.trajectory.iloc[0]]:.2g}"
             shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
             shown = shown[shown.t <= LONG]
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))

@@ -1,8 +1,11 @@
-"""Pictures of a run on recordings: its windows and its learned dissipation."""
+"""Pictures of a run on recordings: its windows and its learned dissipation.
+
+Their data are the table of windows, with a row for each node (``RecordedPredictions.columns``).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +14,6 @@ import torch
 from torch import Tensor
 
 from symo_exp.evaluation.horizon import HORIZONS
-from symo_exp.evaluation.recordings import RecordedPredictions
-from symo_exp.evaluation.rollouts import along
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import MEASURED, TRUTH, Pair, coordinate_labels, error_unit, symbol
@@ -24,32 +25,39 @@ Force = Callable[[Tensor, Tensor], Tensor]
 
 
 def recording_figures(
-    model: DynamicsModel, found: RecordedPredictions, method: str, title: str
+    model: DynamicsModel, table: pd.DataFrame, method: str, title: str, key: str = ""
 ) -> list[Figure]:
-    """Return the windows and, of a model with dissipation, its forces in them."""
-    made = [windows_figure(found, method, title)]
+    """Return the windows and, of a model with dissipation, its forces in them.
+
+    Args:
+        model: The model that predicts.
+        table: The windows.
+        method: The name of the method, which determines the look.
+        title: The name of the run.
+        key: What the names of the files begin with.
+    """
+    made = [windows_figure(model, table, method, title)]
     learned = getattr(model, "dissipation", None)
     force: Force | None = learned and learned.force
-    if force is not None:
-        made.append(dissipation_figure(model, force, found, method, title))
-    return [measured_figure(figure) for figure in made]
+    if force is not None and not model.coordinates.space.rotations:
+        made.append(dissipation_figure(model, force, table, method, title))
+    return [replace(measured_figure(figure), key=f"{key}{figure.key}") for figure in made]
 
 
-def windows_figure(found: RecordedPredictions, method: str, title: str) -> Figure:
+def windows_figure(model: DynamicsModel, table: pd.DataFrame, method: str, title: str) -> Figure:
     """Return the coordinates over time, predicted and measured, with the errors below."""
-    table, errors = _table(found), found.model.rmse(HORIZONS[-1])
-    chosen = {which: table[table.window == at] for which, at in ranking(errors).items()}
+    errors, chosen = _ranked(table)
+    known = model.coordinates
     above, below = [], []
-    labels = coordinate_labels(found.coordinates)
-    for name, label in zip(found.coordinates.names, labels, strict=True):
+    for name, label in zip(known.names, coordinate_labels(known), strict=True):
         for which, one in chosen.items():
             error = errors[one.window.iloc[0]]
-            said = f"{ranked_as(which, errors)}RMSE {error:.2g}"
+            said = f"{ranked_as(which, len(errors))}RMSE {error:.2g}"
             panel = over_time({(method, ""): one}, f"q_{name}", f"q_true_{name}", label, said)
             banded = _with_interval(panel, one, name)
             above.append(_beside(banded, one, f"q_reference_{name}"))
-    unit = error_unit(found.coordinates.names, found.coordinates.turning).replace("²", "")
-    for one in (_with_errors(found, one) for one in chosen.values()):
+    unit = error_unit(known.names, known.turning).replace("²", "")
+    for one in (window[1:] for window in chosen.values()):
         said = f"trajectory {one.trajectory.iloc[0]} from {one.start.iloc[0]:.2f} s"
         panel = over_time({(method, ""): one}, "error", None, f"RMS error [{unit}]", said, log=True)
         below.append(_beside(panel, one, "error_reference"))
@@ -58,25 +66,23 @@ def windows_figure(found: RecordedPredictions, method: str, title: str) -> Figur
 
 
 def dissipation_figure(
-    model: DynamicsModel, force: Force, found: RecordedPredictions, method: str, title: str
+    model: DynamicsModel, force: Force, table: pd.DataFrame, method: str, title: str
 ) -> Figure:
     """Return the generalised force over velocity in all windows, over time in the median one."""
-    place, v, pair = model.input_matrix, found.model.v, (method, "")
-    numbers = torch.cat((found.model.q, v, found.model.q_true), dim=2)
-    finite = numbers.isfinite().all(2, keepdim=True)
-    states = (x.where(finite, 0.0).to(place) for x in (found.model.q, v))
+    names, pair = model.coordinates.names, (method, "")
+    states = np.stack([table[[f"{x}_{name}" for name in names]].to_numpy() for x in "qv"])
+    finite = np.isfinite(states).all((0, 2))
+    q, v = torch.from_numpy(np.where(finite[:, None], states, 0.0)).to(model.input_matrix)
     with torch.no_grad():
-        values = along(force, *states).cpu().where(finite, torch.nan)
-    which, nodes = ranking(found.model.rmse(HORIZONS[-1]))["median"], np.arange(v.shape[1])
-    driven, panels = bool(found.model.windows.u.any()), []
-    speeds = coordinate_labels(found.coordinates, velocity=True)
-    for i, (name, angular) in enumerate(
-        zip(found.coordinates.names, found.coordinates.turning, strict=True)
-    ):
+        values = np.where(finite[:, None], force(q, v).double().cpu().numpy(), np.nan)
+    median = (table.window == _ranked(table)[1]["median"].window.iloc[0]).to_numpy()
+    driven, panels = model.input_matrix.shape[1] > 0, []
+    speeds = coordinate_labels(model.coordinates, velocity=True)
+    for i, (name, angular) in enumerate(zip(names, model.coordinates.turning, strict=True)):
         unit = ("N m" if angular else "N") if driven else "up to a factor"  # free: no force known
         label = f"F of {symbol(name)} [{unit}]"
-        cloud = points(v[..., i].flatten(), values[..., i].flatten(), pair, 10_000)
-        line = points(found.model.time_step * nodes, values[which, :, i], pair)
+        cloud = points(states[1][:, i], values[:, i], pair, 10_000)
+        line = points(table.t[median], values[median, i], pair)
         panels += [
             Panel("all windows", speeds[i], label, cloud, y_log=False, mark="points"),
             Panel("window of median error", "time [s]", label, line, y_log=False, mark="line"),
@@ -116,15 +122,10 @@ def _beside(panel: Panel, table: pd.DataFrame, column: str) -> Panel:
     return replace(panel, rows=pd.concat([panel.rows, other]))
 
 
-def _with_errors(found: RecordedPredictions, table: pd.DataFrame) -> pd.DataFrame:
-    """Add ``error`` of the predicted nodes and, of a reference, ``error_reference``."""
-    names, errors = found.coordinates.names, {}
-    for suffix in ("", "_reference"):
-        if f"q{suffix}_{names[0]}" in table:
-            squares = [(table[f"q{suffix}_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names]
-            errors[f"error{suffix}"] = np.sqrt(sum(squares) / len(names))
-    return table.assign(**errors)[1:]
-
-
-def _table(found: RecordedPredictions) -> pd.DataFrame:
-    return pd.DataFrame({name: column.numpy() for name, column in found.columns().items()})
+def _ranked(table: pd.DataFrame) -> tuple[pd.Series, Mapping[str, pd.DataFrame]]:
+    """Return the RMSE of each window, and the windows of best, median and worst RMSE."""
+    squares = table[(table.t > 0) & (table.t <= HORIZONS[-1])].groupby("window").error
+    errors = squares.apply(lambda error: float(np.sqrt(np.mean(np.square(error)))))
+    order = ranking(torch.tensor(errors.to_numpy()))
+    chosen = {which: table[table.window == errors.index[at]] for which, at in order.items()}
+    return errors, chosen

@@ -21,6 +21,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 import pandas as pd
 
@@ -132,6 +133,14 @@ def save_runs(runs: pd.DataFrame, path: Path) -> Path:
 def without_result(runs: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each run that has not finished."""
     return runs[runs.status != "FINISHED"].drop_duplicates("run_id")
+
+
+def local_folder(files: str) -> Path | None:
+    """Return the folder of a run's files, ``None`` if it is not on this computer."""
+    parts = urlsplit(files)
+    if parts.scheme not in ("", "file") or not files:
+        return None
+    return Path(unquote(parts.path) if parts.scheme else files)
 
 
 def _finished(about: Mapping[str, Any], measures: Mapping[str, float]) -> Mapping[str, float]:

@@ -47,6 +47,8 @@ FILES = (
     STUDIES,
 )  # fmt: skip
 """Files of a run that a store keeps."""
+CANDIDATES = "candidates.csv"
+"""Of a search, beside the folders of its runs."""
 ABOUT, OUTCOME, PUBLISHED = "run.json", "outcome.json", "published.json"
 
 DIED = "its process was killed, perhaps for want of memory"
