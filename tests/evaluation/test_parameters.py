@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -10,11 +11,15 @@ from symo_exp.evaluation.parameters import physical_parameters
 from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.types import Trajectory
+from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.mechanics.units import Units
+from symo_exp.models.learned import learned_lagrangian
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
+from symo_exp.nets.planar_links import PlanarLinks
+from symo_exp.nets.readings import readings
 from symo_exp.optim.posterior import Posterior, posterior
 from symo_exp.systems.simulation import Solver, simulate
 from tests.learned import double_precision
@@ -115,6 +120,55 @@ def test_without_a_posterior_determination_is_unknown():
     rows = physical_parameters(found, system.coordinates, list(found.parameters()), None)
     assert {row.determined for row in rows} == {"unknown"}
     assert [row.name for row in rows] == ["gravity", "mass_cart", "mass_pole", "half_length"]
+
+
+def links(mass=1.0):
+    """Two links that no known force drives, in units with this mass."""
+    torch.manual_seed(0)
+    coordinates = Coordinates(("a", "b"), (True, True), units=Units(1.0, 1.0, mass))
+    kind = partial(PlanarLinks, relative=False)
+    return learned_lagrangian(coordinates, kind, LearnedDissipation, None).double(), coordinates
+
+
+def test_numbers_of_a_machine_without_known_forces_do_not_depend_on_the_unit_of_mass():
+    tables = {}
+    for mass in (1.0, 4.0):
+        found, coordinates = links(mass)
+        for driven in (True, False):
+            rows = physical_parameters(
+                found, coordinates, list(found.parameters()), None, driven=driven
+            )
+            tables[mass, driven] = {row.name: row.value for row in rows}
+    driven = tables[1.0, True]
+    assert tables[4.0, True] == pytest.approx({x: 4.0 * value for x, value in driven.items()})
+    assert tables[4.0, False] == pytest.approx(tables[1.0, False])
+
+
+def test_all_numbers_relative_to_one_are_determined_up_to_a_common_factor():
+    found, coordinates = links()
+    parameters = list(found.parameters())
+    read = readings(found, coordinates)
+    values = torch.stack([x.value for x in read])
+    slopes = torch.stack(
+        [
+            torch.cat([g.flatten() for g in torch.autograd.grad(
+                value, parameters, retain_graph=True, materialize_grads=True)])
+            for value in values
+        ]
+    )  # fmt: skip
+    scaling = torch.linalg.pinv(slopes) @ values.detach()
+    mean = torch.cat([p.detach().flatten() for p in parameters])
+    free = (scaling / scaling.norm()).unsqueeze(1)
+    known = Posterior(mean, 1e-6 * torch.eye(len(mean)).double(), free, SIGMA, SIGMA, 100)
+    absolute, relative = (
+        physical_parameters(found, coordinates, parameters, known, driven=driven)[: len(read)]
+        for driven in (True, False)
+    )
+    assert {row.determined for row in absolute if row.value} == {"no"}
+    (one,) = [row for row in relative if row.determined == "no"]
+    assert (one.value, one.unit) == (1.0, "kg m^2")
+    gravity = next(row for row in relative if row.name == "a.gravity_moment")
+    assert gravity.unit == "N m / (kg m^2)"
 
 
 @pytest.mark.parametrize("driven", [True, False])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from symo_exp.mechanics.forced import ForcedLagrangian
@@ -25,7 +25,7 @@ ABSENT = 1e-20
 FEW = 6
 """Partners that a note names."""
 RELATIVE = "up to a factor"
-"""Unit of forces and inertias that were learned without known forces."""
+"""Unit of friction that was learned without known forces, by a model without inertias."""
 
 
 class Parameter(NamedTuple):
@@ -55,63 +55,129 @@ def physical_parameters(
     information. Numbers that are not are named with those that they are determined with; where
     products of powers of positive numbers are determined, these follow as rows of their own.
 
+    Without known forces, motions determine inertias and forces up to a common factor. They are
+    then divided by one of the inertias, that which leaves the fewest numbers undetermined.
+
     Args:
         lagrangian: The learned Lagrangian, with its dissipation.
         coordinates: Coordinates of the system.
         parameters: All parameters of the model, in the order of the posterior.
         posterior: Their posterior, where there is one.
-        driven: Whether known forces act. If not, learned forces and inertias have no unit; those
-            of known equations do, as their constants may be given.
+        driven: Whether known forces act. If not, learned forces and inertias are relative; those
+            of known equations are not, as their constants may be given.
     """
     with torch.enable_grad():
         found = readings(lagrangian, coordinates)
         conservative = lagrangian
         while isinstance(conservative, ForcedLagrangian):
             conservative = conservative.conservative
-        if not driven and not isinstance(conservative, KnownLagrangian):
-            found = [_without_scale(reading) for reading in found]
-        gradients = [_gradient(reading, parameters) for reading in found]
-    if posterior is None:
-        return [
-            Parameter(r.name, float(r.value.detach()), r.unit, math.nan, "unknown", "no posterior")
-            for r in found
-        ]
+        slopes = [_gradient(reading, parameters) for reading in found]
     if not found:
         return []
-    slopes = torch.stack(gradients).to(posterior.mean)
-    along = slopes @ posterior.free
-    size = slopes.norm(dim=1).clamp_min(1e-300)
-    values = torch.stack([reading.value.detach().double() for reading in found])
-    there = (values.abs() > ABSENT) | (size > ABSENT**0.5)
-    least = torch.where(there, STRUCTURAL * size, torch.inf).unsqueeze(1)
-    along = torch.where(along.abs() > least, along, 0.0)
-    deviations = (slopes @ posterior.directions).norm(dim=1)
+    numbers = _Numbers(
+        [reading.name for reading in found],
+        [reading.unit for reading in found],
+        torch.stack([reading.value.detach().double() for reading in found]),
+        torch.stack(slopes).double(),
+    )
+    one = None
+    if not driven and not isinstance(conservative, KnownLagrangian):
+        one, numbers = _relative(numbers, posterior)
+    rows = _rows(numbers, posterior)
+    if one is not None:
+        note = "set to 1: without known forces, inertias and forces are relative to it"
+        rows[one] = Parameter(found[one].name, 1.0, found[one].unit, math.nan, "no", note)
+    return rows
+
+
+class _Numbers(NamedTuple):
+    """Physical numbers and their derivatives in the parameters."""
+
+    names: Sequence[str]
+    units: Sequence[str]
+    values: Float[Tensor, " numbers"]
+    slopes: Float[Tensor, "numbers p"]
+
+
+def _relative(numbers: _Numbers, posterior: Posterior | None) -> tuple[int | None, _Numbers]:
+    """Return the number that all inertias and forces are divided by, and the quotients."""
+    mechanical = [i for i, unit in enumerate(numbers.units) if _is_mechanical(unit)]
+    inertias = [
+        i for i in mechanical if numbers.units[i].startswith("kg") and numbers.values[i] > 0.0
+    ]
+    if not inertias:
+        units = [RELATIVE if i in mechanical else x for i, x in enumerate(numbers.units)]
+        return None, numbers._replace(units=units)
+
+    def over(one: int) -> _Numbers:
+        values, slopes = numbers.values.clone(), numbers.slopes.clone()
+        values[mechanical] /= numbers.values[one]
+        slopes[mechanical] -= values[mechanical].unsqueeze(1) * numbers.slopes[one]
+        slopes[mechanical] /= numbers.values[one]
+        unit = numbers.units[one]
+        units = [
+            ("1" if x == unit else f"{x} / ({unit})") if i in mechanical else x
+            for i, x in enumerate(numbers.units)
+        ]
+        return numbers._replace(units=units, values=values, slopes=slopes)
+
+    def undetermined(one: int) -> int:
+        return 0 if posterior is None else int((_free(over(one), posterior) != 0.0).any(1).sum())
+
+    chosen = min(inertias, key=undetermined)
+    return chosen, over(chosen)
+
+
+def _is_mechanical(unit: str) -> bool:
+    return any(part.startswith(("N", "kg")) for part in unit.split())
+
+
+def _free(numbers: _Numbers, posterior: Posterior) -> Float[Tensor, "numbers free"]:
+    """Return the derivatives along directions without information, zero where negligible."""
+    along = numbers.slopes @ posterior.free.double()
+    size = numbers.slopes.norm(dim=1).clamp_min(1e-300)
+    least = torch.where(_there(numbers), STRUCTURAL * size, torch.inf).unsqueeze(1)
+    return torch.where(along.abs() > least, along, 0.0)
+
+
+def _there(numbers: _Numbers) -> Bool[Tensor, " numbers"]:
+    """Return which numbers are more than a square that vanished, such as absent friction."""
+    return (numbers.values.abs() > ABSENT) | (numbers.slopes.norm(dim=1) > ABSENT**0.5)
+
+
+def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
+    if posterior is None:
+        return [
+            Parameter(name, float(value), unit, math.nan, "unknown", "no posterior")
+            for name, unit, value, _ in zip(*numbers, strict=True)
+        ]
+    along, there = _free(numbers, posterior), _there(numbers)
+    deviations = (numbers.slopes @ posterior.directions.double()).norm(dim=1)
     partners = _partners(along)
     rows = []
-    for i, reading in enumerate(found):
-        value, deviation = float(values[i]), float(deviations[i])
+    for i, (name, unit) in enumerate(zip(numbers.names, numbers.units, strict=True)):
+        value, deviation = float(numbers.values[i]), float(deviations[i])
         if partners[i]:
-            names = [found[j].name for j in partners[i] if j != i]
+            names = [numbers.names[j] for j in partners[i] if j != i]
             told = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" * (len(names) > FEW))
             others = told or "terms that are not listed"
             note = f"determined only together with {others}"
-            rows.append(Parameter(reading.name, value, reading.unit, math.nan, "no", note))
+            rows.append(Parameter(name, value, unit, math.nan, "no", note))
         elif not there[i]:
-            note = "none was found"
-            rows.append(Parameter(reading.name, 0.0, reading.unit, math.nan, "no", note))
+            rows.append(Parameter(name, 0.0, unit, math.nan, "no", "none was found"))
         elif deviation > abs(value):
             note = "the standard deviation exceeds the value"
-            rows.append(Parameter(reading.name, value, reading.unit, deviation, "weakly", note))
+            rows.append(Parameter(name, value, unit, deviation, "weakly", note))
         else:
-            rows.append(Parameter(reading.name, value, reading.unit, deviation, "yes", ""))
-    free = [i for i, own in enumerate(partners) if own and float(values[i]) > 0.0]
-    factors = [found[i] for i in free]
-    return rows + _products(factors, values[free], slopes[free], along[free], posterior)
-
-
-def _without_scale(reading: Reading) -> Reading:
-    mechanical = any(part.startswith(("N", "kg")) for part in reading.unit.split())
-    return reading._replace(unit=RELATIVE) if mechanical else reading
+            rows.append(Parameter(name, value, unit, deviation, "yes", ""))
+    free = [i for i, own in enumerate(partners) if own and float(numbers.values[i]) > 0.0]
+    factors = _Numbers(
+        [numbers.names[i] for i in free],
+        [numbers.units[i] for i in free],
+        numbers.values[free],
+        numbers.slopes[free],
+    )
+    return rows + _products(factors, along[free], posterior)
 
 
 def _gradient(reading: Reading, parameters: Sequence[Tensor]) -> Float[Tensor, " p"]:
@@ -133,14 +199,11 @@ def _partners(along: Float[Tensor, "readings free"]) -> list[list[int]]:
 
 
 def _products(
-    found: Sequence[Reading],
-    values: Float[Tensor, " readings"],
-    slopes: Float[Tensor, "readings p"],
-    along: Float[Tensor, "readings free"],
-    posterior: Posterior,
+    factors: _Numbers, along: Float[Tensor, "numbers free"], posterior: Posterior
 ) -> list[Parameter]:
     """Return the products of powers that are determined though their factors are not."""
-    if not found or along.shape[1] == 0:
+    names, units, values, slopes = factors
+    if not names or along.shape[1] == 0:
         return []
     logarithmic = along / values.unsqueeze(1)
     _, sizes, right = torch.linalg.svd(logarithmic.T, full_matrices=True)
@@ -153,11 +216,11 @@ def _products(
         if not plain or int((doubled != 0).sum()) < 2:
             continue
         exact = doubled if (doubled % 2 != 0).any() else 0.5 * doubled
-        name = _product(exact, [reading.name for reading in found])
-        unit = _product(exact, [f"({reading.unit})" for reading in found])
+        name = _product(exact, names)
+        unit = _product(exact, [f"({unit})" for unit in units])
         value = float((exact * values.log()).sum().exp())
         slope = value * (exact / values) @ slopes
-        deviation = float((slope @ posterior.directions).norm())
+        deviation = float((slope @ posterior.directions.double()).norm())
         sure = "yes" if deviation <= value else "weakly"
         rows.append(Parameter(name, value, unit, deviation, sure, "product that is determined"))
     return rows
