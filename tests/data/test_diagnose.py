@@ -114,7 +114,7 @@ def test_too_few_samples_have_no_diagnosis() -> None:
 
 
 @pytest.mark.parametrize("torque", [0.0, 5.0])
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("size", [1.0, 0.1])
 def test_angles_in_degrees_are_suspected(n: int, torque: float, size: float) -> None:
     system, clean = motions(n, size * torque, 5, 120, size)

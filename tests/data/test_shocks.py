@@ -71,7 +71,7 @@ def test_a_blow_is_found_and_nothing_else(blow: float) -> None:
         assert H * (last - first) < 2 * (END - BEGIN) + 10 * H
 
 
-@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_machines_that_nothing_strikes_have_no_shocks(n: int) -> None:
     assert not any(found(motions(n, 0.0), n))
 

@@ -27,7 +27,9 @@ def found(error, recording, variance=0.0, sensitivity=1.0):
     return relative_error(error, variance * like, sensitivity * like, recording)
 
 
-@pytest.mark.parametrize("recordings", [2, 3, 8, 24])
+@pytest.mark.parametrize(
+    "recordings", [3, 24, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 8))]
+)
 @pytest.mark.parametrize("scatter", [0.0, 0.5, 1.0])
 def test_nine_tenths_of_another_recording_are_inside(recordings, scatter):
     """On average over draws; the few recordings that there are may be alike by chance."""

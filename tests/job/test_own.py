@@ -70,7 +70,14 @@ system:
 
 
 @pytest.mark.parametrize(
-    ("by", "file"), [("command", "relative"), ("python", "relative"), ("command", "absolute")]
+    ("by", "file"),
+    [
+        ("command", "relative"),
+        *(
+            pytest.param(*x, marks=pytest.mark.slow)
+            for x in [("python", "relative"), ("command", "absolute")]
+        ),
+    ],
 )
 def test_a_model_of_mujoco_is_trained(by, file, workplace):
     pytest.importorskip("mujoco")
@@ -151,10 +158,15 @@ def test_only_what_the_folder_defines_may_be_named(mine):
     ("words", "told"),
     [
         ("model=symo system.viscous=[0.1]", True),
-        ("model=l_node system.coulomb=[0.1]", True),
         ("model=symo system.viscous=[0.1] dissipation=viscous", False),
-        ("model=node system.viscous=[0.1]", False),
-        ("model=symo", False),
+        *(
+            pytest.param(*x, marks=pytest.mark.slow)
+            for x in [
+                ("model=l_node system.coulomb=[0.1]", True),
+                ("model=node system.viscous=[0.1]", False),
+                ("model=symo", False),
+            ]
+        ),
     ],
 )
 def test_learning_a_system_with_friction_as_one_without_is_warned_of(

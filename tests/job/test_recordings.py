@@ -64,6 +64,7 @@ def test_another_reference_measures_a_finished_run_again_and_does_not_train_it(
     assert list(table) == [
         "window", "trajectory", "start", "t",
         "q_theta", "v_theta", "q_true_theta", "v_true_theta", "q_reference_theta",
+        "error", "error_reference",
     ]  # fmt: skip
     predicted = table[table.t > 0]
     for who in ("", "reference_"):

@@ -343,7 +343,7 @@ ORDERS = {
     **{type(method).__name__: (method, method.order) for method in (Midpoint(), RK4())},
 }
 PAIRS = [(name, method) for name in ("damped pivot", "free") for method in ORDERS]
-PAIRS += [("wheels", 2), ("wheels", "RK4")]
+PAIRS += [("wheels", "RK4"), pytest.param("wheels", 2, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize(("name", "method"), PAIRS)

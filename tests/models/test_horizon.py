@@ -1,5 +1,6 @@
 """The error over many steps: zero at the truth, its derivatives, robustness and recovery."""
 
+import itertools
 from functools import cache, partial
 
 import pytest
@@ -133,15 +134,22 @@ def identified(method, optimizer, *, outliers=0.0, huber=1.345):
     return torch.stack([constants["mass"], constants["length"]]).detach()
 
 
-@pytest.mark.parametrize("method", METHODS)
+QUICK = "e2e_symo", "gauss_newton"
+
+
 @pytest.mark.parametrize(
-    "optimizer", ["gauss_newton", pytest.param("gradients", marks=pytest.mark.slow)]
+    ("method", "optimizer"),
+    [
+        pytest.param(*pair, marks=[] if pair == QUICK else pytest.mark.slow)
+        for pair in itertools.product(METHODS, ("gauss_newton", "gradients"))
+    ],
 )
 def test_a_pendulum_is_recovered_from_noisy_configurations(method, optimizer):
     found = identified(method, optimizer)
     assert (found - 1.0).abs().max() < 3e-3
 
 
+@pytest.mark.slow
 def test_outliers_hardly_change_the_estimate():
     """Least squares are misled by them."""
     without, robust, squares = (

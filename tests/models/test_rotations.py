@@ -152,7 +152,9 @@ def test_the_error_over_many_steps_vanishes_at_the_truth(kind: str, free: bool) 
     assert float(residuals.values.detach().abs().max()) < 1e-9
 
 
-@pytest.mark.parametrize("free", [False, True], ids=["pivot", "free"])
+@pytest.mark.parametrize(
+    "free", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["pivot", "free"]
+)
 @pytest.mark.parametrize("kind", ["explicit", "variational"])
 def test_gradients_over_many_steps_are_those_of_the_loss_with_noise(kind: str, free: bool) -> None:
     """Backwards, forwards as ``Jᵀr``, and as a difference."""

@@ -54,7 +54,7 @@ def test_noise_of_nodes_and_of_the_model_are_told_apart(sigma, tau):
         assert found.model_noise < 0.01 * sigma
 
 
-@pytest.mark.parametrize("epsilon", [None, 1.0, 0.1])
+@pytest.mark.parametrize("epsilon", [None, 0.1, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_the_covariance_is_that_of_estimates(epsilon):
     """The scatter of estimates from many sets of noise is that of one posterior."""
     sigma, tau, estimates, covariances = 1e-2, 1e-3, [], []

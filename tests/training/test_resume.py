@@ -51,7 +51,16 @@ def refused(caplog):
     return [r.message for r in caplog.records if "is not used" in r.message]
 
 
-@pytest.mark.parametrize("words", EVERY, ids=lambda words: words.replace(" ", ","))
+def is_quick(words):
+    """One method of each kind, and the optimiser with the most state."""
+    return words in ("model=l_node", "model=e2e_symo", STOPPING) or "total_least" in words
+
+
+@pytest.mark.parametrize(
+    "words",
+    [x if is_quick(x) else pytest.param(x, marks=pytest.mark.slow) for x in EVERY],
+    ids=lambda words: words.replace(" ", ","),
+)
 def test_a_training_interrupted_twice_ends_with_the_same_bits(
     words, workplace, monkeypatch, caplog
 ):

@@ -83,10 +83,9 @@ def check_alone(model, folder, iterations):
     ("name", "method"),
     [
         ("chain_2", "node"),
-        (PIVOT, "symo"),
         *(
             pytest.param(*x, marks=pytest.mark.slow)
-            for x in [(PIVOT, "node"), (PIVOT, "l_node"), ("chain_2", "symo")]
+            for x in [(PIVOT, "symo"), (PIVOT, "node"), (PIVOT, "l_node"), ("chain_2", "symo")]
         ),
     ],
 )
@@ -135,14 +134,10 @@ PARTS = {
         "dissipation": LearnedDissipation,
     },
 }
-QUICK = ["units of its own"]
-"""Parts that are not left to the long proofs."""
 
 
-@pytest.mark.parametrize(
-    "parts",
-    [x if x in QUICK else pytest.param(x, marks=pytest.mark.slow) for x in PARTS],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", PARTS)
 def test_every_part_of_a_lagrangian_is_exported_for_any_batch(parts, tmp_path):
     model = make("symo", "midpoint", 2, **PARTS[parts])
     path = symo_exp.export(model, tmp_path / "model.pt2", iterations=4)
