@@ -15,6 +15,7 @@ from symo_exp.identify.validation import (
     choose,
     compared,
     fold_error,
+    noisy_folds,
     with_least_noise,
 )
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
@@ -118,4 +119,18 @@ def test_of_several_fits_the_finished_one_with_the_least_noise_is_kept(tmp_path)
         fits[k].record(status)
     assert with_least_noise(fits) == fits[1]
     assert with_least_noise(fits[2:]) == fits[3]
-    assert with_least_noise([]) is None
+
+
+@pytest.mark.parametrize(
+    ("noises", "expected"),
+    [
+        ([0.0053, 0.0083, 0.0080, 0.0073], []),  # one recording has more noise than others
+        ([0.056, 0.0083, 0.0053], [0]),
+        ([0.056, 0.049, 0.0053], [0, 1]),
+        ([math.inf, 0.01], [0]),
+        ([math.inf, math.inf], []),
+        ([], []),
+    ],
+)
+def test_folds_that_end_at_another_minimum_have_far_more_noise(noises, expected):
+    assert noisy_folds(dict(enumerate(noises))) == expected

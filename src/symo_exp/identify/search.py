@@ -12,7 +12,7 @@ import math
 import os
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -41,12 +41,15 @@ from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.table import candidates_table, write_candidates
 from symo_exp.identify.validation import (
     LEAST,
+    NOISY,
     WORST,
     Trial,
     baseline_error,
     beats,
     choose,
     fold_error,
+    noise_of_fit,
+    noisy_folds,
     with_least_noise,
 )
 from symo_exp.process import phases
@@ -68,8 +71,10 @@ ITERATIONS = 5
 """Of the fit of starts in validations: more refine those of motions that stick alone."""
 FEWEST_FITS, MOST_FITS = 2, 4
 """Last fits of a candidate with several starts, one for each core in between."""
+FOLD_FITS = 3
+"""Fits of a candidate to one fold, at most."""
 SEEDS = 1000
-"""Difference of the seeds of these fits."""
+"""Difference of the seeds of fits of the same candidate to the same data."""
 OVERRUN = 2.0
 """Multiple of the planned time after which further stages of a search are left out."""
 
@@ -274,18 +279,56 @@ class Search:
             return
         names = ", ".join(dict.fromkeys(c.name for c, _ in todo))
         phases.say(f"{len(todo)} runs: {names}")
-        count = self._plan.folds
-        found = self._sweep.perform(
-            [self._overrides(c, f"data.fold=[{k},{count}]") for c, k in todo],
-            [f"{c.name}, fold {k + 1} of {count}" for c, k in todo],
-        )
-        phases.clear()
-        for (candidate, k), folder in zip(todo, found, strict=True):
+        for candidate, k, folder in self._fitted(todo):
             self._note(self._trial(candidate), k, folder)
+        self._fit_again({c.name: c for c, _ in todo}.values())
+        phases.clear()
         self._link_best()
         for name in dict.fromkeys(c.name for c, _ in todo):
             trial = self._trials[name]
             print(f"{name}: {_told(trial)}", flush=True)
+
+    def _fitted(
+        self, todo: Sequence[tuple[Candidate, int]], attempt: int = 0
+    ) -> list[tuple[Candidate, int, RunFolder | ConfigError]]:
+        """Fit candidates to folds side by side, each attempt with a seed of its own."""
+        count = self._plan.folds
+        words = [self._overrides(c, f"data.fold=[{k},{count}]") for c, k in todo]
+        names = [f"{c.name}, fold {k + 1} of {count}" for c, k in todo]
+        found = self._sweep.perform([self._seeded(one, attempt) for one in words], names)
+        return [(c, k, folder) for (c, k), folder in zip(todo, found, strict=True)]
+
+    def _fit_again(self, candidates: Iterable[Candidate]) -> None:
+        """Fit folds again, from other seeds, that ended at another minimum.
+
+        Of all fits to a fold that with the least noise is kept, which takes training data alone.
+        """
+        candidates = list(candidates)
+        for attempt in range(1, FOLD_FITS):
+            todo = [(c, k) for c in candidates for k in self._at_other_minima(c)]
+            for candidate, k, folder in self._fitted(todo, attempt) if todo else []:
+                before = self._folders[candidate.name, k]
+                if isinstance(folder, ConfigError) or with_least_noise([before, folder]) is before:
+                    continue
+                if math.isfinite(fold_error(folder)):
+                    self._note(self._trial(candidate), k, folder)
+
+    def _at_other_minima(self, candidate: Candidate) -> list[int]:
+        """Return the folds that ended with far more noise than another fold of the candidate.
+
+        None of candidates with one start, which have no other minima, and of those with far more
+        noise than another candidate, which do not explain the motion.
+        """
+        mine = self._noises(candidate)
+        least = min(x for t in self._trials.values() for x in self._noises(t.candidate).values())
+        if candidate.starts == 1 or not mine or min(mine.values()) > NOISY * least:
+            return []
+        return noisy_folds(mine)
+
+    def _noises(self, candidate: Candidate) -> dict[int, float]:
+        """Return the estimated noise in the folds of a candidate."""
+        folds = self._trial(candidate).errors
+        return {k: noise_of_fit(self._folders[candidate.name, k]) for k in folds}
 
     def _note(self, trial: Trial, k: int, folder: RunFolder | ConfigError) -> None:
         """Keep how a fold ended."""
@@ -356,7 +399,7 @@ class Search:
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
         print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
 
-        def last(seed: str | None, **changed: str | None) -> list[str]:
+        def last(attempt: int, **changed: str | None) -> list[str]:
             found = self._overrides(
                 best.candidate,
                 f"data.fold={POOLED}",
@@ -367,20 +410,14 @@ class Search:
                 data__seconds=f"data.seconds={seconds:g}" if seconds < machine.seconds else None,
                 **changed,
             )
-            if seed is None:
-                return found
-            return [seed, *(word for word in found if not word.startswith("seed="))]
+            return self._seeded(found, attempt)
 
-        seeds = self._seeds(best.candidate)
-        names = [", ".join([best.candidate.name, *filter(None, [seed])]) for seed in seeds]
-        fits = self._sweep.perform([last(seed) for seed in seeds], names)
-        trained = [fit for fit in fits if not isinstance(fit, ConfigError)]
-        if (folder := with_least_noise(trained)) is None:
-            raise next(fit for fit in fits if isinstance(fit, ConfigError))
+        fits = self._last_fits(best, last)
+        folder = with_least_noise(list(fits.values()))
         if folder.outcome().status == "finished":  # it alone is tested
-            k = fits.index(folder)
-            asked = last(seeds[k], logger=None, pictures="pictures=true", measures="measures=true")
-            (tested,) = self._sweep.perform([asked], [names[k]])
+            attempt = next(k for k, fit in fits.items() if fit is folder)
+            asked = last(attempt, logger=None, pictures="pictures=true", measures="measures=true")
+            (tested,) = self._sweep.perform([asked], [best.candidate.name])
             if isinstance(tested, ConfigError):
                 raise tested
         self._summary(best)
@@ -408,16 +445,42 @@ class Search:
         print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
         return 0
 
-    def _seeds(self, candidate: Candidate) -> list[str | None]:
-        """Return the settings of the seeds of the last fits, ``None``: that of the search.
+    def _last_fits(
+        self, best: Trial, overrides: Callable[[int], list[str]]
+    ) -> dict[int, RunFolder]:
+        """Fit the chosen candidate from several seeds, from more if all end with far more noise.
 
         Candidates with several starts have several minima, and the start with the smallest
-        residuals does not always lead to the deepest one.
+        residuals does not always lead to the deepest one. The folds show its noise.
+
+        Args:
+            best: The chosen candidate.
+            overrides: Those of the fit of an attempt.
+
+        Returns:
+            The fits by their attempts.
         """
-        if candidate.starts == 1:
-            return [None]
-        count = min(max(FEWEST_FITS, self._plan.cores), MOST_FITS)
-        return [None, *(f"seed={self._master.seed + SEEDS * k}" for k in range(1, count))]
+        name, fits = best.candidate.name, dict[int, RunFolder]()
+        first = 1 if best.candidate.starts == 1 else max(FEWEST_FITS, self._plan.cores)
+        enough = NOISY * min(self._noises(best.candidate).values())
+        for attempts in (range(min(first, MOST_FITS)), range(first, MOST_FITS)):
+            found = self._sweep.perform(
+                [overrides(k) for k in attempts], [f"{name}, fit {k + 1}" for k in attempts]
+            )
+            for k, fit in zip(attempts, found, strict=True):
+                if isinstance(fit, ConfigError):
+                    raise fit
+                fits[k] = fit
+            if first == 1 or min(map(noise_of_fit, fits.values())) <= enough:
+                break
+        return fits
+
+    def _seeded(self, overrides: Sequence[str], attempt: int) -> list[str]:
+        """Return the overrides of an attempt; the first one has the seed of the search."""
+        if not attempt:
+            return list(overrides)
+        seed = f"seed={self._master.seed + SEEDS * attempt}"
+        return [seed, *(word for word in overrides if not word.startswith("seed="))]
 
     def _print_doubts(self) -> None:
         for line in doubts(self._machine):

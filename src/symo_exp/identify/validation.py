@@ -18,6 +18,8 @@ from symo_exp.identify.candidates import Candidate
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
 from symo_exp.runs.series import read
 
+NOISY = 4.0
+"""Ratio of the noise of folds beyond which one ended at another minimum."""
 WORST, LEAST = 10.0, 1e-12
 """An error counts as at most so many times that of constant velocity, and at least as this."""
 
@@ -50,15 +52,25 @@ class Trial:
         return math.exp(float(np.mean([math.log(self.errors[k]) for k in chosen])))
 
 
-def with_least_noise(fits: Sequence[RunFolder]) -> RunFolder | None:
+def noise_of_fit(fit: RunFolder) -> float:
+    """Return the noise that a fit estimated at its end, infinite if it has none."""
+    rows = read(fit / SERIES)
+    return rows[-1].get("noise_estimate", math.inf) if rows else math.inf
+
+
+def with_least_noise(fits: Sequence[RunFolder]) -> RunFolder:
     """Return the fit that explains its data best, a finished one if there is any."""
+    return min(fits, key=lambda fit: (fit.outcome().status != "finished", noise_of_fit(fit)))
 
-    def rank(fit: RunFolder) -> tuple[bool, float]:
-        rows = read(fit / SERIES)
-        noise = rows[-1].get("noise_estimate", math.inf) if rows else math.inf
-        return fit.outcome().status != "finished", noise
 
-    return min(fits, key=rank, default=None)
+def noisy_folds(noises: Mapping[int, float]) -> list[int]:
+    """Return the folds whose estimated noise exceeds ``NOISY`` times that of the quietest fold.
+
+    Folds share most of their training data. On seven machines, the noise of folds that ended at the
+    same minimum differs by a factor of two, because one recording has more of it than others.
+    """
+    least = min(noises.values(), default=math.inf)
+    return [k for k, noise in noises.items() if noise > NOISY * least]
 
 
 def fold_error(folder: RunFolder) -> float:
