@@ -294,11 +294,11 @@ def shortened(line: str) -> str:
         more = " ".join(found).split()
         more += [word for word in swept(line) if not keys([word]) & keys([*words, *more])]
         line = " ".join([*(word for word in words if not keys([word]) & keys(more)), *more])
-    if "results/hardware/run.sh" in line:
+    if "results/hardware/by_hand.sh" in line:
         line = re.sub(r"^SETTINGS=\S+ ", "", re.sub(r" \d[\d,]* ", " 0 ", line))
         line = f"SETTINGS='{SHORT[0][1]}' {line}"
-    if "results/machines/run.sh" in line:
-        line = re.sub(r"run.sh .*", "run.sh 20s 0 recordings/motor_pendulum.parquet", line)
+    if re.search("results/(machines|hardware)/run.sh", line):
+        line = "results/machines/run.sh 20s 0 recordings/motor_pendulum.parquet"
     return " > ".join([line, *into])
 
 
