@@ -47,6 +47,20 @@ def test_the_planned_time_does_not_grow_with_data_beyond_the_budget():
         assert plan.first * sum(plan.expected(c, nodes, one) for c in chosen) < 1200.0
 
 
+@pytest.mark.parametrize("cores", [1, 2, 4, 8])
+@pytest.mark.parametrize("seconds", [60.0, 3e4])
+def test_all_last_fits_together_have_the_time_of_one(cores, seconds):
+    one = machine(1, seconds)
+    plan = plans.make_plan(one, ladder(one), 120.0, cores, 1.0, "key")
+    for candidate in ladder(one):
+        rounds = -(-plan.last_fits(candidate) // cores)
+        nodes = round(plan.most_seconds(candidate, one) / one.time_step)
+        training = plan.effort.training(candidate, nodes, 1)
+        fixed = plan.effort.training(candidate, 0, 1)
+        assert rounds == 1 or cores < candidate.starts
+        assert nodes <= plans.FEWEST_NODES or rounds * (training - fixed) <= 1.01 * 24.0
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
 @pytest.mark.parametrize("time_step", [0.02, 0.005, 0.001])
 @pytest.mark.parametrize("budget", [20.0, 120.0, 600.0, 3600.0])

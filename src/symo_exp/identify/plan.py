@@ -47,6 +47,8 @@ PROMOTED, VARIED = 3, 1.5
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
 FEWEST_VARIATIONS = 2
 """Of the best candidate, with any budget: one has finer steps, unless springs show."""
+FEWEST_FITS, MOST_FITS = 2, 4
+"""Last fits of a candidate with several starts, one for each core in between."""
 DATA = 0.6
 """Share of the time that fewer data leave at least where data are reduced first."""
 PATIENCE = 4.0
@@ -163,13 +165,22 @@ class Plan:
 
     def most_seconds(self, candidate: Candidate, machine: Machine) -> float:
         """Return the length of data that a candidate can be fitted to in its time [s]."""
-        nodes, work = machine.nodes, REFITTING * self.budget * self.speed
+        rounds = math.ceil(self.last_fits(candidate) / self.cores)
+        nodes, work = machine.nodes, REFITTING * self.budget * self.speed / rounds
         fixed = self.effort.training(candidate, 0, machine.n)  # does not depend on the nodes
         while nodes > FEWEST_NODES and (
             nodes > MOST_NODES or self.effort.training(candidate, nodes, machine.n) - fixed > work
         ):
             nodes = max(FEWEST_NODES, int(nodes / 1.25))
         return machine.seconds if nodes == machine.nodes else nodes * machine.time_step
+
+    def last_fits(self, candidate: Candidate) -> int:
+        """Return how many fits to all data a chosen candidate has, from different seeds.
+
+        Candidates with several starts have several minima, and the start with the smallest
+        residuals does not always lead to the deepest one.
+        """
+        return 1 if candidate.starts == 1 else min(max(FEWEST_FITS, self.cores), MOST_FITS)
 
     def limit(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time after which a training is ended [s]."""

@@ -69,8 +69,6 @@ HOPELESS = 4.0
 """A candidate whose error is so many times the best one's is not tried on further folds."""
 ITERATIONS = 5
 """Of the fit of starts in validations: more refine those of motions that stick alone."""
-FEWEST_FITS, MOST_FITS = 2, 4
-"""Last fits of a candidate with several starts, one for each core in between."""
 FOLD_FITS = 3
 """Fits of a candidate to one fold, at most."""
 SEEDS = 1000
@@ -450,8 +448,7 @@ class Search:
     ) -> dict[int, RunFolder]:
         """Fit the chosen candidate from several seeds, from more if all end with far more noise.
 
-        Candidates with several starts have several minima, and the start with the smallest
-        residuals does not always lead to the deepest one. The folds show its noise.
+        The folds show its noise.
 
         Args:
             best: The chosen candidate.
@@ -461,9 +458,9 @@ class Search:
             The fits by their attempts.
         """
         name, fits = best.candidate.name, dict[int, RunFolder]()
-        first = 1 if best.candidate.starts == 1 else max(FEWEST_FITS, self._plan.cores)
+        first = self._plan.last_fits(best.candidate)
         enough = NOISY * min(self._noises(best.candidate).values())
-        for attempts in (range(min(first, MOST_FITS)), range(first, MOST_FITS)):
+        for attempts in (range(first), range(first, plans.MOST_FITS)):
             found = self._sweep.perform(
                 [overrides(k) for k in attempts], [f"{name}, fit {k + 1}" for k in attempts]
             )
