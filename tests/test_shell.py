@@ -62,7 +62,7 @@ def test_a_shell_takes_the_words_as_they_are():
         True,
         None,
         "my file.csv",
-        ["a b", "c'\"d", "größe"],
+        ["a b", "c'\"d", "größe", "C:\\a\\b", "\\", 'a\\"b'],
         {"q": "x y"},
         {"a": [1, None]},
     ],

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -34,10 +34,16 @@ def override_value(value: Any, *, nested: bool = False) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(override_value(x, nested=True) for x in value) + "]"
     if isinstance(value, str | os.PathLike):
-        return json.dumps(os.fspath(value), ensure_ascii=False) if nested else os.fspath(value)
+        return _quoted(os.fspath(value)) if nested else os.fspath(value)
     if value is None:
         return "null"
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _quoted(text: str) -> str:
+    """Quote a string as Hydra reads it: of backslashes, those before a quote alone are doubled."""
+    inside = re.sub(r'(\\*)"', r'\1\1\\"', text)
+    return '"' + re.sub(r"(\\+)\Z", r"\1\1", inside) + '"'
 
 
 def _interpreter() -> str:
