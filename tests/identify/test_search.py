@@ -74,6 +74,18 @@ def test_a_search_that_grossly_overruns_says_so_and_repeats_itself(workplace, ca
     assert again.splitlines()[-3:] == said.splitlines()[-3:]
 
 
+def test_a_search_whose_candidates_all_fail_ends_with_their_reasons(workplace, capsys):
+    table().to_csv("mine.csv", index=False)
+    words = ["-cn", "machine", "data.path=mine.csv", "budget=1s", "hydra/launcher=basic",
+             "optimizer.start=-1"]  # fmt: skip
+    assert main(words) == 1
+    said = capsys.readouterr().out
+    assert "verdict: no model" in said
+    assert "failed: rigid links, viscous friction: " in said
+    failed = pd.read_csv(workplace / "outputs" / "machine_mine" / "candidates.csv").failed
+    assert failed.str.contains("optimizer.start=-1", regex=False).all()
+
+
 def test_the_recordings_of_the_test_part_are_named(workplace):
     table(count=4, seconds=6.0).to_csv("mine.csv", index=False)
     (said,) = [note for note in examine({"path": "mine.csv"}).notes if "for the test" in note]

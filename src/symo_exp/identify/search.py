@@ -318,10 +318,10 @@ class Search:
         noise than another candidate, which do not explain the motion.
         """
         mine = self._noises(candidate)
-        least = min(x for t in self._trials.values() for x in self._noises(t.candidate).values())
-        if candidate.starts == 1 or not mine or min(mine.values()) > NOISY * least:
+        if candidate.starts == 1 or not mine:
             return []
-        return noisy_folds(mine)
+        least = min(x for t in self._trials.values() for x in self._noises(t.candidate).values())
+        return noisy_folds(mine) if min(mine.values()) <= NOISY * least else []
 
     def _noises(self, candidate: Candidate) -> dict[int, float]:
         """Return the estimated noise in the folds of a candidate."""
