@@ -24,6 +24,7 @@ from symo_exp.evaluation.horizon import (
 )  # fmt: skip
 from symo_exp.evaluation.intervals import coverage, interval_of
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
+from symo_exp.evaluation.rollouts import along
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.starts import ITERATIONS, RollsOut
@@ -40,6 +41,8 @@ class RecordedPredictions:
     model: Predictions
     reference: Predictions | None
     interval: Interval | None = None
+    dissipation: Float[Tensor, "windows nodes n"] | None = None
+    """The generalised force of the learned dissipation along the predictions of the model."""
 
     def columns(self) -> dict[str, Tensor]:
         """Return a table with a row for each node of each window.
@@ -48,7 +51,8 @@ class RecordedPredictions:
         trajectory), ``t`` [s] (from there), ``q_<name>``, ``v_<name>`` (predicted),
         ``q_true_<name>``, ``v_true_<name>`` (measured) and ``error`` [rad, m], the root mean
         square over coordinates; of a reference, ``q_reference_<name>`` and ``error_reference``; of
-        a model with a posterior ``q_lower_<name>`` and ``q_upper_<name>``, its 90 % interval.
+        a model with a posterior ``q_lower_<name>`` and ``q_upper_<name>``, its 90 % interval; of
+        one with a learned dissipation ``dissipation_<name>``, its force.
         """
         found = self.model
         count, nodes = found.q.shape[:2]
@@ -65,6 +69,8 @@ class RecordedPredictions:
             fields["q_reference"] = self.reference.q
         if self.interval is not None:
             fields |= {"q_lower": self.interval.lower, "q_upper": self.interval.upper}
+        if self.dissipation is not None:
+            fields["dissipation"] = self.dissipation
         for field, values in fields.items():
             values = found.space.shown(values) if field[0] == "q" else values
             for i, name in enumerate(self.coordinates.names):
@@ -158,8 +164,9 @@ def on_recordings(
                 interval = interval_of(model, posterior, found[""])
                 measures |= coverage(found[""], interval)
             recorded = RecordedPredictions(
-                model.coordinates, found[""], found.get("reference_"), interval
-            )
+                model.coordinates, found[""], found.get("reference_"), interval,
+                _dissipation(model, found[""]),
+            )  # fmt: skip
             usable = tolerance(windows, model.coordinates.angular)
             for prefix, one in found.items():
                 measures[f"{prefix}usable_s"] = median(one.usable_seconds(usable))
@@ -173,3 +180,14 @@ def on_recordings(
             "there are no errors over 0.5, 1 and 2 s, only open_loop_rmse over whole recordings"
         )
     return measures, recorded
+
+
+def _dissipation(model: DynamicsModel, found: Predictions) -> Tensor | None:
+    """Return the force of a learned dissipation, NaN where the prediction is lost."""
+    learned = getattr(model, "dissipation", None)
+    if learned is None:
+        return None
+    finite = torch.cat((found.q, found.v), dim=2).isfinite().all(2, keepdim=True)
+    states = (x.where(finite, 0.0).to(model.input_matrix) for x in (found.q, found.v))
+    with torch.no_grad():
+        return along(learned.force, *states).cpu().where(finite, torch.nan)

@@ -5,13 +5,12 @@ Their data are the table of windows, with a row for each node (``RecordedPredict
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import torch
-from torch import Tensor
 
 from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.models.base import DynamicsModel
@@ -20,8 +19,6 @@ from symo_exp.report.looks import MEASURED, TRUTH, Pair, coordinate_labels, erro
 from symo_exp.report.motions import over_time, points, ranked_as, ranking
 
 REFERENCE: Pair = ("reference", "")
-Force = Callable[[Tensor, Tensor], Tensor]
-"""The generalised force of dissipation at a batch of states."""
 
 
 def recording_figures(
@@ -37,10 +34,8 @@ def recording_figures(
         key: What the names of the files begin with.
     """
     made = [windows_figure(model, table, method, title)]
-    learned = getattr(model, "dissipation", None)
-    force: Force | None = learned and learned.force
-    if force is not None and not model.coordinates.space.rotations:
-        made.append(dissipation_figure(model, force, table, method, title))
+    if f"dissipation_{model.coordinates.names[0]}" in table:
+        made.append(dissipation_figure(model, table, method, title))
     return [replace(measured_figure(figure), key=f"{key}{figure.key}") for figure in made]
 
 
@@ -66,25 +61,19 @@ def windows_figure(model: DynamicsModel, table: pd.DataFrame, method: str, title
 
 
 def dissipation_figure(
-    model: DynamicsModel, force: Force, table: pd.DataFrame, method: str, title: str
+    model: DynamicsModel, table: pd.DataFrame, method: str, title: str
 ) -> Figure:
     """Return the generalised force over velocity in all windows, over time in the median one."""
-    names, pair = model.coordinates.names, (method, "")
-    states = np.stack([table[[f"{x}_{name}" for name in names]].to_numpy() for x in "qv"])
-    finite = np.isfinite(states).all((0, 2))
-    q, v = torch.from_numpy(np.where(finite[:, None], states, 0.0)).to(model.input_matrix)
-    with torch.no_grad():
-        values = np.where(finite[:, None], force(q, v).double().cpu().numpy(), np.nan)
-    median = (table.window == _ranked(table)[1]["median"].window.iloc[0]).to_numpy()
+    known, pair, median = model.coordinates, (method, ""), _ranked(table)[1]["median"]
     driven, panels = model.input_matrix.shape[1] > 0, []
-    speeds = coordinate_labels(model.coordinates, velocity=True)
-    for i, (name, angular) in enumerate(zip(names, model.coordinates.turning, strict=True)):
+    speeds = coordinate_labels(known, velocity=True)
+    for name, angular, speed in zip(known.names, known.turning, speeds, strict=True):
         unit = ("N m" if angular else "N") if driven else "up to a factor"  # free: no force known
         label = f"F of {symbol(name)} [{unit}]"
-        cloud = points(states[1][:, i], values[:, i], pair, 10_000)
-        line = points(table.t[median], values[median, i], pair)
+        cloud = points(table[f"v_{name}"], table[f"dissipation_{name}"], pair, 10_000)
+        line = points(median.t, median[f"dissipation_{name}"], pair)
         panels += [
-            Panel("all windows", speeds[i], label, cloud, y_log=False, mark="points"),
+            Panel("all windows", speed, label, cloud, y_log=False, mark="points"),
             Panel("window of median error", "time [s]", label, line, y_log=False, mark="line"),
         ]
     return Figure("dissipation", f"{title}: learned dissipation", "", panels, columns=2)
