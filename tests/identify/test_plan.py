@@ -7,7 +7,14 @@ import pytest
 
 from symo_exp.errors import ConfigError
 from symo_exp.identify import plan as plans
-from symo_exp.identify.candidates import distinct_candidates, joined, ladder, left_open, variations
+from symo_exp.identify.candidates import (
+    distinct_candidates,
+    joined,
+    ladder,
+    left_open,
+    variations,
+    with_less_friction,
+)
 from symo_exp.identify.recordings import Machine
 from symo_exp.mechanics.units import SI
 
@@ -180,6 +187,36 @@ def test_the_friction_of_motors_is_varied_first_where_there_are_motors(driven):
     motors = [i for i, kind in enumerate(kinds) if kind == "machine"]
     learned = kinds.index("learned")
     assert (max(motors) < learned) if driven else (min(motors) > learned)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("driven", [True, False])
+def test_less_friction_is_viscous_friction_alone_and_then_none(n, driven):
+    """Whatever friction a candidate has; nothing else changes, and each is simpler."""
+    one = machine(n, driven=driven)
+    every = [*ladder(one), *(v for c in ladder(one) for v in variations(c, one))]
+    for candidate in every:
+        found = list(with_less_friction(candidate))
+        choices = [c.settings["dissipation"] for c in found]
+        assert choices == ["viscous", "none"][-len(found) :]
+        ranks = [c.rank for c in (candidate, *found)]
+        assert all(more > less for more, less in itertools.pairwise(ranks))
+        for less in found:
+            rest = {k: v for k, v in less.settings.items() if not k.startswith("dissipation")}
+            assert rest.items() <= candidate.settings.items()
+            assert less.name.endswith(("viscous friction", "no friction"))
+            assert less.name.count("friction") == 1 + ("between" in less.name)
+        same = [c for c in ladder(one) if c.settings == found[0].settings]
+        assert all(c.rank == pytest.approx(found[0].rank) for c in same)
+
+
+@pytest.mark.parametrize("budget", [60.0, 600.0, 6000.0])
+def test_a_costly_candidate_has_fewer_variations(budget):
+    one = machine()
+    plan = plans.make_plan(one, ladder(one), budget, 2, 1.0, "key")
+    counts = [plan.affordable(c, one) for c in sorted(ladder(one), key=lambda c: c.cost)]
+    assert counts == sorted(counts, reverse=True)
+    assert plans.FEWEST_VARIATIONS <= counts[-1] <= counts[0] <= plan.variations
 
 
 def test_joined_variations_have_what_both_switch_on():

@@ -59,6 +59,31 @@ def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, 
 
 
 @pytest.mark.slow
+def test_a_machine_without_friction_has_a_model_without(workplace, capsys):
+    """Friction that is hardly there would end a long prediction."""
+    t = np.arange(0.0, 6.0, 0.02)
+    noise = np.random.default_rng(0)
+    frames = [
+        pd.DataFrame(
+            {
+                "trajectory": i,
+                "t": t,
+                "q_x": (1.0 + 0.1 * i) * np.cos(3.0 * t + i) + 1e-3 * noise.normal(size=len(t)),
+            }
+        )
+        for i in range(6)
+    ]
+    pd.concat(frames).to_csv("mine.csv", index=False)
+    words = ["-cn", "machine", "data.path=mine.csv", "budget=20s", "hydra/launcher=basic",
+             "logger=none", "pictures=false", "hydra.sweeper.clock=false"]  # fmt: skip
+    assert main(words) == 0
+    capsys.readouterr()
+    found = pd.read_csv(workplace / "outputs" / "machine_mine" / "candidates.csv")
+    (chosen,) = found[found.chosen == 1].candidate
+    assert chosen.endswith("no friction")
+
+
+@pytest.mark.slow
 def test_a_search_that_grossly_overruns_says_so_and_repeats_itself(workplace, capsys, monkeypatch):
     monkeypatch.setattr(search, "OVERRUN", 0.01)
     table().to_csv("mine.csv", index=False)

@@ -13,10 +13,13 @@ FREE_DAMPING = 1.0
 LINKS = "rigid links"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
+BETWEEN = "friction between neighbours"
 LEAST_REST = 0.01
 """Width of the dry friction of machines over the initial one, at least."""
 KINDS = {"asymmetric friction": 0.2, "constant force": 0.1, "Stribeck friction": 0.2}
 """Kinds of friction of machines, with what each adds to the rank."""
+FRICTION_RANK = {"none": -0.6, "viscous": -0.3, "friction": 0.0, "learned": 0.6}
+"""Share of the choice of friction in the rank; that of machines is the sum of its kinds."""
 STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 INPUT_NOISE = 100.0
@@ -105,7 +108,7 @@ def ladder(machine: Machine) -> list[Candidate]:
     if several:
         found.append(
             _candidate(
-                "network, friction between neighbours", 4.1, "network", NEIGHBOURS, cost=2.0,
+                f"network, {BETWEEN}", 4.1, "network", NEIGHBOURS, cost=2.0,
                 starts=2,
             )
         )  # fmt: skip
@@ -128,22 +131,13 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed("dry friction", 0.3, dissipation="friction")
     if "springs" not in settings and machine.stiffness is not None:
         yield _sprung(candidate, machine)
-    finer = []
-    if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
-        step = f"{machine.time_step / 2:g}"
-        finer.append(candidate.changed("half the time step", 0.2, 2.0, system__time_step=step))
-    if settings["integrator"] == "midpoint":
-        finer.append(candidate.changed("Galerkin order 4", 0.3, 3.6, integrator="galerkin4"))
-    # motors stick and slip within a step, which no polynomial of a higher order follows
-    yield from finer if machine.driven else reversed(finer)
+    yield from finer(candidate, machine)
     if machine.delay:
         yield candidate.changed(
             f"delay {1e3 * machine.delay:g} ms", 0.2, data__input_delay=f"{machine.delay:g}"
         )
     if machine.driven:
         yield from motors
-    if settings["dissipation"] == "friction":
-        yield _viscous(candidate)
     if settings["dissipation"] in ("friction", "viscous"):
         yield _with_learned_friction(candidate)
     if "springs" not in settings and machine.stiffness is None:
@@ -154,6 +148,27 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight=weight)
     if not machine.driven:
         yield from motors
+
+
+def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
+    """Yield variations with a more accurate integration, the most promising first."""
+    found = []
+    if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
+        step = f"{machine.time_step / 2:g}"
+        found.append(candidate.changed("half the time step", 0.2, 2.0, system__time_step=step))
+    if candidate.settings["integrator"] == "midpoint":
+        found.append(candidate.changed("Galerkin order 4", 0.3, 3.6, integrator="galerkin4"))
+    # motors stick and slip within a step, which no polynomial of a higher order follows
+    yield from found if machine.driven else reversed(found)
+
+
+def with_less_friction(candidate: Candidate) -> Iterator[Candidate]:
+    """Yield simplifications of a candidate: viscous friction alone, then none."""
+    kinds = {*KINDS, "dry friction", "learned friction", "viscous friction"}
+    if candidate.settings["dissipation"] not in ("viscous", "none"):
+        yield _with_friction(candidate, "viscous", kinds, "viscous friction")
+    if candidate.settings["dissipation"] != "none":
+        yield _with_friction(candidate, "none", {*kinds, BETWEEN}, "no friction")
 
 
 def left_open(settings: Mapping[str, str], given: Collection[str]) -> dict[str, str]:
@@ -227,12 +242,40 @@ def _sprung(candidate: Candidate, machine: Machine) -> Candidate:
     return replace(found, settings={**found.settings, "springs.start": start})
 
 
+def _with_friction(
+    candidate: Candidate, choice: str, replaced: Collection[str], name: str
+) -> Candidate:
+    """Return a candidate with another choice of friction, whose name replaces others."""
+    kept = NEIGHBOURS.keys() | {"dissipation.start"} if choice == "viscous" else ()
+    settings = {
+        key: value
+        for key, value in candidate.settings.items()
+        if key in kept or not key.startswith("dissipation")
+    }
+    parts = [part for part in candidate.name.split(", ") if part not in replaced]
+    more = FRICTION_RANK[choice] - _friction_rank(candidate.settings)
+    return replace(
+        candidate,
+        name=", ".join([*parts, name]),
+        rank=candidate.rank + more,
+        settings={**settings, "dissipation": choice},
+    )
+
+
+def _friction_rank(settings: Mapping[str, str]) -> float:
+    if settings["dissipation"] in FRICTION_RANK:
+        return FRICTION_RANK[settings["dissipation"]]
+    return sum(more for kind, more in KINDS.items() if settings.get(_switch(kind)) == "true")
+
+
 def _viscous(candidate: Candidate) -> Candidate:
-    return candidate.changed("viscous friction", -0.3, dissipation="viscous")
+    more = FRICTION_RANK["viscous"] - _friction_rank(candidate.settings)
+    return candidate.changed("viscous friction", more, dissipation="viscous")
 
 
 def _with_learned_friction(candidate: Candidate) -> Candidate:
-    return candidate.changed("learned friction", 0.6, 1.7, dissipation="learned")
+    more = FRICTION_RANK["learned"] - _friction_rank(candidate.settings)
+    return candidate.changed("learned friction", more, 1.7, dissipation="learned")
 
 
 def _candidate(

@@ -174,6 +174,13 @@ class Plan:
             nodes = max(FEWEST_NODES, int(nodes / 1.25))
         return machine.seconds if nodes == machine.nodes else nodes * machine.time_step
 
+    def affordable(self, candidate: Candidate, machine: Machine) -> int:
+        """Return how many variations of a candidate are tried."""
+        nodes = round(self.seconds / machine.time_step)
+        one = VARIED * self.effort.expected(candidate, nodes, machine)
+        left = VARYING * self.budget * self.cores * self.speed / one
+        return min(self.variations, _variations(left, self.first, self.folds))
+
     def last_fits(self, candidate: Candidate) -> int:
         """Return how many fits to all data a chosen candidate has, from different seeds.
 
@@ -265,15 +272,8 @@ def make_plan(
     while too_much() and folds > 3:
         folds -= 1
     one = VARIED * effort.expected(chosen[0], nodes, machine)
-    variations, left = FEWEST_VARIATIONS, VARYING * work / one
-
-    def runs(variations: int) -> int:
-        promoted = min(PROMOTED, (variations + 1) // 2)
-        return first * variations + promoted * (folds - first) + folds  # and of a simpler one
-
-    while runs(variations + 1) <= left:
-        variations += 1
-    needed = screening(effort, nodes, chosen) + one * runs(variations)
+    variations = _variations(VARYING * work / one, first, folds)
+    needed = screening(effort, nodes, chosen) + one * _varied_runs(variations, first, folds)
     return Plan(
         budget=budget,
         cores=cores,
@@ -287,6 +287,24 @@ def make_plan(
         variations=variations,
         key=key,
     )
+
+
+def _variations(runs: float, first: int, folds: int) -> int:
+    """Return how many variations can be tried with so many runs, at least the fewest."""
+    count = FEWEST_VARIATIONS
+    while _varied_runs(count + 1, first, folds) <= runs:
+        count += 1
+    return count
+
+
+def _varied_runs(variations: int, first: int, folds: int) -> int:
+    """Return how many runs the variations of a candidate take.
+
+    All folds of the most promising ones and of a simpler candidate are included, and the first
+    ones of less friction.
+    """
+    promoted = min(PROMOTED, (variations + 1) // 2)
+    return first * (variations + 1) + promoted * (folds - first) + folds
 
 
 def kept_plan(file: Path, key: str) -> Plan | None:

@@ -30,10 +30,12 @@ from symo_exp.identify import plan as plans
 from symo_exp.identify.candidates import (
     Candidate,
     distinct_candidates,
+    finer,
     joined,
     ladder,
     left_open,
     variations,
+    with_less_friction,
 )
 from symo_exp.identify.doubts import doubts, hopeless
 from symo_exp.identify.plan import Plan
@@ -136,6 +138,9 @@ class Search:
         if base is not None and self._in_time(0.6, "variations"):
             self._vary(base)
         best = self._choice()
+        if best is not None and self._in_time(0.8, "less friction"):
+            self._reduce_friction(best)
+            best = self._choice()
         if best is None:
             return self._no_model()
         return self._finish(best)
@@ -224,12 +229,13 @@ class Search:
         """Try variations of the best candidate, what is better together, and this on a simpler one.
 
         A candidate with many parameters also represents errors of the integrator; a simpler one
-        may have the smaller error once these are removed.
+        may have the smaller error once these are removed. It is therefore given a finer integration
+        also if the best candidate gains nothing by it.
         """
         plan = self._plan
         known = [trial.candidate for trial in self._trials.values()]
         new = distinct_candidates(variations(base.candidate, self._machine), self._given, known)
-        tried = new[: plan.variations]
+        tried = new[: plan.affordable(base.candidate, self._machine)]
         first, folds = range(plan.first), range(len(base.errors))
         self._try(tried, first)
         better = [
@@ -247,11 +253,31 @@ class Search:
                 self._try([c], folds)
             if joint is base or self._gains(c, joint, folds):
                 joint = self._trials[c.name]
-        if joint is not base and self._in_time(0.75, "joint variations"):
+        if self._in_time(0.75, "variations of a simpler candidate"):
             every = [trial.candidate for trial in self._trials.values()]
             simpler = self._simpler(known, base, folds)
             also = [joined(base.candidate, simple, joint.candidate) for simple in simpler]
+            if joint is base:
+                also = [fine for simple in simpler for fine in finer(simple, self._machine)]
             self._try(distinct_candidates(also, self._given, every)[:1], folds)
+
+    def _reduce_friction(self, best: Trial) -> None:
+        """Try viscous friction alone in the best candidate, then none, unless that is worse."""
+        if any(key.partition(".")[0] == "dissipation" for key in self._given):
+            return
+        for less in with_less_friction(best.candidate):
+            settings = left_open(less.settings, self._given)
+            same = (
+                trial.candidate
+                for trial in self._trials.values()
+                if left_open(trial.candidate.settings, self._given) == settings
+            )
+            candidate = next(same, less)
+            for folds in (range(self._plan.first), range(len(best.errors))):
+                self._try([candidate], folds)
+                trial = self._trial(candidate)
+                if trial.failed or beats(best.errors, trial.errors, folds):
+                    return
 
     def _simpler(
         self, candidates: Sequence[Candidate], base: Trial, folds: Sequence[int]
@@ -541,6 +567,8 @@ class Search:
                 *more,
             ]
         )
+        if candidate.settings["dissipation"] == "none":
+            settings = left_open(settings, ["dissipation"]) | {"dissipation": "dissipation=none"}
         for key, value in changed.items():
             name = key.replace("__", ".")
             settings.pop(name, None)

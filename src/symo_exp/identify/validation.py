@@ -20,6 +20,9 @@ from symo_exp.runs.series import read
 
 NOISY = 4.0
 """Ratio of the noise of folds beyond which one ended at another minimum."""
+GAIN = 0.02
+"""Smallest relative decrease of the error that counts. Held-out recordings have noise, which all
+folds and candidates share; smaller decreases may exceed their standard error by it."""
 WORST, LEAST = 10.0, 1e-12
 """An error counts as at most so many times that of constant velocity, and at least as this."""
 
@@ -96,7 +99,7 @@ def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
     """Return the simplest of the trials that the best one does not beat for certain.
 
     One beats another if the mean over the folds of the difference of the logarithms of their
-    errors exceeds one standard error of this mean. Trials with a larger mean error than a simpler
+    errors exceeds one standard error of this mean, and ``GAIN``. Trials with a larger mean error than a simpler
     one do not compete: if they are not beaten for certain, their errors scatter.
     """
     complete = [t for t in trials if not t.failed and all(k in t.errors for k in folds)]
@@ -110,9 +113,9 @@ def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
 
 
 def beats(one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]) -> bool:
-    """Return whether the errors ``one`` are smaller by more than one standard error."""
+    """Return whether the errors ``one`` are smaller by more than one standard error and ``GAIN``."""
     mean, spread = compared(one, other, folds)
-    return mean < -spread
+    return mean < -max(spread, GAIN)
 
 
 def compared(
