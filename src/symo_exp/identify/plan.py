@@ -32,6 +32,8 @@ STICKING = 4.0
 are taken one by one."""
 FITTED = 6 * RUN_IN
 """Length of the run-ins of a window that are rolled out to fit its start [s]."""
+EPSILONS, LATE = 4, 3
+"""Stages of the optimiser after its starts, and further ones if friction is learned late."""
 STARTING = 1.0
 """Time of a run that depends on nothing [s]."""
 SCREENING, VARYING, REFITTING = 0.45, 0.35, 0.2
@@ -73,8 +75,12 @@ class Effort:
 
     def total(self, candidate: Candidate) -> int:
         """Return the epochs of a training."""
-        stages = 4 + 3 * (candidate.settings.get("dissipation") == "learned")
-        return candidate.starts * self.start + stages * self.epochs
+        late = LATE * (candidate.settings.get("dissipation") == "learned")
+        return self.fewest(candidate) + late * self.epochs
+
+    def fewest(self, candidate: Candidate) -> int:
+        """Return the epochs of a training that ends before the late stages."""
+        return candidate.starts * self.start + EPSILONS * self.epochs
 
     def between(self, candidate: Candidate) -> int:
         """Return the epochs between validations."""

@@ -16,13 +16,14 @@ from symo_exp.evaluation.recordings import held_out_error
 from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.identify.candidates import Candidate
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
+from symo_exp.runs.load import from_folder
 from symo_exp.runs.series import read
 
 NOISY = 4.0
 """Ratio of the noise of folds beyond which one ended at another minimum."""
-GAIN = 0.02
-"""Smallest relative decrease of the error that counts. Held-out recordings have noise, which all
-folds and candidates share; smaller decreases may exceed their standard error by it."""
+GAIN = 0.005
+"""Smallest relative decrease of the error that counts, however small its standard error: folds
+share data, which the standard error does not count."""
 WORST, LEAST = 10.0, 1e-12
 """An error counts as at most so many times that of constant velocity, and at least as this."""
 
@@ -54,11 +55,24 @@ class Trial:
             return math.inf
         return math.exp(float(np.mean([math.log(self.errors[k]) for k in chosen])))
 
+    def told(self) -> str:
+        """Return the result in words."""
+        if self.reasons:
+            return f"failed: {next(iter(self.reasons.values()))}"
+        ended = f", {self.overran} ran out of time" if self.overran else ""
+        folds = f"{len(self.errors)} fold(s), {self.seconds:.0f} s"
+        return f"error {self.mean():.3g} over {folds}{ended}"
+
 
 def noise_of_fit(fit: RunFolder) -> float:
     """Return the noise that a fit estimated at its end, infinite if it has none."""
     rows = read(fit / SERIES)
     return rows[-1].get("noise_estimate", math.inf) if rows else math.inf
+
+
+def parameters_of(fit: RunFolder) -> int:
+    """Return the number of parameters of a fitted model."""
+    return sum(p.numel() for p in from_folder(fit.path).parameters())
 
 
 def with_least_noise(fits: Sequence[RunFolder]) -> RunFolder:
@@ -99,8 +113,8 @@ def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
     """Return the simplest of the trials that the best one does not beat for certain.
 
     One beats another if the mean over the folds of the difference of the logarithms of their
-    errors exceeds one standard error of this mean, and ``GAIN``. Trials with a larger mean error than a simpler
-    one do not compete: if they are not beaten for certain, their errors scatter.
+    errors exceeds one standard error of this mean, and ``GAIN``. Trials with a larger mean error
+    than a simpler one do not compete: if they are not beaten for certain, their errors scatter.
     """
     complete = [t for t in trials if not t.failed and all(k in t.errors for k in folds)]
     complete.sort(key=lambda t: (t.candidate.rank, t.mean(folds)))
@@ -113,7 +127,7 @@ def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
 
 
 def beats(one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]) -> bool:
-    """Return whether the errors ``one`` are smaller by more than one standard error and ``GAIN``."""
+    """Return whether ``one`` is smaller by more than one standard error, and ``GAIN``."""
     mean, spread = compared(one, other, folds)
     return mean < -max(spread, GAIN)
 

@@ -1,0 +1,175 @@
+"""Fits of candidates to recordings, each a run of the sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from symo_exp.data.folds import POOLED
+from symo_exp.errors import ConfigError
+from symo_exp.identify.candidates import Candidate, left_open
+from symo_exp.identify.plan import Plan
+from symo_exp.identify.recordings import Machine
+from symo_exp.runs.folder import RunFolder
+from symo_exp.sweep.sweeper import Sweep
+
+ITERATIONS = 5
+"""Of the fit of starts in validations: more refine those of motions that stick alone."""
+SEEDS = 1000
+"""Difference of the seeds of fits of the same candidate to the same data."""
+
+
+class Fits:
+    """The fits of a search. Attempts at the same fit differ in their seeds.
+
+    Args:
+        sweep: Performs the runs.
+        machine: The recorded machine.
+        plan: The plan of the search.
+        given: Overrides of the command line by what they set; they replace those of candidates.
+        experiment: The experiment of the runs.
+        seed: That of the first attempts.
+        clock: Whether trainings are ended when they take much longer than planned.
+    """
+
+    def __init__(
+        self,
+        sweep: Sweep,
+        machine: Machine,
+        plan: Plan,
+        given: Mapping[str, str],
+        *,
+        experiment: str,
+        seed: int,
+        clock: bool,
+    ) -> None:
+        self._sweep, self._machine, self._plan, self._given = sweep, machine, plan, given
+        self._experiment, self._seed, self._clock = experiment, seed, clock
+
+    def to_folds(
+        self, todo: Sequence[tuple[Candidate, int]], attempt: int = 0
+    ) -> list[tuple[Candidate, int, RunFolder | ConfigError]]:
+        """Fit candidates to folds, side by side."""
+        count, seconds = self._plan.folds, self._plan.seconds
+        words = [
+            self._overrides(candidate, seconds, attempt, f"data.fold=[{k},{count}]")
+            for candidate, k in todo
+        ]
+        names = [f"{candidate.name}, fold {k + 1} of {count}" for candidate, k in todo]
+        found = self._sweep.perform(words, names)
+        return [(c, k, folder) for (c, k), folder in zip(todo, found, strict=True)]
+
+    def to_all(
+        self, candidate: Candidate, epochs: int, attempts: Sequence[int]
+    ) -> dict[int, RunFolder]:
+        """Fit a candidate to the training and the validation part in each of some attempts.
+
+        Raises:
+            ConfigError: If the candidate is refused.
+        """
+        words = [self._overrides_of_last(candidate, epochs, attempt) for attempt in attempts]
+        names = [f"{candidate.name}, fit {attempt + 1}" for attempt in attempts]
+        return dict(zip(attempts, self._performed(words, names), strict=True))
+
+    def test(self, candidate: Candidate, epochs: int, attempt: int) -> None:
+        """Measure a fit to all data on the test part, draw pictures of it and publish it.
+
+        Raises:
+            ConfigError: If the candidate is refused.
+        """
+        shown = "pictures=true", "measures=true"
+        words = self._overrides_of_last(candidate, epochs, attempt, *shown, without=["logger"])
+        self._performed([words], [candidate.name])
+
+    def _performed(self, words: Sequence[list[str]], names: Sequence[str]) -> list[RunFolder]:
+        folders = []
+        for folder in self._sweep.perform(words, names):
+            if isinstance(folder, ConfigError):
+                raise folder
+            folders.append(folder)
+        return folders
+
+    def _overrides_of_last(
+        self,
+        candidate: Candidate,
+        epochs: int,
+        attempt: int,
+        *more: str,
+        without: Collection[str] = (),
+    ) -> list[str]:
+        """Return the overrides of a fit to all data, or to as many as there is time for."""
+        seconds = self._plan.most_seconds(candidate, self._machine)
+        if seconds >= self._machine.seconds:
+            without = [*without, "data.seconds"]
+        return self._overrides(
+            candidate,
+            seconds,
+            attempt,
+            f"data.fold={POOLED}",
+            f"trainer.max_epochs={epochs}",
+            f"trainer.validate_every={epochs}",  # once: nothing is held out
+            "optimizer.tolerance=1e9",  # so that the last parameters are kept
+            *more,
+            without=without,
+        )
+
+    def _overrides(
+        self,
+        candidate: Candidate,
+        seconds: float,
+        attempt: int,
+        *more: str,
+        without: Collection[str] = (),
+    ) -> list[str]:
+        """Return the overrides of a fit to data of a length, those of the command line last."""
+        settings = by_key(
+            [
+                *self._machine.settings,
+                f"experiment={self._experiment}",
+                "logger=none",
+                "trainer.compile=false",  # it takes longer than most of these trainings
+                "pictures=false",
+                "measures=false",
+                f"learner.validation.iterations={ITERATIONS}",
+                f"data.seconds={seconds:g}",
+                self._limit(candidate, seconds),
+                *self._plan.overrides(candidate),
+                *candidate.overrides(),
+                *more,
+            ]
+        )
+        if candidate.settings["dissipation"] == "none":
+            settings = left_open(settings, ["dissipation"]) | {"dissipation": "dissipation=none"}
+        kept = {key: word for key, word in settings.items() if key not in without}
+        found = {**left_open(kept, self._given), **self._given}
+        if attempt:
+            found["seed"] = f"seed={self._seed + SEEDS * attempt}"
+        return sorted(found.values(), key=lambda word: "." in word.partition("=")[0])
+
+    def _limit(self, candidate: Candidate, seconds: float) -> str:
+        """Return the setting of the time after which a training is ended."""
+        if not self._clock:
+            return "trainer.time_limit=null"
+        nodes = round(seconds / self._machine.time_step)
+        limit = self._plan.limit(candidate, nodes, self._machine)
+        return f"trainer.time_limit={limit:.0f}"
+
+
+def by_key(overrides: Sequence[str]) -> dict[str, str]:
+    """Return the overrides by what they set.
+
+    Raises:
+        ConfigError: If one is a sweep.
+    """
+    found = {}
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        if override.is_sweep_override():
+            raise ConfigError(
+                f"{override.input_line}: a search takes one value for each setting, and chooses "
+                "its candidates itself"
+            )
+        line = override.input_line
+        assert line is not None
+        found[override.get_key_element().lstrip("+~")] = line
+    return found

@@ -1,0 +1,273 @@
+"""Rounds of a search: candidates, their variations and less friction, over folds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+
+from symo_exp.errors import ConfigError
+from symo_exp.identify import plan as plans
+from symo_exp.identify.candidates import (
+    Candidate,
+    distinct_candidates,
+    finer,
+    joined,
+    left_open,
+    variations,
+    with_less_friction,
+)
+from symo_exp.identify.fits import Fits
+from symo_exp.identify.plan import Plan
+from symo_exp.identify.recordings import Machine
+from symo_exp.identify.validation import (
+    LEAST,
+    NOISY,
+    WORST,
+    Trial,
+    baseline_error,
+    beats,
+    choose,
+    fold_error,
+    noise_of_fit,
+    noisy_folds,
+    parameters_of,
+    with_least_noise,
+)
+from symo_exp.process import phases
+from symo_exp.runs.folder import SERIES, RunFolder
+from symo_exp.runs.series import read
+
+HOPELESS = 4.0
+"""A candidate whose error is so many times the best one's is not tried on further folds."""
+FOLD_FITS = 3
+"""Fits of a candidate to one fold, at most."""
+
+
+class Rounds:
+    """The candidates of a search and the results of their folds.
+
+    Args:
+        fits: Fits candidates.
+        machine: The recorded machine.
+        plan: The plan of the search.
+        given: What the command line sets.
+        in_time: Returns whether there is time for a stage: the share of the planned time at which
+            it begins, and its name.
+        progressed: Called with the best fit so far after every round.
+    """
+
+    def __init__(
+        self,
+        fits: Fits,
+        machine: Machine,
+        plan: Plan,
+        given: Collection[str],
+        *,
+        in_time: Callable[[float, str], bool],
+        progressed: Callable[[RunFolder], None],
+    ) -> None:
+        self._fits, self._machine, self._plan, self._given = fits, machine, plan, given
+        self._in_time, self._progressed = in_time, progressed
+        self._trials: dict[str, Trial] = {}
+        self._baselines: dict[int, float] = {}
+        self._folders: dict[tuple[str, int], RunFolder] = {}
+
+    @property
+    def trials(self) -> list[Trial]:
+        """All candidates that were tried, the simplest first."""
+        return sorted(self._trials.values(), key=lambda t: t.candidate.rank)
+
+    def folders(self, trial: Trial) -> list[RunFolder]:
+        """Return the fits of a trial to folds, those that ended well."""
+        return [self._folders[trial.candidate.name, k] for k in trial.errors]
+
+    def choice(self) -> Trial | None:
+        """Return the simplest of the best candidates, of those with the most folds."""
+        sound = [t for t in self._trials.values() if not t.failed]
+        folds = max((len(t.errors) for t in sound), default=0)
+        return choose(sound, range(folds)) if folds else None
+
+    def screen(self, candidates: Sequence[Candidate]) -> None:
+        """Successive halving: every round has fewer candidates on more folds."""
+        plan = self._plan
+        self._try(candidates[:1], range(plan.first))  # a first model to use
+        rounds = sorted({plan.first, min(plan.folds, plan.first + 2), plan.folds})
+        alive = list(candidates)
+        for done, folds in enumerate(rounds):
+            if done and not self._in_time(0.6, f"folds beyond {rounds[done - 1]}"):
+                return
+            self._try(alive, range(folds))
+            ranked = self._ranked(alive, range(folds))
+            best = min((self._trials[c.name].mean(range(folds)) for c in ranked), default=0.0)
+            simplest = [c for c in candidates if c in ranked][:1]
+            half = ranked[: max(2, math.ceil(len(alive) / 2))]
+            alive = [
+                c
+                for c in (*half, *(c for c in simplest if c not in half))
+                if self._trials[c.name].mean(range(folds)) <= HOPELESS * best
+            ]
+
+    def vary(self, base: Trial) -> None:
+        """Try variations of the best candidate, what is better together, and this on a simpler one.
+
+        A candidate with many parameters also represents errors of the integrator; a simpler one
+        may have the smaller error once these are removed. It is therefore given a finer integration
+        also if the best candidate gains nothing by it.
+        """
+        plan = self._plan
+        known = [trial.candidate for trial in self._trials.values()]
+        new = distinct_candidates(variations(base.candidate, self._machine), self._given, known)
+        tried = new[: plan.affordable(base.candidate, self._machine)]
+        first, folds = range(plan.first), range(len(base.errors))
+        self._try(tried, first)
+        better = [
+            c
+            for c in self._ranked(tried, first)
+            if self._trials[c.name].mean(first) < base.mean(first)
+        ]
+        self._try(better[: plans.PROMOTED], folds)
+        joint = base
+        for c in self._ranked(better[: plans.PROMOTED], folds):
+            if not self._gains(c, base, folds) or not self._in_time(0.75, "joint variations"):
+                break
+            if joint is not base:
+                c = joined(base.candidate, joint.candidate, c)
+                self._try([c], folds)
+            if joint is base or self._gains(c, joint, folds):
+                joint = self._trials[c.name]
+        if self._in_time(0.75, "variations of a simpler candidate"):
+            every = [trial.candidate for trial in self._trials.values()]
+            simpler = self._simpler(known, base, folds)
+            also = [joined(base.candidate, simple, joint.candidate) for simple in simpler]
+            if joint is base:
+                also = [fine for simple in simpler for fine in finer(simple, self._machine)]
+            self._try(distinct_candidates(also, self._given, every)[:1], folds)
+
+    def reduce_friction(self, best: Trial) -> None:
+        """Try viscous friction alone in the best candidate, then none, unless that is worse."""
+        if any(key.partition(".")[0] == "dissipation" for key in self._given):
+            return
+        for less in with_less_friction(best.candidate):
+            settings = left_open(less.settings, self._given)
+            same = (
+                trial.candidate
+                for trial in self._trials.values()
+                if left_open(trial.candidate.settings, self._given) == settings
+            )
+            candidate = next(same, less)
+            for folds in (range(self._plan.first), range(len(best.errors))):
+                self._try([candidate], folds)
+                trial = self._trial(candidate)
+                if trial.failed or beats(best.errors, trial.errors, folds):
+                    return
+
+    def noises(self, trial: Trial) -> dict[int, float]:
+        """Return the estimated noise in the folds of a trial that ended well."""
+        return {k: noise_of_fit(self._folders[trial.candidate.name, k]) for k in trial.errors}
+
+    def _simpler(
+        self, candidates: Sequence[Candidate], base: Trial, folds: Sequence[int]
+    ) -> list[Candidate]:
+        """Return the candidates that are simpler than one and not hopeless, the best first."""
+        ranked = self._ranked([c for c in candidates if c.rank < base.candidate.rank], folds)
+        least = HOPELESS * base.mean(folds)
+        return [c for c in ranked if self._trials[c.name].mean(folds) <= least]
+
+    def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
+        trial = self._trials[candidate.name]
+        return not trial.failed and beats(trial.errors, base.errors, folds)
+
+    def _try(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> None:
+        """Do the folds that are not done yet, side by side."""
+        todo = [
+            (candidate, k)
+            for candidate in candidates
+            for k in folds
+            if k not in self._trial(candidate).errors and k not in self._trial(candidate).reasons
+        ]
+        if not todo:
+            return
+        names = ", ".join(dict.fromkeys(c.name for c, _ in todo))
+        phases.say(f"{len(todo)} runs: {names}")
+        for candidate, k, folder in self._fits.to_folds(todo):
+            self._note(candidate, k, folder)
+        self._fit_again({c.name: c for c, _ in todo}.values())
+        phases.clear()
+        if (best := self._best_fit()) is not None:
+            self._progressed(best)
+        for name in dict.fromkeys(c.name for c, _ in todo):
+            print(f"{name}: {self._trials[name].told()}", flush=True)
+
+    def _best_fit(self) -> RunFolder | None:
+        """Return the best fold of the candidate with the least error so far."""
+        done = [t for t in self._trials.values() if t.errors]
+        if not done:
+            return None
+        trial = min(done, key=lambda t: t.mean())
+        fold = min(trial.errors, key=lambda k: trial.errors[k])
+        return self._folders[trial.candidate.name, fold]
+
+    def _fit_again(self, candidates: Iterable[Candidate]) -> None:
+        """Fit folds again, from other seeds, that ended at another minimum.
+
+        Of all fits to a fold that with the least noise is kept, which takes training data alone.
+        """
+        candidates = list(candidates)
+        for attempt in range(1, FOLD_FITS):
+            todo = [(c, k) for c in candidates for k in self._at_other_minima(c)]
+            for candidate, k, folder in self._fits.to_folds(todo, attempt) if todo else []:
+                before = self._folders[candidate.name, k]
+                if isinstance(folder, ConfigError):
+                    continue
+                quieter = with_least_noise([before, folder]) is folder
+                if quieter and math.isfinite(fold_error(folder)):
+                    self._note(candidate, k, folder)
+                else:
+                    self._trial(candidate).seconds += folder.outcome().seconds
+
+    def _at_other_minima(self, candidate: Candidate) -> list[int]:
+        """Return the folds that ended with far more noise than another fold of the candidate.
+
+        None of candidates with one start, which have no other minima, and of those with far more
+        noise than another candidate, which do not explain the motion.
+        """
+        mine = self.noises(self._trial(candidate))
+        if candidate.starts == 1 or not mine:
+            return []
+        least = min(x for t in self._trials.values() for x in self.noises(t).values())
+        return noisy_folds(mine) if min(mine.values()) <= NOISY * least else []
+
+    def _note(self, candidate: Candidate, k: int, folder: RunFolder | ConfigError) -> None:
+        """Keep how a fold ended."""
+        trial = self._trial(candidate)
+        if isinstance(folder, ConfigError):
+            trial.reasons[k] = str(folder)
+            return
+        outcome = folder.outcome()
+        trial.seconds += outcome.seconds
+        if outcome.status != "finished":
+            trial.reasons[k] = outcome.reason
+            return
+        mine = fold_error(folder)
+        if k not in self._baselines:
+            self._baselines[k] = baseline_error(folder)
+        mine = min(mine, WORST * self._baselines[k])
+        if not math.isfinite(mine):
+            trial.reasons[k] = (
+                "it was ended before its first validation" if math.isnan(mine)
+                else "it diverges, or no window of the held-out part moves"
+            )  # fmt: skip
+            return
+        trial.errors[k] = max(mine, LEAST)
+        self._folders[candidate.name, k] = folder
+        if trial.parameters is None:
+            trial.parameters = parameters_of(folder)
+        trial.overran += len(read(folder / SERIES)) < self._plan.effort.fewest(candidate)
+
+    def _ranked(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> list[Candidate]:
+        """Return the candidates without failures, the best first."""
+        sound = [c for c in candidates if not self._trials[c.name].failed]
+        return sorted(sound, key=lambda c: self._trials[c.name].mean(folds))
+
+    def _trial(self, candidate: Candidate) -> Trial:
+        return self._trials.setdefault(candidate.name, Trial(candidate))
