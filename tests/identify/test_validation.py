@@ -15,6 +15,7 @@ from symo_exp.identify.validation import (
     choose,
     compared,
     fold_error,
+    likelier,
     noisy_folds,
     with_least_noise,
 )
@@ -135,3 +136,18 @@ def test_of_several_fits_the_finished_one_with_the_least_noise_is_kept(tmp_path)
 )
 def test_folds_that_end_at_another_minimum_have_far_more_noise(noises, expected):
     assert noisy_folds(dict(enumerate(noises))) == expected
+
+
+def test_parameters_that_explain_noise_alone_do_not_make_a_model_likelier():
+    """Least squares with and without columns that the data do not contain, or do."""
+    generator = np.random.default_rng(0)
+    count, more = 500, 4
+    columns = generator.normal(size=(count, more + 1))
+    for share, expected in ((0.0, False), (0.5, True)):
+        noises = ({}, {})
+        for k in range(3):
+            y = columns[:, 0] + share * columns[:, 1] + generator.normal(size=count)
+            for place, used in enumerate((columns, columns[:, :1])):
+                left = np.linalg.lstsq(used, y, rcond=None)[1]
+                noises[place][k] = math.sqrt(float(left[0]) / (count - used.shape[1]))
+        assert likelier(*noises, range(3), more, count) == expected

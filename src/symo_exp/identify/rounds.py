@@ -28,6 +28,7 @@ from symo_exp.identify.validation import (
     beats,
     choose,
     fold_error,
+    likelier,
     noise_of_fit,
     noisy_folds,
     parameters_of,
@@ -111,8 +112,8 @@ class Rounds:
         """Try variations of the best candidate, what is better together, and this on a simpler one.
 
         A candidate with many parameters also represents errors of the integrator; a simpler one
-        may have the smaller error once these are removed. It is therefore given a finer integration
-        also if the best candidate gains nothing by it.
+        may have the smaller error once these are removed. If the best candidate gains nothing, the
+        simplest one is therefore given a finer integration.
         """
         plan = self._plan
         known = [trial.candidate for trial in self._trials.values()]
@@ -140,13 +141,14 @@ class Rounds:
             simpler = self._simpler(known, base, folds)
             also = [joined(base.candidate, simple, joint.candidate) for simple in simpler]
             if joint is base:
+                simpler.sort(key=lambda c: c.rank)
                 also = [fine for simple in simpler for fine in finer(simple, self._machine)]
             self._try(distinct_candidates(also, self._given, every)[:1], folds)
 
-    def reduce_friction(self, best: Trial) -> None:
-        """Try viscous friction alone in the best candidate, then none, unless that is worse."""
+    def reduce_friction(self, best: Trial) -> Trial:
+        """Return the best candidate with viscous friction alone or none, unless that is worse."""
         if any(key.partition(".")[0] == "dissipation" for key in self._given):
-            return
+            return best
         for less in with_less_friction(best.candidate):
             settings = left_open(less.settings, self._given)
             same = (
@@ -158,8 +160,18 @@ class Rounds:
             for folds in (range(self._plan.first), range(len(best.errors))):
                 self._try([candidate], folds)
                 trial = self._trial(candidate)
-                if trial.failed or beats(best.errors, trial.errors, folds):
-                    return
+                if trial.failed or self._worse(trial, best, folds):
+                    return best
+            best = trial
+        return best
+
+    def _worse(self, less: Trial, more: Trial, folds: Sequence[int]) -> bool:
+        """Return whether a simpler model has larger errors and explains its data less well."""
+        nodes = round(self._plan.seconds / self._machine.time_step)
+        return beats(more.errors, less.errors, folds) and likelier(
+            self.noises(more), self.noises(less), folds,
+            (more.parameters or 0) - (less.parameters or 0), nodes * self._machine.n,
+        )  # fmt: skip
 
     def noises(self, trial: Trial) -> dict[int, float]:
         """Return the estimated noise in the folds of a trial that ended well."""

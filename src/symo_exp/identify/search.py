@@ -108,11 +108,11 @@ class Search:
         rounds.screen([c for c in candidates if c.name in plan.names])
         if (base := rounds.choice()) is not None and self._in_time(0.6, "variations"):
             rounds.vary(base)
-        if (best := rounds.choice()) is not None and self._in_time(0.8, "trials of less friction"):
-            rounds.reduce_friction(best)
         if (best := rounds.choice()) is None:
             self._summary(rounds.trials, None)
             return self._no_model()
+        if self._in_time(0.8, "trials of less friction"):
+            best = rounds.reduce_friction(best)
         epochs = self._last_epoch(best, rounds.folders(best))
         seconds = plan.most_seconds(best.candidate, machine)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"

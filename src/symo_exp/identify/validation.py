@@ -141,3 +141,29 @@ def compared(
         return float(np.mean(differences)), 0.0
     deviation = float(np.std(differences, ddof=1))
     return float(np.mean(differences)), deviation / math.sqrt(len(differences))
+
+
+def likelier(
+    one: Mapping[int, float],
+    other: Mapping[int, float],
+    folds: Sequence[int],
+    more: int,
+    count: int,
+) -> bool:
+    """Return whether a model is likelier than another by the noise that is left of the data.
+
+    This is the Bayesian information criterion, a mean over the folds: the logarithm of the
+    likelihood of ``count`` residuals is ``-count log σ`` plus a constant. It is true where an
+    optimiser estimates no noise.
+
+    Args:
+        one: Estimated noise ``σ`` in the folds.
+        other: That of the other model.
+        folds: The folds to compare.
+        more: Number of parameters that the other model lacks.
+        count: Number of residuals in a fold.
+    """
+    if not all(math.isfinite(x[k]) for x in (one, other) for k in folds):
+        return True
+    gain = float(np.mean([math.log(other[k] / one[k]) for k in folds]))
+    return count * gain > 0.5 * more * math.log(count)
