@@ -15,6 +15,7 @@ from symo_exp.identify.validation import (
     choose,
     compared,
     fold_error,
+    latest_stage,
     likelier,
     noisy_folds,
     with_least_noise,
@@ -151,3 +152,19 @@ def test_parameters_that_explain_noise_alone_do_not_make_a_model_likelier():
                 left = np.linalg.lstsq(used, y, rcond=None)[1]
                 noises[place][k] = math.sqrt(float(left[0]) / (count - used.shape[1]))
         assert likelier(*noises, range(3), more, count) == expected
+
+
+@pytest.mark.parametrize(
+    ("losses", "stage"),
+    [
+        ([{1: 1.0, 2: 1.1, 3: 0.9}, {1: 1.0, 2: 0.9, 3: 1.1}], 3),  # they scatter
+        ([{1: 1.0, 2: 1.0}, {1: 1.0, 2: 1.1}, {1: 1.0, 2: 1.1}], 2),  # by 1.3 and 2 standard errors
+        ([{1: 1.0, 2: 1.1}, {1: 1.0, 2: 1.2}, {1: 1.0, 2: 1.1}], 1),
+        ([{1: 1.0, 2: 0.9, 3: 1.8}, {1: 1.0, 2: 0.8, 3: 1.7}], 2),  # the last one is worse
+        ([{1: 1.0, 2: 1.0, 3: 1.0}, {1: 1.0, 2: 1.0}], 2),  # one fold was ended
+        ([{1: 1.0, 2: math.inf}, {1: 1.0, 2: 1.0}], 1),
+        ([{}, {}], 1),
+    ],
+)
+def test_the_last_stage_is_taken_that_is_not_certainly_worse(losses, stage):
+    assert latest_stage(losses) == stage

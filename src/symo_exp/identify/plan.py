@@ -45,7 +45,7 @@ DOMINANT = 0.5
 """Share of the time of a training from which there are fewer validations, on fewer data."""
 SPARSE = 2
 """Validations of a training where they are dominant: in the middle and at the end."""
-PROMOTED, VARIED = 3, 1.5
+PROMOTED, VARIED = 3, 2.0
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
 FEWEST_VARIATIONS = 2
 """Of the best candidate, with any budget: one has finer steps, unless springs show."""
@@ -238,14 +238,19 @@ def make_plan(
         best = sorted(each)[: max(2, len(each) // 2)]
         return first * sum(each) + (folds - first) * sum(best)
 
-    nodes = max(1, round(share * nodes_all))
-    effort = EFFORTS[0]
-    for effort in EFFORTS:
-        if screening(effort, nodes, chosen) <= SCREENING * work:
-            break
+    nodes, effort = max(1, round(share * nodes_all)), EFFORTS[0]
+
+    def varying(variations: int) -> float:
+        one = VARIED * effort.expected(chosen[0], nodes, machine)
+        return one * _varied_runs(variations, first, folds)
 
     def too_much() -> bool:
-        return screening(effort, nodes, chosen) > SCREENING * work
+        least = max(VARYING * work, varying(FEWEST_VARIATIONS))
+        return screening(effort, nodes, chosen) + least > (SCREENING + VARYING) * work
+
+    for lighter in EFFORTS[1:]:
+        if too_much():
+            effort = lighter
 
     def data_matter() -> bool:
         return screening(effort, FEWEST_NODES, chosen) < DATA * screening(effort, nodes, chosen)
@@ -279,7 +284,7 @@ def make_plan(
         folds -= 1
     one = VARIED * effort.expected(chosen[0], nodes, machine)
     variations = _variations(VARYING * work / one, first, folds)
-    needed = screening(effort, nodes, chosen) + one * _varied_runs(variations, first, folds)
+    needed = screening(effort, nodes, chosen) + varying(variations)
     return Plan(
         budget=budget,
         cores=cores,
@@ -306,11 +311,11 @@ def _variations(runs: float, first: int, folds: int) -> int:
 def _varied_runs(variations: int, first: int, folds: int) -> int:
     """Return how many runs the variations of a candidate take.
 
-    All folds of the most promising ones and of a simpler candidate are included, and the first
-    ones of less friction.
+    All folds of the most promising ones, of two joined and of a simpler candidate are included, and
+    the first ones of less friction.
     """
     promoted = min(PROMOTED, (variations + 1) // 2)
-    return first * (variations + 1) + promoted * (folds - first) + folds
+    return first * (variations + 1) + promoted * (folds - first) + 2 * folds
 
 
 def kept_plan(file: Path, key: str) -> Plan | None:

@@ -15,7 +15,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from hydra.core.utils import configure_log
@@ -32,7 +31,13 @@ from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.rounds import Rounds
 from symo_exp.identify.table import candidates_table, write_candidates
-from symo_exp.identify.validation import NOISY, Trial, noise_of_fit, with_least_noise
+from symo_exp.identify.validation import (
+    NOISY,
+    Trial,
+    latest_stage,
+    noise_of_fit,
+    with_least_noise,
+)
 from symo_exp.process import phases
 from symo_exp.runs.folder import CANDIDATES, SERIES, RunFolder
 from symo_exp.runs.series import read
@@ -260,16 +265,15 @@ class Search:
         return 1
 
     def _last_epoch(self, best: Trial, folds: Sequence[RunFolder]) -> int:
-        """Return the epochs after which the folds were best, their median over whole stages."""
-        effort = self._plan.effort
-        begun = best.candidate.starts * effort.start
-        stages = []
+        """Return the epochs of the last stage that no other one surpasses in the folds."""
+        each = self._plan.effort.epochs
+        begun = best.candidate.starts * self._plan.effort.start
+        losses = []
         for fold in folds:
-            rows = read(fold / SERIES)
-            losses = [(row["val_loss"], row["epoch"]) for row in rows if "val_loss" in row]
-            last = min(losses)[1] + 1 if losses else begun + effort.epochs
-            stages.append(max(1, math.ceil((last - begun) / effort.epochs)))
-        return int(begun + effort.epochs * round(median(stages)))
+            ends = [(r["epoch"] + 1 - begun, r["val_loss"]) for r in read(fold / SERIES)
+                    if "val_loss" in r]  # fmt: skip
+            losses.append({math.ceil(end / each): loss for end, loss in ends if end > 0})
+        return begun + each * latest_stage(losses)
 
     # -- folders -----------------------------------------------------------------------------------
 

@@ -24,6 +24,8 @@ NOISY = 4.0
 GAIN = 0.005
 """Smallest relative decrease of the error that counts, however small its standard error: folds
 share data, which the standard error does not count."""
+CERTAIN = 2.0
+"""Standard errors by which an earlier stage of a training has to be better than the last one."""
 WORST, LEAST = 10.0, 1e-12
 """An error counts as at most so many times that of constant velocity, and at least as this."""
 
@@ -109,6 +111,24 @@ def baseline_error(folder: RunFolder) -> float:
     return held_out_error(ConstantVelocity(h), data.load().val, h, place, system.coordinates.sizes)
 
 
+def latest_stage(losses: Sequence[Mapping[int, float]]) -> int:
+    """Return the last stage of a training that the best one does not beat by two standard errors.
+
+    Later stages trust the equations more. If these are right, parameters become more accurate by
+    it, which errors of predictions from noisy starts hardly show.
+
+    Args:
+        losses: Those after the stages of each fold; stages that not all folds have do not count.
+    """
+    ended = [{s: x for s, x in one.items() if math.isfinite(x)} for one in losses]
+    stages = sorted(set.intersection(*map(set, ended))) if ended else []
+    found = {s: {k: max(one[s], LEAST) for k, one in enumerate(ended)} for s in stages}
+    if not found:
+        return 1
+    best = min(found.values(), key=lambda errors: sum(map(math.log, errors.values())))
+    return max(s for s in stages if not beats(best, found[s], range(len(ended)), CERTAIN))
+
+
 def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
     """Return the simplest of the trials that the best one does not beat for certain.
 
@@ -126,10 +146,15 @@ def choose(trials: Sequence[Trial], folds: Sequence[int]) -> Trial | None:
     return next(t for t in useful if not beats(best.errors, t.errors, folds))
 
 
-def beats(one: Mapping[int, float], other: Mapping[int, float], folds: Sequence[int]) -> bool:
-    """Return whether ``one`` is smaller by more than one standard error, and ``GAIN``."""
+def beats(
+    one: Mapping[int, float],
+    other: Mapping[int, float],
+    folds: Sequence[int],
+    certainty: float = 1.0,
+) -> bool:
+    """Return whether ``one`` is smaller by ``certainty`` standard errors, and by ``GAIN``."""
     mean, spread = compared(one, other, folds)
-    return mean < -max(spread, GAIN)
+    return mean < -max(certainty * spread, GAIN)
 
 
 def compared(
