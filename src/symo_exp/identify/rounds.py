@@ -166,12 +166,12 @@ class Rounds:
         return best
 
     def _worse(self, less: Trial, more: Trial, folds: Sequence[int]) -> bool:
-        """Return whether a simpler model has larger errors and explains its data less well."""
+        """Return whether a simpler model is less likely and has no smaller errors for certain."""
         nodes = round(self._plan.seconds / self._machine.time_step)
-        return beats(more.errors, less.errors, folds) and likelier(
+        return likelier(
             self.noises(more), self.noises(less), folds,
             (more.parameters or 0) - (less.parameters or 0), nodes * self._machine.n,
-        )  # fmt: skip
+        ) and not beats(less.errors, more.errors, folds)  # fmt: skip
 
     def noises(self, trial: Trial) -> dict[int, float]:
         """Return the estimated noise in the folds of a trial that ended well."""
