@@ -120,10 +120,11 @@ class Project:
         dtype: torch.dtype = torch.float32,
         lr: float = 1e-3,
         compiled: bool = False,
+        device: str = "cpu",
         **options: Any,
     ):
-        self.dtype = dtype
-        self.learner = build(method, case, layers, dtype, **options)
+        self.dtype, self.device = dtype, device
+        self.learner = build(method, case, layers, dtype, **options).to(device)
         self.model = self.learner.model
         if compiled:
             compile_training(self.learner)
@@ -132,7 +133,7 @@ class Project:
         self._step = direct_step(self.optimizer)
 
     def prepare(self, windows: SharedWindows) -> Windows:
-        return Windows(*windows.to(self.dtype))
+        return Windows(*(x.to(self.device) for x in windows.to(self.dtype)))
 
     def loss_and_gradient(self, batch: Windows) -> tuple[float, list[np.ndarray]]:
         loss = self.learner.loss_and_gradients(batch)

@@ -54,6 +54,7 @@ BAD = [
     ("model=node integrator.sensitivity=magic", "magic", "direct or adjoint"),
     ("data.monitor=train", "data.monitor=train", "val, test or held_out"),
     ("trainer.accelerator=tpu", "tpu", "cpu or gpu"),
+    ("objective=smoothing trainer=gpu", "TotalLeastSquares", "trainer=cpu"),
     # values
     ("data.n_traj=0", "0", "1 to 128"),
     ("~resume", "resume", "cannot be deleted"),

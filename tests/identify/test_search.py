@@ -102,13 +102,23 @@ def test_a_search_that_grossly_overruns_says_so_and_repeats_itself(workplace, ca
 def test_a_search_whose_candidates_all_fail_ends_with_their_reasons(workplace, capsys):
     table().to_csv("mine.csv", index=False)
     words = ["-cn", "machine", "data.path=mine.csv", "budget=1s", "hydra/launcher=basic",
-             "optimizer.start=-1"]  # fmt: skip
+             "data.noise_std=1e300"]  # fmt: skip
     assert main(words) == 1
     said = capsys.readouterr().out
     assert "verdict: no model" in said
     assert "failed: rigid links, viscous friction: " in said
     failed = pd.read_csv(workplace / "outputs" / "machine_mine" / "candidates.csv").failed
-    assert failed.str.contains("optimizer.start=-1", regex=False).all()
+    assert failed.str.contains("the loss of SyMo is nan").all()
+
+
+@pytest.mark.parametrize("word", ["optimizer.start=-1", "trainer=gpu"])
+def test_a_setting_that_all_candidates_refuse_is_one_error(word, workplace, capsys):
+    table().to_csv("mine.csv", index=False)
+    assert main(["-cn", "machine", "data.path=mine.csv", "hydra/launcher=basic", word]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert not list(workplace.glob("outputs/**/run.json"))
 
 
 def test_the_recordings_of_the_test_part_are_named(workplace):

@@ -47,15 +47,27 @@ class Fits:
         self._sweep, self._machine, self._plan, self._given = sweep, machine, plan, given
         self._experiment, self._seed, self._clock = experiment, seed, clock
 
+    def check(self, candidates: Sequence[Candidate]) -> None:
+        """Build candidates until one can be fitted.
+
+        Raises:
+            ConfigError: That of the first candidate, if all are refused.
+        """
+        first = None
+        for candidate in candidates:
+            error = self._sweep.refusal(self._overrides_of_fold(candidate, 0))
+            if error is None:
+                return
+            first = first or error
+        if first is not None:
+            raise first
+
     def to_folds(
         self, todo: Sequence[tuple[Candidate, int]], attempt: int = 0
     ) -> list[tuple[Candidate, int, RunFolder | ConfigError]]:
         """Fit candidates to folds, side by side."""
-        count, seconds = self._plan.folds, self._plan.seconds
-        words = [
-            self._overrides(candidate, seconds, attempt, f"data.fold=[{k},{count}]")
-            for candidate, k in todo
-        ]
+        count = self._plan.folds
+        words = [self._overrides_of_fold(candidate, k, attempt) for candidate, k in todo]
         names = [f"{candidate.name}, fold {k + 1} of {count}" for candidate, k in todo]
         found = self._sweep.perform(words, names)
         return [(c, k, folder) for (c, k), folder in zip(todo, found, strict=True)]
@@ -89,6 +101,10 @@ class Fits:
                 raise folder
             folders.append(folder)
         return folders
+
+    def _overrides_of_fold(self, candidate: Candidate, k: int, attempt: int = 0) -> list[str]:
+        fold = f"data.fold=[{k},{self._plan.folds}]"
+        return self._overrides(candidate, self._plan.seconds, attempt, fold)
 
     def _overrides_of_last(
         self,

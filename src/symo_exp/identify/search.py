@@ -93,6 +93,11 @@ class Search:
         every = ladder(machine)
         candidates = distinct_candidates(every, self._given)
         self._plan = plan = self._planned(candidates)
+        fits = Fits(
+            self._sweep, machine, plan, self._given,
+            experiment=self._experiment, seed=self._master.seed, clock=self._clock,
+        )  # fmt: skip
+        fits.check(candidates)
         if check_only:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
@@ -103,10 +108,6 @@ class Search:
         if replaced := self._replaced(every):
             print(f"of every candidate, whatever its name says: {' '.join(replaced)}")
         print(self._told_plan(len(every) - len(candidates)), flush=True)
-        fits = Fits(
-            self._sweep, machine, plan, self._given,
-            experiment=self._experiment, seed=self._master.seed, clock=self._clock,
-        )  # fmt: skip
         rounds = Rounds(
             fits, machine, plan, self._given, in_time=self._in_time, progressed=self._link
         )

@@ -130,6 +130,8 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     recorder = SeriesRecorder(
         Series(folder / SERIES), lambda: tracker.publish(folder), tracker.flush_seconds
     )
+    if learner is not None:
+        _check_optimizer(learner, settings["trainer"].get("accelerator", "cpu"))
     run, compiled = digest(settings), kernels(settings)
     trainer = make(
         settings,
@@ -139,12 +141,19 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
         kernels=compiled,
         callbacks=[recorder],
     )
+    return Parts(system, data, model, learner, tracker, trainer, reference, run)
+
+
+def _check_optimizer(learner: Any, accelerator: str) -> None:
     try:
-        if learner is not None:
-            learner.configure_optimizers()
+        optimizer = learner.configure_optimizers()[0][0]
     except (ValueError, TypeError, RuntimeError) as error:
         raise ConfigError(f"optimizer or scheduler: {error}") from error
-    return Parts(system, data, model, learner, tracker, trainer, reference, run)
+    if accelerator != "cpu" and isinstance(optimizer, EpochOptimizer) and optimizer.processor_only:
+        raise ConfigError(
+            f"trainer.accelerator={accelerator}: {type(optimizer).__name__} works on the processor "
+            "only; give trainer=cpu, or an optimizer that works on both, such as adam"
+        )
 
 
 def _reference(settings: Mapping[str, Any], system: Any, data: Any) -> Any:

@@ -86,6 +86,8 @@ class EpochOptimizer(Optimizer, ABC):
 
     reads_trajectories: ClassVar[bool] = False
     """True if ``epoch`` is given whole trajectories instead of mini batches."""
+    processor_only: ClassVar[bool] = False
+    """True if it cannot work on a GPU."""
 
     def __init__(self, params: Iterable[Tensor], *, patience: int, tolerance: float = 0.0) -> None:
         if patience < 1:

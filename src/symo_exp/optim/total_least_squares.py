@@ -75,6 +75,7 @@ class TotalLeastSquares(EpochOptimizer):
     """
 
     reads_trajectories = True
+    processor_only = True  # banded systems are solved by LAPACK
 
     def __init__(
         self,

@@ -181,6 +181,14 @@ class Sweep:
             except ConfigError as error:
                 raise _labelled(error, job.label if labelled else "") from error
 
+    def refusal(self, overrides: list[str]) -> ConfigError | None:
+        """Return why a job of a search cannot be done, or nothing."""
+        try:
+            self.check([self._composed(overrides, "")], labelled=False)
+        except BAD_INPUT as error:
+            return explained(error)
+        return None
+
     # -- having them done --------------------------------------------------------------------------
 
     def _do(self, jobs: Sequence[Job], todo: Sequence[Job]) -> None:

@@ -1,0 +1,89 @@
+"""`python -m benchmarks.devices`: a training step on a core of the processor and on a GPU.
+
+Time per optimiser step of the acrobot's networks (two layers of 256 units, single precision)
+against the number of rows in a batch, compiled on the processor, as they are and compiled on the
+GPU. Writes `devices.csv` and prints a table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import torch
+
+from benchmarks.cases import CASES, METHODS, calm_weights, random_windows
+from benchmarks.project import Project
+from benchmarks.timing import interleaved
+
+ROWS = (32, 128, 512, 2048, 8192, 32768)
+MOST_ON_A_CORE = 2048
+KINDS = {"core": ("cpu", True), "gpu": ("cuda", False), "gpu_compiled": ("cuda", True)}
+"""Name of a column, its device, and whether the step is compiled."""
+
+
+def measure(methods: list[str], kinds: list[str], rounds: int) -> Iterator[dict[str, object]]:
+    """Yield a row each method, kind and batch: milliseconds of an optimiser step."""
+    case = CASES["acrobot"]
+    for method in methods:
+        for kind in kinds:
+            device, compiled = KINDS[kind]
+            contender = Project(
+                method, case, calm_weights(case, method), lr=0.0, compiled=compiled, device=device
+            )
+            for rows in ROWS:
+                if device == "cpu" and rows > MOST_ON_A_CORE:
+                    continue
+                batch = contender.prepare(random_windows(case, rows))
+
+                def step(contender: Project = contender, batch: object = batch) -> None:
+                    contender.train_step(batch)  # type: ignore[arg-type]
+                    if contender.device != "cpu":
+                        torch.cuda.synchronize()
+
+                found = interleaved({kind: step}, rounds=rounds, turn_ms=50)[kind]
+                yield {"method": method, "kind": kind, "rows": rows, "ms": round(found.median, 3)}
+
+
+def table(rows: list[dict[str, object]]) -> str:
+    """Return a Markdown table: methods and kinds against the number of rows."""
+    found = {(r["method"], r["kind"], r["rows"]): r["ms"] for r in rows}
+    lines = [f"| | | {' | '.join(map(str, ROWS))} |", f"| --- | --- |{' --- |' * len(ROWS)}"]
+    for method, kind in dict.fromkeys((r["method"], r["kind"]) for r in rows):
+        cells = [str(found.get((method, kind, count), "–")) for count in ROWS]
+        lines.append(f"| {method} | {kind} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=None)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    given = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    there = torch.cuda.is_available()
+    kinds = given.kinds or [k for k, (device, _) in KINDS.items() if there or device == "cpu"]
+    print(platform.processor() or platform.machine(), torch.cuda.get_device_name() if there else "")
+    given.out.mkdir(parents=True, exist_ok=True)
+    rows: list[dict[str, object]] = []
+    with (given.out / "devices.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, ["method", "kind", "rows", "ms"])
+        writer.writeheader()
+        for row in measure(given.methods, kinds, given.rounds):
+            rows.append(row)
+            writer.writerow(row)
+            stream.flush()
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
