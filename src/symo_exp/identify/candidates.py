@@ -156,10 +156,16 @@ def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
         step = f"{machine.time_step / 2:g}"
         found.append(candidate.changed("half the time step", 0.2, 2.0, system__time_step=step))
-    if candidate.settings["integrator"] == "midpoint":
-        found.append(candidate.changed("Galerkin order 4", 0.3, 3.6, integrator="galerkin4"))
+    found += of_higher_order(candidate)
     # motors stick and slip within a step, which no polynomial of a higher order follows
     yield from found if machine.driven else reversed(found)
+
+
+def of_higher_order(candidate: Candidate) -> list[Candidate]:
+    """Return the variation with an integrator of order 4, none if the candidate has it."""
+    if candidate.settings["integrator"] != "midpoint":
+        return []
+    return [candidate.changed("Galerkin order 4", 0.3, 3.6, integrator="galerkin4")]
 
 
 def with_less_friction(candidate: Candidate) -> Iterator[Candidate]:

@@ -13,6 +13,7 @@ from symo_exp.identify.candidates import (
     finer,
     joined,
     left_open,
+    of_higher_order,
     variations,
     with_less_friction,
 )
@@ -150,28 +151,66 @@ class Rounds:
         if any(key.partition(".")[0] == "dissipation" for key in self._given):
             return best
         for less in with_less_friction(best.candidate):
-            settings = left_open(less.settings, self._given)
-            same = (
-                trial.candidate
-                for trial in self._trials.values()
-                if left_open(trial.candidate.settings, self._given) == settings
-            )
-            candidate = next(same, less)
-            for folds in (range(self._plan.first), range(len(best.errors))):
-                self._try([candidate], folds)
-                trial = self._trial(candidate)
-                if trial.failed or self._worse(trial, best, folds):
-                    return best
+            if not self._in_time(0.8, "trials of less friction"):
+                return best
+            trial = self._at_least_as_good(less, best, self._worse)
+            if trial is None:
+                return best
             best = trial
         return best
 
+    def raise_order(self, best: Trial) -> Trial:
+        """Return the best candidate with an integrator of order 4, if data are likelier with it.
+
+        It has as many parameters. Held-out errors of short and noisy recordings are those of the
+        starts of the predictions, and do not show that it is more accurate.
+        """
+        if "integrator" in self._given:
+            return best
+        for fine in of_higher_order(best.candidate):
+            if self._in_time(0.8, "trials of order 4"):
+                best = self._at_least_as_good(fine, best, self._no_better) or best
+        return best
+
+    def _at_least_as_good(
+        self,
+        candidate: Candidate,
+        best: Trial,
+        worse: Callable[[Trial, Trial, Sequence[int]], bool],
+    ) -> Trial | None:
+        """Return the trial of a candidate, nothing if it fails or is worse in some folds or all."""
+        settings = left_open(candidate.settings, self._given)
+        same = (
+            trial.candidate
+            for trial in self._trials.values()
+            if left_open(trial.candidate.settings, self._given) == settings
+        )
+        candidate = next(same, candidate)
+        trial = self._trial(candidate)
+        for folds in (range(self._plan.first), range(len(best.errors))):
+            self._try([candidate], folds)
+            if trial.failed or worse(trial, best, folds):
+                return None
+        return trial
+
     def _worse(self, less: Trial, more: Trial, folds: Sequence[int]) -> bool:
         """Return whether a simpler model is less likely and has no smaller errors for certain."""
+        parameters = (more.parameters or 0) - (less.parameters or 0)
+        return self._likelier(more, less, folds, parameters) and not beats(
+            less.errors, more.errors, folds
+        )
+
+    def _no_better(self, fine: Trial, coarse: Trial, folds: Sequence[int]) -> bool:
+        """Return whether a finer integration has larger errors for certain, or is not likelier.
+
+        Likelier by so little as a useless parameter makes a model does not count.
+        """
+        return beats(coarse.errors, fine.errors, folds) or self._likelier(coarse, fine, folds, -1)
+
+    def _likelier(self, one: Trial, other: Trial, folds: Sequence[int], more: int) -> bool:
         nodes = round(self._plan.seconds / self._machine.time_step)
-        return likelier(
-            self.noises(more), self.noises(less), folds,
-            (more.parameters or 0) - (less.parameters or 0), nodes * self._machine.n,
-        ) and not beats(less.errors, more.errors, folds)  # fmt: skip
+        noises = self.noises(one), self.noises(other)
+        return likelier(*noises, folds, more, nodes * self._machine.n)
 
     def noises(self, trial: Trial) -> dict[int, float]:
         """Return the estimated noise in the folds of a trial that ended well."""

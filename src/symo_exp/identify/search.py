@@ -117,8 +117,7 @@ class Search:
         if (best := rounds.choice()) is None:
             self._summary(rounds.trials, None)
             return self._no_model()
-        if self._in_time(0.8, "trials of less friction"):
-            best = rounds.reduce_friction(best)
+        best = rounds.raise_order(rounds.reduce_friction(best))
         epochs = self._last_epoch(best, rounds.folders(best))
         seconds = plan.most_seconds(best.candidate, machine)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
