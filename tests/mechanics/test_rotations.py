@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.chart import Controlled
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
 from symo_exp.mechanics.galerkin import Basis, Galerkin
-from symo_exp.mechanics.geodesic import Controlled, Geodesic, on_space
+from symo_exp.mechanics.geodesic import Geodesic, on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
 from symo_exp.mechanics.roots import Broyden, Newton

@@ -72,7 +72,7 @@ class Galerkin(VariationalIntegrator):
         self.order = 2 * stages
         self.name = f"galerkin{self.order}"
         self.iterates = stages > 1
-        self._basis = Basis(stages)
+        self.basis = Basis(stages)
 
     @override
     def slots(
@@ -102,7 +102,7 @@ class Galerkin(VariationalIntegrator):
     def expand(
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None = None
     ) -> GalerkinExpansion:
-        problem = InnerEquations(self._basis, lagrangian, q0, q1, h, forces)
+        problem = InnerEquations(self.basis, lagrangian, q0, q1, h, forces)
         start = q0.new_zeros(q0.shape[0], (self.stages - 1) * q0.shape[1])
         if self.stages == 1:
             return problem.at(start).expansion
@@ -119,7 +119,7 @@ class Galerkin(VariationalIntegrator):
         self, lagrangian: Lagrangian, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
     ) -> GalerkinExpansion:
         q1, c = x[:, : q0.shape[1]], _blocks(x[:, q0.shape[1] :], *q0.shape)
-        return GalerkinExpansion.of(self._basis, lagrangian, q0, q1, c, h, forces)
+        return GalerkinExpansion.of(self.basis, lagrangian, q0, q1, c, h, forces)
 
     @override
     def converged(self) -> Galerkin:
@@ -127,7 +127,7 @@ class Galerkin(VariationalIntegrator):
 
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
         """Return ``h Σᵢ bᵢ (1 − τᵢ) F(τᵢ)`` and ``h Σᵢ bᵢ τᵢ F(τᵢ)``, exact for ``s ≥ 2``."""
-        first, *_, last = self._basis.impulses(Forces(force0, force1), h).unbind(0)
+        first, *_, last = self.basis.impulses(Forces(force0, force1), h).unbind(0)
         return first, last
 
 

@@ -19,9 +19,10 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.chart import Controlled
 from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.explicit import RungeKutta
-from symo_exp.mechanics.geodesic import Controlled, on_space
+from symo_exp.mechanics.geodesic import on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.roots import Newton, RootFinder, iterate
 from symo_exp.mechanics.rows import put_rows

@@ -11,7 +11,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.geodesic import Ends
+from symo_exp.mechanics.chart import Ends
 from symo_exp.mechanics.types import Stretches, Trajectory
 from symo_exp.mechanics.windows import cut_stretches
 from symo_exp.models.flows import Flow, chained

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.geodesic import Ends
+from symo_exp.mechanics.chart import Ends
 from symo_exp.mechanics.roots import Rule, iterate
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import FLAT, Space

@@ -1,0 +1,399 @@
+"""A Lagrangian in the charts of rotations at the configurations where intervals start.
+
+The chart at ``q₀`` gives a rotation by its rotation vector ``φ``, ``R = R₀ exp φ``. There the
+Lagrangian is
+
+    ℓ(φ, φ̇) = ℒ(q₀ ⊕ φ, J(φ) φ̇)        J the right Jacobian of exp
+
+On flat coordinates ``J`` and ``exp`` are the identity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from typing_extensions import override
+
+from symo_exp.mechanics.galerkin import Basis
+from symo_exp.mechanics.lagrangian import (
+    Curvature,
+    Expansion,
+    Gradients,
+    Lagrangian,
+    jacobian,
+    matvec,
+    vecmat,
+)
+from symo_exp.mechanics.rows import Rowwise
+from symo_exp.mechanics.space import ExponentialSeries, Space, cross, polynomial, polynomial_slope
+from symo_exp.mechanics.variational import Forces, Slots
+
+
+@dataclass(frozen=True)
+class Controlled:
+    """A Lagrangian with the forces of its controls.
+
+    Args:
+        lagrangian: ``ℒ``.
+        input_matrix: ``B``.
+    """
+
+    lagrangian: Lagrangian
+    input_matrix: Float[Tensor, "n m"]
+
+    def force(self, q: Float[Tensor, "batch N"], u: Float[Tensor, "batch m"]) -> Tensor:
+        """Return the generalised force of the controls."""
+        return self.lagrangian.input_force(self.input_matrix, q, u)
+
+
+def control_slope(
+    controlled: Controlled, space: Space, point: Float[Tensor, "batch N"], u: Tensor
+) -> Float[Tensor, "batch n n"]:
+    """Return the derivative of the force of controls along ``retract``."""
+    with torch.enable_grad():
+        q = point.detach().requires_grad_()
+        force = controlled.force(q, u)
+        if not force.requires_grad:  # torques in body axes
+            return force.new_zeros(*force.shape, force.shape[1])
+        return space.pull(point.unsqueeze(1), jacobian(force, q).detach())
+
+
+def detached(forces: Forces | None) -> Forces | None:
+    """Return forces without a graph."""
+    return forces and Forces(forces.start.detach(), forces.end.detach())
+
+
+def at_points(basis: Basis, q0: Tensor, controls: Forces | None) -> tuple[Tensor, Tensor | None]:
+    """Return ``q₀`` and the controls for each Gauss point, the points outermost."""
+    base = q0.repeat(len(basis.b), 1)
+    if controls is None:
+        return base, None
+    tau = basis.alpha[-1].to(base).view(-1, 1, 1)
+    start, end = controls
+    return base, ((1.0 - tau) * start + tau * end).flatten(0, 1)
+
+
+class Chart(NamedTuple):
+    """The exponential map at rows of coordinates."""
+
+    space: Space
+    phi: Float[Tensor, "rows*r 3"]
+    """Rotation vectors, a row each."""
+    series: ExponentialSeries
+    jacobian: Float[Tensor, "rows n n"]
+    """``J``."""
+    turn: Float[Tensor, "rows n n"]
+    """``exp φ``."""
+    rotations: Float[Tensor, "rows r 3 3"]
+    """Its blocks."""
+
+    @staticmethod
+    def of(space: Space, x: Float[Tensor, "rows n"]) -> Chart:
+        """Evaluate the map."""
+        phi = space.vectors(x)
+        series, n = ExponentialSeries.of(phi), x.shape[1]
+        jacobian = polynomial(phi, series.s, -series.a, series.b)
+        turn = polynomial(phi, series.s, series.sinc, series.a)
+        whole = space.blocks(jacobian, n, 1.0), space.blocks(turn, n, 1.0)
+        return Chart(space, phi, series, *whole, turn.unflatten(0, (-1, space.rotations)))
+
+    def rate_slope(self, x: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
+        """Return ``∂(J x)/∂φ``."""
+        c = self.series
+        found = polynomial_slope(self.phi, self.space.vectors(x), c.s, (-c.a, -c.a1), (c.b, c.b1))
+        return self.space.blocks(found, x.shape[1], 0.0)
+
+    def momentum_slope(self, p: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
+        """Return ``∂(Jᵀ p)/∂φ``."""
+        c = self.series
+        found = polynomial_slope(self.phi, self.space.vectors(p), c.s, (c.a, c.a1), (c.b, c.b1))
+        return self.space.blocks(found, p.shape[1], 0.0)
+
+    def bend(
+        self, p: Float[Tensor, "rows n"], x: Float[Tensor, "rows n"]
+    ) -> Float[Tensor, "rows n n"]:
+        """Return ``∂²(p · J x)/∂φ²``.
+
+        ``p · J x = p·x − a φ·c + b G`` with ``c = x × p``, ``G = (p·φ)(x·φ) − s p·x``.
+        """
+        phi, n = self.phi, p.shape[1]
+        s, _, _, a1, a2, b, b1, b2, *_ = (y[:, None, None] for y in self.series)
+        p, x = self.space.vectors(p), self.space.vectors(x)
+        c = torch.linalg.cross(x, p)
+        along, by_p, by_x, inner = (
+            (u * w).sum(-1)[:, None, None] for u, w in ((phi, c), (p, phi), (x, phi), (p, x))
+        )
+        slope = by_x.squeeze(-1) * p + by_p.squeeze(-1) * x - 2.0 * inner.squeeze(-1) * phi
+        g = by_p * by_x - s * inner
+
+        def outer(u: Tensor, w: Tensor) -> Tensor:
+            return u.unsqueeze(-1) * w.unsqueeze(-2)
+
+        mixed = outer(2.0 * (b1.squeeze(-1) * slope - a1.squeeze(-1) * c), phi)
+        found = mixed + mixed.mT + 4.0 * (b2 * g - a2 * along) * outer(phi, phi)
+        pair = outer(p, x)
+        found = found + b * (pair + pair.mT)
+        one = torch.eye(3, dtype=phi.dtype, device=phi.device)
+        found = found + 2.0 * (b1 * g - a1 * along - b * inner) * one
+        return self.space.blocks(found, n, 0.0)
+
+
+class Ends(NamedTuple):
+    """``J(δ)⁻¹`` between the ends of intervals."""
+
+    space: Space
+    phi: Float[Tensor, "batch*r 3"]
+    series: ExponentialSeries
+    inverse: Float[Tensor, "batch n n"]
+    """``J(δ)⁻¹ = I + ½ [δ] + γ [δ]²``."""
+
+    @staticmethod
+    def of(space: Space, x: Float[Tensor, "batch n"]) -> Ends:
+        """Evaluate it."""
+        phi = space.vectors(x)
+        series = ExponentialSeries.of(phi)
+        inverse = polynomial(phi, series.s, 0.5, series.gamma)
+        return Ends(space, phi, series, space.blocks(inverse, x.shape[1], 1.0))
+
+    def slots(self, last: Float[Tensor, "batch n"], turned: Float[Tensor, "batch n"]) -> Slots:
+        """Return ``D₁`` and ``D₂``, given ``D₂ℓ_d`` and ``h Σᵢ bᵢ exp(φᵢ) Mᵢ``."""
+        return Slots(turned - matvec(self.inverse, last), vecmat(last, self.inverse))
+
+    def slopes(self, last: Float[Tensor, "batch n"]) -> tuple[Tensor, Tensor]:
+        """Return ``∂(J⁻¹ y)/∂δ`` and ``∂(J⁻ᵀ y)/∂δ`` at a fixed ``y``, (batch, n, n).
+
+        ``J⁻ᵀ = J⁻¹ − [δ]``, so that the second is the first plus ``[y]``.
+        """
+        c, y = self.series, self.space.vectors(last)
+        start = polynomial_slope(self.phi, y, c.s, (0.5, 0.0), (c.gamma, c.gamma1))
+        n = last.shape[1]
+        return self.space.blocks(start, n, 0.0), self.space.blocks(start + cross(y), n, 0.0)
+
+
+class Torques(NamedTuple):
+    """First derivatives in the chart."""
+
+    gradients: Gradients
+    """``ℓ_φ`` and ``ℓ_φ̇``."""
+    turned: Float[Tensor, "rows n"]
+    """``exp(φ) M``, in the axes at the start of the interval."""
+
+
+class ChartDerivatives(NamedTuple):
+    """Derivatives at Gauss points."""
+
+    curvature: Curvature
+    """Those of ``ℓ``."""
+    turned_q: Float[Tensor, "rows n n"]
+    """Those of ``exp(φ) M`` in ``φ``."""
+    turned_v: Float[Tensor, "rows n n"]
+    """Those of ``exp(φ) M`` in ``φ̇``."""
+    moment_q: Float[Tensor, "rows n n"]
+    """Those of ``M`` along ``retract`` of the configuration."""
+    momentum_q: Float[Tensor, "rows n n"]
+    """Those of ``ℒ_v`` along it."""
+    rate_q: Float[Tensor, "rows n n"]
+    """``∂(J φ̇)/∂φ``."""
+
+
+class ChartLagrangian(Rowwise, Lagrangian):
+    """``ℓ(φ, φ̇)`` at the Gauss points of intervals that start at ``q₀``.
+
+    Args:
+        controlled: ``ℒ`` and its controls.
+        space: The space.
+        basis: The Gauss points.
+        q0: Configurations at which the intervals start.
+        controls: Controls at both ends.
+    """
+
+    parts = ("_controlled", "_space", "_basis", "_q0", "_controls")
+
+    def __init__(
+        self,
+        controlled: Controlled,
+        space: Space,
+        basis: Basis,
+        q0: Float[Tensor, "batch N"],
+        controls: Forces | None,
+    ) -> None:
+        self._controlled, self._space, self._basis = controlled, space, basis
+        self._q0, self._controls = q0, controls
+
+    @override
+    def expand(self, q: Float[Tensor, "rows n"], v: Float[Tensor, "rows n"]) -> ChartExpansion:
+        base, u = at_points(self._basis, self._q0, self._controls)
+        return ChartExpansion.of(self._controlled, self._space, base, u, q, v)
+
+    @override
+    def mass_matrix(self, q: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
+        jacobian = Chart.of(self._space, q).jacobian
+        return jacobian.mT @ self._controlled.lagrangian.mass_matrix(self._point(q)) @ jacobian
+
+    @override
+    def potential(self, q: Float[Tensor, "rows n"]) -> Float[Tensor, " rows"]:
+        return self._controlled.lagrangian.potential(self._point(q))
+
+    def _point(self, q: Tensor) -> Tensor:
+        return self._space.point(at_points(self._basis, self._q0, None)[0], q)
+
+
+class ChartExpansion(Expansion):
+    """``ℓ`` around rows of Gauss points.
+
+    Args:
+        controlled: ``ℒ`` and its controls.
+        space: The space.
+        base: Configuration at which the interval of each row starts.
+        u: Controls there.
+        q: ``φ``.
+        v: ``φ̇``.
+        at: ``ℒ`` around ``(q₀ ⊕ φ, J φ̇)``.
+        values: ``ℓ_φ`` and ``ℓ_φ̇``.
+        turned: ``exp(φ) M``.
+    """
+
+    parts = ("_controlled", "_space", "_base", "_u", "_q", "_v", "_at", "values", "turned")
+
+    def __init__(
+        self,
+        controlled: Controlled,
+        space: Space,
+        base: Tensor,
+        u: Tensor | None,
+        q: Tensor,
+        v: Tensor,
+        at: Expansion,
+        values: Gradients,
+        turned: Tensor,
+    ) -> None:
+        self._controlled, self._space, self._base, self._u = controlled, space, base, u
+        self._q, self._v, self._at = q, v, at
+        self.values, self.turned = values, turned
+        self._chart: Chart | None = None
+
+    @property
+    def chart(self) -> Chart:
+        """The exponential map at the rows."""
+        if self._chart is None:
+            self._chart = Chart.of(self._space, self._q)
+        return self._chart
+
+    @staticmethod
+    @torch.no_grad()
+    def of(
+        controlled: Controlled, space: Space, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor
+    ) -> ChartExpansion:
+        """Expand around ``(φ, φ̇)``."""
+        chart = Chart.of(space, q)
+        point = space.turned(base, q, chart.rotations)
+        at = controlled.lagrangian.expand(point, matvec(chart.jacobian, v))
+        found = _torques(controlled, chart, point, u, v, at.values)
+        expansion = ChartExpansion(controlled, space, base, u, q, v, at, *found)
+        expansion._chart = chart
+        return expansion
+
+    @property
+    def dissipates(self) -> bool:  # type: ignore[override]
+        """True if there is a dissipative force."""
+        return self._at.dissipates
+
+    @override
+    def mass(self) -> Tensor:
+        return self.chart.jacobian.mT @ self._at.mass() @ self.chart.jacobian
+
+    @override
+    def damping(self) -> Tensor:
+        return self.chart.jacobian.mT @ self._at.damping() @ self.chart.jacobian
+
+    @override
+    def curvature(self, before: Expansion | None = None) -> Curvature:
+        assert before is None or isinstance(before, ChartExpansion)
+        return self.derivatives(before).curvature
+
+    def derivatives(self, before: ChartExpansion | None = None) -> ChartDerivatives:
+        """Return the derivatives of ``ℓ_φ``, ``ℓ_φ̇`` and ``exp(φ) M``."""
+        chart, p = self.chart, self._at.values.v
+        turning, rate = chart.jacobian, chart.rate_slope(self._v)
+        along = self._at.curvature(None if before is None else before._at)
+        moment, moment_q = self._moment(along.qq)
+        mass = self._at.mass()
+        by_q = moment_q @ turning + along.qv @ rate  # of M
+        p_by_q = along.vq @ turning + mass @ rate
+        p_by_v = mass @ turning
+        m_by_v = along.qv @ turning
+        lean = chart.momentum_slope(p)
+        qq = turning.mT @ by_q + rate.mT @ p_by_q
+        qq = qq + chart.momentum_slope(moment) + chart.bend(p, self._v)
+        curvature = Curvature(
+            qq, turning.mT @ p_by_q + lean, turning.mT @ m_by_v + rate.mT @ p_by_v + lean.mT
+        )
+        blocks = self._space.blocks(cross(self._space.vectors(moment)), moment.shape[1], 0.0)
+        by_q = chart.turn @ (by_q - blocks @ turning)
+        return ChartDerivatives(curvature, by_q, chart.turn @ m_by_v, moment_q, along.vq, rate)
+
+    def by_turn(self, found: ChartDerivatives) -> Torques:
+        """Return the derivatives of ``torques`` in turns of ``q₀``, (rows, n, n)."""
+        chart, turning = self.chart, self.chart.jacobian
+        turns = chart.turn.mT * self._space.turns(self._v)  # in the axes at the points
+        moment_q, p_q = found.moment_q @ turns, found.momentum_q @ turns
+        by_q = turning.mT @ moment_q + found.rate_q.mT @ p_q
+        return Torques(Gradients(by_q, turning.mT @ p_q), chart.turn @ moment_q)
+
+    def _moment(self, by_q: Tensor) -> tuple[Tensor, Tensor]:
+        """Return ``M`` with the controls, and its derivative along the configuration."""
+        moment = self._at.values.q
+        if self._u is None:
+            return moment, by_q
+        point = self._space.turned(self._base, self._q, self.chart.rotations)
+        slope = control_slope(self._controlled, self._space, point, self._u)
+        return moment + self._controlled.force(point, self._u).detach(), by_q + slope
+
+    @override
+    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
+        return self.torques(self._base, self._u, q, v).gradients
+
+    def torques(self, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor) -> Torques:
+        """Return the first derivatives, differentiable in all arguments and the parameters."""
+        return torques(self._controlled, self._space, base, u, q, v, self._at)
+
+
+def torques(
+    controlled: Controlled,
+    space: Space,
+    base: Tensor,
+    u: Tensor | None,
+    q: Tensor,
+    v: Tensor,
+    at: Expansion | None = None,
+) -> Torques:
+    """Return the first derivatives in the charts at ``base``, differentiable in all arguments.
+
+    Args:
+        controlled: ``ℒ`` and its controls.
+        space: The space.
+        base: Configurations at which the intervals start.
+        u: Controls.
+        q: ``φ``.
+        v: ``φ̇``.
+        at: ``ℒ`` around these points, if known.
+    """
+    chart = Chart.of(space, q)
+    point = space.turned(base, q, chart.rotations)
+    gradients = (at or controlled.lagrangian).gradients(point, matvec(chart.jacobian, v))
+    return _torques(controlled, chart, point, u, v, gradients)
+
+
+def _torques(
+    controlled: Controlled, chart: Chart, point: Tensor, u: Tensor | None, v: Tensor, at: Gradients
+) -> Torques:
+    """Return ``Jᵀ M + (∂(J φ̇)/∂φ)ᵀ p``, ``Jᵀ p`` and ``exp(φ) M``."""
+    moment, p = at
+    if u is not None:
+        moment = moment + controlled.force(point, u)
+    by_q = vecmat(moment, chart.jacobian) + vecmat(p, chart.rate_slope(v))
+    return Torques(Gradients(by_q, vecmat(p, chart.jacobian)), matvec(chart.turn, moment))
