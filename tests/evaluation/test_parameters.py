@@ -16,7 +16,7 @@ from symo_exp.mechanics.units import Units
 from symo_exp.models.learned import learned_lagrangian
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.true import TrueVariational
-from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.readings import readings
@@ -112,6 +112,33 @@ def test_an_unforced_pendulum_is_determined_up_to_its_mass_as_well():
     assert found["mass"].determined == "no"
     assert "theta.viscous_friction" in found["mass"].note
     assert "mass^-1" in " ".join(found) or "viscous_friction^-1" in " ".join(found)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_of_two_forces_that_act_alike_the_sum_is_determined(sign):
+    """Whatever their values: equal ones have a product that does not change to first order."""
+    torch.manual_seed(0)
+    coordinates = Coordinates(("x", "y"), (False, False))
+    friction = partial(MachineFriction, constant=True)
+    found = learned_lagrangian(coordinates, PlanarLinks, friction, None).double()
+    parameters = list(found.parameters())
+    values = {x.name: x.value for x in readings(found, coordinates)}
+    force, gravity = values["y.constant_force"], values["y.gravity_force"]
+    slopes = [
+        torch.cat([g.flatten() for g in torch.autograd.grad(
+            x, parameters, retain_graph=True, materialize_grads=True)])
+        for x in (force, gravity)
+    ]  # fmt: skip
+    along = slopes[0] / slopes[0].norm() ** 2 - sign * slopes[1] / slopes[1].norm() ** 2
+    mean = torch.cat([p.detach().flatten() for p in parameters])
+    everything = 1e-3 * torch.eye(len(mean)).double()
+    known = Posterior(mean, everything, (along / along.norm()).unsqueeze(1), SIGMA, SIGMA, 100)
+    rows = {x.name: x for x in physical_parameters(found, coordinates, parameters, known)}
+    ((name, row),) = [x for x in rows.items() if x[1].note == "the combination that is determined"]
+    assert set(name.split()) == {"y.gravity_force", "+" if sign > 0 else "-", "y.constant_force"}
+    assert abs(row.value) == pytest.approx(abs((force + sign * gravity).item()))
+    assert row.unit == "N"
+    assert not [x for x in rows.values() if x.note == "product that is determined"]
 
 
 def test_without_a_posterior_determination_is_unknown():

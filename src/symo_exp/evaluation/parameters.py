@@ -53,7 +53,8 @@ def physical_parameters(
 
     A number is determined if it does not change along the directions of the posterior without
     information. Numbers that are not are named with those that they are determined with; where
-    products of powers of positive numbers are determined, these follow as rows of their own.
+    sums and differences of numbers with the same unit are determined, these follow as rows of their
+    own, and products of powers of the other positive numbers.
 
     Without known forces, motions determine inertias and forces up to a common factor. They are
     then divided by one of the inertias, that which leaves the fewest numbers undetermined.
@@ -97,6 +98,11 @@ class _Numbers(NamedTuple):
     units: Sequence[str]
     values: Float[Tensor, " numbers"]
     slopes: Float[Tensor, "numbers p"]
+
+    def only(self, index: Sequence[int]) -> _Numbers:
+        """Return some of the numbers."""
+        names, units = [self.names[i] for i in index], [self.units[i] for i in index]
+        return _Numbers(names, units, self.values[list(index)], self.slopes[list(index)])
 
 
 def _relative(numbers: _Numbers, posterior: Posterior | None) -> tuple[int | None, _Numbers]:
@@ -170,14 +176,10 @@ def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
             rows.append(Parameter(name, value, unit, deviation, "weakly", note))
         else:
             rows.append(Parameter(name, value, unit, deviation, "yes", ""))
-    free = [i for i, own in enumerate(partners) if own and float(numbers.values[i]) > 0.0]
-    factors = _Numbers(
-        [numbers.names[i] for i in free],
-        [numbers.units[i] for i in free],
-        numbers.values[free],
-        numbers.slopes[free],
-    )
-    return rows + _products(factors, along[free], posterior)
+    free = [i for i, own in enumerate(partners) if own]
+    sums, terms = _sums(numbers.only(free), along[free], posterior)
+    free = [i for i in free if numbers.names[i] not in terms and float(numbers.values[i]) > 0.0]
+    return rows + sums + _products(numbers.only(free), along[free], posterior)
 
 
 def _gradient(reading: Reading, parameters: Sequence[Tensor]) -> Float[Tensor, " p"]:
@@ -198,6 +200,46 @@ def _partners(along: Float[Tensor, "readings free"]) -> list[list[int]]:
     ]
 
 
+def _determined(along: Float[Tensor, "numbers free"]) -> Float[Tensor, "rows numbers"]:
+    """Return linear combinations that do not change along directions without information."""
+    _, sizes, right = torch.linalg.svd(along.T, full_matrices=True)
+    rank = int((sizes > STRUCTURAL * sizes.amax().clamp_min(1e-300)).sum())
+    return _reduced(right[rank:])
+
+
+def _sums(
+    numbers: _Numbers, along: Float[Tensor, "numbers free"], posterior: Posterior
+) -> tuple[list[Parameter], set[str]]:
+    """Return the sums and differences that are determined though their terms are not.
+
+    The second result has the names of the terms.
+    """
+    rows: list[Parameter] = []
+    terms: set[str] = set()
+    for unit in dict.fromkeys(numbers.units):
+        same = [i for i, x in enumerate(numbers.units) if x == unit]
+        names, _, values, slopes = numbers.only(same)
+        for signs in _determined(along[same]) if len(same) > 1 and along.shape[1] else []:
+            whole = signs.round()
+            plain = bool((signs - whole).abs().max() < 1e-3 and whole.abs().max() == 1.0)
+            if not plain or int((whole != 0.0).sum()) < 2:
+                continue
+            whole *= whole[whole != 0.0][0]  # the first term is added
+            parts = [
+                (f"{'-' if sign < 0.0 else '+'} {name}", name)
+                for name, sign in zip(names, whole.tolist(), strict=True)
+                if sign != 0.0
+            ]
+            value = float(whole @ values)
+            deviation = float((whole @ slopes @ posterior.directions.double()).norm())
+            sure = "yes" if deviation <= abs(value) else "weakly"
+            told = " ".join(part for part, _ in parts).removeprefix("+ ")
+            note = "the combination that is determined"
+            rows.append(Parameter(told, value, unit, deviation, sure, note))
+            terms |= {name for _, name in parts}
+    return rows, terms
+
+
 def _products(
     factors: _Numbers, along: Float[Tensor, "numbers free"], posterior: Posterior
 ) -> list[Parameter]:
@@ -205,12 +247,8 @@ def _products(
     names, units, values, slopes = factors
     if not names or along.shape[1] == 0:
         return []
-    logarithmic = along / values.unsqueeze(1)
-    _, sizes, right = torch.linalg.svd(logarithmic.T, full_matrices=True)
-    rank = int((sizes > STRUCTURAL * sizes.amax().clamp_min(1e-300)).sum())
-    powers = _reduced(right[rank:])
     rows = []
-    for power in powers:
+    for power in _determined(along / values.unsqueeze(1)):
         doubled = (2.0 * power).round()
         plain = bool((2.0 * power - doubled).abs().max() < 1e-3 and doubled.abs().max() <= 8)
         if not plain or int((doubled != 0).sum()) < 2:
