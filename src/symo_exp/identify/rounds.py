@@ -1,4 +1,4 @@
-"""Rounds of a search: candidates, their variations and less friction, over folds."""
+"""Rounds of a search over folds: candidates, variations, less friction, a higher order."""
 
 from __future__ import annotations
 
