@@ -8,10 +8,9 @@ GPU. Writes `devices.csv` and prints a table.
 from __future__ import annotations
 
 import argparse
-import csv
 import os
-import platform
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -20,7 +19,10 @@ import torch
 
 from benchmarks.cases import CASES, METHODS, calm_weights, random_windows
 from benchmarks.project import Project
+from benchmarks.run import machine
+from benchmarks.scaling import write
 from benchmarks.timing import interleaved
+from symo_exp.mechanics.types import Windows
 
 ROWS = (32, 128, 512, 2048, 8192, 32768)
 MOST_ON_A_CORE = 2048
@@ -41,14 +43,15 @@ def measure(methods: list[str], kinds: list[str], rounds: int) -> Iterator[dict[
                 if device == "cpu" and rows > MOST_ON_A_CORE:
                     continue
                 batch = contender.prepare(random_windows(case, rows))
-
-                def step(contender: Project = contender, batch: object = batch) -> None:
-                    contender.train_step(batch)  # type: ignore[arg-type]
-                    if contender.device != "cpu":
-                        torch.cuda.synchronize()
-
-                found = interleaved({kind: step}, rounds=rounds, turn_ms=50)[kind]
+                calls = {kind: partial(_step, contender, batch)}
+                found = interleaved(calls, rounds=rounds, turn_ms=50)[kind]
                 yield {"method": method, "kind": kind, "rows": rows, "ms": round(found.median, 3)}
+
+
+def _step(contender: Project, batch: Windows) -> None:
+    contender.train_step(batch)
+    if contender.device != "cpu":
+        torch.cuda.synchronize()
 
 
 def table(rows: list[dict[str, object]]) -> str:
@@ -72,16 +75,12 @@ def main(arguments: list[str] | None = None) -> None:
     torch.set_num_threads(1)
     there = torch.cuda.is_available()
     kinds = given.kinds or [k for k, (device, _) in KINDS.items() if there or device == "cpu"]
-    print(platform.processor() or platform.machine(), torch.cuda.get_device_name() if there else "")
+    print(machine(), torch.cuda.get_device_name() if there else "")
     given.out.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, object]] = []
-    with (given.out / "devices.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, ["method", "kind", "rows", "ms"])
-        writer.writeheader()
-        for row in measure(given.methods, kinds, given.rounds):
-            rows.append(row)
-            writer.writerow(row)
-            stream.flush()
+    for row in measure(given.methods, kinds, given.rounds):
+        rows.append(row)
+        write(rows, given.out / "devices.csv")  # a measurement that is stopped keeps its rows
     print(table(rows))
 
 

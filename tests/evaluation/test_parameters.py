@@ -114,6 +114,13 @@ def test_an_unforced_pendulum_is_determined_up_to_its_mass_as_well():
     assert "mass^-1" in " ".join(found) or "viscous_friction^-1" in " ".join(found)
 
 
+def slopes_of(values, parameters):
+    """The derivatives of numbers in the parameters, a row each."""
+    options = {"retain_graph": True, "materialize_grads": True}
+    gradients = [torch.autograd.grad(value, parameters, **options) for value in values]
+    return torch.stack([torch.cat([g.flatten() for g in of]) for of in gradients])
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_of_two_forces_that_act_alike_the_sum_is_determined(sign):
     """Whatever their values: equal ones have a product that does not change to first order."""
@@ -124,12 +131,8 @@ def test_of_two_forces_that_act_alike_the_sum_is_determined(sign):
     parameters = list(found.parameters())
     values = {x.name: x.value for x in readings(found, coordinates)}
     force, gravity = values["y.constant_force"], values["y.gravity_force"]
-    slopes = [
-        torch.cat([g.flatten() for g in torch.autograd.grad(
-            x, parameters, retain_graph=True, materialize_grads=True)])
-        for x in (force, gravity)
-    ]  # fmt: skip
-    along = slopes[0] / slopes[0].norm() ** 2 - sign * slopes[1] / slopes[1].norm() ** 2
+    first, second = slopes_of((force, gravity), parameters)
+    along = first / first.norm() ** 2 - sign * second / second.norm() ** 2
     mean = torch.cat([p.detach().flatten() for p in parameters])
     everything = 1e-3 * torch.eye(len(mean)).double()
     known = Posterior(mean, everything, (along / along.norm()).unsqueeze(1), SIGMA, SIGMA, 100)
@@ -176,14 +179,7 @@ def test_all_numbers_relative_to_one_are_determined_up_to_a_common_factor():
     parameters = list(found.parameters())
     read = readings(found, coordinates)
     values = torch.stack([x.value for x in read])
-    slopes = torch.stack(
-        [
-            torch.cat([g.flatten() for g in torch.autograd.grad(
-                value, parameters, retain_graph=True, materialize_grads=True)])
-            for value in values
-        ]
-    )  # fmt: skip
-    scaling = torch.linalg.pinv(slopes) @ values.detach()
+    scaling = torch.linalg.pinv(slopes_of(values, parameters)) @ values.detach()
     mean = torch.cat([p.detach().flatten() for p in parameters])
     free = (scaling / scaling.norm()).unsqueeze(1)
     known = Posterior(mean, 1e-6 * torch.eye(len(mean)).double(), free, SIGMA, SIGMA, 100)

@@ -15,7 +15,7 @@ class ToldFits:
     """Fits that end with a told error and noise, each in a folder of its own."""
 
     def __init__(self, folder, told):
-        self.folder, self.told, self.tried = folder, told, []
+        self.folder, self.told = folder, told
 
     def to_folds(self, todo, attempt=0):
         found = []
@@ -26,7 +26,6 @@ class ToldFits:
             scatter = 1.0 + 0.1 * (-1) ** (k + len(candidate.name))
             Series(fit / SERIES).append(1, {"val_loss": error * scatter, "noise_estimate": noise})
             fit.record("finished")
-            self.tried.append(candidate.name)
             found.append((candidate, k, fit))
         return found
 

@@ -202,9 +202,20 @@ def _partners(along: Float[Tensor, "readings free"]) -> list[list[int]]:
 
 def _determined(along: Float[Tensor, "numbers free"]) -> Float[Tensor, "rows numbers"]:
     """Return linear combinations that do not change along directions without information."""
+    if along.numel() == 0:
+        return along.new_zeros(0, len(along))
     _, sizes, right = torch.linalg.svd(along.T, full_matrices=True)
     rank = int((sizes > STRUCTURAL * sizes.amax().clamp_min(1e-300)).sum())
     return _reduced(right[rank:])
+
+
+def _combination(
+    name: str, value: Tensor, unit: str, slope: Float[Tensor, " p"], posterior: Posterior, note: str
+) -> Parameter:
+    """Return the row of a combination of numbers."""
+    deviation = float((slope @ posterior.directions.double()).norm())
+    sure = "yes" if deviation <= float(value.abs()) else "weakly"
+    return Parameter(name, float(value), unit, deviation, sure, note)
 
 
 def _sums(
@@ -215,29 +226,22 @@ def _sums(
     The second result has the names of the terms.
     """
     rows: list[Parameter] = []
-    terms: set[str] = set()
+    every: set[str] = set()
     for unit in dict.fromkeys(numbers.units):
         same = [i for i, x in enumerate(numbers.units) if x == unit]
         names, _, values, slopes = numbers.only(same)
-        for signs in _determined(along[same]) if len(same) > 1 and along.shape[1] else []:
-            whole = signs.round()
-            plain = bool((signs - whole).abs().max() < 1e-3 and whole.abs().max() == 1.0)
-            if not plain or int((whole != 0.0).sum()) < 2:
+        for combination in _determined(along[same]):
+            signs = combination.round()
+            plain = bool((combination - signs).abs().max() < 1e-3 and signs.abs().max() == 1.0)
+            if not plain or int((signs != 0.0).sum()) < 2:
                 continue
-            whole *= whole[whole != 0.0][0]  # the first term is added
-            parts = [
-                (f"{'-' if sign < 0.0 else '+'} {name}", name)
-                for name, sign in zip(names, whole.tolist(), strict=True)
-                if sign != 0.0
-            ]
-            value = float(whole @ values)
-            deviation = float((whole @ slopes @ posterior.directions.double()).norm())
-            sure = "yes" if deviation <= abs(value) else "weakly"
-            told = " ".join(part for part, _ in parts).removeprefix("+ ")
-            note = "the combination that is determined"
-            rows.append(Parameter(told, value, unit, deviation, sure, note))
-            terms |= {name for _, name in parts}
-    return rows, terms
+            signs *= signs[signs != 0.0][0]  # the first term is added
+            terms = {x: sign for x, sign in zip(names, signs.tolist(), strict=True) if sign}
+            told = " ".join(f"{'-' if sign < 0.0 else '+'} {x}" for x, sign in terms.items())
+            name, note = told.removeprefix("+ "), "the combination that is determined"
+            rows.append(_combination(name, signs @ values, unit, signs @ slopes, posterior, note))
+            every |= terms.keys()
+    return rows, every
 
 
 def _products(
@@ -245,8 +249,6 @@ def _products(
 ) -> list[Parameter]:
     """Return the products of powers that are determined though their factors are not."""
     names, units, values, slopes = factors
-    if not names or along.shape[1] == 0:
-        return []
     rows = []
     for power in _determined(along / values.unsqueeze(1)):
         doubled = (2.0 * power).round()
@@ -256,11 +258,10 @@ def _products(
         exact = doubled if (doubled % 2 != 0).any() else 0.5 * doubled
         name = _product(exact, names)
         unit = _product(exact, [f"({unit})" for unit in units])
-        value = float((exact * values.log()).sum().exp())
+        value = (exact * values.log()).sum().exp()
         slope = value * (exact / values) @ slopes
-        deviation = float((slope @ posterior.directions.double()).norm())
-        sure = "yes" if deviation <= value else "weakly"
-        rows.append(Parameter(name, value, unit, deviation, sure, "product that is determined"))
+        note = "product that is determined"
+        rows.append(_combination(name, value, unit, slope, posterior, note))
     return rows
 
 

@@ -48,19 +48,18 @@ class Fits:
         self._experiment, self._seed, self._clock = experiment, seed, clock
 
     def check(self, candidates: Sequence[Candidate]) -> None:
-        """Build candidates until one can be fitted.
+        """Build candidates, of which there is at least one, until one can be fitted.
 
         Raises:
             ConfigError: That of the first candidate, if all are refused.
         """
-        first = None
+        errors = []
         for candidate in candidates:
             error = self._sweep.refusal(self._overrides_of_fold(candidate, 0))
             if error is None:
                 return
-            first = first or error
-        if first is not None:
-            raise first
+            errors.append(error)
+        raise errors[0]
 
     def to_folds(
         self, todo: Sequence[tuple[Candidate, int]], attempt: int = 0

@@ -92,12 +92,17 @@ class Search:
         self._machine = machine = self._examine()
         every = ladder(machine)
         candidates = distinct_candidates(every, self._given)
-        self._plan = plan = self._planned(candidates)
+        key = self._key(candidates)
+        kept = plans.kept_plan(self._folder / PLAN, key) if self._master.resume else None
+        self._plan = plan = kept or self._new_plan(candidates, key)
+        planned = [c for c in candidates if c.name in plan.names]
         fits = Fits(
             self._sweep, machine, plan, self._given,
             experiment=self._experiment, seed=self._master.seed, clock=self._clock,
         )  # fmt: skip
-        fits.check(candidates)
+        if kept is None:  # a kept plan is that of a search that has begun
+            fits.check(planned)
+            plans.keep_plan(self._folder / PLAN, plan)
         if check_only:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
@@ -111,7 +116,7 @@ class Search:
         rounds = Rounds(
             fits, machine, plan, self._given, in_time=self._in_time, progressed=self._link
         )
-        rounds.screen([c for c in candidates if c.name in plan.names])
+        rounds.screen(planned)
         if (base := rounds.choice()) is not None and self._in_time(0.6, "variations"):
             rounds.vary(base)
         if (best := rounds.choice()) is None:
@@ -163,18 +168,10 @@ class Search:
             time_step=None if OmegaConf.is_missing(system, "time_step") else system.time_step,
         )
 
-    def _planned(self, candidates: Sequence[Candidate]) -> Plan:
-        """Return the plan that this search began with, or a new one."""
-        file = self._folder / PLAN
-        key = self._key(candidates)
-        found = plans.kept_plan(file, key) if self._master.resume else None
-        if found is None:
-            phases.say("measuring the speed of this machine")
-            cores = _cores(self._master)
-            speed = plans.machine_speed()
-            found = plans.make_plan(self._machine, candidates, self._budget, cores, speed, key)
-            plans.keep_plan(file, found)
-        return found
+    def _new_plan(self, candidates: Sequence[Candidate], key: str) -> Plan:
+        phases.say("measuring the speed of this machine")
+        cores, speed = _cores(self._master), plans.machine_speed()
+        return plans.make_plan(self._machine, candidates, self._budget, cores, speed, key)
 
     def _key(self, candidates: Sequence[Candidate]) -> str:
         """Return a digest of what the plan depends on."""
