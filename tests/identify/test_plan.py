@@ -12,7 +12,9 @@ from symo_exp.identify.candidates import (
     joined,
     ladder,
     left_open,
+    structure_of,
     variations,
+    with_friction_of,
     with_less_friction,
 )
 from symo_exp.identify.recordings import Machine
@@ -208,6 +210,26 @@ def test_less_friction_is_viscous_friction_alone_and_then_none(n, driven):
             assert less.name.count("friction") == 1 + ("between" in less.name)
         same = [c for c in ladder(one) if c.settings == found[0].settings]
         assert all(c.rank == pytest.approx(found[0].rank) for c in same)
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_the_friction_of_another_candidate_changes_nothing_else(driven):
+    """With its own friction a candidate is the same; where friction acts is part of the rest."""
+    one = machine(driven=driven)
+    every = [*ladder(one), *(v for c in ladder(one) for v in variations(c, one))]
+    for candidate, other in itertools.product(ladder(one), every):
+        given = with_friction_of(candidate, other)
+        assert structure_of(given) == structure_of(candidate)
+        assert given.starts == candidate.starts
+        for key in ("dissipation.joints", "dissipation.start"):
+            assert given.settings.get(key) == candidate.settings.get(key)
+        for key in other.settings.keys() - {"dissipation.joints", "dissipation.start"}:
+            if key.startswith("dissipation"):
+                assert given.settings[key] == other.settings[key]
+        assert with_friction_of(given, candidate).settings == candidate.settings
+        assert with_friction_of(given, candidate).rank == pytest.approx(candidate.rank)
+        assert with_friction_of(given, candidate).cost == pytest.approx(candidate.cost)
+    assert all(with_friction_of(candidate, candidate) == candidate for candidate in ladder(one))
 
 
 @pytest.mark.parametrize("budget", [60.0, 600.0, 6000.0])

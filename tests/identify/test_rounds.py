@@ -36,16 +36,19 @@ def decided(tmp_path, monkeypatch):
     monkeypatch.setattr(rounds, "baseline_error", lambda fit: 1e3)
     monkeypatch.setattr(rounds, "parameters_of", lambda fit: 10)
 
-    def decide(told, *, raise_order=False, reduce_friction=False):
-        one = machine(1, 60.0)
+    def decide(told, *, raise_order=False, reduce_friction=False, combine=False, driven=True):
+        one = machine(2, 60.0, driven=driven)
         candidates = ladder(one)
         plan = plans.make_plan(one, candidates, 600.0, 2, 1.0, "key")
         fits = ToldFits(tmp_path, told)
         search = Rounds(
             fits, one, plan, {}, in_time=lambda share, stage: True, progressed=lambda fit: None
         )  # fmt: skip
-        search.screen(candidates[:1])
+        search.screen(candidates if combine else candidates[:1])
         best = search.choice()
+        if combine:
+            search.combine(best)
+            best = search.choice()
         if reduce_friction:
             best = search.reduce_friction(best)
         if raise_order:
@@ -89,3 +92,18 @@ def test_friction_is_left_out_unless_data_are_less_likely_without(error, noise, 
         return (error, 1e-3 * noise) if settings["dissipation"] == "none" else (1.0, 1e-3)
 
     assert decided(told, reduce_friction=True)["dissipation"] == chosen
+
+
+@pytest.mark.parametrize("driven", [True, False])
+@pytest.mark.parametrize("structure", ["network", "relative", "absolute"])
+def test_the_friction_that_makes_a_network_the_best_is_given_to_simpler_structures(
+    structure, driven, decided
+):
+    """A combination that no candidate of the first round has."""
+
+    def told(settings):
+        learned = 1.0 if settings["dissipation"] == "learned" else 2.0
+        return learned * (1.0 if settings["lagrangian"] in (structure, "network") else 1.5), 1e-3
+
+    chosen = decided(told, combine=True, driven=driven)
+    assert (chosen["lagrangian"], chosen["dissipation"]) == (structure, "learned")

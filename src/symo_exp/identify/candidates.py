@@ -18,8 +18,12 @@ LEAST_REST = 0.01
 """Width of the dry friction of machines over the initial one, at least."""
 KINDS = {"asymmetric friction": 0.2, "constant force": 0.1, "Stribeck friction": 0.2}
 """Kinds of friction of machines, with what each adds to the rank."""
+FRICTION_NAMES = {*KINDS, "dry friction", "learned friction", "viscous friction"}
+"""Parts of names that say which friction a candidate has."""
 FRICTION_RANK = {"none": -0.6, "viscous": -0.3, "friction": 0.0, "learned": 0.6}
 """Share of the choice of friction in the rank; that of machines is the sum of its kinds."""
+FRICTION_COST = {"learned": 1.7, "machine": 1.2}
+"""Cost of an epoch with a choice of friction, relative to the others."""
 STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 INPUT_NOISE = 100.0
@@ -170,11 +174,34 @@ def of_higher_order(candidate: Candidate) -> list[Candidate]:
 
 def with_less_friction(candidate: Candidate) -> Iterator[Candidate]:
     """Yield simplifications of a candidate: viscous friction alone, then none."""
-    kinds = {*KINDS, "dry friction", "learned friction", "viscous friction"}
     if candidate.settings["dissipation"] not in ("viscous", "none"):
-        yield _with_friction(candidate, "viscous", kinds, "viscous friction")
+        kept = (*NEIGHBOURS, "dissipation.start")
+        viscous = {"dissipation": "viscous"}
+        yield _with_friction(candidate, viscous, kept, FRICTION_NAMES, "viscous friction")
     if candidate.settings["dissipation"] != "none":
-        yield _with_friction(candidate, "none", {*kinds, BETWEEN}, "no friction")
+        none, replaced = {"dissipation": "none"}, {*FRICTION_NAMES, BETWEEN}
+        yield _with_friction(candidate, none, (), replaced, "no friction")
+
+
+def with_friction_of(candidate: Candidate, other: Candidate) -> Candidate:
+    """Return a candidate with the friction of another one.
+
+    Where friction acts, on coordinates or between neighbours, and its start remain.
+    """
+    kept = (*NEIGHBOURS.keys() - {"dissipation"}, "dissipation.start")
+    given = {
+        key: value
+        for key, value in other.settings.items()
+        if key.startswith("dissipation") and key not in kept
+    }
+    name = ", ".join(part for part in other.name.split(", ") if part in FRICTION_NAMES)
+    return _with_friction(candidate, given, kept, FRICTION_NAMES, name)
+
+
+def structure_of(candidate: Candidate) -> tuple[tuple[str, str], ...]:
+    """Return the settings of a candidate that are not those of its friction, sorted."""
+    settings = candidate.settings.items()
+    return tuple(sorted((k, v) for k, v in settings if not k.startswith("dissipation")))
 
 
 def left_open(settings: Mapping[str, str], given: Collection[str]) -> dict[str, str]:
@@ -232,7 +259,8 @@ def _with_kinds(
     }
     on = dict.fromkeys(map(_switch, kinds), "true")
     settings = {**off, **candidate.settings, **on, "dissipation": "machine"}
-    return replace(candidate.changed(", ".join(kinds), more, 1.2), settings=settings)
+    cost = FRICTION_COST["machine"] / _friction_cost(candidate.settings)
+    return replace(candidate.changed(", ".join(kinds), more, cost), settings=settings)
 
 
 def _switch(kind: str) -> str:
@@ -249,22 +277,25 @@ def _sprung(candidate: Candidate, machine: Machine) -> Candidate:
 
 
 def _with_friction(
-    candidate: Candidate, choice: str, replaced: Collection[str], name: str
+    candidate: Candidate,
+    given: Mapping[str, str],
+    kept: Collection[str],
+    replaced: Collection[str],
+    name: str,
 ) -> Candidate:
-    """Return a candidate with another choice of friction, whose name replaces others."""
-    kept = NEIGHBOURS.keys() | {"dissipation.start"} if choice == "viscous" else ()
+    """Return a candidate with other settings of friction, whose name replaces others."""
     settings = {
         key: value
         for key, value in candidate.settings.items()
         if key in kept or not key.startswith("dissipation")
-    }
+    } | dict(given)
     parts = [part for part in candidate.name.split(", ") if part not in replaced]
-    more = FRICTION_RANK[choice] - _friction_rank(candidate.settings)
     return replace(
         candidate,
-        name=", ".join([*parts, name]),
-        rank=candidate.rank + more,
-        settings={**settings, "dissipation": choice},
+        name=", ".join([*parts, *([name] if name else [])]),
+        rank=candidate.rank + _friction_rank(settings) - _friction_rank(candidate.settings),
+        settings=settings,
+        cost=candidate.cost * _friction_cost(settings) / _friction_cost(candidate.settings),
     )
 
 
@@ -274,6 +305,10 @@ def _friction_rank(settings: Mapping[str, str]) -> float:
     return sum(more for kind, more in KINDS.items() if settings.get(_switch(kind)) == "true")
 
 
+def _friction_cost(settings: Mapping[str, str]) -> float:
+    return FRICTION_COST.get(settings["dissipation"], 1.0)
+
+
 def _viscous(candidate: Candidate) -> Candidate:
     more = FRICTION_RANK["viscous"] - _friction_rank(candidate.settings)
     return candidate.changed("viscous friction", more, dissipation="viscous")
@@ -281,7 +316,8 @@ def _viscous(candidate: Candidate) -> Candidate:
 
 def _with_learned_friction(candidate: Candidate) -> Candidate:
     more = FRICTION_RANK["learned"] - _friction_rank(candidate.settings)
-    return candidate.changed("learned friction", more, 1.7, dissipation="learned")
+    cost = FRICTION_COST["learned"] / _friction_cost(candidate.settings)
+    return candidate.changed("learned friction", more, cost, dissipation="learned")
 
 
 def _candidate(

@@ -312,10 +312,10 @@ def _varied_runs(variations: int, first: int, folds: int) -> int:
     """Return how many runs the variations of a candidate take.
 
     All folds of the most promising ones, of two joined and of a simpler candidate are included, and
-    the first ones of less friction and of an integrator of order 4.
+    the first ones of combinations, of less friction and of an integrator of order 4.
     """
     promoted = min(PROMOTED, (variations + 1) // 2)
-    return first * (variations + 2) + promoted * (folds - first) + 2 * folds
+    return first * (variations + 3) + promoted * (folds - first) + 2 * folds
 
 
 def kept_plan(file: Path, key: str) -> Plan | None:

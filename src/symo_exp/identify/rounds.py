@@ -1,4 +1,4 @@
-"""Rounds of a search over folds: candidates, variations, less friction, a higher order."""
+"""Rounds of a search over folds: candidates, combinations, variations, simplifications."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from symo_exp.identify.candidates import (
     joined,
     left_open,
     of_higher_order,
+    structure_of,
     variations,
+    with_friction_of,
     with_less_friction,
 )
 from symo_exp.identify.fits import Fits
@@ -41,6 +43,8 @@ from symo_exp.runs.series import read
 
 HOPELESS = 4.0
 """A candidate whose error is so many times the best one's is not tried on further folds."""
+COMBINED = 2
+"""Simpler structures that are given the friction of the best candidate."""
 FOLD_FITS = 3
 """Fits of a candidate to one fold, at most."""
 
@@ -108,6 +112,23 @@ class Rounds:
                 for c in (*half, *(c for c in simplest if c not in half))
                 if self._trials[c.name].mean(range(folds)) <= HOPELESS * best
             ]
+
+    def combine(self, best: Trial) -> None:
+        """Give the friction of the best candidate to simpler structures, the best of them.
+
+        The candidates of the first round do not combine every structure with every friction, so
+        that a network may be the best one for its friction alone.
+        """
+        first, known = range(self._plan.first), [t.candidate for t in self._trials.values()]
+        structures = {structure_of(best.candidate): best.candidate}
+        for simple in self._simpler(known, best, first):
+            structures.setdefault(structure_of(simple), simple)
+        simpler = [c for c in structures.values() if c is not best.candidate]
+        given = (with_friction_of(simple, best.candidate) for simple in simpler)
+        tried = distinct_candidates(given, self._given, known)[:COMBINED]
+        self._try(tried, first)
+        promising = [c for c in self._ranked(tried, first) if not self._hopeless(c, best, first)]
+        self._try(promising[:1], range(len(best.errors)))
 
     def vary(self, base: Trial) -> None:
         """Try variations of the best candidate, what is better together, and this on a simpler one.
@@ -221,8 +242,10 @@ class Rounds:
     ) -> list[Candidate]:
         """Return the candidates that are simpler than one and not hopeless, the best first."""
         ranked = self._ranked([c for c in candidates if c.rank < base.candidate.rank], folds)
-        least = HOPELESS * base.mean(folds)
-        return [c for c in ranked if self._trials[c.name].mean(folds) <= least]
+        return [c for c in ranked if not self._hopeless(c, base, folds)]
+
+    def _hopeless(self, candidate: Candidate, best: Trial, folds: Sequence[int]) -> bool:
+        return self._trials[candidate.name].mean(folds) > HOPELESS * best.mean(folds)
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
         trial = self._trials[candidate.name]

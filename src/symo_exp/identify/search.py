@@ -117,6 +117,8 @@ class Search:
             fits, machine, plan, self._given, in_time=self._in_time, progressed=self._link
         )
         rounds.screen(planned)
+        if (base := rounds.choice()) is not None and self._in_time(0.6, "combinations"):
+            rounds.combine(base)
         if (base := rounds.choice()) is not None and self._in_time(0.6, "variations"):
             rounds.vary(base)
         if (best := rounds.choice()) is None:
