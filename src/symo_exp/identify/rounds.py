@@ -117,7 +117,8 @@ class Rounds:
         """Give the friction of the best candidate to simpler structures, the best of them.
 
         The candidates of the first round do not combine every structure with every friction, so
-        that a network may be the best one for its friction alone.
+        that a network may be the best one for its friction alone, or because it also represents
+        errors of the integrator. The best combination is therefore integrated more finely as well.
         """
         first, known = range(self._plan.first), [t.candidate for t in self._trials.values()]
         structures = {structure_of(best.candidate): best.candidate}
@@ -128,7 +129,13 @@ class Rounds:
         tried = distinct_candidates(given, self._given, known)[:COMBINED]
         self._try(tried, first)
         promising = [c for c in self._ranked(tried, first) if not self._hopeless(c, best, first)]
-        self._try(promising[:1], range(len(best.errors)))
+        for simple in promising[:1]:
+            folds = range(len(best.errors))
+            self._try([simple], folds)
+            for fine in distinct_candidates(finer(simple, self._machine), self._given, known)[:1]:
+                self._try([fine], first)
+                if self._ranked([simple, fine], first)[:1] == [fine]:
+                    self._try([fine], folds)
 
     def vary(self, base: Trial) -> None:
         """Try variations of the best candidate, what is better together, and this on a simpler one.
