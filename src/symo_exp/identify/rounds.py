@@ -142,7 +142,7 @@ class Rounds:
 
         A candidate with many parameters also represents errors of the integrator; a simpler one
         may have the smaller error once these are removed. If the best candidate gains nothing, the
-        simplest one is therefore given a finer integration.
+        simplest structure with its friction is therefore given a finer integration.
         """
         plan = self._plan
         known = [trial.candidate for trial in self._trials.values()]
@@ -167,7 +167,10 @@ class Rounds:
                 joint = self._trials[c.name]
         if self._in_time(0.75, "variations of a simpler candidate"):
             every = [trial.candidate for trial in self._trials.values()]
-            simpler = self._simpler(known, base, folds)
+            simpler = [
+                with_friction_of(simple, base.candidate)
+                for simple in self._simpler(known, base, folds)
+            ]
             also = [joined(base.candidate, simple, joint.candidate) for simple in simpler]
             if joint is base:
                 simpler.sort(key=lambda c: c.rank)
