@@ -36,7 +36,7 @@ demo: install ## train all four methods on the pendulum and print the results, s
 	$(PY) -m symo_exp -cn demo
 
 test: install ## run the tests, but for the long proofs
-	$(PY) -m pytest -n 2
+	$(PY) -m pytest -n 2 --dist worksteal
 
 test-slow: install ## run the long proofs
 	$(PY) -m pytest -m slow
@@ -65,7 +65,7 @@ test-lowest: ## run the tests with the lowest versions that pyproject.toml allow
 	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/bin/python -m pip install --quiet uv
 	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct --editable '.[dev]'
-	.venv-lowest/bin/python -m pytest -n 2
+	.venv-lowest/bin/python -m pytest -n 2 --dist worksteal
 
 docs: install ## build the documentation in build/site, the tutorial run anew
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[docs]'

@@ -379,8 +379,8 @@ def test_commands_of_a_page(page, folder, home):
     assert not found, "\n\n".join(found)
 
 
-ON_PAGES = {command.line for page in PAGES for command in pages.typed(page)}
-IN_SOURCES = [command for source in SOURCES for command in pages.told(source)]
+ON_PAGES = {command.line for command in EVERY if command.page.endswith(".md")}
+IN_SOURCES = [command for command in EVERY if not command.page.endswith(".md")]
 
 
 @pytest.mark.commands

@@ -21,10 +21,10 @@ REST = 0.1
 """Velocity below which dry friction fades [m/s]."""
 SHORT = [
     "preset=recorded", "data=recorded", "system=recorded", "data.fold=[0,3]", "optimizer.starts=1",
-    "optimizer.start=20", "trainer.validate_every=${optimizer.epochs}", "trainer.compile=false",
+    "optimizer.start=10", "trainer.validate_every=${optimizer.epochs}", "trainer.compile=false",
     "pictures=false", "measures=false", "logger=none",
 ]  # fmt: skip
-FEW, MANY = 5, 15
+FEW, MANY = 3, 15
 """Epochs of a stage; after many it has converged, so that the start no longer matters."""
 
 

@@ -28,8 +28,9 @@ def learned() -> list[str]:
 
 @cache
 def _files() -> dict[str, Any]:
-    files = {name: OmegaConf.load(CONF / "model" / f"{name}.yaml") for name in choices("model")}
-    return {name: file for name, file in files.items() if {"net", "dissipation"} & set(file)}
+    paths = {name: CONF / "model" / f"{name}.yaml" for name in choices("model")}
+    files: Any = {name: OmegaConf.to_container(OmegaConf.load(path)) for name, path in paths.items()}
+    return {name: file for name, file in files.items() if file.keys() & {"net", "dissipation"}}
 
 
 def combinations() -> list[tuple[str, str]]:
@@ -101,7 +102,7 @@ def make(method: str, integrator: str, n: int, *, width: int = 8, **overrides: A
         arguments["integrator"] = _integrators_of(file)[integrator]
     if "root" in file:
         arguments["root"] = Newton(tolerance=1e-12, max_iterations=50)
-    model = get_class(file._target_)(**{**arguments, **overrides}).double()
+    model = get_class(file["_target_"])(**{**arguments, **overrides}).double()
     net = getattr(model.lagrangian, "net", None)
     if net is not None:
         with torch.no_grad():  # Xavier's weights again: derivatives that can be told from zero

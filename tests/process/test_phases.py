@@ -11,7 +11,7 @@ import pytest
 
 from symo_exp.process import phases
 
-SAY = "import time; from symo_exp.process import phases; phases.say('busy'); time.sleep(2)"
+SAY = "import time; from symo_exp.process import phases; phases.say('busy'); time.sleep(1)"
 
 
 @pytest.mark.parametrize("terminal", [True, False])
