@@ -21,7 +21,7 @@ REST = 0.1
 """Velocity below which dry friction fades [m/s]."""
 SHORT = [
     "preset=recorded", "data=recorded", "system=recorded", "data.fold=[0,3]", "optimizer.starts=1",
-    "optimizer.start=10", "trainer.validate_every=${optimizer.epochs}", "trainer.compile=false",
+    "optimizer.start=20", "trainer.validate_every=${optimizer.epochs}", "trainer.compile=false",
     "pictures=false", "measures=false", "logger=none",
 ]  # fmt: skip
 FEW, MANY = 3, 15

@@ -28,8 +28,10 @@ def learned() -> list[str]:
 
 @cache
 def _files() -> dict[str, Any]:
-    paths = {name: CONF / "model" / f"{name}.yaml" for name in choices("model")}
-    files: Any = {name: OmegaConf.to_container(OmegaConf.load(path)) for name, path in paths.items()}
+    files: dict[str, Any] = {
+        name: OmegaConf.to_container(OmegaConf.load(CONF / "model" / f"{name}.yaml"))
+        for name in choices("model")
+    }
     return {name: file for name, file in files.items() if file.keys() & {"net", "dissipation"}}
 
 
