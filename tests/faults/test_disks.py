@@ -1,5 +1,6 @@
 """Disks that are full, read-only, or without permission."""
 
+import errno
 import json
 import os
 import subprocess
@@ -43,10 +44,16 @@ def disk(tmp_path):
 
 
 def fill(disk, free=0):
-    """Leave so many bytes; returns the file to remove."""
+    """Leave at most so many bytes and return the file to remove.
+
+    A run that goes on may take space in between, so that less is left than there was.
+    """
     there = os.statvfs(disk)
     filler = disk / "filler"
-    filler.write_bytes(bytes(max(there.f_bavail * there.f_frsize - free, 0)))
+    try:
+        filler.write_bytes(bytes(max(there.f_bavail * there.f_frsize - free, 0)))
+    except OSError as error:
+        assert error.errno == errno.ENOSPC
     return filler
 
 

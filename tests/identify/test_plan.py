@@ -43,6 +43,7 @@ def test_a_plan_uses_more_of_a_larger_budget_and_never_more_than_there_is(n, sec
     assert small.effort.measured <= large.effort.measured
     assert small.effort.sparse >= large.effort.sparse
     assert set(small.names) <= set(large.names)
+    assert all(plan.needed <= plan.longest for plan in (small, large))
     assert 2 <= small.folds <= 6
     assert small.names
 

@@ -136,6 +136,7 @@ class Plan:
         seconds: Length of the training part of a fold [s].
         effort: Of the trainings.
         needed: Wall time that the plan takes [s]; more than the budget where that is too little.
+        longest: The same if the costliest candidate is the best one and is varied [s].
         names: Candidates of the first round.
         variations: How many variations of the best candidate are tried.
         key: Digest of the arguments that the plan depends on.
@@ -150,6 +151,7 @@ class Plan:
     seconds: float
     effort: Effort
     needed: float
+    longest: float
     names: tuple[str, ...]
     variations: int
     key: str
@@ -240,12 +242,12 @@ def make_plan(
 
     nodes, effort = max(1, round(share * nodes_all)), EFFORTS[0]
 
-    def varying(variations: int) -> float:
-        one = VARIED * effort.expected(chosen[0], nodes, machine)
+    def varying(candidate: Candidate, variations: int) -> float:
+        one = VARIED * effort.expected(candidate, nodes, machine)
         return one * _varied_runs(variations, first, folds)
 
     def too_much() -> bool:
-        least = max(VARYING * work, varying(FEWEST_VARIATIONS))
+        least = max(VARYING * work, varying(chosen[0], FEWEST_VARIATIONS))
         return screening(effort, nodes, chosen) + least > (SCREENING + VARYING) * work
 
     for lighter in EFFORTS[1:]:
@@ -284,7 +286,10 @@ def make_plan(
         folds -= 1
     one = VARIED * effort.expected(chosen[0], nodes, machine)
     variations = _variations(VARYING * work / one, first, folds)
-    needed = screening(effort, nodes, chosen) + varying(variations)
+    costliest = max(chosen, key=lambda c: effort.expected(c, nodes, machine))
+    varied = varying(chosen[0], variations), varying(costliest, FEWEST_VARIATIONS)
+    screened, last = screening(effort, nodes, chosen), REFITTING * budget
+    needed, longest = ((screened + x) / (cores * speed) + last for x in (varied[0], max(varied)))
     return Plan(
         budget=budget,
         cores=cores,
@@ -293,7 +298,8 @@ def make_plan(
         first=first,
         seconds=nodes * machine.time_step,
         effort=effort,
-        needed=needed / (cores * speed) + REFITTING * budget,
+        needed=needed,
+        longest=longest,
         names=tuple(c.name for c in chosen),
         variations=variations,
         key=key,

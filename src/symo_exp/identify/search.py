@@ -188,6 +188,8 @@ class Search:
         there = self._machine.seconds * (plan.folds - 1) / plan.folds
         share = min(plan.seconds / there, 1.0)
         more = ", the least, more than the budget" if plan.needed > plan.budget else ""
+        if plan.longest > plan.budget:
+            more += f", up to {plan.longest / 60:.2g} if a costly candidate is the best"
         left = f" ({equal} more are equal with the given settings)" if equal else ""
         return (
             f"plan: {len(plan.names)} candidates{left} and up to {plan.variations} variations over "
