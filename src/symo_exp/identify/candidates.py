@@ -14,6 +14,8 @@ LINKS = "rigid links"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
 BETWEEN = "friction between neighbours"
+PLACE_AND_START = ("dissipation.joints", "dissipation.start")
+"""Settings that a candidate keeps if it is given another choice of friction."""
 LEAST_REST = 0.01
 """Width of the dry friction of machines over the initial one, at least."""
 KINDS = {"asymmetric friction": 0.2, "constant force": 0.1, "Stribeck friction": 0.2}
@@ -175,9 +177,8 @@ def of_higher_order(candidate: Candidate) -> list[Candidate]:
 def with_less_friction(candidate: Candidate) -> Iterator[Candidate]:
     """Yield simplifications of a candidate: viscous friction alone, then none."""
     if candidate.settings["dissipation"] not in ("viscous", "none"):
-        kept = (*NEIGHBOURS, "dissipation.start")
-        viscous = {"dissipation": "viscous"}
-        yield _with_friction(candidate, viscous, kept, FRICTION_NAMES, "viscous friction")
+        viscous, name = {"dissipation": "viscous"}, "viscous friction"
+        yield _with_friction(candidate, viscous, PLACE_AND_START, FRICTION_NAMES, name)
     if candidate.settings["dissipation"] != "none":
         none, replaced = {"dissipation": "none"}, {*FRICTION_NAMES, BETWEEN}
         yield _with_friction(candidate, none, (), replaced, "no friction")
@@ -188,14 +189,13 @@ def with_friction_of(candidate: Candidate, other: Candidate) -> Candidate:
 
     Where friction acts, on coordinates or between neighbours, and its start remain.
     """
-    kept = (*NEIGHBOURS.keys() - {"dissipation"}, "dissipation.start")
     given = {
         key: value
         for key, value in other.settings.items()
-        if key.startswith("dissipation") and key not in kept
+        if key.startswith("dissipation") and key not in PLACE_AND_START
     }
     name = ", ".join(part for part in other.name.split(", ") if part in FRICTION_NAMES)
-    return _with_friction(candidate, given, kept, FRICTION_NAMES, name)
+    return _with_friction(candidate, given, PLACE_AND_START, FRICTION_NAMES, name)
 
 
 def structure_of(candidate: Candidate) -> tuple[tuple[str, str], ...]:

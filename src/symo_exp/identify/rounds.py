@@ -110,7 +110,7 @@ class Rounds:
             alive = [
                 c
                 for c in (*half, *(c for c in simplest if c not in half))
-                if self._trials[c.name].mean(range(folds)) <= HOPELESS * best
+                if not self._hopeless(c, best, range(folds))
             ]
 
     def combine(self, best: Trial) -> None:
@@ -128,7 +128,8 @@ class Rounds:
         given = (with_friction_of(simple, best.candidate) for simple in simpler)
         tried = distinct_candidates(given, self._given, known)[:COMBINED]
         self._try(tried, first)
-        promising = [c for c in self._ranked(tried, first) if not self._hopeless(c, best, first)]
+        ranked, least = self._ranked(tried, first), best.mean(first)
+        promising = [c for c in ranked if not self._hopeless(c, least, first)]
         for simple in promising[:1]:
             folds = range(len(best.errors))
             self._try([simple], folds)
@@ -252,10 +253,10 @@ class Rounds:
     ) -> list[Candidate]:
         """Return the candidates that are simpler than one and not hopeless, the best first."""
         ranked = self._ranked([c for c in candidates if c.rank < base.candidate.rank], folds)
-        return [c for c in ranked if not self._hopeless(c, base, folds)]
+        return [c for c in ranked if not self._hopeless(c, base.mean(folds), folds)]
 
-    def _hopeless(self, candidate: Candidate, best: Trial, folds: Sequence[int]) -> bool:
-        return self._trials[candidate.name].mean(folds) > HOPELESS * best.mean(folds)
+    def _hopeless(self, candidate: Candidate, least: float, folds: Sequence[int]) -> bool:
+        return self._trials[candidate.name].mean(folds) > HOPELESS * least
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
         trial = self._trials[candidate.name]
