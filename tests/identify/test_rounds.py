@@ -12,39 +12,56 @@ from tests.identify.test_plan import machine
 
 
 class ToldFits:
-    """Fits that end with a told error and noise, each in a folder of its own."""
+    """Fits that end with a told error and noise, each in a folder of its own.
 
-    def __init__(self, folder, told):
-        self.folder, self.told = folder, told
+    They take ``pace`` times the time of a plan.
+    """
+
+    def __init__(self, folder, told, one, plan, pace=1.0):
+        self.folder, self.told, self.done = folder, told, []
+        nodes = round(plan.seconds / one.time_step)
+        self.seconds = lambda candidate: pace * plan.expected(candidate, nodes, one)
 
     def to_folds(self, todo, attempt=0):
         found = []
         for candidate, k in todo:
+            self.done.append(candidate)
             error, noise = self.told(candidate.settings)
             fit = RunFolder(self.folder / f"{candidate.name}-{k}-{attempt}")
             # folds differ in their errors, and so do candidates in which fold is the better one
             scatter = 1.0 + 0.1 * (-1) ** (k + len(candidate.name))
             Series(fit / SERIES).append(1, {"val_loss": error * scatter, "noise_estimate": noise})
-            fit.record("finished")
+            fit.record("finished", seconds=self.seconds(candidate))
             found.append((candidate, k, fit))
         return found
 
 
 @pytest.fixture
-def decided(tmp_path, monkeypatch):
-    """Return what is chosen of rigid links by their told errors and noise."""
+def prepared(tmp_path, monkeypatch):
+    """Return the rounds of a search by told errors, its fits and its plan."""
     monkeypatch.setattr(rounds, "baseline_error", lambda fit: 1e3)
     monkeypatch.setattr(rounds, "parameters_of", lambda fit: 10)
 
+    def prepare(told, one, budget=600.0, pace=None):
+        plan = plans.make_plan(one, ladder(one), budget, 2, 1.0, "key")
+        fits = ToldFits(tmp_path, told, one, plan, pace or 1.0)
+        search = Rounds(
+            fits, one, plan, {},
+            clock=pace is not None, in_time=lambda share, stage: True, progressed=lambda fit: None,
+        )  # fmt: skip
+        return search, fits, plan
+
+    return prepare
+
+
+@pytest.fixture
+def decided(prepared):
+    """Return what is chosen of rigid links by their told errors and noise."""
+
     def decide(told, *, raise_order=False, reduce_friction=False, combine=False, driven=True):
         one = machine(2, 60.0, driven=driven)
-        candidates = ladder(one)
-        plan = plans.make_plan(one, candidates, 600.0, 2, 1.0, "key")
-        fits = ToldFits(tmp_path, told)
-        search = Rounds(
-            fits, one, plan, {}, in_time=lambda share, stage: True, progressed=lambda fit: None
-        )  # fmt: skip
-        search.screen(candidates if combine else candidates[:1])
+        search, _, _ = prepared(told, one)
+        search.screen(ladder(one) if combine else ladder(one)[:1])
         best = search.choice()
         if combine:
             search.combine(best)
@@ -107,3 +124,73 @@ def test_the_friction_that_makes_a_network_the_best_is_given_to_simpler_structur
 
     chosen = decided(told, combine=True, driven=driven)
     assert (chosen["lagrangian"], chosen["dissipation"]) == (structure, "learned")
+
+
+@pytest.fixture
+def searched(prepared):
+    """Return the plan of a search by told errors, and its fits in the first rounds and in all.
+
+    A candidate is listed once for each fit.
+    """
+
+    def search(told, one, budget, pace=None):
+        tried, fits, plan = prepared(told, one, budget, pace)
+        tried.screen([c for c in ladder(one) if c.name in plan.names])
+        screened = list(fits.done)
+        tried.combine(tried.choice())
+        tried.vary(tried.choice())
+        tried.raise_order(tried.reduce_friction(tried.choice()))
+        return plan, screened, fits
+
+    return search
+
+
+@pytest.mark.parametrize("pace", [None, 0.5, 2.0])
+@pytest.mark.parametrize("budget", [60.0, 1e5])
+@pytest.mark.parametrize("driven", [True, False])
+@pytest.mark.parametrize("gain", [0.5, 2.0])
+def test_no_search_takes_more_than_its_time(gain, driven, budget, pace, searched, capsys):
+    """Whether costly candidates are better or worse, and runs faster or slower than planned.
+
+    The last fits are not included. The first rounds are planned as if runs took their time.
+    """
+    one = machine(3, 60.0, driven=driven)
+
+    def told(settings):
+        costly = (settings["lagrangian"], settings["integrator"], settings["dissipation"])
+        return gain ** sum(x in ("network", "galerkin4", "learned") for x in costly), 1e-3
+
+    plan, screened, fits = searched(told, one, budget, pace)
+    before, after = (sum(map(fits.seconds, done)) for done in (screened, fits.done))
+    assert after <= max(before, plan.cores * plan.total)
+    assert budget < 1e5 or "no time left" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("driven", [True, False])
+@pytest.mark.parametrize("angular", [True, False])
+def test_finer_steps_are_tried_with_the_smallest_budget(angular, driven, searched):
+    """If the simplest candidate is the best one."""
+    one = machine(3, driven=driven, angular=angular)
+    simplest = ladder(one)[0].settings
+
+    def told(settings):
+        return (1.0 if settings == simplest else 2.0), 1e-3
+
+    _, screened, fits = searched(told, one, 1.0)
+    tried = [c.settings for c in fits.done[len(screened) :]]
+    assert any("system.time_step" in x or x["integrator"] == "galerkin4" for x in tried)
+
+
+def test_what_there_is_no_time_for_is_printed(searched, capsys):
+    def told(settings):
+        return 0.5 ** sum(x in ("galerkin4", "learned") for x in settings.values()), 1e-3
+
+    _, _, fits = searched(told, machine(3), 1.0)
+    missed = set()
+    for line in capsys.readouterr().out.splitlines():
+        if line.startswith("no time left for"):
+            base, _, names = line.removeprefix("no time left for").partition(": ")
+            base = f"{base.removeprefix(' variations of ')}, " if base else ""
+            missed |= {base + name for name in names.split("; ")}
+    assert missed
+    assert not missed & {c.name for c in fits.done}

@@ -48,7 +48,8 @@ SPARSE = 2
 PROMOTED, VARIED = 3, 2.0
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
 FEWEST_VARIATIONS = 2
-"""Of the best candidate, with any budget: one has finer steps, unless springs show."""
+"""Of the simplest candidate, if it is the best, with any budget: one has finer steps, unless
+springs show."""
 FEWEST_FITS, MOST_FITS = 2, 4
 """Last fits of a candidate with several starts, one for each core in between."""
 DATA = 0.6
@@ -135,10 +136,9 @@ class Plan:
         first: Folds of the first round.
         seconds: Length of the training part of a fold [s].
         effort: Of the trainings.
-        needed: Wall time that the plan takes [s]; more than the budget where that is too little.
-        longest: The same if the costliest candidate is the best one and is varied [s].
+        needed: Wall time that the search takes at least [s]; more than the budget where that is too
+            little.
         names: Candidates of the first round.
-        variations: How many variations of the best candidate are tried.
         key: Digest of the arguments that the plan depends on.
         without: Stages that are left out, since the search has grossly overrun its budget.
     """
@@ -151,9 +151,7 @@ class Plan:
     seconds: float
     effort: Effort
     needed: float
-    longest: float
     names: tuple[str, ...]
-    variations: int
     key: str
     without: tuple[str, ...] = ()
 
@@ -182,12 +180,23 @@ class Plan:
             nodes = max(FEWEST_NODES, int(nodes / 1.25))
         return machine.seconds if nodes == machine.nodes else nodes * machine.time_step
 
-    def affordable(self, candidate: Candidate, machine: Machine) -> int:
-        """Return how many variations of a candidate are tried."""
-        nodes = round(self.seconds / machine.time_step)
-        one = VARIED * self.effort.expected(candidate, nodes, machine)
-        left = VARYING * self.budget * self.cores * self.speed / one
-        return min(self.variations, _variations(left, self.first, self.folds))
+    @property
+    def total(self) -> float:
+        """The wall time of the search [s]."""
+        return max(self.budget, self.needed)
+
+    def search_time(self, candidate: Candidate, machine: Machine, pace: float = 1.0) -> float:
+        """Return the planned time of all runs before the last fits, one after another [s].
+
+        Args:
+            candidate: The one of the last fits.
+            machine: The recorded machine.
+            pace: How many times longer than planned runs take.
+        """
+        nodes = round(self.most_seconds(candidate, machine) / machine.time_step)
+        rounds = math.ceil(self.last_fits(candidate) / self.cores)
+        last = rounds * self.effort.training(candidate, nodes, machine.n) / self.speed
+        return self.cores * (self.total / pace - last)
 
     def last_fits(self, candidate: Candidate) -> int:
         """Return how many fits to all data a chosen candidate has, from different seeds.
@@ -226,7 +235,7 @@ def make_plan(
 
     First the epochs are reduced, then validations where they take most of the time of a training
     and the data where these take much, then the folds and the candidates, the costliest first. Two
-    variations are always tried.
+    variations of the simplest candidate are always counted.
     """
     work = budget * cores * speed
     whole = 3 <= machine.recordings < FOLDS and machine.seconds < FOLDS * LONG
@@ -242,12 +251,13 @@ def make_plan(
 
     nodes, effort = max(1, round(share * nodes_all)), EFFORTS[0]
 
-    def varying(candidate: Candidate, variations: int) -> float:
-        one = VARIED * effort.expected(candidate, nodes, machine)
-        return one * _varied_runs(variations, first, folds)
+    def varying() -> float:
+        """Return the time of the fewest variations, two joined, and the trials after them."""
+        runs = first * (FEWEST_VARIATIONS + 3) + (folds - first) + 2 * folds
+        return runs * VARIED * effort.expected(chosen[0], nodes, machine)
 
     def too_much() -> bool:
-        least = max(VARYING * work, varying(chosen[0], FEWEST_VARIATIONS))
+        least = max(VARYING * work, varying())
         return screening(effort, nodes, chosen) + least > (SCREENING + VARYING) * work
 
     for lighter in EFFORTS[1:]:
@@ -284,12 +294,7 @@ def make_plan(
     lighten(anyway=True)
     while too_much() and folds > 3:
         folds -= 1
-    one = VARIED * effort.expected(chosen[0], nodes, machine)
-    variations = _variations(VARYING * work / one, first, folds)
-    costliest = max(chosen, key=lambda c: effort.expected(c, nodes, machine))
-    varied = varying(chosen[0], variations), varying(costliest, FEWEST_VARIATIONS)
-    screened, last = screening(effort, nodes, chosen), REFITTING * budget
-    needed, longest = ((screened + x) / (cores * speed) + last for x in (varied[0], max(varied)))
+    needed = (screening(effort, nodes, chosen) + varying()) / (cores * speed) + REFITTING * budget
     return Plan(
         budget=budget,
         cores=cores,
@@ -299,29 +304,9 @@ def make_plan(
         seconds=nodes * machine.time_step,
         effort=effort,
         needed=needed,
-        longest=longest,
         names=tuple(c.name for c in chosen),
-        variations=variations,
         key=key,
     )
-
-
-def _variations(runs: float, first: int, folds: int) -> int:
-    """Return how many variations can be tried with so many runs, at least the fewest."""
-    count = FEWEST_VARIATIONS
-    while _varied_runs(count + 1, first, folds) <= runs:
-        count += 1
-    return count
-
-
-def _varied_runs(variations: int, first: int, folds: int) -> int:
-    """Return how many runs the variations of a candidate take.
-
-    All folds of the most promising ones, of two joined and of a simpler candidate are included, and
-    the first ones of combinations, of less friction and of an integrator of order 4.
-    """
-    promoted = min(PROMOTED, (variations + 1) // 2)
-    return first * (variations + 3) + promoted * (folds - first) + 2 * folds
 
 
 def kept_plan(file: Path, key: str) -> Plan | None:

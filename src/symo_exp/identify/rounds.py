@@ -45,6 +45,8 @@ HOPELESS = 4.0
 """A candidate whose error is so many times the best one's is not tried on further folds."""
 COMBINED = 2
 """Simpler structures that are given the friction of the best candidate."""
+FASTEST = 0.25
+"""Ratio of the time that runs take to the planned one, at least."""
 FOLD_FITS = 3
 """Fits of a candidate to one fold, at most."""
 
@@ -57,6 +59,7 @@ class Rounds:
         machine: The recorded machine.
         plan: The plan of the search.
         given: What the command line sets.
+        clock: Whether the time that is left depends on how long runs took, not on plans alone.
         in_time: Returns whether there is time for a stage: the share of the planned time at which
             it begins, and its name.
         progressed: Called with the best fit so far after every round.
@@ -69,11 +72,13 @@ class Rounds:
         plan: Plan,
         given: Collection[str],
         *,
+        clock: bool,
         in_time: Callable[[float, str], bool],
         progressed: Callable[[RunFolder], None],
     ) -> None:
         self._fits, self._machine, self._plan, self._given = fits, machine, plan, given
-        self._in_time, self._progressed = in_time, progressed
+        self._clock, self._in_time, self._progressed = clock, in_time, progressed
+        self._spent = 0.0  # planned time of the runs so far, one after another [s]
         self._trials: dict[str, Trial] = {}
         self._baselines: dict[int, float] = {}
         self._folders: dict[tuple[str, int], RunFolder] = {}
@@ -126,14 +131,15 @@ class Rounds:
             structures.setdefault(structure_of(simple), simple)
         simpler = [c for c in structures.values() if c is not best.candidate]
         given = (with_friction_of(simple, best.candidate) for simple in simpler)
-        tried = distinct_candidates(given, self._given, known)[:COMBINED]
+        folds = range(len(best.errors))
+        tried = self._affordable(distinct_candidates(given, self._given, known)[:COMBINED], best)
         self._try(tried, first)
         ranked, least = self._ranked(tried, first), best.mean(first)
         promising = [c for c in ranked if not self._hopeless(c, least, first)]
         for simple in promising[:1]:
-            folds = range(len(best.errors))
             self._try([simple], folds)
-            for fine in distinct_candidates(finer(simple, self._machine), self._given, known)[:1]:
+            finest = distinct_candidates(finer(simple, self._machine), self._given, known)[:1]
+            for fine in self._affordable(finest, best):
                 self._try([fine], first)
                 if self._ranked([simple, fine], first)[:1] == [fine]:
                     self._try([fine], folds)
@@ -145,24 +151,26 @@ class Rounds:
         may have the smaller error once these are removed. If the best candidate gains nothing, the
         simplest structure with its friction is therefore given a finer integration.
         """
-        plan = self._plan
         known = [trial.candidate for trial in self._trials.values()]
         new = distinct_candidates(variations(base.candidate, self._machine), self._given, known)
-        tried = new[: plan.affordable(base.candidate, self._machine)]
-        first, folds = range(plan.first), range(len(base.errors))
+        first, folds = range(self._plan.first), range(len(base.errors))
+        tried = self._affordable(new, base, keep=len(folds) * self._planned(base.candidate))
         self._try(tried, first)
         better = [
             c
             for c in self._ranked(tried, first)
             if self._trials[c.name].mean(first) < base.mean(first)
         ]
-        self._try(better[: plans.PROMOTED], folds)
+        promoted = better[: plans.PROMOTED]
+        self._try(promoted, folds)
         joint = base
-        for c in self._ranked(better[: plans.PROMOTED], folds):
+        for c in self._ranked(promoted, folds):
             if not self._gains(c, base, folds) or not self._in_time(0.75, "joint variations"):
                 break
             if joint is not base:
                 c = joined(base.candidate, joint.candidate, c)
+                if not self._affordable([c], base):
+                    break
                 self._try([c], folds)
             if joint is base or self._gains(c, joint, folds):
                 joint = self._trials[c.name]
@@ -176,7 +184,8 @@ class Rounds:
             if joint is base:
                 simpler.sort(key=lambda c: c.rank)
                 also = [fine for simple in simpler for fine in finer(simple, self._machine)]
-            self._try(distinct_candidates(also, self._given, every)[:1], folds)
+            simplest = distinct_candidates(also, self._given, every)[:1]
+            self._try(self._affordable(simplest, base), folds)
 
     def reduce_friction(self, best: Trial) -> Trial:
         """Return the best candidate with viscous friction alone or none, unless that is worse."""
@@ -218,6 +227,8 @@ class Rounds:
             if left_open(trial.candidate.settings, self._given) == settings
         )
         candidate = next(same, candidate)
+        if not self._affordable([candidate], best):
+            return None
         trial = self._trial(candidate)
         for folds in (range(self._plan.first), range(len(best.errors))):
             self._try([candidate], folds)
@@ -262,16 +273,60 @@ class Rounds:
         trial = self._trials[candidate.name]
         return not trial.failed and beats(trial.errors, base.errors, folds)
 
+    def _affordable(
+        self, candidates: Sequence[Candidate], best: Trial, keep: float = 0.0
+    ) -> list[Candidate]:
+        """Return the candidates that there is time for, and print the others.
+
+        There is time for the first folds of each, and for all folds of the costliest ``PROMOTED``.
+
+        Args:
+            candidates: The candidates, the most promising first.
+            best: The best one so far, whose last fits also need time.
+            keep: Planned time that is kept for what follows [s].
+        """
+        left = self._plan.search_time(best.candidate, self._machine, self._pace()) - self._spent
+        first, others = range(self._plan.first), range(self._plan.first, len(best.errors))
+        found: list[Candidate] = []
+        for candidate in candidates:
+            tried = [*found, candidate]
+            costliest = sorted(self._time_on(c, others) for c in tried)[-plans.PROMOTED :]
+            if sum(self._time_on(c, first) for c in tried) + sum(costliest) + keep <= left:
+                found = tried
+        if missed := [c.name for c in candidates if c not in found]:
+            base = f"{best.candidate.name}, "
+            varied = all(name.startswith(base) for name in missed)
+            of = f" variations of {best.candidate.name}" if varied else ""
+            names = (name.removeprefix(base) if varied else name for name in missed)
+            print(f"no time left for{of}: {'; '.join(names)}", flush=True)
+        return found
+
+    def _pace(self) -> float:
+        """Return how many times longer than planned the runs so far took."""
+        if not self._clock:
+            return 1.0
+        took = sum(trial.seconds for trial in self._trials.values())
+        return max(FASTEST, took / self._spent)
+
+    def _time_on(self, candidate: Candidate, folds: Sequence[int]) -> float:
+        """Return the planned time of the folds that are not done yet, one after another [s]."""
+        return len(self._undone(candidate, folds)) * self._planned(candidate)
+
+    def _planned(self, candidate: Candidate) -> float:
+        """Return the planned time of a fold [s]."""
+        nodes = round(self._plan.seconds / self._machine.time_step)
+        return self._plan.expected(candidate, nodes, self._machine)
+
+    def _undone(self, candidate: Candidate, folds: Sequence[int]) -> list[int]:
+        trial = self._trials.get(candidate.name, Trial(candidate))
+        return [k for k in folds if k not in trial.errors and k not in trial.reasons]
+
     def _try(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> None:
         """Do the folds that are not done yet, side by side."""
-        todo = [
-            (candidate, k)
-            for candidate in candidates
-            for k in folds
-            if k not in self._trial(candidate).errors and k not in self._trial(candidate).reasons
-        ]
+        todo = [(c, k) for c in candidates for k in self._undone(c, folds)]
         if not todo:
             return
+        self._spend(todo)
         names = ", ".join(dict.fromkeys(c.name for c, _ in todo))
         phases.say(f"{len(todo)} runs: {names}")
         for candidate, k, folder in self._fits.to_folds(todo):
@@ -282,6 +337,10 @@ class Rounds:
             self._progressed(best)
         for name in dict.fromkeys(c.name for c, _ in todo):
             print(f"{name}: {self._trials[name].told()}", flush=True)
+
+    def _spend(self, runs: Iterable[tuple[Candidate, int]]) -> None:
+        """Count the planned time of runs as spent."""
+        self._spent += sum(self._planned(candidate) for candidate, _ in runs)
 
     def _best_fit(self) -> RunFolder | None:
         """Return the best fold of the candidate with the least error so far."""
@@ -300,6 +359,7 @@ class Rounds:
         candidates = list(candidates)
         for attempt in range(1, FOLD_FITS):
             todo = [(c, k) for c in candidates for k in self._at_other_minima(c)]
+            self._spend(todo)
             for candidate, k, folder in self._fits.to_folds(todo, attempt) if todo else []:
                 before = self._folders[candidate.name, k]
                 if isinstance(folder, ConfigError):

@@ -61,8 +61,9 @@ class Search:
         master: The composed configuration.
         arguments: The overrides of the command line; they go before those of candidates.
         budget: Wall time, such as ``10min``.
-        clock: Whether stages are left out when the search grossly overruns its budget, and
-            trainings ended when they take much longer than planned.
+        clock: Whether the time that runs take counts, not the planned time alone: what is tried
+            depends on it, stages are left out when the search grossly overruns its budget, and
+            trainings are ended when they take much longer than planned.
     """
 
     def __init__(
@@ -114,8 +115,9 @@ class Search:
             print(f"of every candidate, whatever its name says: {' '.join(replaced)}")
         print(self._told_plan(len(every) - len(candidates)), flush=True)
         rounds = Rounds(
-            fits, machine, plan, self._given, in_time=self._in_time, progressed=self._link
-        )
+            fits, machine, plan, self._given,
+            clock=self._clock, in_time=self._in_time, progressed=self._link,
+        )  # fmt: skip
         rounds.screen(planned)
         if (base := rounds.choice()) is not None and self._in_time(0.6, "combinations"):
             rounds.combine(base)
@@ -187,15 +189,15 @@ class Search:
         plan = self._plan
         there = self._machine.seconds * (plan.folds - 1) / plan.folds
         share = min(plan.seconds / there, 1.0)
-        more = ", the least, more than the budget" if plan.needed > plan.budget else ""
-        if plan.longest > plan.budget:
-            more += f", up to {plan.longest / 60:.2g} if a costly candidate is the best"
+        if plan.needed > plan.budget:
+            time = f"about {plan.needed / 60:.2g} min, the least, more than the budget"
+        else:
+            time = f"{plan.needed / 60:.2g} to {plan.budget / 60:.2g} min"
         left = f" ({equal} more are equal with the given settings)" if equal else ""
         return (
-            f"plan: {len(plan.names)} candidates{left} and up to {plan.variations} variations over "
-            f"{plan.folds} folds, {plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
-            f"{plan.effort.epochs} epochs a stage, {plan.cores} runs at a time, about "
-            f"{plan.needed / 60:.2g} min{more}"
+            f"plan: {len(plan.names)} candidates{left} over {plan.folds} folds, "
+            f"{plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
+            f"{plan.effort.epochs} epochs a stage, {plan.cores} runs at a time, {time}"
         )
 
     def _in_time(self, share: float, stage: str) -> bool:
@@ -207,8 +209,7 @@ class Search:
         if stage in self._plan.without:
             return False
         elapsed = time.monotonic() - self._start
-        planned = max(self._plan.budget, self._plan.needed)
-        if not self._clock or elapsed <= OVERRUN * share * planned:
+        if not self._clock or elapsed <= OVERRUN * share * self._plan.total:
             return True
         print(
             f"after {elapsed / 60:.2g} min, more than {OVERRUN:g} times the time planned, "
