@@ -48,8 +48,7 @@ SPARSE = 2
 PROMOTED, VARIED = 3, 2.0
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
 FEWEST_VARIATIONS = 2
-"""Of the simplest candidate, if it is the best, with any budget: one has finer steps, unless
-springs show."""
+"""Of a cheap candidate with any budget: one has finer steps, unless springs show."""
 FEWEST_FITS, MOST_FITS = 2, 4
 """Last fits of a candidate with several starts, one for each core in between."""
 DATA = 0.6
@@ -138,6 +137,8 @@ class Plan:
         effort: Of the trainings.
         needed: Wall time that the search takes at least [s]; more than the budget where that is too
             little.
+        reserved: Planned time that the stages after the first rounds have in any case, one run
+            after another [s].
         names: Candidates of the first round.
         key: Digest of the arguments that the plan depends on.
         without: Stages that are left out, since the search has grossly overrun its budget.
@@ -151,6 +152,7 @@ class Plan:
     seconds: float
     effort: Effort
     needed: float
+    reserved: float
     names: tuple[str, ...]
     key: str
     without: tuple[str, ...] = ()
@@ -294,6 +296,7 @@ def make_plan(
     lighten(anyway=True)
     while too_much() and folds > 3:
         folds -= 1
+    varied = VARIED * effort.expected(chosen[0], nodes, machine)
     needed = (screening(effort, nodes, chosen) + varying()) / (cores * speed) + REFITTING * budget
     return Plan(
         budget=budget,
@@ -304,6 +307,7 @@ def make_plan(
         seconds=nodes * machine.time_step,
         effort=effort,
         needed=needed,
+        reserved=(first * FEWEST_VARIATIONS + folds - first) * varied / speed,
         names=tuple(c.name for c in chosen),
         key=key,
     )

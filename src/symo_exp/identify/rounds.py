@@ -79,6 +79,7 @@ class Rounds:
         self._fits, self._machine, self._plan, self._given = fits, machine, plan, given
         self._clock, self._in_time, self._progressed = clock, in_time, progressed
         self._spent = 0.0  # planned time of the runs so far, one after another [s]
+        self._screened = 0.0  # that of the first rounds
         self._trials: dict[str, Trial] = {}
         self._baselines: dict[int, float] = {}
         self._folders: dict[tuple[str, int], RunFolder] = {}
@@ -108,6 +109,7 @@ class Rounds:
             if done and not self._in_time(0.6, f"folds beyond {rounds[done - 1]}"):
                 return
             self._try(alive, range(folds))
+            self._screened = self._spent
             ranked = self._ranked(alive, range(folds))
             best = min((self._trials[c.name].mean(range(folds)) for c in ranked), default=0.0)
             simplest = [c for c in candidates if c in ranked][:1]
@@ -278,7 +280,8 @@ class Rounds:
     ) -> list[Candidate]:
         """Return the candidates that there is time for, and print the others.
 
-        There is time for the first folds of each, and for all folds of the costliest ``PROMOTED``.
+        There is time for the first folds of each, and for all folds of the costliest ``PROMOTED``,
+        before the last fits of the best one; at least the time that the plan has reserved.
 
         Args:
             candidates: The candidates, the most promising first.
@@ -286,12 +289,14 @@ class Rounds:
             keep: Planned time that is kept for what follows [s].
         """
         left = self._plan.search_time(best.candidate, self._machine, self._pace()) - self._spent
+        reserved = self._plan.reserved - (self._spent - self._screened)
+        left = max(left - keep, reserved)
         first, others = range(self._plan.first), range(self._plan.first, len(best.errors))
         found: list[Candidate] = []
         for candidate in candidates:
             tried = [*found, candidate]
             costliest = sorted(self._time_on(c, others) for c in tried)[-plans.PROMOTED :]
-            if sum(self._time_on(c, first) for c in tried) + sum(costliest) + keep <= left:
+            if sum(self._time_on(c, first) for c in tried) + sum(costliest) <= left:
                 found = tried
         if missed := [c.name for c in candidates if c not in found]:
             base = f"{best.candidate.name}, "
