@@ -253,10 +253,13 @@ def make_plan(
 
     nodes, effort = max(1, round(share * nodes_all)), EFFORTS[0]
 
+    def varied() -> float:
+        """Return the time of a variation of the simplest candidate on a fold."""
+        return VARIED * effort.expected(chosen[0], nodes, machine)
+
     def varying() -> float:
         """Return the time of the fewest variations, two joined, and the trials after them."""
-        runs = first * (FEWEST_VARIATIONS + 3) + (folds - first) + 2 * folds
-        return runs * VARIED * effort.expected(chosen[0], nodes, machine)
+        return (first * (FEWEST_VARIATIONS + 3) + (folds - first) + 2 * folds) * varied()
 
     def too_much() -> bool:
         least = max(VARYING * work, varying())
@@ -296,7 +299,6 @@ def make_plan(
     lighten(anyway=True)
     while too_much() and folds > 3:
         folds -= 1
-    varied = VARIED * effort.expected(chosen[0], nodes, machine)
     needed = (screening(effort, nodes, chosen) + varying()) / (cores * speed) + REFITTING * budget
     return Plan(
         budget=budget,
@@ -307,7 +309,7 @@ def make_plan(
         seconds=nodes * machine.time_step,
         effort=effort,
         needed=needed,
-        reserved=(first * FEWEST_VARIATIONS + folds - first) * varied / speed,
+        reserved=(first * FEWEST_VARIATIONS + folds - first) * varied() / speed,
         names=tuple(c.name for c in chosen),
         key=key,
     )

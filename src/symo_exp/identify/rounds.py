@@ -78,6 +78,7 @@ class Rounds:
     ) -> None:
         self._fits, self._machine, self._plan, self._given = fits, machine, plan, given
         self._clock, self._in_time, self._progressed = clock, in_time, progressed
+        self._nodes = round(plan.seconds / machine.time_step)  # of a fold
         self._spent = 0.0  # planned time of the runs so far, one after another [s]
         self._screened = 0.0  # that of the first rounds
         self._trials: dict[str, Trial] = {}
@@ -253,9 +254,8 @@ class Rounds:
         return beats(coarse.errors, fine.errors, folds) or self._likelier(coarse, fine, folds, -1)
 
     def _likelier(self, one: Trial, other: Trial, folds: Sequence[int], more: int) -> bool:
-        nodes = round(self._plan.seconds / self._machine.time_step)
         noises = self.noises(one), self.noises(other)
-        return likelier(*noises, folds, more, nodes * self._machine.n)
+        return likelier(*noises, folds, more, self._nodes * self._machine.n)
 
     def noises(self, trial: Trial) -> dict[int, float]:
         """Return the estimated noise in the folds of a trial that ended well."""
@@ -288,9 +288,7 @@ class Rounds:
             best: The best one so far, whose last fits also need time.
             keep: Planned time that is kept for what follows [s].
         """
-        left = self._plan.search_time(best.candidate, self._machine, self._pace()) - self._spent
-        reserved = self._plan.reserved - (self._spent - self._screened)
-        left = max(left - keep, reserved)
+        left = self._left(best, keep)
         first, others = range(self._plan.first), range(self._plan.first, len(best.errors))
         found: list[Candidate] = []
         for candidate in candidates:
@@ -306,6 +304,12 @@ class Rounds:
             print(f"no time left for{of}: {'; '.join(names)}", flush=True)
         return found
 
+    def _left(self, best: Trial, keep: float) -> float:
+        """Return the planned time that is left, at least what remains of the reserved one [s]."""
+        left = self._plan.search_time(best.candidate, self._machine, self._pace()) - self._spent
+        reserved = self._plan.reserved - (self._spent - self._screened)
+        return max(left - keep, reserved)
+
     def _pace(self) -> float:
         """Return how many times longer than planned the runs so far took."""
         if not self._clock:
@@ -319,8 +323,7 @@ class Rounds:
 
     def _planned(self, candidate: Candidate) -> float:
         """Return the planned time of a fold [s]."""
-        nodes = round(self._plan.seconds / self._machine.time_step)
-        return self._plan.expected(candidate, nodes, self._machine)
+        return self._plan.expected(candidate, self._nodes, self._machine)
 
     def _undone(self, candidate: Candidate, folds: Sequence[int]) -> list[int]:
         trial = self._trials.get(candidate.name, Trial(candidate))
