@@ -104,7 +104,6 @@ def test_a_plan_is_kept_with_the_search_and_forgotten_for_another(tmp_path):
     one = machine()
     plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
     file = tmp_path / "search" / "plan.json"
-    plan = replace(plan, without=("variations",))
     plans.keep_plan(file, plan)
     found = plans.kept_plan(file, "key")
     assert found is not None

@@ -10,7 +10,7 @@ from symo_exp.shell import override_value
 
 FREE_DAMPING = 1.0
 """Friction at the start of training over the inertia, of machines without inputs."""
-LINKS = "rigid links"
+LINKS, NETWORK = "rigid links", "network"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
 BETWEEN = "friction between neighbours"
@@ -79,25 +79,19 @@ class Candidate:
         )
 
 
-def ladder(machine: Machine) -> list[Candidate]:
-    """Return the candidates that every search begins with, the simplest first."""
+def structures(machine: Machine) -> list[Candidate]:
+    """Return a candidate of every structure, with viscous and dry friction, the simplest first."""
     several = sum(machine.angular) > 1
     relative = ", relative angles" if several else ""
     # without inputs only the ratio to the inertia counts, and from too little friction fits hang;
     # with inputs no friction is suitable for all machines, and a second start finds the fit
     start = {} if machine.driven else {"dissipation.start": override_value(FREE_DAMPING)}
     starts = 2 if machine.driven else 1
-    first = _candidate(f"{LINKS}{relative}", 1.0, "relative", {**FRICTION, **start}, 1.0, starts)
-    found = [first]
-    if machine.stiffness is not None:
-        found.append(_sprung(first, machine))
-    if machine.driven:  # motors, screws and belts
-        found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
+    name = f"{LINKS}{relative}"
+    found = [_candidate(name, 1.0, "relative", {**FRICTION, **start}, 1.0, starts)]
     if several:
         name = f"{LINKS}, absolute angles"
         found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 1.0, starts))
-    if not machine.driven:  # bearings: dry friction may be too little to be found
-        found += [_viscous(candidate) for candidate in found]
     name = f"general links{relative}"
     found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts))
     if several:
@@ -105,19 +99,28 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts))
     if machine.n > 2 and all(machine.angular):
         found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=3.3))
-    network = _candidate("network", 4.0, "network", FRICTION, cost=2.0, starts=2)
-    found += [
-        _candidate("small network", 3.0, "small network", FRICTION, cost=1.6, starts=2),
-        network,
-        _with_learned_friction(network),
-    ]
+    found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.6, starts=2))
+    found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=2.0, starts=2))
     if several:
-        found.append(
-            _candidate(
-                f"network, {BETWEEN}", 4.1, "network", NEIGHBOURS, cost=2.0,
-                starts=2,
-            )
-        )  # fmt: skip
+        name = f"{NETWORK}, {BETWEEN}"
+        found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=2.0, starts=2))
+    return found
+
+
+def ladder(machine: Machine) -> list[Candidate]:
+    """Return the candidates that every search begins with, the simplest first."""
+    found = structures(machine)
+    first = found[0]
+    links = [one for one in found if one.settings["lagrangian"] == "planar"]
+    network = next(one for one in found if one.name == NETWORK)
+    if machine.stiffness is not None:
+        links.append(_sprung(first, machine))
+        found.append(links[-1])
+    if machine.driven:  # motors, screws and belts
+        found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
+    else:  # bearings: dry friction may be too little to be found
+        found += [_viscous(candidate) for candidate in links]
+    found.append(_with_learned_friction(network))
     return sorted(found, key=lambda candidate: candidate.rank)
 
 
@@ -234,6 +237,8 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
 
     What either switches on is on.
     """
+    if other == base:
+        return one
     settings = dict(one.settings)
     for key, value in other.settings.items():
         if base.settings.get(key) != value and settings.get(key) != "true":

@@ -141,7 +141,6 @@ class Plan:
             after another [s].
         names: Candidates of the first round.
         key: Digest of the arguments that the plan depends on.
-        without: Stages that are left out, since the search has grossly overrun its budget.
     """
 
     budget: float
@@ -155,7 +154,6 @@ class Plan:
     reserved: float
     names: tuple[str, ...]
     key: str
-    without: tuple[str, ...] = ()
 
     def overrides(self, candidate: Candidate) -> list[str]:
         """Return the settings of the training of a candidate."""
@@ -319,8 +317,8 @@ def kept_plan(file: Path, key: str) -> Plan | None:
     """Return the plan of an earlier start of the same search."""
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
-        listed = {name: tuple(kept[name]) for name in ("names", "without")}
-        found = Plan(**{**kept, **listed, "effort": Effort(**kept["effort"])})
+        whole = {"names": tuple(kept["names"]), "effort": Effort(**kept["effort"])}
+        found = Plan(**{**kept, **whole})
     except (OSError, ValueError, TypeError, KeyError):
         return None
     return found if found.key == key else None

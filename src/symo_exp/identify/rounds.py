@@ -15,6 +15,7 @@ from symo_exp.identify.candidates import (
     left_open,
     of_higher_order,
     structure_of,
+    structures,
     variations,
     with_friction_of,
     with_less_friction,
@@ -43,8 +44,8 @@ from symo_exp.runs.series import read
 
 HOPELESS = 4.0
 """A candidate whose error is so many times the best one's is not tried on further folds."""
-COMBINED = 2
-"""Simpler structures that are given the friction of the best candidate."""
+SIMPLER = 2
+"""Simpler structures that are given the friction or the variations of the best candidate."""
 FASTEST = 0.25
 """Ratio of the time that runs take to the planned one, at least."""
 FOLD_FITS = 3
@@ -60,8 +61,6 @@ class Rounds:
         plan: The plan of the search.
         given: What the command line sets.
         clock: Whether the time that is left depends on how long runs took, not on plans alone.
-        in_time: Returns whether there is time for a stage: the share of the planned time at which
-            it begins, and its name.
         progressed: Called with the best fit so far after every round.
     """
 
@@ -73,11 +72,10 @@ class Rounds:
         given: Collection[str],
         *,
         clock: bool,
-        in_time: Callable[[float, str], bool],
         progressed: Callable[[RunFolder], None],
     ) -> None:
         self._fits, self._machine, self._plan, self._given = fits, machine, plan, given
-        self._clock, self._in_time, self._progressed = clock, in_time, progressed
+        self._clock, self._progressed = clock, progressed
         self._nodes = round(plan.seconds / machine.time_step)  # of a fold
         self._spent = 0.0  # planned time of the runs so far, one after another [s]
         self._screened = 0.0  # that of the first rounds
@@ -94,7 +92,7 @@ class Rounds:
         """Return the fits of a trial to folds, those that ended well."""
         return [self._folders[trial.candidate.name, k] for k in trial.errors]
 
-    def choice(self) -> Trial | None:
+    def best(self) -> Trial | None:
         """Return the simplest of the best candidates, of those with the most folds."""
         sound = [t for t in self._trials.values() if not t.failed]
         folds = max((len(t.errors) for t in sound), default=0)
@@ -106,20 +104,26 @@ class Rounds:
         self._try(candidates[:1], range(plan.first))  # a first model to use
         rounds = sorted({plan.first, min(plan.folds, plan.first + 2), plan.folds})
         alive = list(candidates)
-        for done, folds in enumerate(rounds):
-            if done and not self._in_time(0.6, f"folds beyond {rounds[done - 1]}"):
-                return
-            self._try(alive, range(folds))
+        for folds in map(range, rounds):
+            if self._screened:
+                alive = self._in_time_for(alive, folds)
+            self._try(alive, folds)
             self._screened = self._spent
-            ranked = self._ranked(alive, range(folds))
-            best = min((self._trials[c.name].mean(range(folds)) for c in ranked), default=0.0)
+            ranked = self._ranked(alive, folds)
+            best = min((self._trials[c.name].mean(folds) for c in ranked), default=0.0)
             simplest = [c for c in candidates if c in ranked][:1]
             half = ranked[: max(2, math.ceil(len(alive) / 2))]
-            alive = [
-                c
-                for c in (*half, *(c for c in simplest if c not in half))
-                if not self._hopeless(c, best, range(folds))
-            ]
+            kept = distinct_candidates((*half[:1], *simplest, *half[1:]), self._given)
+            alive = [c for c in kept if not self._hopeless(c, best, folds)]
+
+    def choose(self) -> Trial | None:
+        """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
+        for stage in (self.combine, self.vary):
+            if (best := self.best()) is not None:
+                stage(best)
+        if (best := self.best()) is None:
+            return None
+        return self.raise_order(self.reduce_friction(self.reduce_structure(best)))
 
     def combine(self, best: Trial) -> None:
         """Give the friction of the best candidate to simpler structures, the best of them.
@@ -135,7 +139,7 @@ class Rounds:
         simpler = [c for c in structures.values() if c is not best.candidate]
         given = (with_friction_of(simple, best.candidate) for simple in simpler)
         folds = range(len(best.errors))
-        tried = self._affordable(distinct_candidates(given, self._given, known)[:COMBINED], best)
+        tried = self._affordable(distinct_candidates(given, self._given, known)[:SIMPLER], best)
         self._try(tried, first)
         ranked, least = self._ranked(tried, first), best.mean(first)
         promising = [c for c in ranked if not self._hopeless(c, least, first)]
@@ -148,12 +152,7 @@ class Rounds:
                     self._try([fine], folds)
 
     def vary(self, base: Trial) -> None:
-        """Try variations of the best candidate, what is better together, and this on a simpler one.
-
-        A candidate with many parameters also represents errors of the integrator; a simpler one
-        may have the smaller error once these are removed. If the best candidate gains nothing, the
-        simplest structure with its friction is therefore given a finer integration.
-        """
+        """Try variations of the best candidate, and those that are better together."""
         known = [trial.candidate for trial in self._trials.values()]
         new = distinct_candidates(variations(base.candidate, self._machine), self._given, known)
         first, folds = range(self._plan.first), range(len(base.errors))
@@ -168,7 +167,7 @@ class Rounds:
         self._try(promoted, folds)
         joint = base
         for c in self._ranked(promoted, folds):
-            if not self._gains(c, base, folds) or not self._in_time(0.75, "joint variations"):
+            if not self._gains(c, base, folds):
                 break
             if joint is not base:
                 c = joined(base.candidate, joint.candidate, c)
@@ -177,26 +176,35 @@ class Rounds:
                 self._try([c], folds)
             if joint is base or self._gains(c, joint, folds):
                 joint = self._trials[c.name]
-        if self._in_time(0.75, "variations of a simpler candidate"):
-            every = [trial.candidate for trial in self._trials.values()]
-            simpler = [
-                with_friction_of(simple, base.candidate)
-                for simple in self._simpler(known, base, folds)
-            ]
-            also = [joined(base.candidate, simple, joint.candidate) for simple in simpler]
-            if joint is base:
-                simpler.sort(key=lambda c: c.rank)
-                also = [fine for simple in simpler for fine in finer(simple, self._machine)]
-            simplest = distinct_candidates(also, self._given, every)[:1]
-            self._try(self._affordable(simplest, base), folds)
+
+    def reduce_structure(self, best: Trial) -> Trial:
+        """Return the best candidate with a simpler structure, unless that is worse for certain.
+
+        Structures with more parameters also represent errors of the integrator. If the best
+        candidate is in the midpoint rule, a simpler structure is therefore integrated more finely
+        as well.
+        """
+        tried = [c for c in structures(self._machine) if c.name in self._trials]
+        mine = [c for c in tried if f"{best.candidate.name}, ".startswith(f"{c.name}, ")]
+        if not mine:
+            return best
+        base = max(mine, key=lambda c: len(c.name))
+        simpler = self._simpler(tried, self._trials[base.name], range(self._plan.first))
+        simplest = sorted(simpler, key=lambda c: c.rank)[:1]
+        for structure in distinct_candidates([*simplest, *simpler[:SIMPLER]], self._given):
+            given = joined(base, structure, best.candidate)
+            fine = finer(given, self._machine) if of_higher_order(given) else ()
+            for candidate in (given, *list(fine)[:1]):
+                trial = self._at_least_as_good(candidate, best, self._beaten)
+                if trial is not None:
+                    return self.reduce_structure(trial)
+        return best
 
     def reduce_friction(self, best: Trial) -> Trial:
         """Return the best candidate with viscous friction alone or none, unless that is worse."""
         if any(key.partition(".")[0] == "dissipation" for key in self._given):
             return best
         for less in with_less_friction(best.candidate):
-            if not self._in_time(0.8, "trials of less friction"):
-                return best
             trial = self._at_least_as_good(less, best, self._worse)
             if trial is None:
                 return best
@@ -212,8 +220,7 @@ class Rounds:
         if "integrator" in self._given:
             return best
         for fine in of_higher_order(best.candidate):
-            if self._in_time(0.8, "trials of order 4"):
-                best = self._at_least_as_good(fine, best, self._no_better) or best
+            best = self._at_least_as_good(fine, best, self._no_better) or best
         return best
 
     def _at_least_as_good(
@@ -238,6 +245,10 @@ class Rounds:
             if trial.failed or worse(trial, best, folds):
                 return None
         return trial
+
+    def _beaten(self, simple: Trial, best: Trial, folds: Sequence[int]) -> bool:
+        """Return whether a simpler structure has larger errors for certain."""
+        return beats(best.errors, simple.errors, folds)
 
     def _worse(self, less: Trial, more: Trial, folds: Sequence[int]) -> bool:
         """Return whether a simpler model is less likely and has no smaller errors for certain."""
@@ -288,14 +299,14 @@ class Rounds:
             best: The best one so far, whose last fits also need time.
             keep: Planned time that is kept for what follows [s].
         """
-        left = self._left(best, keep)
         first, others = range(self._plan.first), range(self._plan.first, len(best.errors))
-        found: list[Candidate] = []
-        for candidate in candidates:
-            tried = [*found, candidate]
+
+        def needed(tried: Sequence[Candidate]) -> float:
             costliest = sorted(self._time_on(c, others) for c in tried)[-plans.PROMOTED :]
-            if sum(self._time_on(c, first) for c in tried) + sum(costliest) <= left:
-                found = tried
+            return sum(self._time_on(c, first) for c in tried) + sum(costliest)
+
+        reserved = self._plan.reserved - (self._spent - self._screened)
+        found = _fitting(candidates, needed, max(self._left(best) - keep, reserved))
         if missed := [c.name for c in candidates if c not in found]:
             base = f"{best.candidate.name}, "
             varied = all(name.startswith(base) for name in missed)
@@ -304,11 +315,30 @@ class Rounds:
             print(f"no time left for{of}: {'; '.join(names)}", flush=True)
         return found
 
-    def _left(self, best: Trial, keep: float) -> float:
-        """Return the planned time that is left, at least what remains of the reserved one [s]."""
-        left = self._plan.search_time(best.candidate, self._machine, self._pace()) - self._spent
-        reserved = self._plan.reserved - (self._spent - self._screened)
-        return max(left - keep, reserved)
+    def _in_time_for(
+        self, candidates: Sequence[Candidate], folds: Sequence[int]
+    ) -> list[Candidate]:
+        """Return the candidates that there is time for on further folds, and print the others.
+
+        The time that the plan has reserved for later stages is kept.
+
+        Args:
+            candidates: The candidates, the best first.
+            folds: Those that are done and further ones.
+        """
+
+        def needed(tried: Sequence[Candidate]) -> float:
+            return sum(self._time_on(c, folds) for c in tried)
+
+        left = self._left(self._trials[candidates[0].name]) if candidates else 0.0
+        found = _fitting(candidates, needed, left - self._plan.reserved)
+        if missed := [c.name for c in candidates if c not in found]:
+            print(f"no time left for {len(folds)} folds of {'; '.join(missed)}", flush=True)
+        return found
+
+    def _left(self, best: Trial) -> float:
+        """Return the planned time that is left before the last fits of a candidate [s]."""
+        return self._plan.search_time(best.candidate, self._machine, self._pace()) - self._spent
 
     def _pace(self) -> float:
         """Return how many times longer than planned the runs so far took."""
@@ -424,3 +454,14 @@ class Rounds:
 
     def _trial(self, candidate: Candidate) -> Trial:
         return self._trials.setdefault(candidate.name, Trial(candidate))
+
+
+def _fitting(
+    candidates: Sequence[Candidate], needed: Callable[[Sequence[Candidate]], float], left: float
+) -> list[Candidate]:
+    """Return the candidates, in their order, that together need no more time than is left."""
+    found: list[Candidate] = []
+    for candidate in candidates:
+        if needed([*found, candidate]) <= left:
+            found.append(candidate)
+    return found

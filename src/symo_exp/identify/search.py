@@ -11,9 +11,7 @@ import json
 import math
 import os
 import re
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,8 +47,6 @@ FILES = [
     "leave_out",
 ]  # fmt: skip
 """Settings of data that say where recordings are and how they are read."""
-OVERRUN = 2.0
-"""Multiple of the planned time after which further stages of a search are left out."""
 
 
 class Search:
@@ -62,8 +58,7 @@ class Search:
         arguments: The overrides of the command line; they go before those of candidates.
         budget: Wall time, such as ``10min``.
         clock: Whether the time that runs take counts, not the planned time alone: what is tried
-            depends on it, stages are left out when the search grossly overruns its budget, and
-            trainings are ended when they take much longer than planned.
+            depends on it, and trainings are ended when they take much longer than planned.
     """
 
     def __init__(
@@ -89,7 +84,6 @@ class Search:
         Raises:
             ConfigError: Before anything starts, if the recordings or settings do not allow it.
         """
-        self._start = time.monotonic()
         self._machine = machine = self._examine()
         every = ladder(machine)
         candidates = distinct_candidates(every, self._given)
@@ -116,17 +110,12 @@ class Search:
         print(self._told_plan(len(every) - len(candidates)), flush=True)
         rounds = Rounds(
             fits, machine, plan, self._given,
-            clock=self._clock, in_time=self._in_time, progressed=self._link,
+            clock=self._clock, progressed=self._link,
         )  # fmt: skip
         rounds.screen(planned)
-        if (base := rounds.choice()) is not None and self._in_time(0.6, "combinations"):
-            rounds.combine(base)
-        if (base := rounds.choice()) is not None and self._in_time(0.6, "variations"):
-            rounds.vary(base)
-        if (best := rounds.choice()) is None:
+        if (best := rounds.choose()) is None:
             self._summary(rounds.trials, None)
             return self._no_model()
-        best = rounds.raise_order(rounds.reduce_friction(best))
         epochs = self._last_epoch(best, rounds.folders(best))
         seconds = plan.most_seconds(best.candidate, machine)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
@@ -199,26 +188,6 @@ class Search:
             f"{plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
             f"{plan.effort.epochs} epochs a stage, {plan.cores} runs at a time, {time}"
         )
-
-    def _in_time(self, share: float, stage: str) -> bool:
-        """Return whether there is time for a stage: the search has not far exceeded this share.
-
-        A stage that is left out is printed and kept in the plan: the same command leaves it out
-        again.
-        """
-        if stage in self._plan.without:
-            return False
-        elapsed = time.monotonic() - self._start
-        if not self._clock or elapsed <= OVERRUN * share * self._plan.total:
-            return True
-        print(
-            f"after {elapsed / 60:.2g} min, more than {OVERRUN:g} times the time planned, "
-            f"{stage} are left out (hydra.sweeper.clock=false lets the plan alone decide)",
-            flush=True,
-        )
-        self._plan = replace(self._plan, without=(*self._plan.without, stage))
-        plans.keep_plan(self._folder / PLAN, self._plan)
-        return False
 
     # -- the chosen one ----------------------------------------------------------------------------
 
