@@ -58,7 +58,7 @@ def prepared(tmp_path, monkeypatch):
 def decided(prepared):
     """Return what is chosen of rigid links by their told errors and noise."""
 
-    def decide(told, *, raise_order=False, reduce_friction=False, combine=False, driven=True):
+    def decide(told, *, raise_order=False, reduce_forces=False, combine=False, driven=True):
         one = machine(2, 60.0, driven=driven)
         search, _, _ = prepared(told, one)
         search.screen(ladder(one) if combine else ladder(one)[:1])
@@ -66,8 +66,8 @@ def decided(prepared):
         if combine:
             search.combine(best)
             best = search.best()
-        if reduce_friction:
-            best = search.reduce_friction(best)
+        if reduce_forces:
+            best = search.reduce_forces(best)
         if raise_order:
             best = search.raise_order(best)
         return best.candidate.settings
@@ -108,7 +108,21 @@ def test_friction_is_left_out_unless_data_are_less_likely_without(error, noise, 
     def told(settings):
         return (error, 1e-3 * noise) if settings["dissipation"] == "none" else (1.0, 1e-3)
 
-    assert decided(told, reduce_friction=True)["dissipation"] == chosen
+    assert decided(told, reduce_forces=True)["dissipation"] == chosen
+
+
+@pytest.mark.parametrize(("noise", "chosen"), [(0.98, True), (1.0, False)])
+def test_springs_are_left_out_unless_data_are_less_likely_without(noise, chosen, prepared):
+    def told(settings):
+        return (0.5, 1e-3 * noise) if "springs" in settings else (1.0, 1e-3)
+
+    one = machine(2, 60.0)
+    search, _, _ = prepared(told, one, budget=1e5)
+    search.screen(ladder(one)[:1])
+    search.vary(search.best())
+    best = search.best()
+    assert "springs" in best.candidate.settings
+    assert ("springs" in search.reduce_forces(best).candidate.settings) == chosen
 
 
 @pytest.mark.parametrize("driven", [True, False])

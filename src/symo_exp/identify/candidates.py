@@ -26,6 +26,8 @@ FRICTION_RANK = {"none": -0.6, "viscous": -0.3, "friction": 0.0, "learned": 0.6}
 """Share of the choice of friction in the rank; that of machines is the sum of its kinds."""
 FRICTION_COST = {"learned": 1.7, "machine": 1.2}
 """Cost of an epoch with a choice of friction, relative to the others."""
+SPRINGS, SPRINGS_RANK = "springs", 0.05
+"""Name of springs and what they add to the rank."""
 STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 INPUT_NOISE = 100.0
@@ -177,6 +179,18 @@ def of_higher_order(candidate: Candidate) -> list[Candidate]:
     return [candidate.changed("Galerkin order 4", 0.3, 3.6, integrator="galerkin4")]
 
 
+def without_springs(candidate: Candidate) -> Iterator[Candidate]:
+    """Yield a candidate without its springs, nothing if it has none."""
+    if "springs" in candidate.settings:
+        parts = candidate.name.split(", ")
+        yield replace(
+            candidate,
+            name=", ".join(part for part in parts if part != SPRINGS),
+            rank=candidate.rank - SPRINGS_RANK,
+            settings=left_open(candidate.settings, ["springs"]),
+        )
+
+
 def with_less_friction(candidate: Candidate) -> Iterator[Candidate]:
     """Yield simplifications of a candidate: viscous friction alone, then none."""
     if candidate.settings["dissipation"] not in ("viscous", "none"):
@@ -274,7 +288,7 @@ def _switch(kind: str) -> str:
 
 
 def _sprung(candidate: Candidate, machine: Machine) -> Candidate:
-    found = candidate.changed("springs", 0.05, springs="linear")
+    found = candidate.changed(SPRINGS, SPRINGS_RANK, springs="linear")
     if machine.stiffness is None:
         return found
     start = override_value(machine.stiffness)

@@ -19,6 +19,7 @@ from symo_exp.identify.candidates import (
     variations,
     with_friction_of,
     with_less_friction,
+    without_springs,
 )
 from symo_exp.identify.fits import Fits
 from symo_exp.identify.plan import Plan
@@ -123,7 +124,7 @@ class Rounds:
                 stage(best)
         if (best := self.best()) is None:
             return None
-        return self.raise_order(self.reduce_friction(self.reduce_structure(best)))
+        return self.raise_order(self.reduce_forces(self.reduce_structure(best)))
 
     def combine(self, best: Trial) -> None:
         """Give the friction of the best candidate to simpler structures, the best of them.
@@ -200,15 +201,18 @@ class Rounds:
                     return self.reduce_structure(trial)
         return best
 
-    def reduce_friction(self, best: Trial) -> Trial:
-        """Return the best candidate with viscous friction alone or none, unless that is worse."""
-        if any(key.partition(".")[0] == "dissipation" for key in self._given):
-            return best
-        for less in with_less_friction(best.candidate):
-            trial = self._at_least_as_good(less, best, self._worse)
-            if trial is None:
-                return best
-            best = trial
+    def reduce_forces(self, best: Trial) -> Trial:
+        """Return the best candidate with fewer forces, unless that is worse.
+
+        It is tried without springs, then with viscous friction alone, then without friction.
+        """
+        given = {key.partition(".")[0] for key in self._given}
+        for key, fewer in ("springs", without_springs), ("dissipation", with_less_friction):
+            for less in fewer(best.candidate) if key not in given else ():
+                trial = self._at_least_as_good(less, best, self._worse)
+                if trial is None:
+                    break
+                best = trial
         return best
 
     def raise_order(self, best: Trial) -> Trial:
