@@ -124,7 +124,7 @@ class Rounds:
                 stage(best)
         if (best := self.best()) is None:
             return None
-        return self.raise_order(self.reduce_forces(self.reduce_structure(best)))
+        return self.raise_order(self.reduce_structure(self.reduce_forces(best)))
 
     def combine(self, best: Trial) -> None:
         """Give the friction of the best candidate to simpler structures, the best of them.
@@ -178,6 +178,20 @@ class Rounds:
             if joint is base or self._gains(c, joint, folds):
                 joint = self._trials[c.name]
 
+    def reduce_forces(self, best: Trial) -> Trial:
+        """Return the best candidate with fewer forces, unless that is worse.
+
+        It is tried without springs, then with viscous friction alone, then without friction.
+        """
+        given = {key.partition(".")[0] for key in self._given}
+        for key, fewer in ("springs", without_springs), ("dissipation", with_less_friction):
+            for less in fewer(best.candidate) if key not in given else ():
+                trial = self._at_least_as_good(less, best, self._worse)
+                if trial is None:
+                    break
+                best = trial
+        return best
+
     def reduce_structure(self, best: Trial) -> Trial:
         """Return the best candidate with a simpler structure, unless that is worse for certain.
 
@@ -199,20 +213,6 @@ class Rounds:
                 trial = self._at_least_as_good(candidate, best, self._beaten)
                 if trial is not None:
                     return self.reduce_structure(trial)
-        return best
-
-    def reduce_forces(self, best: Trial) -> Trial:
-        """Return the best candidate with fewer forces, unless that is worse.
-
-        It is tried without springs, then with viscous friction alone, then without friction.
-        """
-        given = {key.partition(".")[0] for key in self._given}
-        for key, fewer in ("springs", without_springs), ("dissipation", with_less_friction):
-            for less in fewer(best.candidate) if key not in given else ():
-                trial = self._at_least_as_good(less, best, self._worse)
-                if trial is None:
-                    break
-                best = trial
         return best
 
     def raise_order(self, best: Trial) -> Trial:
