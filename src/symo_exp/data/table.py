@@ -128,42 +128,39 @@ def _read(
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
     table = _without_gaps(where, table, numbers, notes)
-    table["t"] *= _seconds(where, table["t"].to_numpy()) if seconds is None else seconds
+    if seconds is None:
+        _check_seconds(where, table["t"].to_numpy())
+    else:
+        table["t"] *= seconds
     table = _without_repeats(where, _numbered(table, notes), notes)
-    columns = Columns(where, wanted, len(inputs))
+    recordings = tuple(_divided(where, table, wanted, len(inputs)))
     known = {*numbers, *OTHERS}
     unread = [c.lstrip(".") for c in found if c not in known and c[:8] != "__index_"]
-    return RecordingTable(tuple(columns.divide(table)), tuple(unread), tuple(notes))
+    return RecordingTable(recordings, tuple(unread), tuple(notes))
 
 
-class Columns(NamedTuple):
-    """The columns of a table by what they hold; ``inputs`` counts inputs, recorded or not."""
-
-    where: str
-    wanted: Mapping[str, Sequence[str]]
-    inputs: int
-
-    def divide(self, table: pd.DataFrame) -> Iterator[Recording]:
-        """Yield the trajectories of a table."""
-        for column in {"trajectory", "split"} & set(table.columns):
-            if table[column].isna().any():
-                raise ConfigError(f"{self.where}: rows without a {column}; give each row one")
-        groups = [("", table)] if "trajectory" not in table else _groups(table)
-        for label, rows in groups:
-            order = np.argsort(rows["t"].to_numpy(), kind="stable")
-            _check_times(f"{self.where}: trajectory {label}", rows["t"].to_numpy())
-            parts = list(rows["split"].astype(str).unique()) if "split" in rows else [""]
-            if len(parts) > 1:
-                raise ConfigError(
-                    f"{self.where}: trajectory {label} is in the splits {few(parts)}; a "
-                    "trajectory belongs to one of them"
-                )
-            rows = rows.iloc[order]
-            fields = {kind: rows[list(names)].to_numpy() for kind, names in self.wanted.items()}
-            v = fields["v"] if self.wanted["v"] else None
-            u = fields["u"] if self.wanted["u"] else np.zeros((len(rows), self.inputs))
-            samples = Samples(rows["t"].to_numpy(), fields["q"], v, u)
-            yield Recording(label, str(parts[0]), samples)
+def _divided(
+    where: str, table: pd.DataFrame, wanted: Mapping[str, Sequence[str]], inputs: int
+) -> Iterator[Recording]:
+    """Yield the trajectories of a table; ``inputs`` counts inputs, recorded or not."""
+    for column in {"trajectory", "split"} & set(table.columns):
+        if table[column].isna().any():
+            raise ConfigError(f"{where}: rows without a {column}; give each row one")
+    groups = [("", table)] if "trajectory" not in table else _groups(table)
+    for label, rows in groups:
+        _check_times(f"{where}: trajectory {label}", rows["t"].to_numpy())
+        parts = list(rows["split"].astype(str).unique()) if "split" in rows else [""]
+        if len(parts) > 1:
+            raise ConfigError(
+                f"{where}: trajectory {label} is in the splits {few(parts)}; a trajectory "
+                "belongs to one of them"
+            )
+        rows = rows.sort_values("t", kind="stable")
+        fields = {kind: rows[list(names)].to_numpy() for kind, names in wanted.items()}
+        v = fields["v"] if wanted["v"] else None
+        u = fields["u"] if wanted["u"] else np.zeros((len(rows), inputs))
+        samples = Samples(rows["t"].to_numpy(), fields["q"], v, u)
+        yield Recording(label, str(parts[0]), samples)
 
 
 def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
@@ -244,12 +241,8 @@ def _without_gaps(
     return table[~rows].reset_index(drop=True)
 
 
-def _seconds(where: str, t: np.ndarray) -> float:
-    """Return the unit of times that none is stated for, a second.
-
-    Raises:
-        ConfigError: If the samples would be slow.
-    """
+def _check_seconds(where: str, t: np.ndarray) -> None:
+    """Refuse times without a stated unit whose samples would be slow if they are in seconds."""
     gaps = np.diff(np.unique(t))
     step = float(np.median(gaps)) if len(gaps) else 0.0
     if step >= SLOW:
@@ -258,7 +251,6 @@ def _seconds(where: str, t: np.ndarray) -> float:
             f"{where}: times are {step:.6g} apart, and nothing says their unit; if they are in "
             f"{other}, give data.time_unit={other}, if in seconds, data.time_unit=s"
         )
-    return 1.0
 
 
 def _numbered(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
