@@ -28,6 +28,16 @@ def one_line(error: BaseException) -> str:
     return " ".join(text.split())
 
 
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's message, the name of its class if there is none."""
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
+
+
+def shortened(text: object, most: int = 300) -> str:
+    """Return a text without line ends, at most so many characters."""
+    return " ".join(str(text).split())[:most]
+
+
 class Refused(BaseException):
     """Carry a ``ConfigError`` of a job through Hydra, which reports every ``Exception`` itself.
 

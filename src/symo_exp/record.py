@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, shortened
 from symo_exp.shell import python_command
 
 Policy = Callable[[np.ndarray], np.ndarray]
@@ -153,8 +153,7 @@ def _made(name: str) -> Any:
     try:
         return gymnasium.make(name)
     except Exception as error:  # an environment is anybody's code
-        reason = " ".join(str(error).split())[:300]
-        raise ConfigError(f"record {name}: Gymnasium cannot make it: {reason}") from None
+        raise ConfigError(f"record {name}: Gymnasium cannot make it: {shortened(error)}") from None
 
 
 def _plant(env: Any, name: str) -> Plant:
@@ -210,7 +209,7 @@ def _policy(given: str, env: Any, seed: int) -> Policy:
     try:
         found = runpy.run_path(given).get("policy")
     except Exception as error:  # a user's own code
-        raise ConfigError(f"--policy {given} fails: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"--policy {given} fails: {error}") from error
     if not callable(found):
         raise ConfigError(f"--policy {given} has no function policy(observation)")
     made: Policy = found

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
+from symo_exp.errors import first_line
 from symo_exp.mechanics.rows import Rowwise
 
 OPTIONS = {
@@ -170,8 +171,7 @@ def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..
                 graph, [*example], dynamic_shapes="from_tracing_context", options=OPTIONS
             )
     except Exception as error:
-        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
-        raise CompilerError(reason) from error
+        raise CompilerError(first_line(error)) from error
 
 
 def carry(kind: type[Rowwise]) -> None:

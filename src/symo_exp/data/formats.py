@@ -19,7 +19,7 @@ import pandas as pd
 import pyarrow.parquet
 import scipy.io
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, first_line, shortened
 
 TABLES = (".parquet", ".csv", ".npz", ".mat")
 TEXT = (".csv", ".tsv", ".txt", ".dat")
@@ -69,7 +69,7 @@ def readable(path: Location) -> Iterator[None]:
     except ConfigError:
         raise
     except UNREADABLE as error:
-        reason = getattr(error, "strerror", None) or next(iter(str(error).splitlines()), "")
+        reason = getattr(error, "strerror", None) or first_line(error)
         raise ConfigError(f"{shown(path)}: cannot be read ({reason})") from error
 
 
@@ -298,7 +298,7 @@ def _bag(file: Path) -> pd.DataFrame:
     except ConfigError:
         raise
     except Exception as error:  # the library has many
-        reason = " ".join(str(error).split())[:200]
+        reason = shortened(error, 200)
         raise ConfigError(f"data.path={file}: cannot be read as a ROS bag ({reason})") from error
     return _joint_states(file, messages)
 

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, first_line
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.space import FLAT, Space
 
@@ -35,7 +35,7 @@ def check_fit(reference: Reference, n: int, m: int) -> None:
         if found.shape == q.shape and found.isfinite().all():
             return
     except (AttributeError, RuntimeError, ValueError, TypeError, IndexError) as error:
-        reason = str(error).partition("\n")[0]
+        reason = first_line(error)
     raise ConfigError(
         f"reference: {type(reference).__name__} does not fit a system of {n} coordinate(s) and "
         f"{m} input(s) ({reason}); choose the one of this machine, or reference=none"

@@ -14,7 +14,7 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from symo_exp.errors import ConfigError, Refused, debugging, one_line
+from symo_exp.errors import ConfigError, Refused, debugging, first_line, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.config import Settings, resolve
 from symo_exp.job.lines import brief, run_line
@@ -155,10 +155,9 @@ def publish(tracker: Any, folder: RunFolder) -> str:
     try:
         return str(tracker.publish(folder))
     except Exception as error:
-        reason = next(iter(str(error).splitlines()), type(error).__name__)
         log.warning(
             "%s: the tracking store is unavailable (%s); the run is uploaded when the command is "
-            "given again", folder, reason,
+            "given again", folder, first_line(error),
         )  # fmt: skip
         return ""
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, first_line
 from symo_exp.mechanics.space import FLAT, Space
 
 Array = Any
@@ -80,8 +80,8 @@ class Inputs:
             self._tracked |= found.requires_grad
             return found.to(self._like)
         except (TypeError, ValueError, RuntimeError) as error:
-            reason = str(error).partition("\n")[0]
-            raise ConfigError(f"{name} is not an array of numbers: {reason}") from None
+            told = f"{name} is not an array of numbers: {first_line(error)}"
+            raise ConfigError(told) from None
 
     def _read(self, name: str, given: Array, *shape: int | str) -> Tensor:
         """Return numbers of a shape, in which a size given by a name may be any."""

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, shortened
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Gradients, Lagrangian, Rates, matvec
 from symo_exp.mechanics.space import Space
@@ -182,7 +182,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
                     torch.autograd.grad(value, at)[0] if value.requires_grad else flat.clone()
                 )
         except (RuntimeError, TypeError) as error:
-            raise ConfigError(self._complaint(" ".join(str(error).split())[:200])) from error
+            raise ConfigError(self._complaint(shortened(error, 200))) from error
         with torch.no_grad():
             steps = SHIFT * torch.eye(len(flat), dtype=torch.float64)
             slopes = [(total(flat + s) - total(flat - s)) / (2.0 * SHIFT) for s in steps]

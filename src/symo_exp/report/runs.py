@@ -25,7 +25,7 @@ from urllib.parse import unquote, urlsplit
 
 import pandas as pd
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, first_line
 from symo_exp.report.looks import TRUE
 from symo_exp.runs.folder import ABOUT, DIED, SERIES, RunFolder
 from symo_exp.runs.series import EPOCH, TIME
@@ -221,7 +221,7 @@ def _load(path: Path) -> pd.DataFrame:
             table = table.assign(sweep=table.experiment, recording="")
         typed = table if absent else _typed(table[SAVED].assign(files=""))
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error).partition("\n")[0]
+        reason = getattr(error, "strerror", None) or first_line(error)
         raise ConfigError(f"{path} cannot be read ({reason})") from error
     if absent:
         raise ConfigError(

@@ -11,7 +11,7 @@ import torch
 import yaml
 
 from symo_exp import code
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, first_line, shortened
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.uncertainty import ModelPosterior
 from symo_exp.runs import before
@@ -48,8 +48,7 @@ def _set_weights(model: DynamicsModel, folder: Path) -> None:
         model.load_state_dict(weights)
     except RuntimeError as error:
         raise ConfigError(
-            f"the checkpoint in {folder} does not fit its config.yaml: "
-            + " ".join(str(error).split())[:300]
+            f"the checkpoint in {folder} does not fit its config.yaml: {shortened(error)}"
         ) from None
 
 
@@ -59,7 +58,7 @@ def _read_config(path: Path) -> Mapping[str, Any]:
     except FileNotFoundError:
         raise ConfigError(f"{path.parent} is not a run folder: it has no {path.name}") from None
     except (OSError, ValueError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+        raise ConfigError(f"{path} cannot be read: {error}") from None
     for part in ("system", "model"):
         if not isinstance(config, dict) or not isinstance(config.get(part), dict):
             raise ConfigError(f"{path} is not the configuration of a run: it has no {part}")
@@ -72,8 +71,7 @@ def _read_posterior(path: Path) -> ModelPosterior | None:
     try:
         return ModelPosterior.of_state(torch.load(path, map_location="cpu", weights_only=True))
     except Exception as error:  # damaged in any way, or not ours
-        reason = next(iter(str(error).splitlines()), "")
-        raise ConfigError(f"{path} is not a readable posterior: {reason}") from None
+        raise ConfigError(f"{path} is not a readable posterior: {first_line(error)}") from None
 
 
 def _read_weights(path: Path) -> dict[str, torch.Tensor]:
@@ -82,8 +80,7 @@ def _read_weights(path: Path) -> dict[str, torch.Tensor]:
     try:
         weights = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
     except Exception as error:  # damaged in any way, or not ours
-        reason = next(iter(str(error).splitlines()), "")
-        raise ConfigError(f"{path} is not a readable checkpoint: {reason}") from None
+        raise ConfigError(f"{path} is not a readable checkpoint: {first_line(error)}") from None
     if not isinstance(weights, dict) or not any(
         isinstance(value, torch.Tensor) and value.is_floating_point() for value in weights.values()
     ):

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, shortened
 from symo_exp.mechanics.bodies import Joint, joint_order
 from symo_exp.systems.mujoco_library import (
     environment_model,
     library,
     load_model,
     model_file,
-    single_line,
     warnings_heard,
 )
 from symo_exp.systems.multibody import Multibody
@@ -66,7 +65,7 @@ def _read(path: str, file: str, version: int) -> dict[str, Any]:
         try:
             model = load_model(file)
         except Exception as error:  # whatever a parser says
-            raise ConfigError(f"{where}: MuJoCo cannot read it: {single_line(error)}") from None
+            raise ConfigError(f"{where}: MuJoCo cannot read it: {shortened(error)}") from None
         return _with(of_model(model, where), warnings)
 
 
@@ -82,7 +81,7 @@ def environment_mechanism(name: str) -> dict[str, Any]:
         try:
             model = environment_model(name)
         except Exception as error:  # an environment is anybody's code
-            raise ConfigError(f"{where}: Gymnasium cannot make it: {single_line(error)}") from None
+            raise ConfigError(f"{where}: Gymnasium cannot make it: {shortened(error)}") from None
         if not isinstance(model, library().MjModel):
             raise ConfigError(
                 f"{where} is not an environment with a MuJoCo model; give one, such as Swimmer-v5"

@@ -10,7 +10,7 @@ from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, shortened
 from symo_exp.shell import install_command
 from symo_exp.shipped import CONF
 
@@ -61,13 +61,8 @@ def environment_model(name: str) -> Any:
 def warnings_heard() -> Iterator[list[str]]:
     """Collect MuJoCo's warnings, which it would write to a file in the working folder."""
     lines: list[str] = []
-    library().set_mju_user_warning(lambda text: lines.append(single_line(text)))
+    library().set_mju_user_warning(lambda text: lines.append(shortened(text)))
     try:
         yield lines
     finally:
         library().set_mju_user_warning(None)
-
-
-def single_line(text: object) -> str:
-    """Return a text without line ends, at most 300 characters."""
-    return " ".join(str(text).split())[:300]

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from symo_exp import code as own
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, first_line
 from symo_exp.models.base import DynamicsModel
 from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR
 from symo_exp.runs.load import from_folder
@@ -80,5 +80,5 @@ def _download(run_id: str, tracking_uri: str | None, directory: str | Path, targ
             copy = client.download_artifacts(run_id, name, target)
             shutil.move(copy, Path(target) / name)  # stores differ in the folders they make
     except Exception as error:
-        reason = next(iter(str(error).splitlines()), type(error).__name__)
-        raise ConfigError(f"run {run_id} in {store} has no model: {reason}") from error
+        told = f"run {run_id} in {store} has no model: {first_line(error)}"
+        raise ConfigError(told) from error

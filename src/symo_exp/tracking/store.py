@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 from filelock import FileLock, Timeout
 
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, first_line
 from symo_exp.files import write_whole
 from symo_exp.imports import first_import
 
@@ -172,9 +172,8 @@ def connect(store: Store) -> MlflowClient:
             client = MlflowClient(store.uri, registry_uri=store.uri)
             client.search_experiments(max_results=1)
     except MlflowException as error:
-        reason = str(error).strip().splitlines()[0]
         kind = AwayError if store.database is None and is_away(error) else ConfigError
-        raise kind(f"tracking store {store} cannot be opened: {reason}") from error
+        raise kind(f"tracking store {store} cannot be opened: {first_line(error)}") from error
     return client
 
 

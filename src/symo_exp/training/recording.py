@@ -10,6 +10,7 @@ from typing import Any
 import lightning
 from typing_extensions import override
 
+from symo_exp.errors import first_line
 from symo_exp.runs.series import Series
 
 log = logging.getLogger(__name__)
@@ -68,4 +69,4 @@ class SeriesRecorder(lightning.Callback):
             self._due = time.monotonic() + self.seconds
         except Exception as error:
             self._due = time.monotonic() + RETRY_SECONDS
-            log.warning("the store is updated later: %s", str(error).partition("\n")[0])
+            log.warning("the store is updated later: %s", first_line(error))

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import torch
 
+from symo_exp.errors import first_line
 from symo_exp.training.checkpoint import LAST, PREVIOUS
 
 log = logging.getLogger(__name__)
@@ -59,8 +60,7 @@ def _read(path: Path, run: str, model: torch.nn.Module) -> dict[str, Any]:
     except Exception as error:  # damaged in another way, or of another program
         if isinstance(error, _UnsoundError):
             raise
-        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
-        raise _UnsoundError(f"it cannot be read ({reason})") from None
+        raise _UnsoundError(f"it cannot be read ({first_line(error)})") from None
     wanted = {"state_dict", "run", "complete", "resumable", "random", "optimizer_states"}
     if not isinstance(state, dict) or not wanted <= state.keys():
         raise _UnsoundError("it is not a checkpoint of a run")

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from symo_exp.compile.inductor import simplify, stand_ins, trace
 from symo_exp.compile.newton import iterate_branch_free
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, shortened
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
@@ -104,7 +104,7 @@ def export(
     except Exception as error:  # PyTorch has many
         if isinstance(error, ConfigError):
             raise
-        reason = " ".join(str(error).split())[:200]
+        reason = shortened(error, 200)
         raise ConfigError(f"this step cannot be written to {path.name}: {reason}") from error
     return path
 
