@@ -278,7 +278,6 @@ def _reduced(matrix: Float[Tensor, "rows columns"]) -> Float[Tensor, "rank colum
     """Return the reduced row echelon form, pivots by size."""
     left = matrix.clone().double()
     size = float(left.abs().max()) if left.numel() else 0.0
-    done: list[int] = []
     for row in range(len(left)):
         rest = left[row:].abs()
         if rest.numel() == 0 or float(rest.max()) <= SMALL * size:
@@ -292,5 +291,4 @@ def _reduced(matrix: Float[Tensor, "rows columns"]) -> Float[Tensor, "rank colum
                 left[other] = left[other] - left[other, column] * left[row]
         left = torch.where(left.abs() > SMALL, left, 0.0)
         size = 1.0
-        done.append(column)
     return left
