@@ -7,21 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.resample import Samples
+from symo_exp.data.parts import GAP, Parts
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 
 POOLED = "pooled"
 """Name of the division that trains on the training and the validation part."""
-GAP = 0.5
-"""Left out between neighbouring blocks of one recording [s], at most a tenth of a block."""
 SHORTEST = 1.0
 """Length of the pieces that data are reduced to [s], where recordings are not shorter."""
 VALIDATED = 8.0
 """Length of the pieces that validation data are reduced to [s]: windows and a whole motion."""
 GOLDEN = 0.6180339887498949
 """Multiples of it, modulo 1, are spread evenly over the unit interval, however many there are."""
-Parts = dict[str, list[Recording]]
 
 
 def folded(parts: Parts, fold: Sequence[int] | str) -> Parts:
@@ -81,7 +78,7 @@ def thinned(
     for i, one in enumerate(recordings):
         length = share * _duration(one)
         low = (GOLDEN * i) % 1.0 * (_duration(one) - length)
-        pieces.append(one._replace(samples=_between(one.samples, low, low + length)))
+        pieces.append(one._replace(samples=one.samples.between(low, low + length)))
     return pieces
 
 
@@ -105,16 +102,10 @@ def _blocks(recordings: Sequence[Recording], count: int) -> list[Recording]:
         edges = np.linspace(0.0, _duration(one), blocks + 1)
         gap = min(GAP, 0.1 * edges[1])
         for k, (low, high) in enumerate(itertools.pairwise(edges)):
-            samples = _between(one.samples, low + gap * (k > 0), high)
+            samples = one.samples.between(low + gap * (k > 0), high)
             pieces.append(one._replace(label=f"{one.label}/{k}", samples=samples))
     return pieces
 
 
 def _duration(recording: Recording) -> float:
     return float(recording.samples.t[-1] - recording.samples.t[0])
-
-
-def _between(samples: Samples, low: float, high: float) -> Samples:
-    """Return the samples from ``low`` to ``high`` [s] after the first."""
-    t = samples.t - samples.t[0]
-    return samples.rows((t >= low) & (t <= high))

@@ -20,7 +20,7 @@ BLOCK, ROUNDS = 6.0, 4
 """Length that blocks have at least where the pattern is repeated [s], and how often it is, at
 most."""
 GAP = 0.5
-"""Left out between blocks of different parts [s], at most a tenth of a block."""
+"""Left out between blocks of different parts or folds [s], at most a tenth of a block."""
 FEWEST = 5
 """Time steps of a block, at least."""
 REST = 0.05
@@ -264,8 +264,7 @@ def _in_blocks(
         gap = min(GAP, size / 10)
         for part, first, last in _stretches(pattern * rounds):
             low, high = start + first * size + gap * (first > 0), start + last * size
-            t = one.samples.t - one.samples.t[0]
-            samples = one.samples.rows((t >= low) & (t <= high))
+            samples = one.samples.between(low, high)
             name = f"{low:.4g} to {high:.4g} s"
             blocks.append(Recording(f"{one.label}/{name}" if one.label else name, part, samples))
         rest = float(np.ptp(one.samples.t)) - span

@@ -26,6 +26,11 @@ class Samples(NamedTuple):
         v = None if self.v is None else self.v[which]
         return Samples(self.t[which], self.q[which], v, self.u[which])
 
+    def between(self, low: float, high: float) -> Samples:
+        """Return the samples from ``low`` to ``high`` [s] after the first."""
+        t = self.t - self.t[0]
+        return self.rows((t >= low) & (t <= high))
+
 
 def resample(samples: Samples, h: float) -> Samples:
     """Return the motion at nodes ``h`` apart, estimated from samples at rising times.
