@@ -74,14 +74,10 @@ class Geodesic(Galerkin):
     Args:
         space: The space.
         stages: Number of Gauss points.
-        tolerance: Bound on the last update of inner coefficients, relative to the displacement.
-        max_iterations: Bound on the number of updates.
     """
 
-    def __init__(
-        self, *, space: Space, stages: int, tolerance: float = 1e-12, max_iterations: int = 12
-    ) -> None:
-        super().__init__(stages=stages, tolerance=tolerance, max_iterations=max_iterations)
+    def __init__(self, *, space: Space, stages: int) -> None:
+        super().__init__(stages=stages)
         self.space, self.name, self.iterates = space, f"geodesic{self.order}", True
 
     @override
