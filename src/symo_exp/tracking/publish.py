@@ -238,10 +238,10 @@ class _Opened:
             return
         if outcome.reason:
             self._client.set_tag(self.run_id, REASON, outcome.reason[:500])
+            self._tags[REASON] = outcome.reason
         elif REASON in self._tags:
             self._client.delete_tag(self.run_id, REASON)
-        self._tags = {k: v for k, v in self._tags.items() if k != REASON}
-        self._tags |= {REASON: outcome.reason} if outcome.reason else {}
+            del self._tags[REASON]
         if status in ("RUNNING", "SCHEDULED"):
             self._client.update_run(self.run_id, status=status)
         else:
