@@ -98,7 +98,7 @@ class RigidBody(RigidBodySystem):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_moments("system.inertia", self.inertia)
+        check_moments(self.inertia)
 
     @cached_property
     @override
@@ -184,7 +184,7 @@ class Quadrotor(RigidBodySystem):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_moments("system.inertia", self.inertia)
+        check_moments(self.inertia)
 
     @cached_property
     @override
@@ -218,7 +218,7 @@ def body_of(mass: float, centre: Vector, moments: Vector) -> Float[Tensor, "4 4"
     return pseudo_inertia(m, c, torch.diag(inertia), float(c.norm()))
 
 
-def check_moments(key: str, moments: Vector) -> None:
+def check_moments(moments: Vector) -> None:
     """Refuse principal moments that no body has: each is at most the sum of the others.
 
     Raises:
@@ -228,6 +228,6 @@ def check_moments(key: str, moments: Vector) -> None:
     if min(moments) > 0.0 and 2.0 * largest <= sum(moments) * (1.0 + 1e-12):
         return
     raise ConfigError(
-        f"{key}={list(moments)}: expected three positive moments, each at most the sum of the "
-        "other two"
+        f"system.inertia={list(moments)}: expected three positive moments, each at most the sum "
+        "of the other two"
     )
