@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,10 @@ from torch import Tensor
 
 from symo_exp.mechanics.space import Space, space_of
 from symo_exp.mechanics.types import Trajectory, Windows
+from symo_exp.nets.affine import parameter_jacobian
+
+WindowResiduals = Callable[[Windows], Float[Tensor, "windows k"]]
+"""Maps samples of three nodes to their residuals."""
 
 
 class Chain(NamedTuple):
@@ -77,6 +81,27 @@ class Chain(NamedTuple):
         bases = self.stencil(self.base)
         a, b, c = (self.space.point(q, x[:, :n]) for q, x in zip(bases, nodes, strict=True))
         return Windows(a, b, c, v, v_next, *u)
+
+    def weighted(
+        self, residuals: WindowResiduals, nodes: Sequence[Tensor], weight: Float[Tensor, " d"]
+    ) -> Float[Tensor, "windows k"]:
+        """Return residuals at the three nodes of every window, those of velocities over weights."""
+        found = residuals(self.windows(*nodes))
+        return found / weight[: found.shape[1]]
+
+    def linearised(
+        self,
+        residuals: WindowResiduals,
+        x: Float[Tensor, "nodes d"],
+        weight: Float[Tensor, " d"],
+        parameters: Sequence[Tensor] = (),
+    ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+        """Return ``r``, ``J_θ`` and ``J_x`` at nodes ``x``, in units of their noise ``weight``."""
+        nodes = [y.clone().requires_grad_() for y in self.stencil(x)]
+        r, by_theta, by_x = parameter_jacobian(
+            lambda: self.weighted(residuals, nodes, weight), parameters, nodes
+        )
+        return r, by_theta, tuple(j * weight for j in by_x)
 
     def spread(
         self, jacobians: Sequence[Float[Tensor, "windows k d"]], y: Float[Tensor, "windows k"]

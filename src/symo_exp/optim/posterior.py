@@ -17,16 +17,15 @@ the prior precisions ``α`` being those of total least squares.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.mechanics.types import Trajectory, Windows
-from symo_exp.nets.affine import parameter_jacobian
-from symo_exp.optim.banded import BandFactor, Chain
+from symo_exp.mechanics.types import Trajectory
+from symo_exp.optim.banded import BandFactor, Chain, WindowResiduals
 
 ITERATIONS = 15
 """Steps that put the nodes where the model has them, at most."""
@@ -78,7 +77,7 @@ class Posterior(NamedTuple):
 
 
 def posterior(
-    residuals: Callable[[Windows], Float[Tensor, "samples k"]],
+    residuals: WindowResiduals,
     parameters: Sequence[Tensor],
     trajectories: Sequence[Trajectory],
     *,
@@ -105,10 +104,9 @@ def posterior(
     chain = Chain.of(trajectories, velocities=velocities, inputs=input_weight > 0)
     units = torch.ones(chain.n) if sizes is None else sizes
     weight = chain.weights(units, velocity_weight, input_weight)
-    problem = _Linearisation(residuals, parameters, chain, weight)
-    x = chain.x if epsilon is None else problem.settled(epsilon)
-    r, by_theta, by_x = problem.at(x)
-    e = r + chain.apply(by_x, (chain.x - x) / problem.weight)
+    x = chain.x if epsilon is None else _settled(residuals, chain, weight, epsilon)
+    r, by_theta, by_x = chain.linearised(residuals, x, weight, parameters)
+    e = r + chain.apply(by_x, (chain.x - x) / weight)
     count, size = e.numel(), by_theta.shape[2]
     own, variance = _likeliest(chain, by_x, e)
     variance *= count / max(count - size, 0.1 * count)
@@ -118,59 +116,32 @@ def posterior(
     return _of_estimate(chain, by_x, by_theta, factor, own, variance, alpha, mean)
 
 
-class _Linearisation:
-    """Residuals along a chain and their derivatives."""
-
-    def __init__(
-        self,
-        residuals: Callable[[Windows], Tensor],
-        parameters: Sequence[Tensor],
-        chain: Chain,
-        weight: Float[Tensor, " d"],
-    ) -> None:
-        self._residuals, self._parameters, self._chain = residuals, parameters, chain
-        self.weight = weight
-
-    def at(
-        self, x: Tensor, *, nodes_only: bool = False
-    ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """Return ``r``, ``J_θ`` and ``J_x`` of nodes in units of their noise."""
-        stencil = [y.clone().requires_grad_() for y in self._chain.stencil(x)]
-
-        def function() -> Tensor:
-            found = self._residuals(self._chain.windows(*stencil))
-            return found / self.weight[: found.shape[1]]
-
-        r, by_theta, by_x = parameter_jacobian(
-            function, () if nodes_only else self._parameters, stencil
-        )
-        return r, by_theta, tuple(j * self.weight for j in by_x)
-
-    def settled(self, epsilon: float) -> Float[Tensor, "nodes d"]:
-        """Return the nodes that minimise ``|x − y|² + |r|²/ε²``, by Gauss-Newton steps."""
-        chain = self._chain
-        best, least = chain.x, torch.inf
-        x = chain.x
-        for _ in range(ITERATIONS):
-            r, _, by_x = self.at(x, nodes_only=True)
-            moved = ((x - chain.x) / self.weight).square().sum()
-            cost = float(moved + r.square().sum() / epsilon**2)
-            if not cost < least * (1.0 - 1e-9):
-                if not cost < least:
-                    x = 0.5 * (x + best)
-                    if (x - best).abs().max() < 1e-9 * (1.0 + best.abs().max()):
-                        break
-                    continue
-                best = x
-                break
-            best, least = x, cost
-            e = r + chain.apply(by_x, (chain.x - x) / self.weight)
-            factor = chain.factor(by_x, epsilon**2)
-            if factor is None:
-                break
-            pull = factor.solve(e)
-            x = chain.x - self.weight * chain.spread(by_x, pull)
-        return best
+def _settled(
+    residuals: WindowResiduals, chain: Chain, weight: Float[Tensor, " d"], epsilon: float
+) -> Float[Tensor, "nodes d"]:
+    """Return the nodes that minimise ``|x − y|² + |r|²/ε²``, by Gauss-Newton steps."""
+    best, least = chain.x, torch.inf
+    x = chain.x
+    for _ in range(ITERATIONS):
+        r, _, by_x = chain.linearised(residuals, x, weight)
+        moved = ((x - chain.x) / weight).square().sum()
+        cost = float(moved + r.square().sum() / epsilon**2)
+        if not cost < least * (1.0 - 1e-9):
+            if not cost < least:
+                x = 0.5 * (x + best)
+                if (x - best).abs().max() < 1e-9 * (1.0 + best.abs().max()):
+                    break
+                continue
+            best = x
+            break
+        best, least = x, cost
+        e = r + chain.apply(by_x, (chain.x - x) / weight)
+        factor = chain.factor(by_x, epsilon**2)
+        if factor is None:
+            break
+        pull = factor.solve(e)
+        x = chain.x - weight * chain.spread(by_x, pull)
+    return best
 
 
 def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, float]:

@@ -29,7 +29,6 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.roles import are_squares, is_coefficient, is_late
 from symo_exp.optim.banded import BandFactor, Chain
 from symo_exp.optim.base import Problem
@@ -106,15 +105,11 @@ class SmoothingObjective:
     @torch.no_grad()
     def residuals(self, x: Float[Tensor, "nodes d"]) -> Float[Tensor, "windows k"]:
         """Return ``r``; residuals of velocities are divided by their weight."""
-        return self._residuals(self.chain.stencil(x))
+        return self.chain.weighted(self._model.residuals, self.chain.stencil(x), self.weight)
 
     def differentiated(self, x: Tensor, parameters: Sequence[Tensor]) -> tuple[Any, ...]:
         """Return ``r``, ``J_θ`` and ``J_x``."""
-        stencil = [y.clone().requires_grad_() for y in self.chain.stencil(x)]
-        r, by_theta, by_x = parameter_jacobian(
-            lambda: self._residuals(stencil), parameters, stencil
-        )
-        return r, by_theta, tuple(j * self.weight for j in by_x)
+        return self.chain.linearised(self._model.residuals, x, self.weight, parameters)
 
     def value(self, x: Tensor, r: Tensor, theta: Tensor) -> float:
         """Return the objective at nodes ``x`` and parameters ``θ`` with residuals ``r``."""
@@ -146,10 +141,6 @@ class SmoothingObjective:
         return math.isclose(noise, self.memory["noise"], rel_tol=SETTLED) and torch.allclose(
             precision, self.memory["precision"], rtol=SETTLED, atol=0.0
         )
-
-    def _residuals(self, stencil: Sequence[Tensor]) -> Tensor:
-        found = self._model.residuals(self.chain.windows(*stencil))
-        return found / self.weight[: found.shape[1]]
 
 
 def smoothing_step(objective: SmoothingObjective) -> Found:
