@@ -149,13 +149,13 @@ class HorizonError(Objective):
         size = sum(p.numel() for p in parameters)
         jacobian = values.new_zeros(*values.shape, size)
         for kept in found.follows.nonzero().squeeze(-1).split(max(1, ROWS // self.horizon)):
-            by_start, by_theta = self._forwards(flow, found.rows(kept), parameters)
+            by_start, by_theta = _forwards(flow, found.rows(kept), parameters)
             jacobian[kept] = by_theta - _projected(by_start, by_theta)
         return Linearised(values, jacobian, ())
 
     def _backwards(self, flow: Flow, found: _Fitted) -> Float[Tensor, "stretches errors"]:
         """Return residuals with a graph of their motions."""
-        by_start, _ = self._forwards(flow, found, ())
+        by_start, _ = _forwards(flow, found, ())
         q, y = found.start.q, flow.encode(*found.start)
         path = [q]
         for before, after in zip(found.u[:, :-1].unbind(1), found.u[:, 1:].unbind(1), strict=True):
@@ -165,14 +165,6 @@ class HorizonError(Objective):
         values = (found.root * errors).flatten(1)
         change = (values - values.detach()).unsqueeze(-1)
         return values.detach() + (change - _projected(by_start, change)).squeeze(-1)
-
-    def _forwards(
-        self, flow: Flow, found: _Fitted, parameters: Sequence[Tensor]
-    ) -> tuple[Float[Tensor, "stretches errors 2*n"], Float[Tensor, "stretches errors p"]]:
-        """Return the derivatives of residuals in the starts and in the parameters."""
-        root = found.root.flatten(1).unsqueeze(-1)
-        by_start, by_theta = _along(flow, found, parameters)
-        return root * by_start, root * by_theta
 
 
 class _Fitted(NamedTuple):
@@ -222,10 +214,10 @@ def _projected(
     return basis @ (basis.mT @ changes)
 
 
-def _along(
+def _forwards(
     flow: Flow, found: _Fitted, parameters: Sequence[Tensor]
 ) -> tuple[Float[Tensor, "stretches errors 2*n"], Float[Tensor, "stretches errors p"]]:
-    """Return the derivatives of motions in their starts ``(q₀, y₀)`` and in the parameters.
+    """Return the derivatives of residuals in the starts ``(q₀, y₀)`` and in the parameters.
 
     The steps ``x_{k+1} = F(x_k, θ)`` of the state ``x = (q, y)`` that a rollout carries are
     linearised all at once, along rotations; then ``S_{k+1} = F_x S_k + F_θ``, from
@@ -243,4 +235,5 @@ def _along(
     else:  # of errors along the step from the data
         turned = Ends.of(space, found.errors.flatten(0, 1)).inverse.unflatten(0, (count, nodes))
         by_start, by_parameters = (turned @ x for x in motions)
-    return by_start.flatten(1, 2), by_parameters.flatten(1, 2)
+    root = found.root.flatten(1).unsqueeze(-1)
+    return root * by_start.flatten(1, 2), root * by_parameters.flatten(1, 2)
