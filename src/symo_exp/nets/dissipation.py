@@ -137,17 +137,11 @@ class LearnedDissipation(nn.Module, Dissipation):
         """Return ``D`` (n, n), and ``c`` with ``ε_v`` (n), of joint velocities, where they are."""
         matrix = dry = None
         if self.viscous_root is not None:
-            unit, d = (x[0] for x in self._factors(self.viscous_root.unsqueeze(0)))
+            unit, d = (x[0] for x in self._triangle.factors(self.viscous_root.unsqueeze(0)))
             matrix = unit * d @ unit.mT
         if self.coulomb_root is not None and self.rest is not None:
             dry = self._dry(self.coulomb_root, self.rest)
         return matrix, dry
-
-    def _factors(self, root: Tensor) -> tuple[Tensor, Tensor]:
-        """Return ``U`` and ``d``."""
-        square = self._triangle.square(root)
-        d = square.diagonal(dim1=-2, dim2=-1).square()
-        return torch.tril(square, -1) + torch.eye(d.shape[-1]).to(d), d
 
     def _dry(self, root: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``c`` and ``ε_v``."""
@@ -158,7 +152,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         """Return the friction of joint velocities, by the coefficients."""
         found = torch.zeros_like(rate)
         if self.viscous_root is not None:
-            unit, d = self._factors(repeated(self.viscous_root, rate.shape[0]))
+            unit, d = self._triangle.factors(repeated(self.viscous_root, rate.shape[0]))
             found = found - matvec(unit, d * vecmat(rate, unit))
         if self.coulomb_root is not None and self.rest is not None:
             c, rest = self._dry(
@@ -171,7 +165,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         """Return the derivative of ``_joint_force``."""
         found = torch.zeros(rate.shape[0], *self.joints.shape).to(rate)
         if self.viscous_root is not None:
-            unit, d = self._factors(self.viscous_root.unsqueeze(0))
+            unit, d = self._triangle.factors(self.viscous_root.unsqueeze(0))
             found = found - unit * d.unsqueeze(-2) @ unit.mT
         if self.coulomb_root is not None and self.rest is not None:
             c, rest = self._dry(self.coulomb_root, self.rest)
@@ -292,7 +286,7 @@ class MachineFriction(LearnedDissipation):
         assert self.coulomb_root is not None
         assert self.rest is not None
         batch = rate.shape[0]
-        unit, d = self._factors(repeated(self.viscous_root, batch))
+        unit, d = self._triangle.factors(repeated(self.viscous_root, batch))
         dry, rest = self._dry(repeated(self.coulomb_root, batch), repeated(self.rest, batch))
         t = torch.tanh(rate / rest)
         a = e = torch.zeros_like(t)
@@ -310,7 +304,7 @@ class MachineFriction(LearnedDissipation):
         assert self.viscous_root is not None
         assert self.coulomb_root is not None
         assert self.rest is not None
-        unit, d = self._factors(self.viscous_root.unsqueeze(0))
+        unit, d = self._triangle.factors(self.viscous_root.unsqueeze(0))
         matrix = unit * d.unsqueeze(-2) @ unit.mT
         dry, rest = self._dry(self.coulomb_root, self.rest)
         t = torch.tanh(rate / rest)
@@ -345,6 +339,14 @@ class Triangle(nn.Module):
         """Return the matrices of such vectors."""
         padded = torch.cat((flat, torch.zeros_like(flat[:, :1])), dim=1)
         return padded[:, self.place]
+
+    def factors(
+        self, flat: Float[Tensor, "batch entries"]
+    ) -> tuple[Float[Tensor, "batch n n"], Float[Tensor, "batch n"]]:
+        """Return the unit triangle ``U`` and ``d``, the squared diagonal, of ``U diag(d) Uᵀ``."""
+        square = self.square(flat)
+        d = square.diagonal(dim1=-2, dim2=-1).square()
+        return torch.tril(square, -1) + torch.eye(d.shape[-1]).to(d), d
 
     def flat(self, matrix: Float[Tensor, "n n"]) -> Float[Tensor, " entries"]:
         """Return the vector of a matrix."""

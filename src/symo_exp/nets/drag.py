@@ -140,8 +140,6 @@ class LearnedBodyDrag(nn.Module, Dissipation):
         return self._matrix(self.roots.unsqueeze(0))[0]
 
     def _matrix(self, roots: Float[Tensor, "batch entries"]) -> Float[Tensor, "batch 2 parts 3 3"]:
-        square = self._triangle.square(roots.unflatten(1, (self._matrices, -1)).flatten(0, 1))
-        d = square.diagonal(dim1=-2, dim2=-1).square()
-        unit = torch.tril(square, -1) + torch.eye(3).to(d)
+        unit, d = self._triangle.factors(roots.unflatten(1, (self._matrices, -1)).flatten(0, 1))
         found = (unit * d.unsqueeze(-2) @ unit.mT).unflatten(0, (-1, 2, self._matrices // 2))
         return self.units * found
