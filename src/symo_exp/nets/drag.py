@@ -15,10 +15,10 @@ from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.rigid_body import in_body, in_world
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import linear, repeated
-from symo_exp.nets.dissipation import Triangle
 from symo_exp.nets.embedding import Features, require_flat, require_one_body
 from symo_exp.nets.harmonics import Harmonics
 from symo_exp.nets.roles import mark, mark_squares
+from symo_exp.nets.triangle import Triangle
 
 
 class LearnedDrag(nn.Module, Dissipation):

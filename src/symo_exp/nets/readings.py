@@ -87,8 +87,7 @@ def _(module: KnownLagrangian, coordinates: Coordinates) -> list[Reading]:
 def _(module: RigidChain, coordinates: Coordinates) -> list[Reading]:
     n = coordinates.n
     axes, places = module.axes.view(n, 3), module.places.view(n, 3)
-    zero = module.moments.new_zeros(n, 1)
-    factors = torch.cat((module.moments.view(n, 10), zero), dim=1)[:, module.place]
+    factors = module.factors()
     found: list[Reading] = []
     for i, name in enumerate(coordinates.names):
         found += _body(name, factors[i] @ factors[i].mT)

@@ -17,9 +17,7 @@ from symo_exp.nets.affine import by_sample, linear, repeated, transposed
 from symo_exp.nets.embedding import require_one_body
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark
-
-TRIANGLE = 10
-"""Entries of a lower triangular 4 x 4 matrix."""
+from symo_exp.nets.triangle import Triangle
 
 
 class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
@@ -45,7 +43,6 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
             parameters, so that those of a small body are about as large as each other.
     """
 
-    place: Tensor
     lengths: Tensor
     units: Tensor
 
@@ -73,18 +70,15 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
                 "number of inputs; set lagrangian.learned_inputs"
             )
         self.coordinates, self.learned_inputs = coordinates, learned_inputs
-        row, column = torch.tril_indices(4, 4)
-        place = torch.full((4, 4), TRIANGLE)
-        place[row, column] = torch.arange(TRIANGLE)
-        self.register_buffer("place", place, persistent=False)
+        self._triangle = Triangle(4)
         lengths = torch.tensor([radius, radius, radius, 1.0])
         self.register_buffer("lengths", lengths, persistent=False)
         units = torch.ones(coordinates.n)
         units[-3:] = radius**2
         self.register_buffer("units", units, persistent=False)
         root = math.sqrt(0.5 * (initial_inertia or 1.0))  # J = 2 Λ Λᵀ of equal second moments
-        moments = 0.1 * root * torch.randn(TRIANGLE)
-        moments[row == column] += root
+        moments = 0.1 * root * torch.randn(self._triangle.entries)
+        moments[self._triangle.flat(torch.eye(4)).bool()] += root
         self.moments = nn.Parameter(moments)
         coefficients = [self.moments]
         self.gravity = self.inputs = self.potential_net = self.input_net = None
@@ -115,8 +109,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
 
     def factor(self, moments: Float[Tensor, "*batch entries"]) -> Float[Tensor, "*batch 4 4"]:
         """Return ``Λ`` [√kg m, last row √kg] of the pseudo-inertia ``Λ Λᵀ``."""
-        padded = torch.cat((moments, torch.zeros_like(moments[..., :1])), dim=-1)
-        return padded[..., self.place] * self.lengths.unsqueeze(1)
+        return self._triangle.square(moments) * self.lengths.unsqueeze(1)
 
     @override
     def input_force(self, input_matrix: Tensor, q: Tensor, u: Tensor) -> Tensor:

@@ -23,6 +23,7 @@ from symo_exp.mechanics.lagrangian import (
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
 from symo_exp.nets.embedding import require_flat
+from symo_exp.nets.triangle import Triangle
 
 PLACE = 0.1
 """Distances of joints at the start of training [m]."""
@@ -99,7 +100,6 @@ class RigidChain(nn.Module, Lagrangian):
     """
 
     turns: Tensor
-    place: Tensor
 
     def __init__(
         self,
@@ -117,13 +117,10 @@ class RigidChain(nn.Module, Lagrangian):
         n = coordinates.n
         self.register_buffer("turns", torch.tensor(coordinates.angular), persistent=False)
         self._turns = tuple(coordinates.angular)  # to branch on while a step is traced
-        row, column = torch.tril_indices(4, 4)
-        place = torch.full((4, 4), 10)
-        place[row, column] = torch.arange(10)
-        self.register_buffer("place", place, persistent=False)
+        self._triangle = Triangle(4)
         root = 0.5 * math.sqrt(initial_inertia or 1.0)
-        moments = 0.1 * root * torch.randn(n, 10)
-        moments[:, row == column] += root
+        moments = 0.1 * root * torch.randn(n, self._triangle.entries)
+        moments[:, self._triangle.flat(torch.eye(4)).bool()] += root
         self.axes = nn.Parameter(_directions(axes, n).flatten())
         self.places = nn.Parameter(PLACE * torch.randn(3 * n))
         self.moments = nn.Parameter(moments.flatten())
@@ -160,14 +157,16 @@ class RigidChain(nn.Module, Lagrangian):
         moved = (at.twists * at.carried + chain.twists * _outwards(change)).sum((-2, -1))
         return Rates(chain.mass(), moved, chain.gradients(v, at).q)
 
+    def factors(self) -> Float[Tensor, "n 4 4"]:
+        """Return ``Λ`` of each body."""
+        return self._triangle.square(self.moments.view(len(self.rotors), -1))
+
     def _at(self, q: Tensor) -> _Chain:
         batch, n = q.shape
         axes = repeated(self.axes, batch).unflatten(1, (n, 3))
         axes = axes / axes.norm(dim=-1, keepdim=True)
         places = repeated(self.places, batch).unflatten(1, (n, 3))
-        moments = repeated(self.moments, batch).unflatten(1, (n, 10))
-        moments = torch.cat((moments, torch.zeros_like(moments[..., :1])), dim=-1)
-        moments = moments[..., self.place]
+        factors = self._triangle.square(repeated(self.moments, batch).unflatten(1, (n, -1)))
         relative = _rotation(axes, q * self.turns)
         turn, at = torch.eye(3).to(q).expand(batch, 3, 3), torch.zeros_like(places[:, 0])
         turns, points, world = [], [], []
@@ -185,8 +184,8 @@ class RigidChain(nn.Module, Lagrangian):
         hinge = self.turns.to(q)[:, None]
         about = torch.linalg.cross(anchors, hinge * axis) + (1.0 - hinge) * axis
         twists = torch.cat((_cross(hinge * axis), about.unsqueeze(-1)), dim=-1)
-        above = torch.stack(turns, 1) @ moments
-        weighted = torch.cat((above, moments[..., 3:, :]), dim=-2)
+        above = torch.stack(turns, 1) @ factors
+        weighted = torch.cat((above, factors[..., 3:, :]), dim=-2)
         bodies, own = weighted @ weighted.mT, repeated(self.rotors, batch).square()
         pushed = twists @ _outwards(bodies)
         return _Chain(twists, bodies, pushed, own, repeated(self.gravity, batch))

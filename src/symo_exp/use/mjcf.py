@@ -136,10 +136,7 @@ def _in_si(found: Linkage, units: Units) -> Linkage:
 def _(lagrangian: RigidChain, coordinates: Coordinates) -> Linkage:
     joints, at = [], torch.zeros(3, dtype=torch.float64)
     axes, places = (x.double().view(-1, 3) for x in (lagrangian.axes, lagrangian.places))
-    moments = torch.cat(
-        (lagrangian.moments.view(-1, 10), lagrangian.moments.new_zeros(len(axes), 1)), 1
-    )
-    factors = moments.double()[:, lagrangian.place]
+    factors = lagrangian.factors().double()
     for i, name in enumerate(coordinates.names):
         at = at + places[i]
         mass, centre, inertia = of_pseudo_inertia(factors[i] @ factors[i].T)
