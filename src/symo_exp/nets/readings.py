@@ -189,29 +189,7 @@ def _(module: KnownFriction, coordinates: Coordinates) -> list[Reading]:
 
 
 @readings.register
-def _(module: MachineFriction, coordinates: Coordinates) -> list[Reading]:
-    found = _coefficients(module, coordinates)
-    tilts, stribeck = module.asymmetry(), module.stribeck()
-    for i, name in enumerate(coordinates.names):
-        _, force = _units(coordinates.turning[i])
-        rate = "rad/s" if coordinates.turning[i] else "m/s"
-        if tilts is not None:
-            for kind, tilt in zip(("viscous", "dry"), tilts, strict=True):
-                found.append(Reading(f"{name}.{kind}_friction.asymmetry", "1", tilt[i]))
-        if stribeck is not None:
-            found.append(Reading(f"{name}.breakaway_friction", force, stribeck[0][i]))
-            found.append(Reading(f"{name}.stribeck_velocity", rate, stribeck[1][i]))
-        if module.constant is not None:
-            found.append(Reading(f"{name}.constant_force", force, module.constant[i]))
-    return found
-
-
-@readings.register
-def _(module: LearnedDissipation, coordinates: Coordinates) -> list[Reading]:
-    return _coefficients(module, coordinates)
-
-
-def _coefficients(module: LearnedDissipation, coordinates: Coordinates) -> list[Reading]:
+def _of_coefficients(module: LearnedDissipation, coordinates: Coordinates) -> list[Reading]:
     matrix, dry = module.coefficients()
     names, found = coordinates.names, []
     for i, name in enumerate(names):
@@ -226,6 +204,24 @@ def _coefficients(module: LearnedDissipation, coordinates: Coordinates) -> list[
             found.append(Reading(f"{name}.dry_friction", force, dry[0][i]))
             rate = "rad/s" if coordinates.turning[i] else "m/s"
             found.append(Reading(f"{name}.rest_velocity", rate, dry[1][i]))
+    return found
+
+
+@readings.register
+def _(module: MachineFriction, coordinates: Coordinates) -> list[Reading]:
+    found = _of_coefficients(module, coordinates)
+    tilts, stribeck = module.asymmetry(), module.stribeck()
+    for i, name in enumerate(coordinates.names):
+        _, force = _units(coordinates.turning[i])
+        rate = "rad/s" if coordinates.turning[i] else "m/s"
+        if tilts is not None:
+            for kind, tilt in zip(("viscous", "dry"), tilts, strict=True):
+                found.append(Reading(f"{name}.{kind}_friction.asymmetry", "1", tilt[i]))
+        if stribeck is not None:
+            found.append(Reading(f"{name}.breakaway_friction", force, stribeck[0][i]))
+            found.append(Reading(f"{name}.stribeck_velocity", rate, stribeck[1][i]))
+        if module.constant is not None:
+            found.append(Reading(f"{name}.constant_force", force, module.constant[i]))
     return found
 
 
