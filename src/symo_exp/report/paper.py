@@ -29,19 +29,13 @@ STYLES: dict[str, dict[str, Any]] = {
 }
 
 
-def save_figure(
-    figure: Figure, folder: Path, formats: Iterable[str] = ("png", "pdf")
-) -> list[Path]:
-    """Write ``<key>.<format>`` for each format."""
+def save_figure(figure: Figure, folder: Path) -> Path:
+    """Write ``<key>.png``."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{figure.key}.{form}" for form in formats]
+    path = folder / f"{figure.key}.png"
     with matplotlib.rc_context(RC):  # type: ignore[arg-type]
-        drawn = draw(figure)
-        for path in paths:
-            # no date: the same runs give the same bytes
-            drawn.savefig(path, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
-            drawn.set_layout_engine("none")  # it is laid out now, which takes the longest
-    return paths
+        draw(figure).savefig(path)
+    return path
 
 
 def draw(figure: Figure) -> mpl.Figure:

@@ -67,7 +67,7 @@ def draw_run(
     if found.recorded is not None:
         table = pd.DataFrame({k: x.numpy() for k, x in found.recorded.columns().items()})
         made += recordings.recording_figures(model, table, method, title)
-    paths = [path for figure in made for path in save_figure(figure, folder, ["png"])]
+    paths = [save_figure(figure, folder) for figure in made]
     if system.skeleton(rollouts.q_true[0, 0]) is not None:
         which = ranking(_errors(rollouts))["median"]
         paths.append(
