@@ -77,7 +77,9 @@ class Sweep:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
         for job in finished:
-            self._publish(job)
+            tracker = instantiate(job.values["logger"])
+            if not tracker.is_published(job.folder):  # as far as is known without MLflow
+                publish(tracker, job.folder)
         if finished and len(jobs) > 1:
             print(f"{len(finished)} of {len(jobs)} runs are finished already", flush=True)
         for job in todo:
@@ -261,12 +263,6 @@ class Sweep:
             if self._cluster:
                 self._cluster.cancel()
             raise
-
-    def _publish(self, job: Job) -> None:
-        """Update the store unless it is known to be up to date."""
-        tracker = instantiate(job.values["logger"])
-        if not tracker.is_published(job.folder):
-            publish(tracker, job.folder)
 
     def _sum_up(self, jobs: Sequence[Job], finished: Sequence[Job]) -> int:
         phases.clear()
