@@ -60,6 +60,8 @@ class DataModule(lightning.LightningDataModule, ABC):
     """True if the motions were measured."""
     time_step: float
     """Distance of the nodes [s]."""
+    counts: dict[str, int]
+    """Number of trajectories in each of the ``Splits``, set before this constructor is called."""
     cut: Callable[[Sequence[Trajectory]], TrainingSamples]
     """Makes the samples of the loaders."""
 
@@ -105,11 +107,6 @@ class DataModule(lightning.LightningDataModule, ABC):
         self.monitor_trajectories = whole_number("data.monitor_trajectories", watched, high=there)
         self.cut = cut_windows
         self._on_device: dict[str, tuple[torch.device, TrainingSamples]] = {}
-
-    @property
-    @abstractmethod
-    def counts(self) -> dict[str, int]:
-        """Number of trajectories in each of the ``Splits``; the constructor needs it."""
 
     @abstractmethod
     def load(self) -> Splits:

@@ -94,7 +94,7 @@ class TrajectoryData(DataModule):
                 "learn from recordings (data=recorded)"
             )
         self.system, self.time_step = system, system.time_step
-        self._counts = {
+        self.counts = {
             "train": whole_number("data.n_train_max", n_train_max),
             "val": whole_number("data.n_val", n_val),
             "test": whole_number("data.n_test", n_test),
@@ -130,11 +130,6 @@ class TrajectoryData(DataModule):
         self._name = type(system).__name__.lower()
         if self.cache is not None:
             self.cache.check(self._name, self.recipe())
-
-    @property
-    @override
-    def counts(self) -> dict[str, int]:
-        return self._counts
 
     def recipe(self) -> dict[str, Any]:
         """Return everything that the bytes of the trajectories depend on, as plain values."""

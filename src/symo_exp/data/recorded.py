@@ -205,6 +205,8 @@ class RecordedData(DataModule):
         nodes = Nodes(where, system.coordinates, system.time_step, wrapped, degrees, input_delay)
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
         self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
+        self.counts = {name: len(part) for name, part in found.items()}
+        self.counts["integration"] = len(self._splits.integration.q)
         self._sampled = [nodes.in_radians(recording.samples) for recording in parts["train"]]
         with np.errstate(all="ignore"):  # values that overflow
             doubts = list(_doubts(system.coordinates, self._sampled))
@@ -227,15 +229,6 @@ class RecordedData(DataModule):
             held_out=held_out,
             velocities=velocities,
         )
-
-    @property
-    @override
-    def counts(self) -> dict[str, int]:
-        train, val, test, integration = self._splits
-        return {
-            "train": len(train), "val": len(val), "test": len(test),
-            "integration": len(integration.q),
-        }  # fmt: skip
 
     @override
     def load(self) -> Splits:
