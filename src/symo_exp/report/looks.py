@@ -148,7 +148,8 @@ def measure_name(metric: str) -> str:
 
 def unit(metric: str) -> str:
     """Return the label of an axis below a title that names the measure."""
-    return f"[{MEASURES[metric][1]}]" if MEASURES.get(metric, ("", ""))[1] else ""
+    _, unit = label_and_unit(metric)
+    return f"[{unit}]" if unit else ""
 
 
 def short(x: float | None) -> str:
