@@ -102,7 +102,7 @@ class RootLoss:
     left to the uncompiled path with its safeguards.
 
     Args:
-        model: The learner.
+        learner: The learner.
         flow: Its flow.
         objective: Its objective.
         gradients: Whether a call leaves gradients in the parameters.

@@ -110,10 +110,6 @@ class Space:
         """Return the width ``N`` of configurations with ``n`` degrees of freedom."""
         return n + 6 * self.rotations
 
-    def degrees(self, stored: int) -> int:
-        """Return the number ``n`` of degrees of freedom of configurations of width ``N``."""
-        return stored - 6 * self.rotations
-
     # Maps between configurations and charts
 
     def chart(
