@@ -33,6 +33,7 @@ log = logging.getLogger(__name__)
 
 Coupled = list[tuple[float, list[float]]]
 """Coefficients and the directions in joint coordinates that they act along."""
+SMOOTH = "dry friction is smooth about standstill in the learned model, and abrupt in this file"
 
 
 def write_bodies(model: DynamicsModel, path: Path) -> Path:
@@ -203,7 +204,7 @@ def passive(dissipation: Any, n: int) -> tuple[Tensor, Coupled, list[str]]:
 def _(dissipation: LearnedDissipation, n: int) -> tuple[Tensor, Coupled, list[str]]:
     viscous, dry = dissipation.coefficients()
     joints = dissipation.joints.double()
-    missing = [_smooth()] if dry is not None else []
+    missing = [SMOOTH] if dry is not None else []
     if dissipation.net is not None:
         missing.append("the network of the dissipation is not in this file")
     coefficients = [] if dry is None else dry[0].tolist()
@@ -227,22 +228,22 @@ def _(dissipation: MachineFriction, n: int) -> tuple[Tensor, Coupled, list[str]]
 @passive.register
 def _(dissipation: KnownFriction, n: int) -> tuple[Tensor, Coupled, list[str]]:
     viscous, coulomb = (x[0].double() for x in dissipation.coefficients())
-    along = list(zip(coulomb.tolist(), torch.eye(n).tolist(), strict=True))
-    missing = [_smooth()] if coulomb.any() else []
+    missing = [SMOOTH] if coulomb.any() else []
     if dissipation.drag is not None:
         missing.append("the drag of the fluid is not in this file")
-    return torch.diag(viscous), [(c, a) for c, a in along if c > 0.0], missing
+    return torch.diag(viscous), _of_each(coulomb), missing
 
 
 @passive.register
 def _(dissipation: Friction, n: int) -> tuple[Tensor, Coupled, list[str]]:
-    along = list(zip(dissipation.coulomb.tolist(), torch.eye(n).tolist(), strict=True))
-    missing = [_smooth()] if dissipation.coulomb.any() else []
-    return dissipation.viscous.double(), [(c, a) for c, a in along if c > 0.0], missing
+    missing = [SMOOTH] if dissipation.coulomb.any() else []
+    return dissipation.viscous.double(), _of_each(dissipation.coulomb), missing
 
 
-def _smooth() -> str:
-    return "dry friction is smooth about standstill in the learned model, and abrupt in this file"
+def _of_each(coulomb: Tensor) -> Coupled:
+    """Return the dry friction of each coordinate that has some."""
+    along = zip(coulomb.tolist(), torch.eye(len(coulomb)).tolist(), strict=True)
+    return [(c, a) for c, a in along if c > 0.0]
 
 
 def _with_friction(joints: Sequence[Joint], damping: Tensor, along: Coupled) -> list[Joint]:
@@ -310,8 +311,7 @@ def _of_balls(
     pairs = (held, damping), (mean, dry)
     if not all(torch.allclose(x, y, rtol=1e-12, atol=0.0) for x, y in pairs):
         missing.append("friction of ball joints is its mean over their axes in this file")
-    alone = [(float(c), one.tolist()) for c, one in zip(mean, torch.eye(len(mean)), strict=True)]
-    return held, [*((c, a) for c, a in alone if c > 0.0), *coupled]
+    return held, [*_of_each(mean), *coupled]
 
 
 def _beyond_urdf(found: Linkage, damping: Tensor, along: Coupled) -> list[str]:
