@@ -148,9 +148,9 @@ class LevenbergMarquardt(EpochOptimizer):
         with torch.no_grad():
             per_sample = model.residuals(samples.rows(slice(1))).shape[1]
         self._require(size, len(samples.q) * per_sample)
-        pieces = [self._differentiated(model, rows) for rows in _chunks(samples, self.chunk)]
-        values, jacobians = zip(*pieces, strict=True)
-        residuals = torch.cat(values)
+        pieces = [model.linearised(rows, self.parameters) for rows in _chunks(samples, self.chunk)]
+        residuals = torch.cat([piece.residuals.flatten() for piece in pieces])
+        jacobians = [piece.parameters.flatten(0, 1) for piece in pieces]
         if self.huber is None:
             return DampedSystem(residuals, jacobians), None
         length = residuals.view(len(samples.q), -1).norm(dim=1)
@@ -161,11 +161,6 @@ class LevenbergMarquardt(EpochOptimizer):
         ):
             jacobian.mul_(part.unsqueeze(-1))
         return DampedSystem(factors * residuals, jacobians), factors
-
-    def _differentiated(self, model: Equations, samples: TrainingSamples) -> tuple[Tensor, Tensor]:
-        """Return ``r`` and ``J``, a row each residual."""
-        r, jacobian, _ = model.linearised(samples, self.parameters)
-        return r.flatten(), jacobian.flatten(0, 1)
 
     def _require(self, size: int, equations: int) -> None:
         """Refuse systems that do not fit into memory."""
