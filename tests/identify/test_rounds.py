@@ -162,7 +162,7 @@ def test_simpler_structures_have_what_makes_another_one_the_best(worse, fine, dr
     one = machine(2, 60.0, driven=driven)
     search, _, _ = prepared(told, one, budget=1e5)
     search.screen(ladder(one))
-    chosen = search.choose().candidate
+    chosen = search.refine().candidate
     assert (chosen.settings["lagrangian"] == "planar") == (worse == 1.0)
     assert told(chosen.settings)[0] == 1.0
 
@@ -178,7 +178,7 @@ def searched(prepared):
         tried, fits, plan = prepared(told, one, budget, pace)
         tried.screen([c for c in ladder(one) if c.name in plan.names])
         screened = list(fits.done)
-        tried.choose()
+        tried.refine()
         return plan, screened, fits
 
     return search

@@ -117,7 +117,7 @@ class Rounds:
             kept = distinct_candidates((*half[:1], *simplest, *half[1:]), self._given)
             alive = [c for c in kept if not self._hopeless(c, best, folds)]
 
-    def choose(self) -> Trial | None:
+    def refine(self) -> Trial | None:
         """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
         for stage in (self.combine, self.vary):
             if (best := self.best()) is not None:

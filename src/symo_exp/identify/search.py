@@ -113,7 +113,7 @@ class Search:
             clock=self._clock, progressed=self._link,
         )  # fmt: skip
         rounds.screen(planned)
-        if (best := rounds.choose()) is None:
+        if (best := rounds.refine()) is None:
             self._summary(rounds.trials, None)
             return self._no_model()
         epochs = self._last_epoch(best, rounds.folders(best))
