@@ -150,11 +150,8 @@ def test_simpler_structures_have_what_makes_another_one_the_best(worse, fine, dr
     """
 
     def told(settings):
-        refined = (
-            settings["integrator"] == fine
-            if fine == "galerkin4"
-            else "system.time_step" in settings
-        )
+        halved, order = "system.time_step" in settings, settings["integrator"]
+        refined = halved if fine == "half" else order == fine
         planar = settings["lagrangian"] == "planar"
         error = 1.0 if refined else (3.0 if planar else 2.0)
         return (worse * error if planar else error), 1e-3

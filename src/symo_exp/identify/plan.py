@@ -317,8 +317,8 @@ def kept_plan(file: Path, key: str) -> Plan | None:
     """Return the plan of an earlier start of the same search."""
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
-        whole = {"names": tuple(kept["names"]), "effort": Effort(**kept["effort"])}
-        found = Plan(**{**kept, **whole})
+        names, effort = tuple(kept.pop("names")), Effort(**kept.pop("effort"))
+        found = Plan(**kept, names=names, effort=effort)
     except (OSError, ValueError, TypeError, KeyError):
         return None
     return found if found.key == key else None
