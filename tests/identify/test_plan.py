@@ -9,6 +9,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.identify import plan as plans
 from symo_exp.identify.candidates import (
     distinct_candidates,
+    exclude,
     joined,
     ladder,
     left_open,
@@ -234,15 +235,21 @@ def test_joined_variations_have_what_both_switch_on():
     base = ladder(one)[0]
     by_name = {c.name.rpartition(", ")[2]: c for c in variations(base, one)}
     for first, second in itertools.permutations(by_name.values(), 2):
-        if {first.settings["dissipation"], second.settings["dissipation"]} <= {
-            "machine",
-            "friction",
-        }:
+        if not exclude(base, first, second):
             both = joined(base, first, second)
             for each in (first, second):
                 on = {k: v for k, v in each.settings.items() if base.settings.get(k) != v}
                 assert all(both.settings[k] == v for k, v in on.items() if v != "false")
             assert both.rank > max(first.rank, second.rank)
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_variations_exclude_each_other_if_they_choose_different_friction(driven):
+    one = machine(driven=driven)
+    for base in ladder(one):
+        for first, second in itertools.permutations(variations(base, one), 2):
+            chosen = {c.settings["dissipation"] for c in (base, first, second)}
+            assert exclude(base, first, second) == (len(chosen) == 3)
 
 
 @pytest.mark.parametrize("driven", [True, False])

@@ -246,6 +246,18 @@ def distinct_candidates(
     return found
 
 
+def exclude(base: Candidate, one: Candidate, other: Candidate) -> bool:
+    """Return whether two variations of a candidate change a setting to different values.
+
+    Switches do not exclude each other.
+    """
+    changed = set(other.settings.items()) - set(base.settings.items())
+    return any(
+        one.settings.get(key, value) not in (value, base.settings.get(key), "true", "false")
+        for key, value in changed
+    )
+
+
 def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
     """Return the candidate that has what distinguishes ``one`` and ``other`` from ``base``.
 

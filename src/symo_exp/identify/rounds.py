@@ -10,6 +10,7 @@ from symo_exp.identify import plan as plans
 from symo_exp.identify.candidates import (
     Candidate,
     distinct_candidates,
+    exclude,
     finer,
     joined,
     left_open,
@@ -171,6 +172,8 @@ class Rounds:
             if not self._gains(c, base, folds):
                 break
             if joint is not base:
+                if exclude(base.candidate, joint.candidate, c):
+                    continue
                 c = joined(base.candidate, joint.candidate, c)
                 if not self._affordable([c], base):
                     break
