@@ -95,6 +95,9 @@ def test_a_search_without_time_says_what_it_leaves_out_and_repeats_itself(
     said = capsys.readouterr().out
     assert "no time left for" in said
     assert "whatever its name says: dissipation=viscous\n" in said
+    (untried,) = (line for line in said.splitlines() if line.startswith("with a larger budget"))
+    tried = pd.read_csv(workplace / "outputs" / "machine_mine" / "candidates.csv").candidate
+    assert set(untried.partition(": ")[2].split("; ")).isdisjoint(tried)
     assert main(words) == 0
     again = capsys.readouterr().out
     left_out = [line for line in said.splitlines() if line.startswith("no time left for")]

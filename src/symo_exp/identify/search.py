@@ -107,7 +107,7 @@ class Search:
             return self._no_model()
         if replaced := self._replaced(every):
             print(f"of every candidate, whatever its name says: {' '.join(replaced)}")
-        print(self._told_plan(len(every) - len(candidates)), flush=True)
+        print(self._told_plan(len(candidates), len(every) - len(candidates)), flush=True)
         rounds = Rounds(
             fits, machine, plan, self._given,
             clock=self._clock, progressed=self._link,
@@ -135,6 +135,8 @@ class Search:
             print(f"the last fit ran out of time after {done} of {epochs} epochs")
         self._link(folder)
         self._print_verdict(folder.measures())
+        if untried := [c.name for c in candidates if c not in planned]:
+            print(f"with a larger budget, the search also tries: {'; '.join(untried)}")
         return 0
 
     def _replaced(self, candidates: Sequence[Candidate]) -> list[str]:
@@ -173,8 +175,8 @@ class Search:
         what = [sorted(self._given.items()), self._budget, size, _cores(self._master), tried]
         return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:10]
 
-    def _told_plan(self, equal: int) -> str:
-        """Return a line; ``equal`` candidates are left out."""
+    def _told_plan(self, possible: int, equal: int) -> str:
+        """Return a line; ``equal`` candidates are left out of those that are ``possible``."""
         plan = self._plan
         there = self._machine.seconds * (plan.folds - 1) / plan.folds
         share = min(plan.seconds / there, 1.0)
@@ -184,7 +186,7 @@ class Search:
             time = f"{plan.needed / 60:.2g} to {plan.budget / 60:.2g} min"
         left = f" ({equal} more are equal with the given settings)" if equal else ""
         return (
-            f"plan: {len(plan.names)} candidates{left} over {plan.folds} folds, "
+            f"plan: {len(plan.names)} of {possible} candidates{left} over {plan.folds} folds, "
             f"{plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
             f"{plan.effort.epochs} epochs a stage, {plan.cores} runs at a time, {time}"
         )
