@@ -181,6 +181,21 @@ def searched(prepared):
     return search
 
 
+@pytest.mark.parametrize(("error", "chosen"), [(100.0, "relative"), (10.0, "planar")])
+def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(error, chosen, prepared):
+    """That is, if they have more than a twentieth of the error of constant velocity, here 50."""
+
+    def told(settings):
+        return (1.0 if settings["lagrangian"] == "relative" else error), 1e-3
+
+    one = machine(2, 60.0)
+    search, _, plan = prepared(told, one, budget=60.0)
+    planned, others = ([c for c in ladder(one) if (c.name in plan.names) == x] for x in (1, 0))
+    search.screen(planned)
+    search.deepen(others)
+    assert search.best().candidate.settings["lagrangian"] == chosen
+
+
 @pytest.mark.parametrize("pace", [None, 0.5, 2.0])
 @pytest.mark.parametrize("budget", [60.0, 1e5])
 @pytest.mark.parametrize("driven", [True, False])

@@ -46,6 +46,8 @@ from symo_exp.runs.series import read
 
 HOPELESS = 4.0
 """A candidate whose error is so many times the best one's is not tried on further folds."""
+POOR = 0.05
+"""Error over that of constant velocity beyond which the best candidate does not suit the machine."""
 SIMPLER = 2
 """Simpler structures that are given the friction or the variations of the best candidate."""
 FASTEST = 0.25
@@ -112,11 +114,21 @@ class Rounds:
             self._try(alive, folds)
             self._screened = self._spent
             ranked = self._ranked(alive, folds)
-            best = min((self._trials[c.name].mean(folds) for c in ranked), default=0.0)
+            best = min((self._mean(c, folds) for c in ranked), default=0.0)
             simplest = [c for c in candidates if c in ranked][:1]
             half = ranked[: max(2, math.ceil(len(alive) / 2))]
             kept = distinct_candidates((*half[:1], *simplest, *half[1:]), self._given)
             alive = [c for c in kept if not self._hopeless(c, best, folds)]
+
+    def deepen(self, candidates: Sequence[Candidate]) -> None:
+        """Try candidates that the plan left out, if those that it has do not suit the machine."""
+        first = range(self._plan.first)
+        if (best := self.best()) is None or best.mean(first) <= POOR * self._baseline(first):
+            return
+        tried = self._affordable(candidates, best)
+        self._try(tried, first)
+        better = [c for c in self._ranked(tried, first) if self._mean(c, first) < best.mean(first)]
+        self._try(better[: plans.PROMOTED], range(len(best.errors)))
 
     def refine(self) -> Trial | None:
         """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
@@ -160,11 +172,7 @@ class Rounds:
         first, folds = range(self._plan.first), range(len(base.errors))
         tried = self._affordable(new, base, keep=len(folds) * self._planned(base.candidate))
         self._try(tried, first)
-        better = [
-            c
-            for c in self._ranked(tried, first)
-            if self._trials[c.name].mean(first) < base.mean(first)
-        ]
+        better = [c for c in self._ranked(tried, first) if self._mean(c, first) < base.mean(first)]
         promoted = better[: plans.PROMOTED]
         self._try(promoted, folds)
         joint = base
@@ -287,7 +295,7 @@ class Rounds:
         return [c for c in ranked if not self._hopeless(c, base.mean(folds), folds)]
 
     def _hopeless(self, candidate: Candidate, least: float, folds: Sequence[int]) -> bool:
-        return self._trials[candidate.name].mean(folds) > HOPELESS * least
+        return self._mean(candidate, folds) > HOPELESS * least
 
     def _gains(self, candidate: Candidate, base: Trial, folds: Sequence[int]) -> bool:
         trial = self._trials[candidate.name]
@@ -457,7 +465,14 @@ class Rounds:
     def _ranked(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> list[Candidate]:
         """Return the candidates without failures, the best first."""
         sound = [c for c in candidates if not self._trials[c.name].failed]
-        return sorted(sound, key=lambda c: self._trials[c.name].mean(folds))
+        return sorted(sound, key=lambda c: self._mean(c, folds))
+
+    def _mean(self, candidate: Candidate, folds: Sequence[int]) -> float:
+        return self._trials[candidate.name].mean(folds)
+
+    def _baseline(self, folds: Sequence[int]) -> float:
+        """Return the geometric mean of the errors of constant velocity."""
+        return math.exp(sum(math.log(self._baselines[k]) for k in folds) / len(folds))
 
     def _trial(self, candidate: Candidate) -> Trial:
         return self._trials.setdefault(candidate.name, Trial(candidate))

@@ -91,6 +91,7 @@ class Search:
         kept = plans.kept_plan(self._folder / PLAN, key) if self._master.resume else None
         self._plan = plan = kept or self._new_plan(candidates, key)
         planned = [c for c in candidates if c.name in plan.names]
+        others = [c for c in candidates if c.name not in plan.names]
         fits = Fits(
             self._sweep, machine, plan, self._given,
             experiment=self._experiment, seed=self._master.seed, clock=self._clock,
@@ -113,6 +114,7 @@ class Search:
             clock=self._clock, progressed=self._link,
         )  # fmt: skip
         rounds.screen(planned)
+        rounds.deepen(others)
         if (best := rounds.refine()) is None:
             self._summary(rounds.trials, None)
             return self._no_model()
@@ -135,7 +137,8 @@ class Search:
             print(f"the last fit ran out of time after {done} of {epochs} epochs")
         self._link(folder)
         self._print_verdict(folder.measures())
-        if untried := [c.name for c in candidates if c not in planned]:
+        tried = {trial.candidate.name for trial in rounds.trials}
+        if untried := [c.name for c in others if c.name not in tried]:
             print(f"with a larger budget, the search also tries: {'; '.join(untried)}")
         return 0
 
