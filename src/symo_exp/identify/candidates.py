@@ -32,6 +32,8 @@ STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 INPUT_NOISE = 100.0
 """Noise of inputs over that of configurations where it is estimated, in units of the machine."""
+HELD = 0.05
+"""Half a sample over the time step up to which inputs that are held count as continuous."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "relative": {"lagrangian": "planar"},
     "absolute": {"lagrangian": "planar", "lagrangian.relative": "false"},
@@ -143,11 +145,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     if "springs" not in settings and machine.stiffness is not None:
         yield _sprung(candidate, machine)
     yield from finer(candidate, machine)
-    if machine.delay:
-        yield candidate.changed(
-            f"delay {1e3 * machine.delay:g} ms", 0.2, data__input_delay=f"{machine.delay:g}"
-        )
     if machine.driven:
+        yield from _delayed(candidate, machine)
         yield from motors
     if settings["dissipation"] in ("friction", "viscous"):
         yield _with_learned_friction(candidate)
@@ -170,6 +169,20 @@ def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     found += of_higher_order(candidate)
     # motors stick and slip within a step, which no polynomial of a higher order follows
     yield from found if machine.driven else reversed(found)
+
+
+def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
+    """Yield the variation with a delay of the inputs: what the motion shows, or half a sample.
+
+    Digital controllers hold inputs between samples, so that they act half a sample after their
+    record. Half a sample that is short for the step is left out.
+    """
+    if machine.delay is None:
+        return
+    delay = machine.delay or 0.5 * machine.finest_step
+    if machine.delay or delay > HELD * machine.time_step:
+        name, value = f"delay {1e3 * delay:.2g} ms", f"{delay:.2g}"
+        yield candidate.changed(name, 0.2, data__input_delay=value)
 
 
 def of_higher_order(candidate: Candidate) -> list[Candidate]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +36,9 @@ DELAYS = np.arange(-0.04, 0.0601, 0.01)
 """Delays of inputs that are tried [s], in proportion to a time step below ``UNHURRIED``."""
 UNHURRIED = 0.005
 """Time step from which all of ``DELAYS`` are tried [s]."""
-GAIN = 0.05
-"""Share of the unexplained power that a delay explains at least to be a candidate."""
+GAIN, CLEAR = 0.05, 0.5
+"""Shares of the unexplained power that a delay explains at least to be a candidate, and to be that
+of all candidates."""
 EXAMINED, NODES = 60.0, 3000
 """Length of the training part that delay and speeds are estimated from [s], and its nodes at
 least."""
@@ -64,7 +65,8 @@ class Dynamics(NamedTuple):
         rest_velocity: Below which dry friction fades at first, in ``units``: a small part of the
             speed of the slowest coordinate.
         units: Those in which parameters are learned.
-        delay: Of the inputs [s], if one explains the motion better than none; else 0.
+        delay: Of the inputs [s], if one explains the motion better than none; else 0; ``None`` if
+            ``settings`` have it.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
         stiffness: Of springs that explain accelerations better than gravity, in ``units``; else
             ``None``.
@@ -74,7 +76,7 @@ class Dynamics(NamedTuple):
 
     rest_velocity: float
     units: Units
-    delay: float
+    delay: float | None
     explained: float | None
     stiffness: tuple[tuple[float, ...], ...] | None
     settings: tuple[str, ...]
@@ -92,7 +94,10 @@ def dynamics(
     motions = _motions(_beginning(recordings, max(EXAMINED, NODES * time_step)), time_step)
     delays = DELAYS * min(1.0, time_step / UNHURRIED) if driven else np.zeros(1)
     left = _unexplained(motions, angular, time_step, delays)
+    if (between := _lowest(left)) is not None:
+        left |= _unexplained(motions, angular, time_step, [between])
     delay, told = _delay(left)
+    clear = delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
     units = _units(motions, angular, time_step)
     light, step = 1.0, time_step / units.time
     sizes = np.where(angular, 1.0, units.length)
@@ -112,6 +117,8 @@ def dynamics(
             f"units: parameters are learned in {units.length:g} m, {units.time:g} s and "
             f"{units.mass:g} kg, in which the motion is of order one"
         )
+    if clear:
+        settings.append(f"data.input_delay={delay:g}")
     if (rest := _rest_velocity([q for q, _ in scaled], step)) != USUAL_REST:
         settings.append(f"dissipation.rest_velocity={rest:g}")
         unit = "units of velocity" if units != SI else "m/s or rad/s"
@@ -122,7 +129,7 @@ def dynamics(
     return Dynamics(
         rest_velocity=rest,
         units=units,
-        delay=delay,
+        delay=None if clear else delay,
         explained=1.0 - left[delay] if left else None,
         stiffness=stiffness,
         settings=tuple(settings),
@@ -263,7 +270,7 @@ def _rest_velocity(paths: Sequence[np.ndarray], h: float) -> float:
 
 
 def _unexplained(
-    motions: Sequence[Sampled], angular: np.ndarray, h: float, delays: np.ndarray
+    motions: Sequence[Sampled], angular: np.ndarray, h: float, delays: Iterable[float]
 ) -> dict[float, float]:
     """Return the share of the accelerations' power that inputs with each delay do not explain."""
     left = {}
@@ -271,8 +278,26 @@ def _unexplained(
         pairs = _pairs(motions, h, delay)
         share = explained_power(pairs, _coordinates(angular), h, driven=True) if pairs else None
         if share is not None:
-            left[round(delay, 4)] = 1.0 - share
+            left[round(delay, 5)] = 1.0 - share
     return left
+
+
+def _lowest(left: Mapping[float, float]) -> float | None:
+    """Return where the parabola through the least unexplained share and its neighbours is lowest.
+
+    Inputs that a digital controller holds between samples act half a sample after their record, a
+    part of the distance of ``DELAYS``.
+    """
+    delays = sorted(left)
+    k = min(range(len(delays)), key=lambda i: left[delays[i]], default=0)
+    if not 0 < k < len(delays) - 1:
+        return None
+    before, least, after = (left[delay] for delay in delays[k - 1 : k + 2])
+    curvature = before - 2.0 * least + after
+    if not curvature > 0.0:
+        return None
+    shift = 0.5 * (before - after) / curvature
+    return float(f"{delays[k] + shift * (delays[k + 1] - delays[k]):.2g}")
 
 
 def _inertia(
@@ -323,7 +348,7 @@ def _delay(left: Mapping[float, float]) -> tuple[float, str]:
     best = min(left, key=lambda delay: left[delay])
     if best != 0.0 and left[best] <= (1.0 - GAIN) * left[0.0]:
         return best, (
-            f"inputs: {100 * (1 - left[best]):.3g} % of the accelerations' power is explained with "
-            f"a delay of {1e3 * best:g} ms, {100 * (1 - left[0.0]):.3g} % without"
+            f"inputs: with a delay of {1e3 * best:g} ms, {100 * left[best]:.2g} % of the "
+            f"accelerations' power is not explained, without {100 * left[0.0]:.2g} %"
         )
     return 0.0, f"inputs: no delay; {100 * (1 - left[0.0]):.3g} % of the power is explained"

@@ -56,7 +56,8 @@ class Machine:
         rest_velocity: Below which dry friction fades at first, in ``units``: a small part of the
             speed of the slowest coordinate.
         units: Those in which parameters are learned.
-        delay: Of the inputs [s], if one explains the motion better than none; else 0.
+        delay: Of the inputs [s], if one explains the motion better than none; else 0; ``None`` if
+            ``settings`` have it.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
         moves: Whether any coordinate moves by more than its noise.
         stiffness: Of springs that explain accelerations better than gravity, in ``units``; else
@@ -73,7 +74,7 @@ class Machine:
     recordings: int
     rest_velocity: float
     units: Units
-    delay: float
+    delay: float | None
     explained: float | None
     moves: bool
     stiffness: tuple[tuple[float, ...], ...] | None
