@@ -278,6 +278,17 @@ def test_a_variation_that_replaces_what_distinguishes_two_candidates_is_tried_on
     assert distinct_candidates([joined(base, viscous, learned)], {}, [learned]) == []
 
 
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("driven", [True, False])
+def test_every_structure_has_springs_where_they_explain_the_motion(n, driven):
+    """And links in a plane are also tried without."""
+    one = replace(machine(n, driven=driven), stiffness=((1.0,) * n,) * n)
+    plain = {c.settings["lagrangian"] for c in ladder(one) if "springs" not in c.settings}
+    sprung = {c.settings["lagrangian"] for c in ladder(one) if "springs.start" in c.settings}
+    assert plain == {"planar"}
+    assert sprung == {c.settings["lagrangian"] for c in ladder(machine(n, driven=driven))}
+
+
 @pytest.mark.parametrize("driven", [True, False])
 def test_driven_machines_have_a_candidate_with_the_friction_of_motors(driven):
     """Among the first, with a width that follows the speed of the machine."""

@@ -84,7 +84,11 @@ class Candidate:
 
 
 def structures(machine: Machine) -> list[Candidate]:
-    """Return a candidate of every structure, with viscous and dry friction, the simplest first."""
+    """Return a candidate of every structure, with viscous and dry friction, the simplest first.
+
+    All have springs if these explain the motion better than gravity: a fit that starts without
+    their stiffness seldom finds it.
+    """
     several = sum(machine.angular) > 1
     relative = ", relative angles" if several else ""
     # without inputs only the ratio to the inertia counts, and from too little friction fits hang;
@@ -108,7 +112,7 @@ def structures(machine: Machine) -> list[Candidate]:
     if several:
         name = f"{NETWORK}, {BETWEEN}"
         found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=2.0, starts=2))
-    return found
+    return found if machine.stiffness is None else [_sprung(one, machine) for one in found]
 
 
 def ladder(machine: Machine) -> list[Candidate]:
@@ -116,10 +120,10 @@ def ladder(machine: Machine) -> list[Candidate]:
     found = structures(machine)
     first = found[0]
     links = [one for one in found if one.settings["lagrangian"] == "planar"]
-    network = next(one for one in found if one.name == NETWORK)
-    if machine.stiffness is not None:
-        links.append(_sprung(first, machine))
-        found.append(links[-1])
+    network = next(one for one in found if one.name.split(", ")[0] == NETWORK)
+    plain = list(without_springs(first))
+    links += plain
+    found += plain
     if machine.driven:  # motors, screws and belts
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     else:  # bearings: dry friction may be too little to be found
