@@ -1,0 +1,174 @@
+"""Write recordings of six simulated machines that are not chains of links in a plane.
+
+Usage: ``python results/machines/others.py``. ``furuta.csv`` has a pendulum on an arm that turns
+about a vertical axis, ``wheel.csv`` a pendulum with a reaction wheel, ``ball.csv`` a ball on a
+beam, ``crane.csv`` a load on a rope whose length changes, ``masses.csv`` two masses on springs, and
+``duffing.csv`` a mass on a spring that stiffens. Each has ten motions of 6 s, sampled every 5 ms
+with a noise of 3e-4 [rad, m]. Forces [N m, N] are sums of four sines and what a controller adds
+that keeps the machine in its range. They are held between samples, as digital controllers hold
+them. All coordinates have viscous friction, some also dry friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import sympy
+
+COUNT, SECONDS, SAMPLE, STEPS, NOISE = 10, 6.0, 0.005, 4, 3e-4
+"""Motions, their length, distance of samples [s], steps of RK4 in between, noise [rad, m]."""
+GRAVITY = 9.81
+Array = np.ndarray
+Symbols = Sequence[Any]
+
+
+class Simulated(NamedTuple):
+    """A machine.
+
+    Attributes:
+        names: Of the coordinates.
+        lagrangian: From symbols of coordinates and velocities.
+        driven: Coordinates on which the inputs act.
+        viscous: Coefficients of viscous friction.
+        dry: Dry friction.
+        low: Least starting configurations.
+        high: Largest starting configurations.
+        speed: Standard deviation of starting velocities.
+        forces: Amplitudes of the inputs.
+        control: Further inputs (rows, m), from coordinates and velocities (rows, n).
+    """
+
+    names: Sequence[str]
+    lagrangian: Callable[[Symbols, Symbols], Any]
+    driven: Sequence[int]
+    viscous: Sequence[float]
+    dry: Sequence[float]
+    low: Sequence[float]
+    high: Sequence[float]
+    speed: float
+    forces: Sequence[float]
+    control: Callable[[Array, Array], Array] | None = None
+
+
+def furuta(q: Symbols, v: Symbols) -> Any:
+    arm = (0.014 + 0.00225 * sympy.sin(q[1]) ** 2) * v[0] ** 2 / 2
+    both = 0.003 * sympy.cos(q[1]) * v[0] * v[1]
+    return arm + both + 0.00305 * v[1] ** 2 / 2 + 0.015 * GRAVITY * sympy.cos(q[1])
+
+
+def wheel(q: Symbols, v: Symbols) -> Any:
+    return 0.01 * v[0] ** 2 + 0.0005 * (v[0] + v[1]) ** 2 + 0.7 * sympy.cos(q[0])
+
+
+def ball(q: Symbols, v: Symbols) -> Any:
+    rolling = (0.1 + 2e-5 / 0.015**2) * v[0] ** 2 / 2
+    turning = (0.02 + 0.1 * q[0] ** 2) * v[1] ** 2 / 2
+    return rolling + turning - 0.1 * GRAVITY * q[0] * sympy.sin(q[1])
+
+
+def crane(q: Symbols, v: Symbols) -> Any:
+    across = v[0] + v[1] * sympy.sin(q[2]) + q[1] * v[2] * sympy.cos(q[2])
+    down = v[1] * sympy.cos(q[2]) - q[1] * v[2] * sympy.sin(q[2])
+    return v[0] ** 2 + 0.4 * (across**2 + down**2) + 0.8 * GRAVITY * q[1] * sympy.cos(q[2])
+
+
+def masses(q: Symbols, v: Symbols) -> Any:
+    springs = 50.0 * q[0] ** 2 + 30.0 * (q[1] - q[0]) ** 2
+    return v[0] ** 2 / 2 + 0.5 * v[1] ** 2 / 2 - springs / 2
+
+
+def duffing(q: Symbols, v: Symbols) -> Any:
+    return 1.5 * v[0] ** 2 / 2 - 20.0 * q[0] ** 2 / 2 - 400.0 * q[0] ** 4 / 4
+
+
+MACHINES = {
+    "furuta": Simulated(
+        ("arm", "pendulum"), furuta, [0], (0.002, 0.0002), (0.004, 0.0),
+        (-1.0, -2.5), (1.0, 2.5), 0.5, [0.06],
+        lambda q, v: -0.05 * q[:, :1] - 0.01 * v[:, :1],
+    ),
+    "wheel": Simulated(
+        ("theta", "wheel"), wheel, [1], (0.003, 0.0005), (0.0, 0.003),
+        (-2.0, -2.0), (2.0, 2.0), 0.5, [0.1],
+        lambda q, v: -0.0005 * v[:, 1:],
+    ),
+    "ball": Simulated(
+        ("ball", "beam"), ball, [1], (0.02, 0.01), (0.0, 0.002),
+        (-0.2, -0.2), (0.2, 0.2), 0.05, [0.15],
+        lambda q, v: q @ [[2.581], [-2.0]] + v @ [[1.0], [-0.25]],
+    ),
+    "crane": Simulated(
+        ("cart", "rope", "theta"), crane, [0, 1], (2.0, 3.0, 0.01), (0.5, 0.5, 0.0),
+        (-0.2, 0.5, -0.6), (0.2, 0.8, 0.6), 0.1, [8.0, 3.0],
+        lambda q, v: (q[:, :2] - [0.0, 0.65]) * [-20.0, -60.0]
+        + v[:, :2] * [-8.0, -10.0] - [0.0, 0.8 * GRAVITY],
+    ),
+    "masses": Simulated(
+        ("x_a", "x_b"), masses, [0], (0.4, 0.2), (0.1, 0.0), (-0.2, -0.2), (0.2, 0.2), 0.3, [5.0],
+    ),
+    "duffing": Simulated(("x",), duffing, [0], (0.5,), (0.2,), (-0.3,), (0.3,), 0.5, [6.0]),
+}  # fmt: skip
+
+
+def main() -> None:
+    """Write all files."""
+    for name, machine in MACHINES.items():
+        recorded(machine).to_csv(f"{name}.csv", index=False)
+
+
+def recorded(machine: Simulated) -> pd.DataFrame:
+    """Return the recordings of a machine."""
+    rng, n, m = np.random.default_rng(0), len(machine.names), len(machine.driven)
+    q = rng.uniform(machine.low, machine.high, (COUNT, n))
+    v = rng.normal(0.0, machine.speed, (COUNT, n))
+    frequency = rng.uniform(0.3, 4.0, (4, COUNT, m))
+    phase = rng.uniform(0.0, 2 * np.pi, (4, COUNT, m))
+    size = np.array(machine.forces) * rng.uniform(0.4, 1.0, (COUNT, 1))
+    slope, table = slopes(machine), []
+    h = SAMPLE / STEPS
+    for t in np.arange(0.0, SECONDS, SAMPLE):
+        u = size * np.sin(np.pi * frequency * t + phase).sum(0) / 2
+        if machine.control is not None:
+            u = u + machine.control(q, v)
+        read = q + NOISE * rng.normal(size=q.shape)
+        table.append(np.column_stack([np.arange(COUNT), np.full(COUNT, t), read, u]))
+        for _ in range(STEPS):
+            a = slope(q, v, u)
+            b = slope(q + h / 2 * v, v + h / 2 * a, u)
+            c = slope(q + h / 2 * v + h**2 / 4 * a, v + h / 2 * b, u)
+            d = slope(q + h * v + h**2 / 2 * b, v + h * c, u)
+            q, v = q + h * v + h**2 / 6 * (a + b + c), v + h / 6 * (a + 2 * b + 2 * c + d)
+    columns = ["trajectory", "t", *(f"q_{name}" for name in machine.names)]
+    columns += [f"u_{i}" for i in range(m)]
+    rows = np.concatenate(table)
+    found = pd.DataFrame(rows, columns=columns).astype({"trajectory": int})
+    return found.sort_values(["trajectory", "t"])
+
+
+def slopes(machine: Simulated) -> Callable[[Array, Array, Array], Array]:
+    """Return the accelerations of rows of states under inputs, by the Euler-Lagrange equations."""
+    n = len(machine.names)
+    q, v = (list(sympy.symbols(f"{x}:{n}", real=True)) for x in "qv")
+    found = machine.lagrangian(q, v)
+    momentum = [sympy.diff(found, x) for x in v]
+    inertia = [sympy.diff(p, x) for p in momentum for x in v]
+    turning = [sum(sympy.diff(p, x) * y for x, y in zip(q, v, strict=True)) for p in momentum]
+    force = [sympy.diff(found, x) - y for x, y in zip(q, turning, strict=True)]
+    both = sympy.lambdify([q, v], [*inertia, *force], "numpy", cse=True)
+    viscous, dry = np.array(machine.viscous), np.array(machine.dry)
+
+    def slope(q: Array, v: Array, u: Array) -> Array:
+        numbers = np.stack([np.broadcast_to(x, len(q)) for x in both(q.T, v.T)], axis=1)
+        moved = numbers[:, n * n :] - viscous * v - dry * np.tanh(v / 0.02)
+        moved[:, machine.driven] += u
+        mass = numbers[:, : n * n].reshape(-1, n, n)
+        return np.asarray(np.linalg.solve(mass, moved[..., None])[..., 0])
+
+    return slope
+
+
+if __name__ == "__main__":
+    main()
