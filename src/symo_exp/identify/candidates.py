@@ -33,7 +33,7 @@ STRIBECK = 5.0
 INPUT_NOISE = 100.0
 """Noise of inputs over that of configurations where it is estimated, in units of the machine."""
 HELD = 0.05
-"""Half a sample over the time step up to which inputs that are held count as continuous."""
+"""Difference of delays over the time step up to which they count as equal."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "relative": {"lagrangian": "planar"},
     "absolute": {"lagrangian": "planar", "lagrangian.relative": "false"},
@@ -176,15 +176,17 @@ def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
 
 
 def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
-    """Yield the variation with a delay of the inputs: what the motion shows, or half a sample.
+    """Yield variations with a delay of the inputs: what the motion shows, and half a sample.
 
     Digital controllers hold inputs between samples, so that they act half a sample after their
-    record. Half a sample that is short for the step is left out.
+    record. Delays that differ by little from another one or none are left out.
     """
     if machine.delay is None:
         return
-    delay = machine.delay or 0.5 * machine.finest_step
-    if machine.delay or delay > HELD * machine.time_step:
+    near, held = HELD * machine.time_step, 0.5 * machine.finest_step
+    delays = [machine.delay] if machine.delay else []
+    delays += [held] if min(held, abs(held - machine.delay)) > near else []
+    for delay in delays:
         name, value = f"delay {1e3 * delay:.2g} ms", f"{delay:.2g}"
         yield candidate.changed(name, 0.2, data__input_delay=value)
 
