@@ -143,6 +143,7 @@ def test_candidates_differ_and_variations_change_one_respect(n, angular):
             keys = {*candidate.settings, *other.settings}
             differ = [k for k in keys if candidate.settings.get(k) != other.settings.get(k)]
             assert len({k.partition(".")[0] for k in differ}) == 1
+            assert all(again.settings != other.settings for again in variations(other, one))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -156,7 +156,7 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield _with_learned_friction(candidate)
     if "springs" not in settings and machine.stiffness is None:
         yield _sprung(candidate, machine)
-    if machine.driven:
+    if machine.driven and "optimizer.input_weight" not in settings:
         force = machine.units.size("N m" if any(machine.angular) else "N")
         weight = f"{INPUT_NOISE * force:g}"
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight=weight)
@@ -166,8 +166,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
 
 def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     """Yield variations with a more accurate integration, the most promising first."""
-    found = []
-    if machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
+    found, whole = [], "system.time_step" not in candidate.settings
+    if whole and machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
         step = f"{machine.time_step / 2:g}"
         found.append(candidate.changed("half the time step", 0.2, 2.0, system__time_step=step))
     found += of_higher_order(candidate)
@@ -181,7 +181,7 @@ def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     Digital controllers hold inputs between samples, so that they act half a sample after their
     record. Delays that differ by little from another one or none are left out.
     """
-    if machine.delay is None:
+    if machine.delay is None or "data.input_delay" in candidate.settings:
         return
     near, held = HELD * machine.time_step, 0.5 * machine.finest_step
     delays = [machine.delay] if machine.delay else []
