@@ -181,6 +181,22 @@ def searched(prepared):
     return search
 
 
+@pytest.mark.parametrize("least", [0.02, 0.01, 0.005, 0.0025])
+def test_steps_are_halved_as_long_as_the_error_decreases(least, prepared):
+    one = machine(1, 60.0)
+
+    def told(settings):
+        return max(float(settings.get("system.time_step", one.time_step)), least), 1e-3
+
+    search, _, _ = prepared(told, one, budget=1e5)
+    search.screen(ladder(one)[:1])
+    settings = search.refine().candidate.settings
+    assert float(settings.get("system.time_step", one.time_step)) == least
+    names = [t.candidate.name for t in search.trials]
+    assert len(set(names)) == len(names)
+    assert any("1/4 of the time step" in name for name in names) == (least < 0.02)
+
+
 @pytest.mark.parametrize(("error", "chosen"), [(100.0, "relative"), (10.0, "planar")])
 def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(error, chosen, prepared):
     """That is, if they have more than a twentieth of the error of constant velocity, here 50."""

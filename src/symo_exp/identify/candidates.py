@@ -32,6 +32,8 @@ STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 INPUT_NOISE = 100.0
 """Noise of inputs over that of configurations where it is estimated, in units of the machine."""
+THE_STEP = "the time step"
+"""End of the parts of names that say which share of the time step a candidate has."""
 HELD = 0.05
 """Difference of delays over the time step up to which they count as equal."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
@@ -169,10 +171,22 @@ def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     found, whole = [], "system.time_step" not in candidate.settings
     if whole and machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
         step = f"{machine.time_step / 2:g}"
-        found.append(candidate.changed("half the time step", 0.2, 2.0, system__time_step=step))
+        found.append(candidate.changed(f"half {THE_STEP}", 0.2, 2.0, system__time_step=step))
     found += of_higher_order(candidate)
     # motors stick and slip within a step, which no polynomial of a higher order follows
     yield from found if machine.driven else reversed(found)
+
+
+def halved_again(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
+    """Yield a candidate that has smaller time steps than others with half of its own."""
+    if "system.time_step" not in candidate.settings:
+        return
+    step = float(candidate.settings["system.time_step"]) / 2
+    if step >= machine.finest_step * (1 - 1e-3):
+        parts = [part for part in candidate.name.split(", ") if not part.endswith(THE_STEP)]
+        given = candidate.changed("", 0.2, 2.0, system__time_step=f"{step:g}")
+        share = f"1/{round(machine.time_step / step)} of {THE_STEP}"
+        yield replace(given, name=", ".join([*parts, share]))
 
 
 def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:

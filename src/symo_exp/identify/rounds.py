@@ -12,6 +12,7 @@ from symo_exp.identify.candidates import (
     distinct_candidates,
     exclude,
     finer,
+    halved_again,
     joined,
     left_open,
     of_higher_order,
@@ -132,7 +133,7 @@ class Rounds:
 
     def refine(self) -> Trial | None:
         """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
-        for stage in (self.combine, self.vary):
+        for stage in (self.combine, self.vary, self.halve):
             if (best := self.best()) is not None:
                 stage(best)
         if (best := self.best()) is None:
@@ -188,6 +189,20 @@ class Rounds:
                 self._try([c], folds)
             if joint is base or self._gains(c, joint, folds):
                 joint = self._trials[c.name]
+
+    def halve(self, best: Trial) -> None:
+        """Halve time steps that the best candidate has halved, as long as its error decreases.
+
+        Motors that stick and slip do so within a step.
+        """
+        first, folds = range(self._plan.first), range(len(best.errors))
+        halved = halved_again(best.candidate, self._machine)
+        for fine in self._affordable(distinct_candidates(halved, self._given), best):
+            self._try([fine], first)
+            if self._ranked([best.candidate, fine], first)[:1] == [fine]:
+                self._try([fine], folds)
+                if self._gains(fine, best, folds):
+                    self.halve(self._trials[fine.name])
 
     def reduce_forces(self, best: Trial) -> Trial:
         """Return the best candidate with fewer forces, unless that is worse.
