@@ -199,7 +199,7 @@ def test_steps_are_halved_as_long_as_the_error_decreases(least, prepared):
 
 @pytest.mark.parametrize(("error", "chosen"), [(100.0, "relative"), (10.0, "planar")])
 def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(error, chosen, prepared):
-    """That is, if they have more than a twentieth of the error of constant velocity, here 50."""
+    """That is, if they have more than a fiftieth of the error of constant velocity, here 20."""
 
     def told(settings):
         return (1.0 if settings["lagrangian"] == "relative" else error), 1e-3

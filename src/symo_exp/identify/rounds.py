@@ -47,7 +47,7 @@ from symo_exp.runs.series import read
 
 HOPELESS = 4.0
 """A candidate whose error is so many times the best one's is not tried on further folds."""
-POOR = 0.05
+POOR = 0.02
 """Error over that of constant velocity beyond which a candidate does not suit the machine."""
 SIMPLER = 2
 """Simpler structures that are given the friction or the variations of the best candidate."""
