@@ -168,25 +168,23 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
 
 def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     """Yield variations with a more accurate integration, the most promising first."""
-    found, whole = [], "system.time_step" not in candidate.settings
-    if whole and machine.time_step / 2 >= machine.finest_step * (1 - 1e-3):
-        step = f"{machine.time_step / 2:g}"
-        found.append(candidate.changed(f"half {THE_STEP}", 0.2, 2.0, system__time_step=step))
-    found += of_higher_order(candidate)
+    whole = "system.time_step" not in candidate.settings
+    halved = with_half_the_step(candidate, machine) if whole else []
+    found = [*halved, *of_higher_order(candidate)]
     # motors stick and slip within a step, which no polynomial of a higher order follows
     yield from found if machine.driven else reversed(found)
 
 
-def halved_again(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
-    """Yield a candidate that has smaller time steps than others with half of its own."""
-    if "system.time_step" not in candidate.settings:
-        return
-    step = float(candidate.settings["system.time_step"]) / 2
-    if step >= machine.finest_step * (1 - 1e-3):
-        parts = [part for part in candidate.name.split(", ") if not part.endswith(THE_STEP)]
-        given = candidate.changed("", 0.2, 2.0, system__time_step=f"{step:g}")
-        share = f"1/{round(machine.time_step / step)} of {THE_STEP}"
-        yield replace(given, name=", ".join([*parts, share]))
+def with_half_the_step(candidate: Candidate, machine: Machine) -> list[Candidate]:
+    """Return the variation with half of its time step, none if no recording has samples for it."""
+    step = float(candidate.settings.get("system.time_step", machine.time_step)) / 2
+    if step < machine.finest_step * (1 - 1e-3):
+        return []
+    count = round(machine.time_step / step)
+    share = f"half {THE_STEP}" if count == 2 else f"1/{count} of {THE_STEP}"
+    parts = [part for part in candidate.name.split(", ") if not part.endswith(THE_STEP)]
+    halved = candidate.changed(share, 0.2, 2.0, system__time_step=f"{step:g}")
+    return [replace(halved, name=", ".join([*parts, share]))]
 
 
 def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:

@@ -12,7 +12,6 @@ from symo_exp.identify.candidates import (
     distinct_candidates,
     exclude,
     finer,
-    halved_again,
     joined,
     left_open,
     of_higher_order,
@@ -20,6 +19,7 @@ from symo_exp.identify.candidates import (
     structures,
     variations,
     with_friction_of,
+    with_half_the_step,
     with_less_friction,
     without_springs,
 )
@@ -126,10 +126,7 @@ class Rounds:
         first = range(self._plan.first)
         if (best := self.best()) is None or best.mean(first) <= POOR * self._baseline(first):
             return
-        tried = self._affordable(candidates, best)
-        self._try(tried, first)
-        better = [c for c in self._ranked(tried, first) if self._mean(c, first) < best.mean(first)]
-        self._try(better[: plans.PROMOTED], range(len(best.errors)))
+        self._promote(self._affordable(candidates, best), best)
 
     def refine(self) -> Trial | None:
         """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
@@ -161,23 +158,16 @@ class Rounds:
         for simple in promising[:1]:
             self._try([simple], folds)
             finest = distinct_candidates(finer(simple, self._machine), self._given, known)[:1]
-            for fine in self._affordable(finest, best):
-                self._try([fine], first)
-                if self._ranked([simple, fine], first)[:1] == [fine]:
-                    self._try([fine], folds)
+            self._promote(self._affordable(finest, best), self._trials[simple.name])
 
     def vary(self, base: Trial) -> None:
         """Try variations of the best candidate, and those that are better together."""
         known = [trial.candidate for trial in self._trials.values()]
         new = distinct_candidates(variations(base.candidate, self._machine), self._given, known)
-        first, folds = range(self._plan.first), range(len(base.errors))
+        folds = range(len(base.errors))
         tried = self._affordable(new, base, keep=len(folds) * self._planned(base.candidate))
-        self._try(tried, first)
-        better = [c for c in self._ranked(tried, first) if self._mean(c, first) < base.mean(first)]
-        promoted = better[: plans.PROMOTED]
-        self._try(promoted, folds)
         joint = base
-        for c in self._ranked(promoted, folds):
+        for c in self._ranked(self._promote(tried, base), folds):
             if not self._gains(c, base, folds):
                 break
             if joint is not base:
@@ -195,14 +185,13 @@ class Rounds:
 
         Motors that stick and slip do so within a step.
         """
-        first, folds = range(self._plan.first), range(len(best.errors))
-        halved = halved_again(best.candidate, self._machine)
-        for fine in self._affordable(distinct_candidates(halved, self._given), best):
-            self._try([fine], first)
-            if self._ranked([best.candidate, fine], first)[:1] == [fine]:
-                self._try([fine], folds)
-                if self._gains(fine, best, folds):
-                    self.halve(self._trials[fine.name])
+        if "system.time_step" not in best.candidate.settings:
+            return
+        halved = with_half_the_step(best.candidate, self._machine)
+        tried = self._affordable(distinct_candidates(halved, self._given), best)
+        for fine in self._promote(tried, best):
+            if self._gains(fine, best, range(len(best.errors))):
+                self.halve(self._trials[fine.name])
 
     def reduce_forces(self, best: Trial) -> Trial:
         """Return the best candidate with fewer forces, unless that is worse.
@@ -252,6 +241,18 @@ class Rounds:
         for fine in of_higher_order(best.candidate):
             best = self._at_least_as_good(fine, best, self._no_better) or best
         return best
+
+    def _promote(self, tried: Sequence[Candidate], base: Trial) -> list[Candidate]:
+        """Try candidates on the first folds, and the best ones on all folds of another candidate.
+
+        Returns:
+            Those tried on all folds: ``PROMOTED`` at most, each better on the first than ``base``.
+        """
+        first = range(self._plan.first)
+        self._try(tried, first)
+        better = [c for c in self._ranked(tried, first) if self._mean(c, first) < base.mean(first)]
+        self._try(better[: plans.PROMOTED], range(len(base.errors)))
+        return better[: plans.PROMOTED]
 
     def _at_least_as_good(
         self,
