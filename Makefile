@@ -17,7 +17,7 @@ export OMP_NUM_THREADS := 1
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-commands test-lowest docs ui lint audit smoke bench bench-quick rivals clean
+.PHONY: help install demo test test-slow test-faults test-browser test-slurm test-server test-gpu test-commands test-lowest docs ui lint audit smoke bench bench-quick rivals clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -57,6 +57,9 @@ test-slurm: install ## send sweeps through a SLURM of one node (root; Debian's p
 test-server: install ## eight jobs at once through MLflow to PostgreSQL (apt-get install postgresql)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[server]'
 	$(PY) -m pytest -m server tests/clusters
+
+test-gpu: install ## train on a GPU, where a run has the measures of the processor
+	$(PY) -m pytest -m gpu tests/models tests/training
 
 test-commands: install ## run every command of README, docs and docstrings, in short forms: an hour
 	$(PY) -m pytest -m commands tests/test_commands.py

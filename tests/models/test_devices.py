@@ -9,7 +9,6 @@ from symo_exp.optim.base import minibatches
 from tests.models.methods import combinations, learner, reads_back, windows
 
 N = 2
-gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
 
 
 def small(method, integrator):
@@ -27,7 +26,7 @@ def losses(model, samples, epochs=3):
     return [float(minibatches(optimizer, model, halves)["train_loss"]) for _ in range(epochs)]
 
 
-@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=gpu)])
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
 @pytest.mark.parametrize(("method", "integrator"), combinations())
 def test_training_in_single_precision_follows_double(method, integrator, device):
     samples = windows(N, 12)
