@@ -79,6 +79,14 @@ class Cluster:
         """Return the number of times that a job was queued again."""
         return int(self.ask("scontrol", "show", "job", job).partition("Restarts=")[2].split()[0])
 
+    def clear(self) -> None:
+        """Cancel what waits or runs."""
+        with suppress(subprocess.SubprocessError):
+            self.ask("scancel", f"--user={getpass.getuser()}")
+            end = time.monotonic() + 60.0
+            while self.queue() and time.monotonic() < end:
+                time.sleep(0.5)
+
 
 def missing() -> str:
     """Return the reason why no cluster can be started here; empty if one can."""
@@ -122,7 +130,7 @@ def cluster(folder: Path) -> Iterator[Cluster]:
         _until(lambda: "idle" in there.ask("sinfo", "--noheader", "--format=%T"), daemons, folder)
         yield there
     finally:
-        _clear(there)  # slurmd leaves alone what runs
+        there.clear()  # slurmd leaves alone what runs
         for process in reversed(daemons):
             process.terminate()
         for process in reversed(daemons):
@@ -130,14 +138,6 @@ def cluster(folder: Path) -> Iterator[Cluster]:
                 process.wait(20)
             except subprocess.TimeoutExpired:
                 process.kill()
-
-
-def _clear(there: Cluster) -> None:
-    with suppress(subprocess.SubprocessError):
-        there.ask("scancel", f"--user={getpass.getuser()}")
-        end = time.monotonic() + 60.0
-        while there.queue() and time.monotonic() < end:
-            time.sleep(0.5)
 
 
 def _start(words: list[str], there: Cluster) -> subprocess.Popen[bytes]:

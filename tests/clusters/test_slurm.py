@@ -23,12 +23,19 @@ SLURM = ["hydra/launcher=submitit_slurm_cpu", "hydra.launcher.mem_gb=1"]
 
 
 @pytest.fixture(scope="module")
-def slurm(tmp_path_factory):
+def started(tmp_path_factory):
     reason = missing()
     if reason:
         pytest.skip(reason)
     with cluster(tmp_path_factory.mktemp("slurm")) as there:
         yield there
+
+
+@pytest.fixture
+def slurm(started):
+    """The cluster; a test that fails leaves no job to the next one."""
+    yield started
+    started.clear()
 
 
 def runs(folder):
