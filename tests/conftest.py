@@ -47,6 +47,12 @@ def _no_settings_of_the_shell(monkeypatch):
         monkeypatch.delenv(name, raising=False)
 
 
+@pytest.fixture(autouse=True)
+def _gpu(request):
+    if request.node.get_closest_marker("gpu") and not torch.cuda.is_available():
+        pytest.skip("no GPU here")
+
+
 @pytest.fixture
 def workplace(tmp_path, monkeypatch):
     """An empty folder to run commands in, with a store and a cache of its own."""

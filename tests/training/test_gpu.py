@@ -30,15 +30,15 @@ def words():
 
 
 @pytest.mark.parametrize("words", list(words()))
-def test_measures_are_those_of_the_processor(words, tmp_path):
+def test_measures_are_those_of_the_processor(words, workplace):
     words = f"{words} {SHORT}"
     optimizer = get_class(configuration(words)["optimizer"]["_target_"])
     if getattr(optimizer, "processor_only", False):
         with pytest.raises(ConfigError, match="trainer=cpu"):
-            go(f"{words} trainer=gpu", tmp_path / "gpu")
+            go(f"{words} trainer=gpu", workplace / "gpu")
         return
-    expected = go(words, tmp_path / "cpu")
-    found = go(f"{words} trainer=gpu", tmp_path / "gpu")
+    expected = go(words, workplace / "cpu")
+    found = go(f"{words} trainer=gpu", workplace / "gpu")
     assert found.keys() == expected.keys()
     for name in expected.keys() - CLOCKS:
         near = pytest.approx(float(expected[name]), rel=1e-6, nan_ok=True)
