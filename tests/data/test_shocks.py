@@ -16,6 +16,7 @@ from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.shocks import shocks
 from symo_exp.errors import ConfigError
 from symo_exp.identify.recordings import examine
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver, simulate_driven
 
@@ -74,6 +75,26 @@ def test_a_blow_is_found_and_nothing_else(blow: float) -> None:
 @pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_machines_that_nothing_strikes_have_no_shocks(n: int) -> None:
     assert not any(found(motions(n, 0.0), n))
+
+
+def test_a_slide_that_sticks_while_a_link_swings_has_no_shocks() -> None:
+    """Dry friction of up to 5 N holds it when the force is reduced from 6.5 to 4.5 N."""
+    count, substeps = 6, 20
+    rng, h = np.random.default_rng(0), H / substeps
+    q, v = rng.uniform(-1, 1, (count, 2)), np.zeros((count, 2))
+    phase, rows = rng.uniform(0, 6, count), []
+    for t in H * np.arange(300):
+        force = 6.5 * np.tanh(4 * np.sin(2 * t + phase))
+        force[STRUCK] *= 0.7 if BEGIN <= t < BEGIN + 0.8 else 1.0
+        rows.append(np.column_stack([q + 1e-4 * rng.standard_normal(q.shape), force]))
+        for _ in range(substeps):
+            v[:, 1] -= h * 20.0 * np.sin(q[:, 1])
+            pushed = v[:, 0] + h * force
+            v[:, 0] = np.sign(pushed) * np.maximum(np.abs(pushed) - 5.0 * h, 0.0)
+            q = q + h * v
+    names, angular = ("slide", "link"), (False, True)
+    motions = [(each[:, :2], each[:, 2:]) for each in np.stack(rows, axis=1)]
+    assert not any(shocks(motions, Coordinates(names, angular), H))
 
 
 def test_a_blow_is_left_out_of_the_search_and_it_says_so(workplace) -> None:

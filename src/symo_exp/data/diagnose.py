@@ -245,8 +245,7 @@ def spring_slopes(
     n, angular = coordinates.n, np.array(coordinates.angular)
 
     def others(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        pace = np.sqrt(np.mean(v**2, axis=0)) + 1e-300
-        return np.concatenate([np.ones((len(q), 1)), v, np.tanh(10 * v / pace), u], axis=1)
+        return np.concatenate([np.ones((len(q), 1)), v, directions(v), u], axis=1)
 
     def springs(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         return np.concatenate([q, others(q, v, u)], axis=1)
@@ -327,15 +326,28 @@ def _left_out(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
 def acceleration_terms(
     q: np.ndarray, v: np.ndarray, u: np.ndarray, coordinates: Coordinates
 ) -> np.ndarray:
-    """Return terms of accelerations: places, products of velocities, friction, inputs."""
+    """Return terms of accelerations: places, viscous and dry friction, and products.
+
+    Forces and products of velocities are multiplied by all places.
+    """
+    places = place_terms(q, coordinates)
+    products = [a * b for a, b in itertools.combinations_with_replacement(v.T, 2)]
+    friction = [*v.T, *directions(v).T]
+    forces = [*products, *u.T]
+    return np.stack([*places, *friction, *(f * p for f in forces for p in places)], axis=1)
+
+
+def place_terms(q: np.ndarray, coordinates: Coordinates) -> list[np.ndarray]:
+    """Return terms of configurations: one, coordinates, and their products in pairs."""
     each = [
         [np.cos(x), np.sin(x)] if angular else [x]
         for x, angular in zip(q.T, coordinates.angular, strict=True)
     ]
     pairs = [a * b for x, y in itertools.combinations(each, 2) for a in x for b in y]
-    places = [np.ones(len(q)), *itertools.chain(*each), *pairs]
+    return [np.ones(len(q)), *itertools.chain(*each), *pairs]
+
+
+def directions(v: np.ndarray) -> np.ndarray:
+    """Return the directions of velocities (k, n): -1 or 1, and in between at rest."""
     pace = np.sqrt(np.mean(v**2, axis=0)) + 1e-300
-    products = [a * b for a, b in itertools.combinations_with_replacement(v.T, 2)]
-    friction = [*v.T, *np.tanh(10 * v / pace).T]
-    forces = [*products, *u.T]
-    return np.stack([*places, *friction, *(f * p for f in forces for p in places)], axis=1)
+    return np.tanh(10 * v / pace)

@@ -6,7 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.diagnose import HALF, SHORTEST, Motion, acceleration_terms, weak_rows
+from symo_exp.data.diagnose import (
+    HALF,
+    SHORTEST,
+    Motion,
+    acceleration_terms,
+    directions,
+    place_terms,
+    weak_rows,
+)
 from symo_exp.mechanics.types import Coordinates
 
 SHOCK, STRANGE = 15.0, 4.0
@@ -38,6 +46,8 @@ def shocks(
     Weak accelerations are regressed, robustly, on the terms of ``explained_power``. In a shock the
     error is many times the usual one and larger than accelerations usually are, although the
     machine passed through nearby states, with nearby inputs, at other times without such an error.
+    Dry friction of a coordinate at rest is any force up to that in motion; the error is what the
+    most suitable one leaves.
 
     Args:
         motions: Configurations (T, n) and inputs (T, m) of each recording, at the nodes.
@@ -56,10 +66,11 @@ def shocks(
         return nothing
 
     def columns(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.concatenate([acceleration_terms(q, v, u, coordinates), v], axis=1)
+        rests = 1 - np.abs(directions(v))
+        return np.concatenate([acceleration_terms(q, v, u, coordinates), rests, v], axis=1)
 
     q, u = motions[long[0]]
-    width = n + columns(q[:1], q[:1], u[:1]).shape[1]
+    width = columns(q[:1], q[:1], u[:1]).shape[1]
     nodes = sum(len(motions[k][0]) for k in long)
     if nodes < ROWS * width or nodes * width > LARGEST:
         return nothing
@@ -67,28 +78,33 @@ def shocks(
     table = np.concatenate(rows)
     if not np.isfinite(table).all():
         return nothing
-    velocity = np.abs(table[:, -n:])
+    table, rests, velocity = np.split(table, [-2 * n, -n], axis=1)
+    velocity = np.abs(velocity)
     moving = (velocity > MOVES * np.sqrt(np.mean(velocity**2, axis=0))).any(axis=1)
     if not moving.any():
         return nothing
-    table = table[:, :-n] / np.sqrt(np.mean(table[moving, :-n] ** 2, axis=0) + 1e-300)
-    y, x = np.split(table, [n], axis=1)
-    left = np.abs(y - x @ _robust(x[moving], y[moving]))
+    size = np.sqrt(np.mean(table[moving] ** 2, axis=0) + 1e-300)
+    y, x = np.split(table / size, [n], axis=1)
+    found = _robust(x[moving], y[moving])
+    viscous = len(place_terms(q[:1], coordinates))
+    dry = np.arange(viscous + n, viscous + 2 * n)  # terms of dry friction
+    left = np.abs(y - x @ found)
     usual = _usual(left[moving])
+    left = left - rests / size[n + dry] @ np.abs(found[dry])
     strange = (left > STRANGE * usual).any(axis=1)
     hit = ((left > SHOCK * usual) & (left > 1.0)).any(axis=1)
     states = _states([motions[k] for k in long], coordinates, h)
     of = np.repeat(long, [len(each) for each in rows])
-    found = [list(each) for each in nothing]
+    stretches = [list(each) for each in nothing]
     for k in long:
         here = np.flatnonzero(of == k)
-        found[k] = [
+        stretches[k] = [
             (first + HALF + 1, last + HALF + 1)
             for first, last in _runs(strange[here], hit[here])
             if _known(states, here[first], here[last], strange, of)
         ]
-    lost = sum(last - first + 1 for each in found for first, last in each)
-    return found if lost <= RARE * moving.sum() else nothing
+    lost = sum(last - first + 1 for each in stretches for first, last in each)
+    return stretches if lost <= RARE * moving.sum() else nothing
 
 
 def _robust(x: np.ndarray, y: np.ndarray) -> np.ndarray:
