@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ import pytest
 import scipy.io
 import torch
 
-from symo_exp.data.formats import from_arrays
+from symo_exp.data.formats import from_arrays, table_of
+from symo_exp.data.parts import without
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
@@ -97,6 +99,55 @@ WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
         csv("x.csv", lambda t: t.assign(t=(1e3 * t.t).round() + 1.7e12)),
         {},
     ),
+    "nanoseconds of a clock under a row of units": (
+        text(
+            lambda lines: [
+                lines[0],
+                "ns,rad,Nm",
+                *(
+                    f"{170_000_000_000 + k}0000000,{x.partition(',')[2]}"
+                    for k, x in enumerate(lines[1:])
+                ),
+            ]
+        ),
+        {},
+    ),
+    "the stated separator of a spreadsheet": (
+        text(lambda lines: ["sep=;", *lines], sep=";", decimal=","),
+        {},
+    ),
+    "a blank line": (text(lambda lines: ["", *lines]), {}),
+    "blanks after commas": (text(lambda lines: [x.replace(",", ", ") for x in lines]), {}),
+    "decimal commas in quotes": (
+        text(
+            lambda lines: [",".join(f'"{x}"' for x in line.split(";")) for line in lines],
+            sep=";",
+            decimal=",",
+        ),
+        {},
+    ),
+    "commas at the ends": (text(lambda lines: [lines[0], *(f"{x}," for x in lines[1:])]), {}),
+    "empty columns and rows": (
+        text(lambda lines: [*(f"{x},," for x in lines), *[",,,,"] * 999]),
+        {},
+    ),
+    "a short first row": (text(lambda lines: [lines[0], "-1.0", *lines[1:]]), {}),
+    "Windows": (csv("x.csv", lambda t: t.assign(**{"°C": 20}), encoding="cp1252"), {}),
+    "Unicode of a spreadsheet": (csv("x.txt", sep="\t", encoding="utf-16"), {}),
+    "upper case": (csv("LOG.CSV"), {}),
+    "dates, some without a fraction": (
+        csv(
+            "x.csv",
+            lambda t: t.assign(
+                t=[datetime(2024, 5, 1) + timedelta(microseconds=round(1e6 * x)) for x in t.t]
+            ).assign(t=lambda t: [x.isoformat() for x in t.t]),
+        ),
+        {},
+    ),
+    "PlotJuggler's name of the time": (
+        csv("x.csv", lambda t: t.rename(columns={"t": "__time"})),
+        {},
+    ),
     "a row twice": (csv("x.csv", lambda t: t.iloc[[*range(9), 8, *range(9, len(t))]]), {}),
     "time": (csv("x.csv", lambda t: t.rename(columns={"t": "Time [s]"})), {}),
     "a unit in the name": (
@@ -138,6 +189,38 @@ def test_each_of_several_files_is_a_trajectory(suffix: str, tmp_path: Path) -> N
         assert torch.equal(data.test.q, all_of_them[0].test.q)
     chosen = load(folder, test=["0"], val=["1"])
     assert chosen.trajectories("test")[0].q[0].item() < all_of_them[0].test.q[0, 0]
+
+
+def test_files_of_the_same_name_are_different_trajectories(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("a/log.csv", "b/log.csv", "b/log.parquet", "c/log.csv")]
+    for k, path in enumerate(paths):
+        path.parent.mkdir(exist_ok=True)
+        piece = motion(4.0).assign(q_0=k)
+        piece.to_csv(path, index=False) if path.suffix == ".csv" else piece.to_parquet(path)
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    for some, names in (
+        ([0, 1, 3], ["a/log", "b/log", "c/log"]),
+        ([0, 1, 2, 3], ["a/log.csv", "b/log.csv", "b/log.parquet", "c/log.csv"]),
+        ([1], [""]),
+    ):
+        found = read_recordings([paths[k] for k in some], system).recordings
+        assert [one.label for one in found] == names
+        kept = without(found, [[names[-1], 1.0, 2.0]], H)
+        assert [one.samples.q[0, 0] for one in kept] == some
+    with pytest.raises(ConfigError, match=r"log.csv is there twice"):
+        read_recordings([paths[0], tmp_path / "a/*.csv"], system)
+
+
+def test_hidden_files_of_a_folder_are_left_out(tmp_path: Path) -> None:
+    folder = several(tmp_path)
+    (folder / "._0.csv").write_bytes(b"\x00\x05\xff")
+    assert load(folder).counts["train"] == 1
+
+
+@pytest.mark.parametrize("path", [None, 5, [], "", True])
+def test_what_is_no_path_is_refused(path: object) -> None:
+    with pytest.raises(ConfigError, match=r"data.path=.*: expected a file, a folder"):
+        load(path)
 
 
 def test_files_with_other_columns_are_refused(tmp_path: Path) -> None:
@@ -195,6 +278,10 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
         (
             lambda t: t.rename(columns={"t": "Time (s)", "q_0": "Arm Angle (rad)"}),
             '\'data.columns={t: "Time (s)", q_Arm: "Arm Angle (rad)"}\'',
+        ),
+        (
+            lambda t: t.rename(columns={"q_0": "arm_deg"}),
+            "'data.columns={q_arm: arm_deg}' data.degrees=true",
         ),
         (lambda t: t.assign(t=1e9 * t.t), "give data.time_unit=ns"),
         (
@@ -275,6 +362,15 @@ def test_arrays_may_hold_many_trajectories() -> None:
         from_arrays({"q": q})
 
 
+def test_arrays_of_one_name_in_several_structures_are_kept_apart(tmp_path: Path) -> None:
+    t = np.arange(4.0)
+    log = {"left": {"t": t, "q": t + 1}, "right": {"t": t, "q": t + 2}, "rate": 100.0}
+    scipy.io.savemat(tmp_path / "x.mat", log)
+    found = table_of(tmp_path / "x.mat")
+    assert list(found) == ["t", "left_q", "right_q"]
+    np.testing.assert_array_equal(found.right_q, t + 2)
+
+
 def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     from rosbags.typesys import Stores, get_typestore
@@ -315,7 +411,11 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
         ("x.parquet", b"PAR1 nonsense", "cannot be read"),
         ("empty.parquet", b"", "cannot be read"),
         ("empty.csv", b"", "cannot be read"),
-        ("ragged.csv", b"trajectory,t,q_x,q_theta\n0,0,0,0\n0,0.1,0,0,5\n", "Expected 4 fields"),
+        (
+            "ragged.csv",
+            b"trajectory,t,q_x,q_theta\n0,0,0,0\n0,0.1,0,0,5\n",
+            "5 cells, the line of names 4",
+        ),
         ("bytes.csv", b"\xff\xfe\x00\x81,\n\x9d", "cannot be read"),
     ],
 )

@@ -106,6 +106,22 @@ def test_columns_stored_as_an_index_are_read(
         torch.testing.assert_close(a, b)
 
 
+def test_names_of_columns_in_capitals_and_categories_are_read(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
+    parts = ["train", "test", "train", "val", "train", "none"]
+    table["split"] = [parts[k] for k in table["trajectory"]]
+    plain = recorded(stated("cartpole"), save(table, tmp_path))
+    table["trajectory"] = table["trajectory"].astype(str).astype("category")
+    kept = table[table["split"] != "none"]  # its category remains
+    kept = kept.rename(columns={"trajectory": "Trajectory", "split": "Split"})
+    kept.to_parquet(tmp_path / "x.parquet", index=False)
+    again = recorded(stated("cartpole"), tmp_path / "x.parquet")
+    for part in ("train", "val", "test"):
+        for a, b in zip(getattr(plain, part), getattr(again, part), strict=True):
+            torch.testing.assert_close(a, b)
+
+
 def test_missing_velocities_are_central_differences(tmp_path: Path) -> None:
     """Second order: a quarter of the error at half the step."""
     errors = []
@@ -160,6 +176,7 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
             "turns q_theta by 5.78 rad",
         ),
         (lambda t: t.iloc[:20], "has 2 trajectories, too few"),
+        (lambda t: t.iloc[[1, 0, *range(2, 10)]].drop(columns="trajectory"), "sort the rows by t"),
     ],
 )
 def test_malformed_tables_are_refused_in_one_line(

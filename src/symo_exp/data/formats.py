@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import glob
+import itertools
 import os
 import re
 import zipfile
@@ -26,7 +28,8 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 """Text files; in a folder only the first kind is taken for a recording."""
 BAGS = (".db3", ".mcap", ".bag")
 TIME = re.compile(
-    r"(?:t|time|timestamp|stamp)(?:_(s|sec|ms|us|ns)| *[\[(](s|sec|ms|us|ns)[\])])?", re.IGNORECASE
+    r"_*(?:t|time|timestamp|stamp)(?:_(s|sec|ms|us|ns)| *[\[(](s|sec|ms|us|ns)[\])])?",
+    re.IGNORECASE,
 )
 """Names of a time column, with the unit that they state."""
 UNREADABLE = (
@@ -36,9 +39,13 @@ UNREADABLE = (
 """Errors of a file that is damaged or of another format, those of pandas and Arrow among them."""
 JOINTS = "sensor_msgs/msg/JointState"
 COMMENT = re.compile(r"\s*[#%]+\s*")
-"""The beginning of a line before the table."""
+"""The beginning of a comment before the table."""
+SEPARATOR = re.compile(r'"?sep=.?"?\s*')
+"""A line before the table with which spreadsheets state the separator."""
 NUMBER = re.compile(r"\s*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?\s*")
 """A word that is a number, perhaps with a decimal comma."""
+DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+\D*\d*")
+"""A word that is a number with a decimal comma."""
 BEGINNING = 50
 """Lines of a text file from which its dialect is inferred."""
 SPREADSHEETS = (".xlsx", ".xls", ".ods")
@@ -86,13 +93,19 @@ def files(path: Location) -> list[Path]:
         raise ConfigError(
             "data.path is a DataFrame: write it with to_parquet('mine.parquet') and give that path"
         )
-    if not isinstance(path, str | os.PathLike):
+    if isinstance(path, Sequence) and not isinstance(path, str) and path:
         return [file for one in path for file in files(one)]
+    if not isinstance(path, str | os.PathLike) or not str(path):
+        raise ConfigError(
+            f"data.path={path!r}: expected a file, a folder, a pattern such as 'logs/*.csv' or a "
+            "list of these"
+        )
     file = Path(str(path)).expanduser()
     if is_bag(file):
         return [file]
     if file.is_dir():
-        found = sorted(one for one in file.iterdir() if one.suffix in TABLES or is_bag(one))
+        there = (one for one in file.iterdir() if not one.name.startswith("."))
+        found = sorted(one for one in there if suffix(one) in TABLES or is_bag(one))
         if not found:
             raise ConfigError(f"{shown(path)}: the folder has no {', '.join(TABLES)} file or bag")
         return found
@@ -101,8 +114,8 @@ def files(path: Location) -> list[Path]:
         if not found:
             raise ConfigError(f"{shown(path)}: no file matches this pattern")
         return [one for match in found for one in files(match)]
-    if file.suffix not in (*TABLES, *TEXT):
-        mend = "; save the sheet as CSV" if file.suffix in SPREADSHEETS else ""
+    if suffix(file) not in (*TABLES, *TEXT):
+        mend = "; save the sheet as CSV" if suffix(file) in SPREADSHEETS else ""
         raise ConfigError(
             f"{shown(path)}: expected a file that ends in {', '.join((*TEXT, *TABLES[2:]))} or "
             f"{TABLES[0]}, a ROS 2 bag, or a folder of these{mend}"
@@ -110,30 +123,35 @@ def files(path: Location) -> list[Path]:
     return [file]
 
 
+def suffix(file: Path) -> str:
+    """Return the suffix in lower case; data loggers write ``LOG.CSV``."""
+    return file.suffix.lower()
+
+
 def is_bag(file: Path) -> bool:
     """Return whether a path is a ROS bag: a file of one, or a folder with its metadata."""
-    return file.suffix in BAGS or (file / "metadata.yaml").is_file()
+    return suffix(file) in BAGS or (file / "metadata.yaml").is_file()
 
 
 def columns_of(file: Path) -> list[str]:
     """Return the names of a file's columns without reading all of its rows."""
-    if file.suffix in TEXT:
+    if suffix(file) in TEXT:
         return list(Dialect.of(file).names)
-    if file.suffix == ".parquet":
+    if suffix(file) == ".parquet":
         return [str(name) for name in pyarrow.parquet.read_schema(file).names]
     return [str(name) for name in table_of(file).columns]
 
 
 def table_of(file: Path) -> pd.DataFrame:
     """Return all rows of a file; the columns are those of ``columns_of``."""
-    if file.suffix in TEXT:
+    if suffix(file) in TEXT:
         return Dialect.of(file).read(file)
-    if file.suffix == ".parquet":  # an index that was written along is a column like others
+    if suffix(file) == ".parquet":  # an index that was written along is a column like others
         return pyarrow.parquet.read_table(file).to_pandas(ignore_metadata=True)
-    if file.suffix == ".npz":
+    if suffix(file) == ".npz":
         with np.load(file, allow_pickle=False) as arrays:
             return from_arrays({name: arrays[name] for name in arrays.files})
-    if file.suffix == ".mat":
+    if suffix(file) == ".mat":
         return from_arrays(_matlab(file))
     return _bag(file)
 
@@ -142,52 +160,77 @@ class Dialect(NamedTuple):
     """How a text file writes a table.
 
     Attributes:
+        encoding: Of the characters.
         separator: Between columns.
         decimal: Decimal sign.
         skipped: Lines before the rows, the line of names included.
         names: Names of the columns.
+        cells: In the longest one of the first rows.
     """
 
+    encoding: str
     separator: str
     decimal: str
     skipped: int
     names: tuple[str, ...]
+    cells: int
 
     @classmethod
     def of(cls, file: Path) -> Dialect:
         """Infer the dialect from the first lines of a file.
 
-        Lines that begin with # or % are comments before the table. The last of them has the names
-        if rows of numbers follow, as NumPy's ``savetxt`` writes them.
+        Before the table there may be blank lines, a line such as ``sep=;`` and comments, which
+        begin with # or %. The last comment has the names if rows of numbers follow, as NumPy's
+        ``savetxt`` writes them.
         """
-        with file.open(encoding="utf-8-sig", newline="") as text:
-            lines = [text.readline().rstrip("\r\n") for _ in range(BEGINNING)]
-        comments = next((k for k, x in enumerate(lines) if not COMMENT.match(x)), len(lines) - 1)
-        first, *others = lines[comments:]
+        encoding, before, first = _encoding(file), [], ""
+        with file.open(encoding=encoding, newline="") as text:
+            lines = (line.rstrip("\r\n") for line in text)
+            for line in lines:
+                if line.strip() and not (COMMENT.match(line) or SEPARATOR.fullmatch(line)):
+                    first = line
+                    break
+                before.append(line)
+            others = list(itertools.islice(lines, BEGINNING))
+        skipped, comments = len(before) + 1, list(filter(COMMENT.match, before))
         if comments and re.match(NUMBER.pattern + r"(?:[,;\s]|$)", first):
-            comments, others = comments - 1, lines[comments:]
-            first = COMMENT.sub("", lines[comments], count=1)
+            skipped, others = len(before), [first, *others]
+            first = COMMENT.sub("", comments[-1], count=1)
         counts = Counter({sign: first.count(sign) for sign in (",", ";", "\t")})
         separator, count = counts.most_common(1)[0]
         if count == 0 and len(first.split()) > 1:
             separator = " "
-        cells = [cell for line in others for cell in line.strip().split(separator)]
-        comma = separator != "," and any(re.fullmatch(r"\s*[-+]?\d*,\d+\D*\d*", c) for c in cells)
-        if separator == " ":
-            names = first.split()
-        else:
-            names = [name.strip() for name in next(csv.reader([first], delimiter=separator), [])]
-        return cls(separator, "," if comma else ".", comments + 1, tuple(names))
+        names, *rows = _cells([first, *others], separator) or [[]]
+        comma = any(DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
+        return cls(
+            encoding, separator, "," if comma else ".", skipped,
+            tuple(name.strip() for name in names), max(map(len, rows), default=0),
+        )  # fmt: skip
 
     def read(self, file: Path) -> pd.DataFrame:
-        """Return the table."""
-        separator = r"\s+" if self.separator == " " else self.separator
+        """Return the table without rows that are empty throughout.
+
+        Raises:
+            ValueError: If there are cells beyond the last name that are not empty.
+        """
+        count = len(self.names)
         try:
-            return pd.read_csv(
-                file, sep=separator, decimal=self.decimal, skiprows=self.skipped, header=None
+            table = pd.read_csv(
+                file,
+                encoding=self.encoding,
+                sep=r"\s+" if self.separator == " " else self.separator,
+                decimal=self.decimal,
+                skiprows=self.skipped,
+                skipinitialspace=True,
+                header=None,
+                names=list(range(max(count, self.cells))),
+                low_memory=False,
             )
         except pd.errors.EmptyDataError:
             return pd.DataFrame(columns=self.names)
+        if table.iloc[:, count:].notna().any(axis=None):
+            raise ValueError(f"a row has {self.cells} cells, the line of names {count}")
+        return table.iloc[:, :count].dropna(how="all").reset_index(drop=True)
 
     @property
     def note(self) -> str | None:
@@ -197,6 +240,29 @@ class Dialect(NamedTuple):
             return None
         decimal = " and decimal commas" if self.decimal == "," else ""
         return f"read with {names[self.separator]} between columns{decimal}"
+
+
+def _encoding(file: Path) -> str:
+    """Return the encoding that the beginning of a text file shows.
+
+    Spreadsheets also write UTF-16 and the encoding of Windows, in which a degree sign is one byte.
+    """
+    with file.open("rb") as handle:
+        beginning = handle.read(2**16)
+    if beginning.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(beginning)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
+
+
+def _cells(lines: Sequence[str], separator: str) -> list[list[str]]:
+    """Return the cells of lines, without their quotes."""
+    if separator == " ":
+        return [line.split() for line in lines]
+    return list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
 
 
 def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
@@ -250,24 +316,34 @@ def _rows(x: np.ndarray, count: int, nodes: int) -> np.ndarray | None:
 
 
 def _matlab(file: Path) -> dict[str, Any]:
-    """Return variables of a MATLAB file, those in structures by their own names."""
+    """Return arrays of a MATLAB file, those in structures by their own names.
+
+    Where different arrays have the same name, it begins with those of the structures.
+    """
     try:
         found = scipy.io.loadmat(file, simplify_cells=True)
     except NotImplementedError:
         raise ConfigError(
             f"data.path={file}: MATLAB 7.3 files are not read; save with save('{file.name}', '-v7')"
         ) from None
-    flat: dict[str, Any] = {}
+    flat: dict[tuple[str, ...], Any] = {}
 
-    def add(values: Mapping[str, Any]) -> None:
+    def add(values: Mapping[str, Any], inside: tuple[str, ...] = ()) -> None:
         for name, value in values.items():
+            path = (*inside, name)
             if isinstance(value, Mapping):
-                add(value)
-            elif not name.startswith("__"):
-                flat[name] = value
+                add(value, path)
+            elif not name.startswith("__") and np.size(value) > 1:
+                flat[path] = value
 
     add(found)
-    return flat
+    same: dict[str, list[Any]] = {}
+    for (*_, name), value in flat.items():
+        same.setdefault(name, []).append(value)
+    return {
+        path[-1] if all(np.array_equal(x, value) for x in same[path[-1]]) else "_".join(path): value
+        for path, value in flat.items()
+    }
 
 
 def _bag(file: Path) -> pd.DataFrame:

@@ -19,6 +19,7 @@ from symo_exp.data.formats import (
     files,
     readable,
     shown,
+    suffix,
 )
 from symo_exp.errors import ConfigError
 
@@ -27,8 +28,8 @@ OTHERS = ("trajectory", "split", "t")
 KINDS = {"q": "coordinate", "v": "coordinate", "u": "input"}
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of time [s]."""
-TRAJECTORY = ("traj", "traj_id", "trajectory_id", "episode", "episode_id")
-"""Names that are read as ``trajectory``."""
+TRAJECTORY = ("trajectory", "traj", "traj_id", "trajectory_id", "episode", "episode_id")
+"""Names that are read as ``trajectory``, in any case."""
 
 POSITION = re.compile(r"^(?:pos|position|angle)[_ ]|[_ ](?:pos|position|angle)$", re.I)
 VELOCITY = re.compile(r"^(?:d|dot_|vel_|velocity_|omega_)(?=.)|_?(?:dot|vel|velocity)$")
@@ -38,7 +39,7 @@ INPUT = re.compile(
     re.I,
 )
 """A word of an input's name."""
-UNIT = re.compile(r"(_| *[\[(])((?:m|mm|cm|rad|deg)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I)
+UNIT = re.compile(r"(_| *[\[(])((?:m|mm|cm|rad|deg|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I)
 """A unit at the end of a name, after an underscore or in brackets."""
 
 
@@ -71,7 +72,10 @@ def header(path: Location, columns: Mapping[str, str] | None = None) -> list[str
 
 def headers(path: Location, columns: Mapping[str, str] | None) -> list[tuple[Path, Header]]:
     """Return every file of a path with its columns; all have the same coordinates and inputs."""
-    found = [(file, header_of(path, file, columns)) for file in files(path)]
+    every = files(path)
+    if twice := [file for file in every if every.count(file) > 1]:
+        raise ConfigError(f"{shown(path)}: {twice[0]} is there twice; name each file once")
+    found = [(file, header_of(path, file, columns)) for file in every]
     kinds = [{name for name in one.names if name[:2] in ("q_", "v_", "u_")} for _, one in found]
     for (file, _), here in zip(found[1:], kinds[1:], strict=True):
         if here != kinds[0]:
@@ -87,15 +91,15 @@ def header_of(path: Location, file: Path, columns: Mapping[str, str] | None) -> 
     where = shown(path if isinstance(path, str | os.PathLike) and Path(path) == file else file)
     with readable(file):
         found = columns_of(file)
-        note = Dialect.of(file).note if file.suffix in TEXT else None
-    if not found:
+        note = Dialect.of(file).note if suffix(file) in TEXT else None
+    if not any(found):
         raise ConfigError(f"{where}: cannot be read (it is empty)")
     if all(map(NUMBER.fullmatch, found)):
         raise ConfigError(
             f"{where}: the first line has numbers ({few(found)}), not names; add a line such as "
             "t,q_arm,u_motor"
         )
-    if twice := sorted({name for name in found if found.count(name) > 1}):
+    if twice := sorted({name for name in found if name and found.count(name) > 1}):
         raise ConfigError(f"{where}: column {', '.join(twice)} occurs twice; rename one of the two")
     new, unit, notes = renamed(where, found, columns)
     if not names("q", new):
@@ -160,10 +164,12 @@ def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None
 
 
 def _aliases(found: Sequence[str], taken: set[str]) -> dict[str, str]:
-    """Unambiguous other names of ``t`` and ``trajectory``."""
-    times = [name for name in found if TIME.fullmatch(name)]
-    groups = [name for name in found if name.lower() in TRAJECTORY]
-    others = {"t": times, "trajectory": groups}
+    """Unambiguous other names of ``t``, ``trajectory`` and ``split``."""
+    others = {
+        "t": [name for name in found if TIME.fullmatch(name)],
+        "trajectory": [name for name in found if name.lower() in TRAJECTORY],
+        "split": [name for name in found if name.lower() == "split"],
+    }
     return {
         ours: theirs[0] for ours, theirs in others.items() if len(theirs) == 1 and ours not in taken
     }
@@ -176,7 +182,7 @@ def _unit(name: str) -> str | None:
 
 
 def suggestion(found: Sequence[str]) -> str:
-    """Return a setting of ``data.columns`` that guesses what the columns hold."""
+    """Return settings that guess what the columns hold."""
     others = [n for n in found if n not in OTHERS and not re.match(r"[qvu]_.|__index_", n)]
     times = [name for name in others if TIME.fullmatch(name)]
     free = [n for n in others if n not in times and n.lower() not in TRAJECTORY]
@@ -199,7 +205,14 @@ def suggestion(found: Sequence[str]) -> str:
         mapping |= {f"v_{_short(stem)}": rates[stem] for stem in list(places)[:4]}
     mapping |= {f"u_{_short(name)}": name for name in inputs[:4]}
     pairs = (mapping or {"q_theta": "angle"}).items()
-    return "'data.columns={" + ", ".join(f"{a}: {_quoted(b)}" for a, b in pairs) + "}'"
+    text = "'data.columns={" + ", ".join(f"{a}: {_quoted(b)}" for a, b in pairs) + "}'"
+    return text + " data.degrees=true" * any(map(in_degrees, places.values()))
+
+
+def in_degrees(name: str) -> bool:
+    """Return whether a name ends with degrees as its unit."""
+    unit = UNIT.search(name)
+    return unit is not None and unit[2].lower() in ("deg", "°")
 
 
 def _kind(name: str) -> str:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,6 +20,8 @@ from symo_exp.systems.base import System
 
 DROPPED = 0.05
 """Share of the rows, without a number or with an earlier time, up to which they are left out."""
+FEWEST = 3
+"""Samples of a recording, at least."""
 SLOW = 1.0
 """Time between samples from which the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
@@ -62,7 +64,8 @@ def read_recordings(
 ) -> RecordingTable:
     """Return the trajectories of a path, their times rising, in seconds.
 
-    With several files a trajectory is named ``<file>`` or ``<file>/<trajectory>``.
+    With several files a trajectory is named ``<file>`` or ``<file>/<trajectory>``, where ``<file>``
+    has no suffix and, if the same name is in several folders, begins with those that differ.
 
     Args:
         path: A file, a folder, a glob pattern or a list of them.
@@ -76,7 +79,8 @@ def read_recordings(
     """
     found = headers(path, columns)
     tables = []
-    for file, head in found:
+    labels = _labels([file for file, _ in found])
+    for (file, head), label in zip(found, labels, strict=True):
         with readable(path):
             version = file.stat().st_mtime_ns
         seconds = head.seconds if time_unit is None else UNITS[time_unit]
@@ -84,7 +88,7 @@ def read_recordings(
         names = system.coordinates, tuple(system.inputs)
         one = _read(where, file, version, head.names, seconds, *names)
         if len(found) > 1:
-            one = one._replace(recordings=tuple(_within(file, one.recordings)))
+            one = one._replace(recordings=tuple(_within(label, one.recordings)))
         tables.append(one._replace(notes=(*head.notes, *one.notes)))
     recordings = [recording for one in tables for recording in one.recordings]
     unread = dict.fromkeys(name for one in tables for name in one.unread)
@@ -92,10 +96,20 @@ def read_recordings(
     return RecordingTable(tuple(recordings), tuple(unread), tuple(notes))
 
 
-def _within(file: Path, recordings: Sequence[Recording]) -> Iterator[Recording]:
+def _labels(files: Sequence[Path]) -> list[str]:
+    """Return a name for each file that no other one has."""
+    whole = [file.absolute() for file in files]
+    top = os.path.commonpath([file.parent for file in whole])
+    below = [file.relative_to(top) for file in whole]
+    plain = [one.with_suffix("").as_posix() for one in below]
+    choices = [one.stem for one in files], plain, [one.as_posix() for one in below]
+    return next(names for names in choices if len(set(names)) == len(names))
+
+
+def _within(label: str, recordings: Sequence[Recording]) -> Iterator[Recording]:
     for one in recordings:
         alone = len(recordings) == 1
-        yield one._replace(label=file.stem if alone else f"{file.stem}/{one.label}")
+        yield one._replace(label=label if alone else f"{label}/{one.label}")
 
 
 @lru_cache(maxsize=64)  # shared by the jobs of a sweep
@@ -135,7 +149,7 @@ def _read(
     table = _without_repeats(where, _numbered(table, notes), notes)
     recordings = tuple(_divided(where, table, wanted, len(inputs)))
     known = {*numbers, *OTHERS}
-    unread = [c.lstrip(".") for c in found if c not in known and c[:8] != "__index_"]
+    unread = [c.lstrip(".") for c in found if c and c not in known and c[:8] != "__index_"]
     return RecordingTable(recordings, tuple(unread), tuple(notes))
 
 
@@ -165,7 +179,8 @@ def _divided(
 
 def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     try:
-        return [(str(name), rows) for name, rows in table.groupby("trajectory", sort=False)]
+        groups = table.groupby("trajectory", sort=False, observed=True)
+        return [(str(name), rows) for name, rows in groups]
     except TypeError:
         return [
             (str(n), rows) for n, rows in table.groupby(table["trajectory"].astype(str), sort=False)
@@ -188,22 +203,27 @@ def _from_dates(
     times: pd.Series, seconds: float | None, notes: list[str]
 ) -> tuple[pd.Series, float | None]:
     """Return times and their unit [s]; dates and times of a clock are counted from the first."""
-    if pd.api.types.is_numeric_dtype(times):
-        first = times.iloc[0] if len(times) else 0
+    dated = pd.api.types.is_datetime64_any_dtype(times)
+    numbers = times.isna() if dated else pd.to_numeric(times, errors="coerce")  # words among them
+    if not dated and numbers.notna().any():
+        middle = float(numbers.median())
         for name, unit in UNITS.items():
-            if unit < 1.0 and seconds in (None, unit) and EPOCH[0] <= first * unit <= EPOCH[1]:
+            if unit < 1.0 and seconds in (None, unit) and EPOCH[0] <= middle * unit <= EPOCH[1]:
                 if seconds is None:
                     notes.append(f"times are in {name} since 1970, as their size says")
-                return times - first, unit
+                exact = pd.to_numeric(times[numbers.notna()])  # integers have more digits
+                return (exact - exact.min()).reindex(times.index), unit
         return times, seconds
-    dated = pd.api.types.is_datetime64_any_dtype(times)
-    if not dated and pd.to_numeric(times, errors="coerce").notna().any():
-        return times, seconds  # and words among them
-    try:
-        dates = pd.to_datetime(times, utc=True)
-    except (ValueError, TypeError):
-        return times, seconds
-    return (dates - dates.min()).dt.total_seconds(), 1.0
+    forms: list[tuple[str | None, Literal["coerce", "raise"]]]
+    forms = [("ISO8601", "coerce"), (None, "raise")]  # a fraction of ISO may have any digits
+    for form, errors in forms:
+        try:
+            dates = pd.to_datetime(times, utc=True, format=form, errors=errors)
+        except (ValueError, TypeError):
+            continue
+        if (dates.isna() & times.notna()).mean() <= DROPPED:
+            return (dates - dates.min()).dt.total_seconds(), 1.0
+    return times, seconds
 
 
 def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
@@ -267,6 +287,8 @@ def _numbered(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
         return table  # in order, or in no order at all
     if any(t[last] > 0.5 * (t[first] + t[last - 1]) for first, last in pieces[:-1]):
         return table
+    if min(last - first for first, last in pieces) < FEWEST:
+        return table  # rows in another order
     notes.append(f"times start anew {len(starts)} time(s): {len(pieces)} recordings")
     numbers = np.concatenate([np.full(b - a, k + 1) for k, (a, b) in enumerate(pieces)])
     return table.assign(trajectory=numbers)
@@ -293,8 +315,8 @@ def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.Da
 
 def _check_times(where: str, t: np.ndarray) -> None:
     """Refuse a clock that was set back: that is a second recording."""
-    if len(t) < 3:
-        raise ConfigError(f"{where} has {len(t)} node(s); at least 3 are needed")
+    if len(t) < FEWEST:
+        raise ConfigError(f"{where} has {len(t)} node(s); at least {FEWEST} are needed")
     back = np.flatnonzero(np.diff(t) < 0)
     if 0 < len(back) < len(t) / 4:
         raise ConfigError(
