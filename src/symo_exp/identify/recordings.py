@@ -11,7 +11,7 @@ import numpy as np
 
 from symo_exp.data.diagnose import POOR, SUSPECT, noise_of
 from symo_exp.data.formats import few, shown
-from symo_exp.data.header import header, names
+from symo_exp.data.header import header, in_degrees, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
@@ -134,17 +134,23 @@ def examine(
         which = [
             _is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(coordinates)
         ]
-        chosen = [name for name, angle in zip(coordinates, which, strict=True) if angle]
-        settings.append(f"system.angular=[{','.join(chosen)}]" if chosen else "system.angular=none")
-        notes.append(_told(chosen, coordinates))
     else:
         which = list(system(angular).coordinates.angular)
     angles = np.array(which)
+    chosen = [name for name, angle in zip(coordinates, which, strict=True) if angle]
+    if angular is None:
+        settings.append(f"system.angular={override_value(chosen) if chosen else 'none'}")
+        notes.append(_told(chosen, coordinates))
+    if data.get("degrees") is None and chosen and all(map(in_degrees, chosen)):
+        settings.append("data.degrees=true")
+        notes.append("angles are in degrees, as their names say")
+        data = {**data, "degrees": True}
     if units := _jumps(used, angles, data):
         settings += [f"data.{name}=true" for name in units]
         notes.append(f"angles jump by a turn: read with {' '.join(settings[-len(units) :])}")
         data = {**data, **dict.fromkeys(units, True)}
     used = [_in_radians(one, angles, data) for one in used]
+    notes += _told_still(used, coordinates)
     if data.get("degrees") is None:
         _ask_for_degrees(used, angles, coordinates)
     finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
@@ -296,6 +302,19 @@ def _moves(recordings: Sequence[Recording]) -> bool:
     return False
 
 
+def _told_still(recordings: Sequence[Recording], names: Sequence[str]) -> list[str]:
+    """Return a line on the coordinates that never move, if others do."""
+    motion = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
+    still = [f"q_{name}" for name, size in zip(names, motion, strict=True) if size == 0.0]
+    if not 0 < len(still) < len(names):
+        return []
+    told = "never moves" if len(still) == 1 else "never move"
+    return [
+        f"{few(still)} {told}, so that it cannot be told what accelerates the others: remove what "
+        "never moves from the table"
+    ]
+
+
 def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
     """Return the matrix of inputs that have the names of coordinates, else ``None``."""
     if not inputs or not set(inputs) <= set(coordinates) or tuple(inputs) == tuple(coordinates):
@@ -306,7 +325,7 @@ def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[lis
 def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
     """Return whether a coordinate is an angle; refuse one whose name and range do not tell."""
     words = re.split(r"[^a-z]+", name.lower())
-    if any(re.fullmatch(ANGLE, word) for word in words):
+    if in_degrees(name) or any(re.fullmatch(ANGLE, word) for word in words):
         return True
     if any(re.fullmatch(SLIDE, word) for word in words):
         return False

@@ -86,8 +86,8 @@ def _angular(given: object, names: tuple[str, ...]) -> tuple[str, ...]:
     if given in ("all", "none"):
         return names if given == "all" else ()
     chosen = [given] if isinstance(given, str) else given
-    if isinstance(chosen, Sequence) and set(chosen) <= set(names):
-        return tuple(chosen)
+    if isinstance(chosen, Sequence) and set(map(str, chosen)) <= set(names):
+        return tuple(map(str, chosen))  # names such as 0 are numbers on a command line
     raise ConfigError(
         f"system.angular={'null' if given is None else given}: which of {', '.join(names)} are "
         "angles? all, none or a list of names"
