@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -141,6 +142,7 @@ class Plan:
             after another [s].
         names: Candidates of the first round.
         key: Digest of the arguments that the plan depends on.
+        recordings: Digest of the recordings.
     """
 
     budget: float
@@ -154,6 +156,7 @@ class Plan:
     reserved: float
     names: tuple[str, ...]
     key: str
+    recordings: str = ""
 
     def overrides(self, candidate: Candidate) -> list[str]:
         """Return the settings of the training of a candidate."""
@@ -229,7 +232,7 @@ def seconds_of(text: object) -> float:
 
 def make_plan(
     machine: Machine, candidates: Sequence[Candidate], budget: float, cores: int, speed: float,
-    key: str,
+    key: str, recordings: str = "",
 ) -> Plan:  # fmt: skip
     """Return the most thorough plan that fits the budget.
 
@@ -310,6 +313,7 @@ def make_plan(
         reserved=(first * FEWEST_VARIATIONS + folds - first) * varied() / speed,
         names=tuple(c.name for c in chosen),
         key=key,
+        recordings=recordings,
     )
 
 
@@ -322,6 +326,26 @@ def kept_plan(file: Path, key: str) -> Plan | None:
     except (OSError, ValueError, TypeError, KeyError):
         return None
     return found if found.key == key else None
+
+
+def kept_recordings(file: Path) -> str | None:
+    """Return the digest of the recordings of an earlier search, ``None`` where it is unknown."""
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["recordings"]) or None
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def content_of(paths: Sequence[Path]) -> str:
+    """Return a digest of the content of files and of folders of files."""
+    found = hashlib.sha256()
+    for path in paths:
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.is_file():
+                with file.open("rb") as handle:
+                    while part := handle.read(2**20):
+                        found.update(part)
+    return found.hexdigest()[:10]
 
 
 def keep_plan(file: Path, plan: Plan) -> None:

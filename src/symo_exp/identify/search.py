@@ -6,6 +6,7 @@ one is repeated from what is there.
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import math
@@ -16,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.utils import configure_log
+from joblib import effective_n_jobs
 from omegaconf import DictConfig, OmegaConf
 
-from symo_exp.data.formats import files
+from symo_exp.data.formats import files, shown
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
@@ -75,6 +77,7 @@ class Search:
         self._given.pop("budget", None)
         self._budget = plans.seconds_of(budget)
         if not OmegaConf.is_missing(master.data, "path"):
+            self._files = files(_plain(master.data.path))
             OmegaConf.update(master, "experiment", self._experiment)
         self._clock = clock
 
@@ -87,9 +90,11 @@ class Search:
         self._machine = machine = self._examine()
         every = ladder(machine)
         candidates = distinct_candidates(every, self._given)
-        key = self._key(candidates)
+        recordings = plans.content_of(self._files)
+        key = self._key(candidates, recordings)
+        self._check_kept(recordings)
         kept = plans.kept_plan(self._folder / PLAN, key) if self._master.resume else None
-        self._plan = plan = kept or self._new_plan(candidates, key)
+        self._plan = plan = kept or self._new_plan(candidates, key, recordings)
         planned = [c for c in candidates if c.name in plan.names]
         others = [c for c in candidates if c.name not in plan.names]
         fits = Fits(
@@ -98,7 +103,6 @@ class Search:
         )  # fmt: skip
         if kept is None:  # a kept plan is that of a search that has begun
             fits.check(planned)
-            plans.keep_plan(self._folder / PLAN, plan)
         if check_only:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
@@ -106,6 +110,8 @@ class Search:
             print(note)
         if not machine.moves:
             return self._no_model()
+        if kept is None:
+            plans.keep_plan(self._folder / PLAN, plan)
         if replaced := self._replaced(every):
             print(f"of every candidate, whatever its name says: {' '.join(replaced)}")
         print(self._told_plan(len(candidates), len(every) - len(candidates)), flush=True)
@@ -166,16 +172,27 @@ class Search:
             time_step=None if OmegaConf.is_missing(system, "time_step") else system.time_step,
         )
 
-    def _new_plan(self, candidates: Sequence[Candidate], key: str) -> Plan:
+    def _check_kept(self, recordings: str) -> None:
+        """Refuse to go on with the runs of other recordings, whose folders have the same names."""
+        if plans.kept_recordings(self._folder / PLAN) in (None, recordings):
+            return
+        raise ConfigError(
+            f"{shown(_plain(self._master.data.path))}: {os.path.relpath(self._folder)} has a "
+            "search of other recordings, or of these before they were changed; give "
+            "experiment=NAME, or delete this folder"
+        )
+
+    def _new_plan(self, candidates: Sequence[Candidate], key: str, recordings: str) -> Plan:
         phases.say("measuring the speed of this machine")
         cores, speed = _cores(self._master), plans.machine_speed()
-        return plans.make_plan(self._machine, candidates, self._budget, cores, speed, key)
+        return plans.make_plan(
+            self._machine, candidates, self._budget, cores, speed, key, recordings
+        )
 
-    def _key(self, candidates: Sequence[Candidate]) -> str:
+    def _key(self, candidates: Sequence[Candidate], recordings: str) -> str:
         """Return a digest of what the plan depends on."""
-        size = [file.stat().st_size for file in files(_plain(self._master.data.path))]
         tried = [[c.name, *c.overrides()] for c in candidates]
-        what = [sorted(self._given.items()), self._budget, size, _cores(self._master), tried]
+        what = [sorted(self._given.items()), self._budget, recordings, _cores(self._master), tried]
         return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:10]
 
     def _told_plan(self, possible: int, equal: int) -> str:
@@ -257,8 +274,10 @@ class Search:
     def _experiment(self) -> str:
         if "experiment" in self._given:
             return str(self._master.experiment)
-        path = self._master.data.path
-        stem = Path(path).stem if isinstance(path, str) else Path(path[0]).parent.name
+        path = _plain(self._master.data.path)
+        first = Path(path if isinstance(path, str) else path[0]).absolute()
+        several = not isinstance(path, str) or glob.has_magic(first.name)
+        stem = first.parent.name if several else first.stem
         return f"machine_{re.sub(r'[^0-9A-Za-z_.-]+', '_', stem).lstrip('.')}"
 
     @property
@@ -280,10 +299,9 @@ class Search:
 def _cores(master: DictConfig) -> int:
     """Return how many runs the launcher does at a time."""
     jobs = int(master.hydra.launcher.get("n_jobs") or 1)
-    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     if "basic_launcher" in str(master.hydra.launcher._target_):
         return 1
-    return jobs if jobs > 0 else there or 1
+    return int(effective_n_jobs(jobs))  # a container may have fewer cores than the computer
 
 
 def _plain(value: Any) -> Any:
