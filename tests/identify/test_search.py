@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 import symo_exp
@@ -15,6 +16,7 @@ from symo_exp.identify.candidates import ladder
 from symo_exp.identify.recordings import examine
 from symo_exp.report.__main__ import main as report
 from symo_exp.runs.folder import RunFolder
+from symo_exp.systems.recorded import Recorded
 
 
 def table(count=5, seconds=2.0, h=0.02, name="theta"):
@@ -115,6 +117,9 @@ def test_a_search_whose_candidates_all_fail_ends_with_their_reasons(workplace, c
     assert "failed: rigid links, viscous friction: " in said
     failed = pd.read_csv(workplace / "outputs" / "machine_mine" / "candidates.csv").failed
     assert failed.str.contains("the loss of SyMo is nan").all()
+    table(seconds=2.2).to_csv("mine.csv", index=False)
+    assert main(words) == 2
+    assert "has a search of other recordings" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("word", ["optimizer.start=-1", "trainer=gpu"])
@@ -154,6 +159,9 @@ def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so
         (["data.path=mine.csv", "budget=soon"], "budget=soon"),
         (["data.path=mine.csv", "seed=0,1"], "one value for each setting"),
         (["data.path=unclear.csv"], "system.angular"),
+        (["data.path=null"], "expected a file"),
+        (["data.path=log (1).csv"], "'data.path=\"log (1).csv\"'"),
+        (["mine.csv"], "write data.path=mine.csv"),
     ],
 )
 def test_searches_that_cannot_be_made_are_refused_in_one_line(words, wanted, workplace, capsys):
@@ -217,6 +225,34 @@ def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):
 def test_angles_are_told_by_name(name, angle, workplace):
     table(name=name).to_csv("mine.csv", index=False)
     assert examine({"path": "mine.csv"}).angular == (angle,)
+
+
+@pytest.mark.parametrize("name", ["0", "1e3", "arm [rad]", "joint, left", "null"])
+def test_angles_with_any_name_are_a_setting(name, workplace):
+    frame = table(name=name)
+    frame[f"q_{name}"] *= 20.0
+    frame.to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv", "degrees": False})
+    (word,) = (word for word in found.settings if word.startswith("system.angular="))
+    (given,) = OverridesParser.create().parse_overrides([word])
+    assert Recorded(names=[name], angular=given.value(), time_step=0.1).coordinates.angular == (
+        True,
+    )
+
+
+def test_angles_whose_names_say_so_are_in_degrees(workplace):
+    frame = table(name="1_deg")
+    frame["q_1_deg"] *= 180.0 / np.pi
+    frame.to_csv("mine.csv", index=False)
+    assert "data.degrees=true" in examine({"path": "mine.csv"}).settings
+    assert "data.degrees=true" not in examine({"path": "mine.csv", "degrees": False}).settings
+
+
+def test_coordinates_that_never_move_are_named(workplace):
+    frame = table()
+    frame["q_elbow"] = 0.3
+    frame.to_csv("mine.csv", index=False)
+    assert any("q_elbow never moves" in note for note in examine({"path": "mine.csv"}).notes)
 
 
 def test_inputs_with_the_names_of_coordinates_drive_these(workplace):

@@ -56,7 +56,8 @@ class Command:
         """The user's own configuration, which is added to ours."""
         for override in self.overrides:
             if "=" not in override and not override.startswith("~"):
-                raise ConfigError(f"{override} is not a setting with a value: write {override}=...")
+                mend = f"data.path={override}" if Path(override).exists() else f"{override}=..."
+                raise ConfigError(f"{override} is not a setting with a value: write {mend}")
             group, _, value = override.partition("=")
             if value == "null" and (CONF / group).is_dir():
                 raise ConfigError(f"{override} is not a choice; -h lists those of {group}")

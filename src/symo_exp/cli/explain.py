@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError
 
-from symo_exp.errors import ConfigError, one_line
+from symo_exp.errors import ConfigError, first_line, one_line
 from symo_exp.job.checks import did_you_mean, unknown_key
-from symo_exp.shell import install_command
+from symo_exp.shell import install_command, override_value
 from symo_exp.shipped import CONF, SWEEPS
 
 BAD_INPUT = (
@@ -40,6 +41,8 @@ def explained(error: BaseException) -> ConfigError:
         if twice := TWICE.match(str(cause)):
             (group,) = filter(None, twice.groups())
             return ConfigError(f"+{group}=...: {group} has a choice already; leave out the +")
+        if isinstance(cause, OverrideParseException):
+            return _unreadable_value(cause)
         if isinstance(cause, MissingConfigException) and cause.missing_cfg_file:
             return _unknown_choice(cause.missing_cfg_file, cause.options)
         if isinstance(cause, ConfigAttributeError | ConfigKeyError):
@@ -50,6 +53,16 @@ def explained(error: BaseException) -> ConfigError:
                 return unknown_key(name, dict.fromkeys(groups) | siblings)
         cause = cause.__cause__ or cause.__context__
     return ConfigError(one_line(error))
+
+
+def _unreadable_value(error: OverrideParseException) -> ConfigError:
+    """Return the error for a setting that Hydra cannot parse, such as a name with brackets."""
+    key, _, value = str(error.override).partition("=")
+    quoted = shlex.quote(f"{key}={override_value([value])[1:-1]}")
+    return ConfigError(
+        f"{error.override}: {first_line(error)}; a text with brackets, quotes, commas or the like "
+        f"needs quotes of its own: {quoted}"
+    )
 
 
 def _unknown_choice(file: str, options: Sequence[str] | None) -> ConfigError:
