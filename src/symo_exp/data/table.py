@@ -307,7 +307,7 @@ def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.Da
         at = table["t"].iloc[int(np.argmax(again))]
         raise ConfigError(
             f"{where}: {told}, first t={at:.6g}; at most {100 * DROPPED:g} % are left out: give "
-            "each recording a number of its own in the column trajectory"
+            "each recording a number of its own in the column trajectory, or times more digits"
         )
     notes.append(f"{told} and are left out")
     return table[~again]
