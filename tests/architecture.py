@@ -61,7 +61,7 @@ RULES = {
     ),
     "identify": (
         {"process", "mechanics", "systems", "data", "evaluation", "runs", "sweep"},
-        {"hydra", "omegaconf", "numpy", "torch"},
+        {"hydra", "joblib", "omegaconf", "numpy", "torch"},
     ),
     "use": (
         {"mechanics", "systems", "nets", "models", "compile", "runs", "tracking", "cli", "sweep"},
