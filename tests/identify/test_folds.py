@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from symo_exp.data.folds import deal, folded, thinned
+from symo_exp.data.folds import at_rest, deal, folded, thinned
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
@@ -47,6 +47,23 @@ def test_recordings_stay_whole_where_there_are_enough():
     everything = parts((5, 6, 7), (4,))
     labels = {r.label for k in range(4) for r in folded(everything, [k, 4])["val"]}
     assert labels == {"train0", "train1", "train2", "val0"}
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_recordings_at_rest_are_for_training_in_every_fold(noise, count):
+    everything = parts((5, 60, 7, 5), (4,))
+    for part, i in (("train", 0), ("val", 0)):
+        one = everything[part][i]
+        q = noise * np.random.default_rng(i).normal(size=one.samples.q.shape)
+        everything[part][i] = one._replace(samples=one.samples._replace(q=3.0 + q))
+    assert at_rest(everything["train"] + everything["val"]) == [True, False, False, False, True]
+    held_out = set()
+    for k in range(count):
+        one = folded(everything, [k, count])
+        assert {"train0", "val0"} < {r.label for r in one["train"]}
+        held_out |= {r.label.partition("/")[0] for r in one["val"]}
+    assert held_out == {"train1", "train2", "train3"}
 
 
 def test_pooled_trains_on_both_parts_and_keeps_the_test_part():

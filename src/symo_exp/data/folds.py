@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.parts import GAP, Parts
+from symo_exp.data.diagnose import noise_of
+from symo_exp.data.parts import GAP, REST, Parts
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 
@@ -17,6 +18,8 @@ SHORTEST = 1.0
 """Length of the pieces that data are reduced to [s], where recordings are not shorter."""
 VALIDATED = 8.0
 """Length of the pieces that validation data are reduced to [s]: windows and a whole motion."""
+ABOVE_NOISE = 10.0
+"""Range of a coordinate over its noise from which it moves."""
 GOLDEN = 0.6180339887498949
 """Multiples of it, modulo 1, are spread evenly over the unit interval, however many there are."""
 
@@ -28,7 +31,8 @@ def folded(parts: Parts, fold: Sequence[int] | str) -> Parts:
         parts: The recordings of the parts ``train``, ``val`` and ``test``.
         fold: ``[k, K]``: training and validation recordings are dealt to ``K`` folds, and the
             ``k``-th, the first being 0, is both the validation and the test part; the others are
-            for training. ``"pooled"``: all of them are for training, the test part stays.
+            for training, and so are those at rest in every fold. ``"pooled"``: all of them are for
+            training, the test part stays.
 
     Raises:
         ConfigError: If there is no such fold.
@@ -37,11 +41,31 @@ def folded(parts: Parts, fold: Sequence[int] | str) -> Parts:
     if fold == POOLED:
         return {"train": pool, "val": list(parts["val"]), "test": list(parts["test"])}
     index, count = _checked(fold)
-    pieces = pool if len(pool) >= count else _blocks(pool, count)
+    rests = at_rest(pool)
+    moving, still = ([one for one, x in zip(pool, rests, strict=True) if x == y] for y in (0, 1))
+    pieces = moving if len(moving) >= count else _blocks(moving, count)
     dealt = deal([_duration(piece) for piece in pieces], count)
     held_out = [pieces[i] for i in dealt[index]]
     train = [pieces[i] for k, group in enumerate(dealt) if k != index for i in group]
-    return {"train": train, "val": held_out, "test": held_out}
+    return {"train": [*train, *still], "val": held_out, "test": held_out}
+
+
+def at_rest(recordings: Sequence[Recording]) -> list[bool]:
+    """Return in which recordings nothing moves, so that no prediction can be measured on them.
+
+    No coordinate moves by more than its noise or by more than a small part of its motion in another
+    recording. It is false for all if nothing moves in any recording.
+    """
+    motion = np.array([np.ptp(one.samples.q, axis=0) for one in recordings])
+    little = (motion <= REST * motion.max(axis=0)).all(axis=1)
+    still = [bool(x) and not _moves(one) for x, one in zip(little, recordings, strict=True)]
+    return [False] * len(still) if all(still) else still
+
+
+def _moves(recording: Recording) -> bool:
+    columns = recording.samples.q.T
+    noise = np.nan_to_num([noise_of([column]) for column in columns])
+    return bool((np.ptp(columns, axis=1) > ABOVE_NOISE * noise).any())
 
 
 def deal(durations: Sequence[float], count: int) -> list[list[int]]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from symo_exp.data.diagnose import POOR, SUSPECT, noise_of
+from symo_exp.data.folds import ABOVE_NOISE, at_rest
 from symo_exp.data.formats import few, shown
 from symo_exp.data.header import header, in_degrees, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
@@ -37,8 +38,6 @@ ANGLE = (
 )
 SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
 """Words in the names of angles and of positions."""
-ABOVE_NOISE = 10.0
-"""Range of a coordinate over its noise from which it moves."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class Machine:
         time_step: That of the candidates [s].
         finest_step: Distance of the samples [s], the largest over recordings.
         seconds: Length of the training and validation part [s].
-        recordings: How many there are in these parts.
+        recordings: How many there are in these parts that are not at rest.
         rest_velocity: Below which dry friction fades at first, in ``units``: a small part of the
             speed of the slowest coordinate.
         units: Those in which parameters are learned.
@@ -130,6 +129,9 @@ def examine(
     used, test, starts, told = _parts(data, system("none"), time_step)
     notes += told
     recordings = len(used)
+    if still := [one.label for one, rests in zip(used, at_rest(used), strict=True) if rests]:
+        recordings -= len(still)
+        notes.append(f"at rest, for training only: {few(still)}")
     if angular is None:
         which = [
             _is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(coordinates)
