@@ -21,7 +21,7 @@ RULES = {
     ),
     "nets": ({"mechanics"}, {"torch", "jaxtyping"}),
     "optim": ({"mechanics", "nets"}, {"torch", "jaxtyping", "numpy", "scipy"}),
-    "models": ({"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "torchdiffeq"}),
+    "models": ({"mechanics", "nets", "optim"}, {"torch", "jaxtyping", "torchdiffeq", "numpy"}),
     "compile": ({"mechanics", "nets", "models"}, {"torch", "jaxtyping"}),
     "data": (
         {"mechanics", "systems", "process"},

@@ -2,6 +2,7 @@
 
 import copy
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -285,7 +286,10 @@ def test_states_may_be_tensors_arrays_or_lists_single_or_batched(method, integra
         (lambda m: m.step([0.0, 0.0], [0.0, 0.0], 1.0), r"u has shape \(\): expected \(1\) for"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], [1.0]), r"u has .*: expected \(nodes, 1\)"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=-1), "steps=-1: expected a whole"),
+        (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=2.0), "steps=2.0: expected a whole"),
         (lambda m: m.rollout("still", [0.0, 0.0], steps=1), "q is not an array of numbers"),
+        (lambda m: m.rollout([0.0, 1j], [0.0, 0.0], steps=1), "numbers: its type is complex"),
+        (lambda m: m.mass_matrix([0.0] * 5), r"expected \(2\) for a single state, or \(batch, 2\)"),
     ],
 )
 def test_invalid_states_are_refused_in_one_line(call, said):
@@ -310,6 +314,16 @@ def test_results_carry_a_gradient_only_where_an_argument_asks(method):
         assert tracked.requires_grad == (name != "rollout"), name
         with torch.no_grad():
             call(data.q.clone().requires_grad_(), data.v).numpy()
+
+
+def test_lists_and_arrays_of_any_layout_are_read_to_all_digits():
+    model, q = make("symo", "midpoint", 2), [[0.1, 0.2], [0.3, 0.4]]
+    wanted = model.potential(torch.tensor(q, dtype=torch.float64))
+    turned = np.array(q[::-1])[::-1]
+    for given in (q, list(map(torch.DoubleTensor, q)), turned, np.array(q, dtype=">f8")):
+        assert torch.equal(model.potential(given), wanted)
+    assert model.rollout(q, q, steps=np.int64(3)).q.shape == (2, 4, 2)
+    assert model.rollout(turned[:0], turned[:0], steps=3).q.shape == (0, 4, 2)
 
 
 def test_states_may_be_data_frames():

@@ -1,5 +1,6 @@
 """Intervals of rollouts follow from the posterior, and from the error beyond it."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -36,6 +37,22 @@ def test_half_the_deviation_of_parameters_gives_half_the_interval():
     wide, narrow = (width(with_posterior(size)) for size in (2e-5, 1e-5))
     assert (wide[2:] > 0.0).all()
     torch.testing.assert_close(wide, 2.0 * narrow, rtol=1e-3, atol=1e-12)
+
+
+def test_the_interval_depends_neither_on_the_precision_nor_on_a_sample_of_the_model():
+    exact = width(with_posterior(1e-2))
+    single = width(with_posterior(1e-2).float())
+    assert single.dtype == torch.float32
+    torch.testing.assert_close(single[2:].double(), exact[2:], rtol=1e-2, atol=0.0)
+    (drawn,) = with_posterior(1e-2).sample(1)
+    torch.testing.assert_close(width(drawn), exact)
+
+
+def test_a_number_of_samples_is_checked():
+    assert len(with_posterior(1e-5).sample(np.int64(2), seed=np.int64(1))) == 2
+    for count in (-1, 1.5):
+        with pytest.raises(ConfigError, match=f"count={count}: expected a whole number"):
+            with_posterior(1e-5).sample(count)
 
 
 def test_samples_and_linearisation_agree():

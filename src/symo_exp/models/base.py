@@ -15,9 +15,9 @@ from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.models.control import Linear, inverse_dynamics, linearize
 from symo_exp.models.flows import Flow, Rollout, Step
-from symo_exp.models.inputs import Array, Inputs
+from symo_exp.models.inputs import Array, Inputs, counted
 from symo_exp.models.objectives import Objective
-from symo_exp.models.uncertainty import Interval, ModelPosterior, interval, sample
+from symo_exp.models.uncertainty import Interval, ModelPosterior, interval, known, sample
 
 
 class DynamicsModel(nn.Module):
@@ -143,8 +143,9 @@ class DynamicsModel(nn.Module):
     ) -> Interval:
         """Return bounds between which the configurations lie with probability ``level``.
 
-        The interval is that of the posterior of the parameters, by linearisation or, of more than
-        24 parameters, by samples; where errors of recordings exceed it, widened by these.
+        The interval is that of the posterior of the parameters about the motion of their mean, by
+        linearisation or, of more than 24 parameters, by samples; where errors of recordings exceed
+        it, widened by these. It is computed in float64.
 
         Args:
             q0: Configuration to start from.
@@ -161,13 +162,14 @@ class DynamicsModel(nn.Module):
                 "intervals are computed for lengths and angles only, and this model has rotations"
             )
         given = Inputs(self.input_matrix, q0, self.flow.space)
-        v, controls = given.state("v0", v0), given.controls(u, steps)
-        found = interval(self.flow, self.posterior, given.q, v, controls, level)
+        v, controls = given.finite("v0", given.state("v0", v0)), given.controls(u, steps)
+        q = given.finite("q0", given.q)
+        found = interval(self.flow, known(self.posterior), q, v, controls, level)
         return Interval(*(x[0] for x in found)) if given.single else found
 
     def sample(self, count: int, *, seed: int = 0) -> list[DynamicsModel]:
         """Return ``count`` models with parameters drawn from the posterior."""
-        return sample(self, self.posterior, count, seed)
+        return sample(self, known(self.posterior), counted("count", count), seed)
 
     def linearize(self, q: Array, v: Array, u: Array = None) -> Linear:
         """Return the derivatives of ``(q, v)`` one time step later, in the state and the control.

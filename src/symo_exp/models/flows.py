@@ -381,7 +381,7 @@ class VariationalFlow(Flow):
     def solve_stretch(self, q: Tensor, p: Tensor, u: Tensor) -> tuple[Tensor, StretchPoint, Tensor]:
         """Return the nodes after the first, the equations there, and which rows are solutions."""
         steps, batch = u.shape[1] - 1, len(q)
-        force = self.force(u.flatten(0, 1)).view(batch, steps + 1, -1)
+        force = self.force(u.flatten(0, 1)).unflatten(0, (batch, steps + 1))
         forces = Forces(force[:, :-1], force[:, 1:])
         problem = StretchMatching(self.discrete, q, p, forces)
         t = self.time_step * torch.arange(1, steps + 1).to(q)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from numbers import Integral
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -12,6 +14,15 @@ from symo_exp.mechanics.space import FLAT, Space
 
 Array = Any
 """Numbers of any precision: a tensor on any device, an array, a DataFrame or nested sequences."""
+REAL = "biuf"
+"""Kinds of NumPy's types that are real numbers."""
+
+
+def counted(name: str, value: object) -> int:
+    """Return a whole number, Python's or NumPy's; refuse any other and negative ones."""
+    if not isinstance(value, Integral) or value < 0:
+        raise ConfigError(f"{name}={value!r}: expected a whole number, 0 or more")
+    return int(value)
 
 
 class Inputs:
@@ -29,9 +40,14 @@ class Inputs:
         self._like, (self._n, self._m) = like, like.shape
         self._width = space.stored(self._n)
         self._tracked = False
-        q = self._numbers("q", q)
-        self.single, self._batch = q.ndim != 2, q.shape[:1] if q.ndim == 2 else ()
-        self.q = self._read("q", q, self._width)
+        q, size = self._numbers("q", q), self._width
+        if q.ndim not in (1, 2) or q.shape[-1] != size:
+            raise ConfigError(
+                f"q has shape {tuple(q.shape)}: expected ({size}) for a single state, or "
+                f"(batch, {size})"
+            )
+        self.single, self._batch = q.ndim == 1, q.shape[:-1]
+        self.q = q.unsqueeze(0) if self.single else q
 
     def configuration(self, name: str, x: Array) -> Tensor:
         """Return an argument as (B, N)."""
@@ -52,9 +68,7 @@ class Inputs:
             raise ConfigError("a rollout needs either u, the control at every node, or steps")
         if steps is None:
             return self._read("u", u, "nodes", self._m)
-        if not isinstance(steps, int) or steps < 0:
-            raise ConfigError(f"steps={steps}: expected a whole number, 0 or more")
-        return self._like.new_zeros(len(self.q), steps + 1, self._m)
+        return self._like.new_zeros(len(self.q), counted("steps", steps) + 1, self._m)
 
     def gradients(self) -> torch.set_grad_enabled:
         """Return a context that builds a graph only if an argument requires a gradient."""
@@ -73,10 +87,13 @@ class Inputs:
         return x
 
     def _numbers(self, name: str, x: Array) -> Tensor:
-        if not isinstance(x, Tensor) and hasattr(x, "to_numpy"):
-            x = x.to_numpy()  # of pandas
         try:
-            found = x if isinstance(x, Tensor) else torch.tensor(x)
+            found = x if isinstance(x, Tensor) else np.asarray(x)
+            real = not found.is_complex() if isinstance(found, Tensor) else found.dtype.kind in REAL
+            if not real:
+                raise TypeError(f"its type is {found.dtype}")
+            if isinstance(found, np.ndarray):  # in any order of bytes and of axes
+                found = torch.from_numpy(found.astype(np.float64, order="C"))
             self._tracked |= found.requires_grad
             return found.to(self._like)
         except (TypeError, ValueError, RuntimeError) as error:
@@ -88,7 +105,8 @@ class Inputs:
         x, wanted = self._numbers(name, given), (*self._batch, *shape)
         sizes = [a if isinstance(b, str) else b for a, b in zip(x.shape, wanted, strict=False)]
         if x.ndim != len(wanted) or list(x.shape) != sizes:
-            kind = "a single state" if self.single else f"{wanted[0]} states"
+            count = len(self.q)
+            kind = "a single state" if self.single else f"{count} state" + "s" * (count != 1)
             fits = ", ".join(map(str, wanted))
             raise ConfigError(f"{name} has shape {tuple(x.shape)}: expected ({fits}) for {kind}")
         return x.unsqueeze(0) if self.single else x

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
+import operator
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
@@ -80,10 +81,10 @@ def place(module: Module, flat: Float[Tensor, " p"]) -> Module:
     return module
 
 
-def sample(module: Module, posterior: ModelPosterior | None, count: int, seed: int) -> list[Module]:
+def sample(module: Module, posterior: ModelPosterior, count: int, seed: int) -> list[Module]:
     """Return copies of a module with parameters drawn from its posterior."""
-    generator = torch.Generator().manual_seed(seed)
-    drawn = known(posterior).parameters.samples(count, generator)
+    generator = torch.Generator().manual_seed(operator.index(seed))
+    drawn = posterior.parameters.samples(count, generator)
     return [place(copy.deepcopy(module), flat) for flat in drawn]
 
 
@@ -100,18 +101,24 @@ def known(posterior: ModelPosterior | None) -> ModelPosterior:
 @torch.no_grad()
 def interval(
     flow: Flow,
-    posterior: ModelPosterior | None,
+    posterior: ModelPosterior,
     q: Tensor,
     v: Tensor,
     u: Float[Tensor, "batch nodes m"],
     level: float,
 ) -> Interval:
-    """Return the interval of rollouts, by linearisation or by samples, widened by the error."""
+    """Return the interval of rollouts, by linearisation or by samples, widened by the error.
+
+    It is that of the posterior's mean in float64, whatever the parameters and the precision of the
+    flow: its differences of rollouts would be lost in the rounding errors of float32.
+    """
     if not 0.0 < level < 1.0:
         raise ConfigError(f"level={level}: expected a number between 0 and 1")
-    middle = flow.rollout(q, v, u).q
-    width = quantile(level) * variance(flow, known(posterior), q, v, u, middle).sqrt()
-    return Interval(middle - width, middle + width)
+    mean = place(copy.deepcopy(flow).double(), posterior.parameters.mean)
+    start = q.double(), v.double(), u.double()
+    middle = mean.rollout(*start).q
+    width = quantile(level) * variance(mean, posterior, *start, middle).sqrt()
+    return Interval((middle - width).to(q), (middle + width).to(q))
 
 
 def quantile(level: float) -> float:
