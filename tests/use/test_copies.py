@@ -120,6 +120,27 @@ def test_thousands_of_copies_move_in_one_batch():
     assert reward.shape == (4096,)
 
 
+@pytest.mark.parametrize("copies", [None, np.int64(3)])
+def test_rewards_and_actions_may_have_any_form(copies):
+    """A reward in NumPy, as a list or one number; an action as a tensor, a list or a number."""
+    system, count = SYSTEMS["pendulum"], copies or 1
+    rewards = [lambda q, v, u: np.cos(q[:, 0].numpy()), lambda q, v, u: [2.0] * len(q)]
+    for reward in (*rewards, lambda q, v, u: 2.0):
+        env = environment(system, copies, reward=reward)
+        env.reset(seed=0)
+        for action in (torch.zeros(count, 1), [[0.0]] * count, np.zeros(count)):
+            state, found, *_ = env.step(action if copies else action[0])
+            q = torch.from_numpy(state.reshape(count, 2)[:, :1])
+            np.testing.assert_allclose(np.full(count, found), reward(q, q, q))
+        for wrong in (np.zeros((count, 2)), ["left"] * count, None):
+            with pytest.raises(ConfigError, match=rf"expected numbers of shape \({count}, 1\)"):
+                env.step(wrong)
+    env = environment(system, copies, reward=lambda q, v, u: -(q**2))
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=rf"reward has shape \({count}, 1\): expected"):
+        env.step(np.zeros((count, 1)))
+
+
 def test_models_of_recordings_need_a_box_and_may_have_a_reward():
     system = Recorded(time_step=0.05, names=("a", "b"), angular="all", inputs=("0", "1"))
     model = model_of(system)

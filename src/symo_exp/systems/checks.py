@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from numbers import Integral
 
 from symo_exp.errors import ConfigError
 
 
 def whole_number(key: str, value: object, *, low: int = 1, high: int | None = None) -> int:
     """Return ``value``; raise ``ConfigError`` unless it is an integer from ``low`` to ``high``."""
-    plain = isinstance(value, int) and not isinstance(value, bool)
-    if isinstance(value, int) and plain and low <= value and (high is None or value <= high):
-        return value
+    if isinstance(value, Integral) and not isinstance(value, bool):
+        number = int(value)
+        if low <= number and (high is None or number <= high):
+            return number
     wanted = f"of at least {low}" if high is None else f"from {low} to {high}"
     raise ConfigError(f"{key}={value!r}: expected a whole number {wanted}")
 

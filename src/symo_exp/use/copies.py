@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -17,8 +18,9 @@ from symo_exp.systems.simulation import Solver, simulate
 TimeStep = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
 """Maps ``(q, v, u)`` of a batch to ``(q⁺, v⁺, found)`` one time step later; ``found`` is false in
 rows without such a state."""
-Reward = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""Maps ``(q⁺, v⁺, u)`` of a batch to the reward of the step that led there."""
+Reward = Callable[[Tensor, Tensor, Tensor], Any]
+"""Maps ``(q⁺, v⁺, u)`` of a batch to the reward of the step that led there: a tensor, an array or a
+list with a number for each row, or one number for all."""
 
 
 class Copies:
@@ -72,17 +74,36 @@ class Copies:
         """Return states, rewards and which copies are lost after a step.
 
         A lost copy keeps its state.
+
+        Raises:
+            ConfigError: If actions or rewards are not numbers of the right shape.
         """
-        clipped = np.clip(actions, self.actions.low, self.actions.high)
-        u = torch.from_numpy(clipped.astype(np.float64).reshape(len(states), -1))
+        u = torch.from_numpy(self._clipped(actions, len(states)))
         widths = [self.system.coordinates.width, self.system.coordinates.n]
         q, v = torch.from_numpy(states).split(widths, dim=1)
         with torch.no_grad():
             q_next, v_next, found = (x.cpu() for x in self._motion(q, v, u))
             found = (found & q_next.isfinite().all(1) & v_next.isfinite().all(1))[:, None]
             q, v = q_next.double().where(found, q), v_next.double().where(found, v)
-            reward = self._reward(q, v, u)
-        return torch.cat((q, v), dim=1).numpy(), reward.numpy(), ~found[:, 0].numpy()
+            reward = np.asarray(self._reward(q, v, u), dtype=np.float64)
+        if reward.shape not in ((), (len(states),)):
+            raise ConfigError(
+                f"the reward has shape {reward.shape}: expected ({len(states)}), one number for "
+                "each copy"
+            )
+        reward = np.broadcast_to(reward, len(states)).copy()
+        return torch.cat((q, v), dim=1).numpy(), reward, ~found[:, 0].numpy()
+
+    def _clipped(self, actions: Any, count: int) -> np.ndarray:
+        """Return actions (count, m) within their range; with one input, (count,) will do."""
+        given, shape = np.asarray(actions), (count, *self.actions.shape)
+        if given.dtype.kind not in "biuf" or given.size != math.prod(shape):
+            raise ConfigError(
+                f"action of shape {given.shape} and type {given.dtype}: expected numbers of shape "
+                f"{shape}, a row for each copy"
+            )
+        given = given.astype(np.float64).reshape(shape)
+        return given.clip(self.actions.low, self.actions.high)
 
 
 def exact(system: System, solver: Solver) -> TimeStep:
