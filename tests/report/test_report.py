@@ -134,6 +134,8 @@ def test_bad_input_is_a_line_and_code_2(store, tmp_path, capsys):
     bare = ["--directory", str(store.database.parent), "--formats"]
     for words, wanted in [
         (["--experiment", "nothing"], "no experiment 'nothing'"),
+        (["--system", "nothing"], "no system 'nothing' in these runs; there are: "),
+        (["--seed", "99"], "no seed '99' in these runs; there are: 0"),
         (["--tracking-uri", "carrier://pigeon"], "carrier"),
         (["--tracking-uri", "http://127.0.0.1:9"], "127.0.0.1:9"),
         (["--directory", str(tmp_path / "none")], "no tracking store"),

@@ -241,8 +241,23 @@ def test_missing_files_of_a_run_are_named(folder, tmp_path):
     RunFolder(folder).write_config(config())
     assert "has the run been trained?" in sentence(folder)
     assert "neither a run folder nor" in sentence("no/such/run")
+    assert "no config.yaml, but run in it has one" in sentence(folder.parent)
     assert "no tracking store" in sentence("0" * 32, directory=tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+def test_the_model_of_a_run_that_has_not_finished_comes_with_a_warning(folder, caplog):
+    made(folder, config())
+    for status in ("finished", "interrupted"):
+        assert "has the status" not in caplog.text
+        RunFolder(folder).record(status)
+        load(folder)
+    assert "has the status 'interrupted'" in caplog.text
+
+
+def test_an_unknown_precision_is_refused(folder):
+    made(folder, config())
+    assert "expected torch.float32 or" in sentence(folder, dtype="float32")
 
 
 def test_a_run_without_a_model_in_the_store_is_refused(folder, directory):

@@ -37,14 +37,20 @@ def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
     assert (run.folder / "metrics.json").stat().st_mtime_ns == before
     with pytest.raises(ConfigError, match="not a run folder: it does not exist"):
         symo_exp.Run("nowhere")
-    with pytest.raises(ConfigError, match=r"not a run folder: it has no config.yaml"):
+    with pytest.raises(ConfigError, match=rf"no config.yaml, but {run.folder.name} in it has one"):
         symo_exp.Run(run.folder.parent)
+    RunFolder(run.folder).record("running")
+    (run.folder / "metrics.json").unlink()
+    with pytest.raises(ConfigError, match=r"metrics.json does not exist; .* 'running'"):
+        symo_exp.Run(run.folder).measures  # noqa: B018
 
 
 def test_a_sweep_gives_its_runs_in_order(workplace):
     runs = symo_exp.run(*SMALL, "-m", "pictures=false", "trainer.max_epochs=2,1")
     epochs = [len((run.folder / "series.csv").read_text().splitlines()) - 1 for run in runs]
     assert epochs == [2, 1]
+    (again,) = symo_exp.run(*SMALL, "-m", "pictures=false", "trainer.max_epochs=1")
+    assert again.folder == runs[1].folder
 
 
 def test_errors_of_a_run_are_raised(workplace, monkeypatch):

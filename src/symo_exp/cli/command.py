@@ -50,6 +50,7 @@ class Command:
         self._given = parser.parse_intermixed_args(list(argv))
         self.overrides: list[str] = self._given.overrides
         self.options = [word for word in argv if word not in self.overrides]
+        self.multirun: bool = self._given.multirun
         self.name: str | None = self._given.config_name
         folder = self._given.config_dir
         self.folder: Path | None = None if folder is None else Path(folder).absolute()

@@ -82,7 +82,7 @@ def read_runs(
         seeds: Seeds; all if empty.
 
     Raises:
-        ConfigError: The store cannot be reached or has no such experiment.
+        ConfigError: The store cannot be reached, or has no such experiment, system or seeds.
     """
     return _asked(tidy(_in_store(store, experiments)), (), systems, seeds)
 
@@ -105,7 +105,7 @@ def load_runs(
         seeds: Seeds; all if empty.
 
     Raises:
-        ConfigError: A path cannot be read or has no run.
+        ConfigError: A path cannot be read or has no run, or no run has a name that is asked for.
     """
     return _asked(pd.concat([_load(path) for path in paths]), experiments, systems, seeds)
 
@@ -155,7 +155,7 @@ def _in_store(store: Store, experiments: Sequence[str]) -> Iterator[Row]:
     check(store, timeout=5.0)
     client = connect(store)
     there = {found.name: found.experiment_id for found in client.search_experiments()}
-    _check_names(experiments, set(there) - {"Default"}, str(store))
+    _check_names("experiment", experiments, set(there) - {"Default"}, str(store))
     for name in experiments or sorted(there):
         token: str | None = ""
         while token is not None:
@@ -245,10 +245,12 @@ def _typed(table: pd.DataFrame) -> pd.DataFrame:
 def _asked(
     runs: pd.DataFrame, experiments: Sequence[str], systems: Sequence[str], seeds: Sequence[int]
 ) -> pd.DataFrame:
-    _check_names(experiments, set(runs.experiment), "the saved runs")
     for column, wanted in (("experiment", experiments), ("system", systems), ("seed", seeds)):
         if wanted:
+            there = {f"{x:g}" if column == "seed" else x for x in runs[column].dropna()}
             runs = runs[runs[column].isin(wanted)]
+            if column != "seed" or runs.empty:  # not every system need have every seed
+                _check_names(column, list(map(str, wanted)), there, "these runs")
     return _last_of_each(runs)
 
 
@@ -261,7 +263,7 @@ def _last_of_each(runs: pd.DataFrame) -> pd.DataFrame:
     return runs.drop_duplicates(["run_id", "metric"]).reset_index(drop=True)
 
 
-def _check_names(asked: Sequence[str], there: set[str], where: str) -> None:
+def _check_names(kind: str, asked: Sequence[str], there: set[str], where: str) -> None:
     if missing := [name for name in asked if name not in there]:
         have = ", ".join(sorted(there)) or "none"
-        raise ConfigError(f"no experiment {missing[0]!r} in {where}; there are: {have}")
+        raise ConfigError(f"no {kind} {missing[0]!r} in {where}; there are: {have}")

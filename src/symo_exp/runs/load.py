@@ -22,6 +22,9 @@ def from_folder(
     folder: Path, dtype: torch.dtype | None = None, device: str | torch.device = "cpu"
 ) -> DynamicsModel:
     """Return the model in evaluation mode; ``dtype`` is that of the training unless given."""
+    if dtype not in (None, torch.float32, torch.float64):
+        raise ConfigError(f"dtype={dtype}: expected torch.float32 or torch.float64")
+    require_run(folder)
     config = _read_config(folder / CONFIG)
     plan = before.model_settings(config["model"])
     _check([config["system"], plan], folder)
@@ -41,6 +44,17 @@ def from_folder(
     return model.eval()
 
 
+def require_run(folder: Path) -> None:
+    """Refuse a folder that is not that of a run; the error names runs in it, as of a sweep."""
+    if (folder / CONFIG).is_file():
+        return
+    reason = f"it has no {CONFIG}" if folder.is_dir() else "it does not exist"
+    if runs := sorted(path.parent.name for path in folder.glob(f"*/{CONFIG}")):
+        verb = "has" if len(runs) == 1 else "have"
+        reason += f", but {shortened(', '.join(runs))} in it {verb} one"
+    raise ConfigError(f"{folder} is not a run folder: {reason}")
+
+
 def _set_weights(model: DynamicsModel, folder: Path) -> None:
     weights = before.model_weights(_read_weights(folder / CHECKPOINT))
     model.to(next(value.dtype for value in weights.values() if value.is_floating_point()))
@@ -55,8 +69,6 @@ def _set_weights(model: DynamicsModel, folder: Path) -> None:
 def _read_config(path: Path) -> Mapping[str, Any]:
     try:
         config = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path.parent} is not a run folder: it has no {path.name}") from None
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"{path} cannot be read: {error}") from None
     for part in ("system", "model"):

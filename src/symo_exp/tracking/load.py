@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import re
 import shutil
 import tempfile
@@ -12,15 +14,17 @@ import torch
 from symo_exp import code as own
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.models.base import DynamicsModel
-from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR
+from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR, RunFolder
 from symo_exp.runs.load import from_folder
 from symo_exp.tracking.store import check, connect, find
+
+log = logging.getLogger(__name__)
 
 RUN_ID = re.compile(r"[0-9a-f]{32}")
 
 
 def load(
-    run: str | Path,
+    run: str | os.PathLike[str],
     tracking_uri: str | None = None,
     *,
     directory: str | Path = "mlruns",
@@ -29,6 +33,8 @@ def load(
     code: str | Path | None = None,
 ) -> DynamicsModel:
     """Load the trained model of a run, in evaluation mode.
+
+    Of a run that has not finished it is the model of the last checkpoint, and a warning is logged.
 
     The model predicts batches: configurations ``q`` (B, n), velocities ``v`` (B, n) and inputs
     ``u`` (B, m) in SI units, one time step ``model.time_step`` apart; or single ones, without B:
@@ -43,10 +49,10 @@ def load(
     * ``model.for_evaluation()`` is a float64 copy with converged roots, which the measures use.
 
     Args:
-        run: A run folder or the id of an MLflow run.
+        run: A run, its folder or the id of an MLflow run.
         tracking_uri: Where runs are tracked, for an id; see ``conf/logger/mlflow.yaml``.
         directory: The folder of the default SQLite store, for an id.
-        dtype: The precision; ``None``: that of the training.
+        dtype: ``torch.float32`` or ``torch.float64``; ``None``: that of the training.
         device: Where the model is kept.
         code: A folder with the user's own classes of a system or a method.
 
@@ -54,9 +60,13 @@ def load(
         ConfigError: For a run that cannot be found or read.
     """
     own.add(code)
-    folder = Path(run)
+    folder = Path(run).expanduser()
     if folder.is_dir():
-        return from_folder(folder, dtype, device)
+        model, outcome = from_folder(folder, dtype, device), RunFolder(folder).outcome()
+        if outcome.status in ("running", "interrupted", "failed"):
+            told = "%s has the status %r: this is the model of its last checkpoint"
+            log.warning(told, folder, outcome.status)
+        return model
     if not RUN_ID.fullmatch(str(run)):
         raise ConfigError(f"{str(run)!r} is neither a run folder nor the id of an MLflow run")
     with tempfile.TemporaryDirectory(prefix="symo_exp-") as copy:

@@ -86,7 +86,7 @@ def export(
         ConfigError: If the suffix is unknown, or the step has operations that the format lacks.
     """
     model = run if isinstance(run, DynamicsModel) else load(os.fspath(run))
-    path = Path(path)
+    path = Path(path).expanduser()
     if path.suffix in (".xml", ".urdf"):
         return write_bodies(model, path)
     if path.suffix not in (".pt2", ".onnx"):

@@ -13,7 +13,8 @@ from PIL import Image
 from symo_exp.cli.command import Command
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
-from symo_exp.runs.folder import CONFIG, LOG, PICTURES, ROLLOUTS, RunFolder
+from symo_exp.runs.folder import LOG, MEASURES, PICTURES, ROLLOUTS, RunFolder
+from symo_exp.runs.load import require_run
 from symo_exp.shell import override_value
 from symo_exp.sweep.sweeper import watched
 from symo_exp.tracking.load import load
@@ -22,11 +23,9 @@ from symo_exp.tracking.load import load
 class Run:
     """A finished run, by its folder."""
 
-    def __init__(self, folder: str | Path) -> None:
-        self.folder = Path(folder)
-        if not (self.folder / CONFIG).is_file():
-            reason = f"it has no {CONFIG}" if self.folder.is_dir() else "it does not exist"
-            raise ConfigError(f"{folder} is not a run folder: {reason}")
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        require_run(Path(folder).expanduser())
+        self.folder = Path(folder).expanduser().absolute()
 
     def __repr__(self) -> str:
         return f"Run({os.path.relpath(self.folder)!r})"
@@ -42,20 +41,29 @@ class Run:
     @cached_property
     def measures(self) -> dict[str, float]:
         """Measures by name, those of studies included: docs/metrics.md."""
+        self._file(MEASURES)
         return RunFolder(self.folder).measures()
 
     @cached_property
     def rollouts(self) -> pd.DataFrame:
         """Predicted and true motions, a row per node."""
-        return pd.read_parquet(self.folder / ROLLOUTS)
+        return pd.read_parquet(self._file(ROLLOUTS))
 
     def figure(self, name: str) -> Image.Image:
         """Return a picture of the run by name, such as ``trajectories`` or ``phase_portrait``."""
         found = {path.stem: path for path in sorted((self.folder / PICTURES).glob("*"))}
         if name not in found:
-            there = ", ".join(found) or "none: the run was made with pictures=false"
+            there = ", ".join(found) or "none, as with pictures=false or before it has finished"
             raise ConfigError(f"there is no figure {name}; the run has: {there}")
         return Image.open(found[name])
+
+    def _file(self, name: str) -> Path:
+        """Return a file of the run; refuse one that is not there."""
+        path = self.folder / name
+        if not path.is_file():
+            outcome = RunFolder(self.folder).outcome()
+            raise ConfigError(f"{path} does not exist; the status of the run is {outcome.status!r}")
+        return path
 
 
 def run(*words: str, **settings: Any) -> Run | list[Run]:
@@ -72,7 +80,7 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
             and dictionaries are written as on the command line, strings are taken unchanged.
 
     Returns:
-        The run, or all runs in order where ``-m`` or ``-cn NAME`` makes a sweep.
+        The run; with ``-m``, or if ``-cn NAME`` makes several, a list of all runs in order.
 
     Raises:
         ConfigError: For invalid input, before anything runs.
@@ -93,4 +101,4 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
         if outcome.status != "finished":
             raise RuntimeError(f"{folder} {outcome.status}: {outcome.reason} ({folder / LOG})")
     runs = [Run(folder.path) for folder in folders]
-    return runs[0] if len(runs) == 1 else runs
+    return runs[0] if len(runs) == 1 and not command.multirun else runs
