@@ -84,6 +84,8 @@ def main(argv: Sequence[str]) -> int:
         )
     if options.out.suffix not in (".parquet", ".csv"):
         raise ConfigError(f"--out {options.out}: expected a file that ends in .parquet or .csv")
+    if not options.out.parent.is_dir():  # before minutes of recording
+        raise ConfigError(f"--out {options.out} cannot be written (no folder {options.out.parent})")
     env = _made(options.env)
     try:
         plant = _plant(env, options.env)

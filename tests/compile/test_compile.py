@@ -148,7 +148,7 @@ def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator, n):
     model, data = make(method, integrator, n), windows(n)
     u = torch.randn(len(data.q), 4, 1, dtype=torch.float64)
     starts = (data.q, data.v, u), (data.q.T.contiguous().T, data.v, u[:, 1:])
-    compile_rollout(model)
+    assert compile_rollout(model) is model
     expected = [make(method, integrator, n).rollout(*start) for start in starts]
     found = [model.rollout(*start) for start in starts]
     torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)

@@ -75,6 +75,15 @@ def test_a_urdf_has_the_same_bodies(name):
     assert (ours - rate).abs().max() < 1e-9 * rate.abs().max()
 
 
+@pytest.mark.parametrize("name", ["acrobot", "cartpole", "pendulum"])
+def test_a_urdf_of_thin_rods_is_read(name):
+    """They have no inertia about themselves, which MuJoCo refuses."""
+    found = SYSTEMS[name].linkage
+    joints = [joint._asdict() for joint in found.joints]
+    model = compiled(urdf({"joints": joints, "gravity": found.gravity}))
+    assert model.nv == len(joints)
+
+
 def test_a_urdf_of_shifted_references_is_refused():
     with pytest.raises(ConfigError, match=r"write \.xml"):
         urdf(MECHANISMS["crane"])

@@ -65,8 +65,8 @@ def compile_training(learner: Trainable, *, validation: bool = False) -> None:
         _install(learner.compiled, "validation", loss, learner.loss)
 
 
-def compile_rollout(model: DynamicsModel) -> None:
-    """Compile the steps of ``model.rollout`` at its next call.
+def compile_rollout(model: DynamicsModel) -> DynamicsModel:
+    """Compile the steps of ``model.rollout`` at its next call, and return the same model.
 
     Compilation takes up to a minute for one trajectory or for several, in each precision, and some
     seconds in later processes; steps then take a fraction of their time. The motion is the same to
@@ -77,7 +77,7 @@ def compile_rollout(model: DynamicsModel) -> None:
         isinstance(flow, ExplicitFlow) or (isinstance(flow, VariationalFlow) and _branch_free(flow))
     ):
         log.warning("a step of this rollout is not a fixed sequence of operations: not compiled")
-        return
+        return model
 
     def step(*, open_rows: bool) -> Callable[..., Any]:
         advance: Callable[..., Any]
@@ -89,6 +89,7 @@ def compile_rollout(model: DynamicsModel) -> None:
         return lambda *arguments: advance(*(x.contiguous() for x in arguments))
 
     _install(model.compiled, "rollout", step, flow.advance)
+    return model
 
 
 def _branch_free(flow: VariationalFlow) -> bool:

@@ -92,8 +92,9 @@ def known(posterior: ModelPosterior | None) -> ModelPosterior:
     """Return the posterior; refuse a model without one."""
     if posterior is None:
         raise ConfigError(
-            "this model has no posterior, which a run keeps with "
-            "optimizer=levenberg_marquardt or total_least_squares"
+            "this model has no posterior: a run keeps one with optimizer=total_least_squares, "
+            "levenberg_marquardt or adam_then_lm in float64, with the exceptions in "
+            "docs/uncertainty.md"
         )
     return posterior
 

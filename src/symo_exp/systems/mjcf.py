@@ -112,9 +112,9 @@ def urdf(
         link = ET.SubElement(root, "link", name=f"{joint.name}_link")
         inertial = ET.SubElement(link, "inertial")
         centre = np.array(joint.centre) - np.array(joint.anchor)
-        inertia = np.array(joint.inertia)
+        inertia = _positive(np.array(joint.inertia))
         if joint.mass == 0.0:
-            centre, inertia = np.zeros(3), POINT * np.eye(3)
+            centre = np.zeros(3)
         ET.SubElement(inertial, "origin", xyz=_vector(centre), rpy="0 0 0")
         ET.SubElement(inertial, "mass", value=_number(max(joint.mass, POINT)))
         entries = {f"i{a}": inertia["xyz".index(a[0]), "xyz".index(a[1])] for a in _ENTRIES}
@@ -194,10 +194,7 @@ def _joint(inside: _Frame, joint: Joint, damping: float) -> None:
 def _inertial(inside: _Frame, joint: Joint) -> None:
     node = ET.Element("inertial")
     centre = joint.centre if joint.mass > 0.0 else inside.origin.tolist()
-    inertia = inside.axes.T @ np.array(joint.inertia) @ inside.axes
-    if np.linalg.eigvalsh(inertia).min() < POINT:
-        inertia = inertia + POINT * np.eye(3)
-    moments, axes = _principal(inertia)
+    moments, axes = _principal(_positive(inside.axes.T @ np.array(joint.inertia) @ inside.axes))
     node.attrib.update(
         pos=inside.place(centre),
         mass=_number(max(joint.mass, POINT)),
@@ -205,6 +202,11 @@ def _inertial(inside: _Frame, joint: Joint) -> None:
         quat=_quaternion(axes),
     )
     inside.element.insert(0, node)
+
+
+def _positive(inertia: np.ndarray) -> np.ndarray:
+    """Return an inertia without a zero moment, such as a thin rod has, which MuJoCo refuses."""
+    return inertia + POINT * np.eye(3) if np.linalg.eigvalsh(inertia).min() < POINT else inertia
 
 
 def _quaternion(axes: np.ndarray) -> str:

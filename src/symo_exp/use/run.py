@@ -41,8 +41,10 @@ class Run:
     @cached_property
     def measures(self) -> dict[str, float]:
         """Measures by name, those of studies included: docs/metrics.md."""
-        self._file(MEASURES)
-        return RunFolder(self.folder).measures()
+        folder = RunFolder(self.folder)
+        if folder.outcome().status != "finished":  # with measures=false there are none
+            self._file(MEASURES)
+        return folder.measures()
 
     @cached_property
     def rollouts(self) -> pd.DataFrame:
