@@ -3,6 +3,7 @@
 import os
 import shlex
 import sys
+from pathlib import Path
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -71,3 +72,10 @@ def test_a_value_is_spelled_as_the_command_line_reads_it(value):
     (override,) = OverridesParser.create().parse_overrides([f"key={override_value(value)}"])
     assert override.value() == value
     assert type(override.value()) is type(value)
+
+
+@pytest.mark.parametrize("path", ["logs/my file, größe.csv", "logs/mine.csv", "a=b/[1].csv"])
+def test_a_path_is_read_as_it_is(path):
+    (override,) = OverridesParser.create().parse_overrides([f"key={override_value(Path(path))}"])
+    assert override.value() == path
+    assert not override.is_sweep_override()

@@ -11,6 +11,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+PLAIN = re.compile(r"[\w./:+-]+", re.ASCII)
+"""Text that Hydra reads without quotes."""
+
 
 def python_command(*words: str) -> str:
     """Return ``python -m WORDS`` for the running interpreter, quoted for a shell.
@@ -27,14 +30,19 @@ def install_command(extra: str) -> str:
 
 
 def override_value(value: Any, *, nested: bool = False) -> str:
-    """Write a value as in an override of Hydra; a string is unchanged unless it is nested."""
+    """Write a value as in an override of Hydra.
+
+    A string that is not nested is unchanged; a path is quoted where it needs to be.
+    """
     if isinstance(value, Mapping):
         items = (f"{key}: {override_value(x, nested=True)}" for key, x in value.items())
         return "{" + ", ".join(items) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(override_value(x, nested=True) for x in value) + "]"
     if isinstance(value, str | os.PathLike):
-        return _quoted(os.fspath(value)) if nested else os.fspath(value)
+        text = os.fspath(value)
+        special = not isinstance(value, str) and not PLAIN.fullmatch(text)
+        return _quoted(text) if nested or special else text
     if value is None:
         return "null"
     return str(value).lower() if isinstance(value, bool) else str(value)

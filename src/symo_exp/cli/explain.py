@@ -38,6 +38,12 @@ def explained(error: BaseException) -> ConfigError:
     while cause is not None:
         if isinstance(cause, ConfigError):
             return cause
+        if isinstance(cause, OverrideParseException):
+            return ConfigError(
+                f"{cause.override} cannot be read ({first_line(cause)}): give each setting as a "
+                "word of its own, and quote special characters for the shell and within, as in "
+                "'data.path=\"my log.csv\"'"
+            )
         if twice := TWICE.match(str(cause)):
             (group,) = filter(None, twice.groups())
             return ConfigError(f"+{group}=...: {group} has a choice already; leave out the +")

@@ -78,8 +78,8 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
 
     Args:
         *words: Words of the command line.
-        **settings: Settings and choices of files by name; numbers, truth values, ``None``, lists
-            and dictionaries are written as on the command line, strings are taken unchanged.
+        **settings: Settings and choices of files by name; numbers, truth values, ``None``, lists,
+            dictionaries and paths are written as on the command line, strings are unchanged.
 
     Returns:
         The run; with ``-m``, or if ``-cn NAME`` makes several, a list of all runs in order.
@@ -89,6 +89,9 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
         RuntimeError: If a run fails.
         KeyboardInterrupt: If it is interrupted.
     """
+    for word in words:
+        if not isinstance(word, str):
+            raise ConfigError(f"run({word!r}): expected words of a command, as run('model=symo')")
     command = Command(
         [*words, *(f"{key}={override_value(value)}" for key, value in settings.items())]
     )
