@@ -255,9 +255,10 @@ def test_the_model_of_a_run_that_has_not_finished_comes_with_a_warning(folder, c
     assert "has the status 'interrupted'" in caplog.text
 
 
-def test_an_unknown_precision_is_refused(folder):
+def test_an_unknown_precision_or_device_is_refused(folder):
     made(folder, config())
     assert "expected torch.float32 or" in sentence(folder, dtype="float32")
+    assert "device=gpu cannot be used" in sentence(folder, device="gpu")
 
 
 def test_a_run_without_a_model_in_the_store_is_refused(folder, directory):

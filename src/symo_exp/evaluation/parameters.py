@@ -21,7 +21,7 @@ STRUCTURAL = 1e-6
 SMALL = 1e-4
 """Entries of reduced matrices below this, relative to the largest, count as zero."""
 ABSENT = 1e-20
-"""Square below which nothing of it is there, such as friction that the data do not show."""
+"""Square below which a quantity counts as absent, such as friction that the data do not show."""
 FEW = 6
 """Partners that a note names."""
 RELATIVE = "up to a factor"
@@ -147,7 +147,7 @@ def _free(numbers: _Numbers, posterior: Posterior) -> Float[Tensor, "numbers fre
 
 
 def _there(numbers: _Numbers) -> Bool[Tensor, " numbers"]:
-    """Return which numbers are more than a square that vanished, such as absent friction."""
+    """Return which numbers are present; a square that vanished, as of friction, is absent."""
     return (numbers.values.abs() > ABSENT) | (numbers.slopes.norm(dim=1) > ABSENT**0.5)
 
 

@@ -22,7 +22,7 @@ from symo_exp.report.looks import MEASURED, TRUTH, Look, Stroke, in_order, look,
 SMALLEST, LARGEST = 1e-33, 1e12
 """Limits of a logarithmic axis, even if a method has diverged."""
 SHOULD = {"truth": TRUTH, "measured": MEASURED}
-"""Sources of what the models predict."""
+"""Sources of the motions that models should predict."""
 Range = tuple[float, float]
 
 
@@ -102,7 +102,7 @@ class Panel:
         )
 
     def limits(self) -> Range | None:
-        """Return the limits of the y axis, within which a diverged method is not."""
+        """Return the limits of the y axis; a diverged method lies outside."""
         columns = [name for name in ("y", "low", "high") if name in self.rows]
         values = self.rows[columns].to_numpy(dtype=float)
         if not self.y_log:

@@ -71,5 +71,5 @@ def _table(key: str, title: str, rows: pd.DataFrame) -> ResultTable:
         if len(steps) > 1:
             power = np.polyfit(np.log(steps.coordinates), np.log(steps.step_ms), 1)[0]
             name = pair_names(one.head(1))[0]
-            notes.append(f"{name}: a step costs as n to the power {power:.2f}.")
+            notes.append(f"{name}: the time of a step grows as n to the power {power:.2f}.")
     return ResultTable(key, title, shown, notes)

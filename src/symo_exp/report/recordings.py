@@ -31,7 +31,7 @@ def recording_figures(
         table: The windows.
         method: The name of the method, which determines the look.
         title: The name of the run.
-        key: What the names of the files begin with.
+        key: Prefix of the names of the files.
     """
     made = [windows_figure(model, table, method, title)]
     if f"dissipation_{model.coordinates.names[0]}" in table:

@@ -37,7 +37,10 @@ def from_folder(
     )
     if model.learns:
         _set_weights(model, folder)
-    model.to(device=device, dtype=dtype)
+    try:
+        model.to(device=device, dtype=dtype)
+    except (RuntimeError, AssertionError) as error:  # PyTorch without this kind of device
+        raise ConfigError(f"device={device} cannot be used: {first_line(error)}") from None
     model.system = system
     model.posterior = _read_posterior(folder / POSTERIOR)
     model.input_matrix.copy_(system.input_matrix)  # it is not trained: not rounded either

@@ -14,7 +14,8 @@ For one copy and for many:
   range that data are drawn from (``system.box.u``).
 - Observation: ``(q, v)`` (2n,), float64. Angles are not wrapped: they count turns.
 - Reward: the true potential energy ``V(q)`` [J] of the state reached, where it is known: greatest
-  where the masses are highest, so that swinging up pays. Else 0, unless one is given.
+  where the masses are highest, so that swinging up is rewarded. Otherwise 0, unless a reward is
+  given.
 - An episode is truncated after its largest number of steps, and terminated only where a model finds
   no next state, at the last one it had.
 - ``reset`` draws the state uniformly from the system's box, or takes

@@ -289,7 +289,7 @@ def _of_balls(
 ) -> tuple[Tensor, Coupled]:
     """Return friction of which that of a ball joint is the same about all axes.
 
-    Where it is not, or couples a ball joint with others, its mean is taken, and told.
+    Where it is not, or couples a ball joint with others, its mean is taken; ``missing`` says so.
     """
     turning = [own for own in freedoms_of(joints) if len(own) > 1]
     if not turning:
