@@ -60,7 +60,7 @@ def test_errors_of_a_run_are_raised(workplace, monkeypatch):
         ("model=symo", "integrator=rk4"): "integrator=midpoint",
         ("--cfg", "job"): "starts a run",
         ("data.n_traj",): "not a setting",
-        ("model=symo seed=1",): "model=symo seed=1 cannot be read .*a word of its own",
+        ("model=symo seed=1",): "model=symo seed=1: give each setting as a word of its own",
         (("model=symo",),): "expected words of a command",
     }.items():
         with pytest.raises(ConfigError, match=said):

@@ -38,12 +38,6 @@ def explained(error: BaseException) -> ConfigError:
     while cause is not None:
         if isinstance(cause, ConfigError):
             return cause
-        if isinstance(cause, OverrideParseException):
-            return ConfigError(
-                f"{cause.override} cannot be read ({first_line(cause)}): give each setting as a "
-                "word of its own, and quote special characters for the shell and within, as in "
-                "'data.path=\"my log.csv\"'"
-            )
         if twice := TWICE.match(str(cause)):
             (group,) = filter(None, twice.groups())
             return ConfigError(f"+{group}=...: {group} has a choice already; leave out the +")
@@ -64,6 +58,8 @@ def explained(error: BaseException) -> ConfigError:
 def _unreadable_value(error: OverrideParseException) -> ConfigError:
     """Return the error for a setting that Hydra cannot parse, such as a name with brackets."""
     key, _, value = str(error.override).partition("=")
+    if re.search(r"\s\S+=", value):
+        return ConfigError(f"{error.override}: give each setting as a word of its own")
     quoted = shlex.quote(f"{key}={override_value([value])[1:-1]}")
     return ConfigError(
         f"{error.override}: {first_line(error)}; a text with brackets, quotes, commas or the like "
