@@ -54,6 +54,20 @@ def test_noise_of_nodes_and_of_the_model_are_told_apart(sigma, tau):
         assert found.model_noise < 0.01 * sigma
 
 
+def test_noise_is_proportional_to_the_data():
+    """However small they are: the likelihood is not rounded to single precision."""
+    problem, data, size = Falling(), motions(1e-2, 2e-3), 1e-20
+    found = []
+    for scale in (1.0, size):
+        with torch.no_grad():
+            problem.theta.copy_(torch.tensor([2.0, -0.5 * scale]))
+        scaled = [Trajectory(scale * q, v, scale * u) for q, v, u in data]
+        found.append(posterior(problem.residuals, [problem.theta], scaled, epsilon=0.1))
+    expected, small = found
+    assert small.noise == pytest.approx(size * expected.noise, rel=1e-3)
+    assert small.model_noise == pytest.approx(size * expected.model_noise, rel=1e-3)
+
+
 @pytest.mark.parametrize("epsilon", [None, 0.1, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_the_covariance_is_that_of_estimates(epsilon):
     """The scatter of estimates from many sets of noise is that of one posterior."""

@@ -17,6 +17,7 @@ the prior precisions ``α`` being those of total least squares.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -129,7 +130,7 @@ def _settled(
         if not cost < least * (1.0 - 1e-9):
             if not cost < least:
                 x = 0.5 * (x + best)
-                if (x - best).abs().max() < 1e-9 * (1.0 + best.abs().max()):
+                if ((x - best) / weight).abs().max() < 1e-9 * (1.0 + (best / weight).abs().max()):
                     break
                 continue
             best = x
@@ -154,10 +155,10 @@ def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, 
             return torch.inf, own, 1.0
         white = factor.whiten(e)
         variance = max(float(white.square().sum()) / e.numel(), 1e-300)
-        log = float(torch.tensor(variance).double().log())
-        return 0.5 * (factor.log_determinant + e.numel() * log), own, variance
+        likelihood = factor.log_determinant + e.numel() * math.log(variance)
+        return 0.5 * likelihood, own, variance
 
-    low, high = (float(torch.tensor(x).log10()) for x in (LOW, HIGH))
+    low, high = math.log10(LOW), math.log10(HIGH)
     grid = [low + (high - low) * i / 12 for i in range(13)]
     best = min(grid, key=lambda a: of(a)[0])
     a, b = best - 0.5, best + 0.5
