@@ -5,10 +5,12 @@ from functools import partial
 import pytest
 import torch
 
+from symo_exp.mechanics.scaled import ScaledDissipation
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 from symo_exp.models.learned import learned_lagrangian
 from symo_exp.nets.dissipation import LearnedDissipation
+from symo_exp.nets.drag import LearnedDrag
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.lagrangians import PlanarLagrangian
 from symo_exp.nets.planar_links import PlanarLinks
@@ -118,3 +120,17 @@ def test_parameters_in_other_units_are_read_in_si_units():
         assert found[f"{name}.viscous_friction"] == pytest.approx(float(damping[i, j]), rel=1e-6)
     assert found["a.stiffness.x"] == pytest.approx(float(stiffness[1, 0]), rel=1e-6)
     assert found["x.stiffness"] == pytest.approx(3.0 * 1e2 / 0.1**2)  # kg / s²
+
+
+def test_coefficients_of_drag_in_other_units_are_read_in_si_units():
+    """That of one speed, ``F = −(ν + |s|) s a``, ``s = a v``, from two forces: ``ν = d / |a|²``."""
+    coordinates = Coordinates(("x",), (False,), units=Units(1e-3, 0.1, 1e2))
+    torch.manual_seed(0)
+    drag = LearnedDrag(coordinates=coordinates, speeds=1)
+    module = ScaledDissipation(drag, coordinates).double()
+    v = torch.tensor([[1e-3], [2e-3]]).double()
+    slow, fast = (-module.force(torch.zeros_like(v), v) / v)[:, 0].tolist()  # ν a² + a³ |v|
+    cube = (fast - slow) / 1e-3
+    linear = slow - cube * 1e-3
+    found, _ = values(module, coordinates)["drag_1.linear"]
+    assert found == pytest.approx(linear / abs(cube) ** (2 / 3), rel=1e-6)

@@ -228,7 +228,8 @@ def _(module: MachineFriction, coordinates: Coordinates) -> list[Reading]:
 @readings.register
 def _(module: LearnedDrag, coordinates: Coordinates) -> list[Reading]:
     values = torch.nn.functional.softplus(module.viscous)
-    return [Reading(f"drag_{k + 1}.linear", "N^(2/3) s^(1/3)", x) for k, x in enumerate(values)]
+    unit = "N^(1/3) m^(1/3)/s^(1/3)"  # of a speed, which it is added to
+    return [Reading(f"drag_{k + 1}.linear", unit, x) for k, x in enumerate(values)]
 
 
 @readings.register
