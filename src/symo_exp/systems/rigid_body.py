@@ -15,9 +15,7 @@ from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.bodies import Vector, pseudo_inertia
-from symo_exp.mechanics.lagrangian import Rates
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian
-from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
 
@@ -45,19 +43,10 @@ class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
     def frame(self) -> tuple[Float[Tensor, "points 3"], tuple[tuple[int, int], ...], float]:
         """Points of the body with the origin first [m], bars between them, and the reach."""
 
-    @property
-    @override
-    def space(self) -> Space:
-        return self.coordinates.space
-
     @override
     def rigid_body(self, like: Float[Tensor, "batch N"]) -> BodyParameters:
         body, gravity = self.body.to(like), self.acceleration_of_gravity.to(like)
         return BodyParameters.of_pseudo_inertia(body.unsqueeze(0), gravity.unsqueeze(0))
-
-    @override
-    def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
-        return RigidBodyLagrangian.rates(self, q, v)
 
     @property
     @override
