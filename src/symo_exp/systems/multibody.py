@@ -94,7 +94,7 @@ class Multibody(LagrangianSystem):
     @cached_property
     @override
     def coordinates(self) -> Coordinates:
-        flat = [i for i, joint in enumerate(self.joints) if joint.axes is None]
+        flat = self._flat
         balls = [i for i, joint in enumerate(self.joints) if joint.axes is not None]
         names, turns = ([self.joints[i].name for i in some] for some in (flat, balls))
         free = [(flat.index(i), balls.index(k)) for i, k in self.mechanism.get("free", ())]
@@ -119,7 +119,7 @@ class Multibody(LagrangianSystem):
     @property
     @override
     def ends(self) -> tuple[Range, ...] | None:
-        flat = [joint for joint in self.joints if joint.axes is None]
+        flat = [self.joints[i] for i in self._flat]
         if self.limits == "off" or not any(joint.limits for joint in flat):
             return None
         free = (-math.inf, math.inf)
@@ -220,7 +220,7 @@ class Multibody(LagrangianSystem):
         (c, w), (c_bias, w_bias) = (
             (v[:, None, None] @ x).squeeze(2).split(3, -1) for x in (columns, rate)
         )
-        linear, spin = mass[:, None] * c, _times(inertia, w)
+        linear, spin = mass[:, None] * c, matvec(inertia, w)
         pushed = _onto(rate, linear, spin)
         moment = torch.linalg.cross(spin, w)
         dq = pushed + _onto(columns, (mass[:, None] * gravity).expand_as(c), moment)
@@ -228,7 +228,7 @@ class Multibody(LagrangianSystem):
         flat = self._flat
         spring = stiffness[flat] * (q[:, : len(flat)] - rest[flat])
         dq = dq - functional.pad(spring, (0, v.shape[1] - len(flat)))
-        bias = _onto(columns, mass[:, None] * c_bias, _times(inertia, w_bias))
+        bias = _onto(columns, mass[:, None] * c_bias, matvec(inertia, w_bias))
         return Rates(matrix, pushed + bias, dq)
 
     def _jacobians(self, at: Poses) -> Float[Tensor, "batch bodies n 6"]:
@@ -369,12 +369,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_plain(item) for item in value]
     return value
-
-
-def _times(
-    matrices: Float[Tensor, "bodies 3 3"], vectors: Float[Tensor, "batch bodies 3"]
-) -> Float[Tensor, "batch bodies 3"]:
-    return (matrices @ vectors.unsqueeze(-1)).squeeze(-1)
 
 
 def _onto(
