@@ -20,6 +20,7 @@ from symo_exp.mechanics.lagrangian import (
     Rates,
     matvec,
 )
+from symo_exp.mechanics.space import cross
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
 from symo_exp.nets.embedding import require_flat
@@ -183,7 +184,7 @@ class RigidChain(nn.Module, Lagrangian):
         anchors, axis = torch.stack(points, 1), torch.stack(world, 1)
         hinge = self.turns.to(q)[:, None]
         about = torch.linalg.cross(anchors, hinge * axis) + (1.0 - hinge) * axis
-        twists = torch.cat((_cross(hinge * axis), about.unsqueeze(-1)), dim=-1)
+        twists = torch.cat((cross(hinge * axis), about.unsqueeze(-1)), dim=-1)
         above = torch.stack(turns, 1) @ factors
         weighted = torch.cat((above, factors[..., 3:, :]), dim=-2)
         bodies, own = weighted @ weighted.mT, repeated(self.rotors, batch).square()
@@ -227,12 +228,5 @@ def _rotation(
     axes: Float[Tensor, "batch n 3"], angles: Float[Tensor, "batch n"]
 ) -> Float[Tensor, "batch n 3 3"]:
     """Return rotations by Rodrigues' formula."""
-    across, angle = _cross(axes), angles[..., None, None]
+    across, angle = cross(axes), angles[..., None, None]
     return torch.eye(3).to(axes) + angle.sin() * across + (1.0 - angle.cos()) * (across @ across)
-
-
-def _cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """Return the matrix of ``x ×``."""
-    a, b, c = x.unbind(-1)
-    zero = torch.zeros_like(a)
-    return torch.stack((zero, -c, b, c, zero, -a, -b, a, zero), dim=-1).unflatten(-1, (3, 3))
