@@ -22,10 +22,3 @@ def acceleration(
     if lagrangian.space.rotations:
         total = total - lagrangian.space.coadjoint(v, matvec(rates.mass, v))
     return solve(rates.mass, total)
-
-
-def generalised_force(
-    input_matrix: Float[Tensor, "n m"], u: Float[Tensor, "batch m"]
-) -> Float[Tensor, "batch n"]:
-    """Return the generalised force ``F = B u`` of controls."""
-    return u @ input_matrix.T

@@ -122,9 +122,7 @@ def _iterate(
             index = active.nonzero().squeeze(-1)
             here = problem.rows(index), x[index], at.rows(index), take_rows(state, index)
             x_some, at_some, state_some = _iterate(*here, rule, left, batch)
-            x, state = (
-                put_rows(*pair) for pair in ((x, index, x_some), (state, index, state_some))
-            )
+            x, state = put_rows((x, state), index, (x_some, state_some))
             return x, at.replace(index, at_some), state
         trial, state = rule.trial(x, at, state)
         there = problem.at(trial)

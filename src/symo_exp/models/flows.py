@@ -20,7 +20,6 @@ from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.chart import Controlled
-from symo_exp.mechanics.euler_lagrange import generalised_force
 from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.geodesic import on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
@@ -430,7 +429,7 @@ class VariationalFlow(Flow):
 
         There the force depends on the motion between nodes: see ``mechanics.geodesic``.
         """
-        return u if self.space.rotations else generalised_force(self.input_matrix, u)
+        return u if self.space.rotations else u @ self.input_matrix.T
 
     def forces(self, u: Tensor, u_next: Tensor) -> Forces:
         """Return the forces at the ends of an interval."""
