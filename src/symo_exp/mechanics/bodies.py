@@ -41,12 +41,12 @@ class Joint(NamedTuple):
         mass: Mass of the body [kg].
         centre: Its centre of mass [m].
         inertia: Its inertia about the centre of mass [kg m²].
-        armature: Inertia of a rotor that turns with the coordinate.
-        stiffness: Stiffness of a spring.
-        rest: Coordinate at which the spring is at rest.
-        damping: Viscous friction.
-        friction: Dry friction.
-        limits: Range of the coordinate.
+        armature: Inertia of a rotor that turns with the coordinate [kg m², kg].
+        stiffness: Stiffness of a spring [N m/rad, N/m].
+        rest: Coordinate at which the spring is at rest [rad, m].
+        damping: Viscous friction [N m s, N s/m].
+        friction: Dry friction [N m, N].
+        limits: Range of the coordinate [rad, m].
         axes: ``A`` of a ball joint; ``None`` of the others.
         base: ``L`` of a ball joint.
     """
@@ -132,11 +132,18 @@ def _vector(x: Float[Tensor, " 3"]) -> Vector:
 
 
 class Hull(NamedTuple):
-    """A box with fluid drag: the joint that moves it, its centre, axes and sides."""
+    """A box with fluid drag, at the reference.
+
+    Attributes:
+        joint: Index of the joint that moves it.
+        centre: Its centre [m].
+        axes: Directions of its sides.
+        sides: Lengths of its sides [m].
+    """
 
     joint: int
     centre: Vector
-    axes: tuple[Vector, Vector, Vector]
+    axes: Axes
     sides: Vector
 
 

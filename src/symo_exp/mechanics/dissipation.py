@@ -67,7 +67,7 @@ class Friction(Dissipation):
     """``F_d = −D v − c ∘ tanh(v / ε_v)``: viscous friction, and dry friction smoothed at rest.
 
     Args:
-        viscous: ``D`` [N m s, N s], positive semidefinite.
+        viscous: ``D`` [N m s, N s/m; N s between both], positive semidefinite.
         coulomb: ``c ≥ 0`` [N m, N].
         rest_velocity: ``ε_v > 0`` [rad/s, m/s].
     """

@@ -71,7 +71,7 @@ class DiscreteExpansion(Rowwise, ABC):
 
         ``before`` is the previous iterate of a root finder: see ``Expansion.curvature``.
         """
-        raise TypeError(f"{type(self).__name__} has no Hessian of lengths and angles")
+        raise TypeError(f"{type(self).__name__} has no Hessian")
 
     @abstractmethod
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
@@ -278,9 +278,9 @@ class DiscreteLagrangian:
     def residual(
         self, q_prev: Tensor, q: Tensor, q_next: Tensor, before: Forces, after: Forces
     ) -> Float[Tensor, "batch n"]:
-        """Return ``g = D₂L_d(q_{k−1}, q_k) + D₁L_d(q_k, q_{k+1}) + f⁺ + f⁻`` [N s] (thesis (5.1)).
+        """Return ``g = D₂L_d(q_{k−1}, q_k) + D₁L_d(q_k, q_{k+1}) + f⁺ + f⁻`` [N s, N m s].
 
-        Both intervals are evaluated as one batch.
+        That is (5.1) of the thesis. Both intervals are evaluated as one batch.
 
         Args:
             q_prev: ``q_{k−1}``, (batch, n).

@@ -102,7 +102,7 @@ class StateError(Objective):
 
 
 class Residual(Objective):
-    """``g = D₂L_d(q_{k−1}, q_k) + D₁L_d(q_k, q_{k+1}) + f⁺ + f⁻`` at the data [N s].
+    """``g = D₂L_d(q_{k−1}, q_k) + D₁L_d(q_k, q_{k+1}) + f⁺ + f⁻`` at the data [N s, N m s].
 
     The discrete Euler-Lagrange residual of the thesis (5.20). It scales with the learned inertia,
     so that under noise ``H → 0`` solves it.

@@ -246,8 +246,11 @@ class FitSteps(Rule[FitPoint, FitState]):
         return better, state._replace(damping=state.damping * torch.where(better, 0.1, 10.0))
 
 
-def parabola(q: Tensor, h: float) -> Tensor:
-    """Return state at node 0 of the least-squares parabola through the nodes."""
+def parabola(q: Float[Tensor, "batch nodes n"], h: float) -> Float[Tensor, "batch 2*n"]:
+    """Return the states ``(q₀, v₀)`` at node 0 of least-squares parabolas through the nodes.
+
+    Nodes are ``h`` [s] apart; two of them have a line.
+    """
     t = h * torch.arange(q.shape[1]).to(q)
     powers = t[:, None] ** torch.arange(min(3, len(t))).to(q)
     fit = torch.linalg.pinv(powers) @ q

@@ -20,7 +20,7 @@ from symo_exp.nets.roles import mark, mark_squares
 from symo_exp.nets.triangle import Triangle
 
 VELOCITY = 5.0
-"""Velocity [rad/s] that a network sees as 1."""
+"""Velocity [rad/s, m/s] that a network sees as 1."""
 
 
 class LearnedDissipation(nn.Module, Dissipation):
@@ -41,7 +41,7 @@ class LearnedDissipation(nn.Module, Dissipation):
             hinge turns with the difference of its angle to the one before.
         rest_velocity: Initial ``ε_v`` [rad/s, m/s]. It is learned, but never below a fifth of this:
             root finders do not converge at jumps.
-        start: Initial coefficients [N m s, N m].
+        start: Initial coefficients [N m s, N m; N s/m, N].
     """
 
     def __init__(
@@ -208,7 +208,7 @@ class MachineFriction(LearnedDissipation):
         least_rest_velocity: Smallest ``ε_v`` [rad/s, m/s], about the velocity that an encoder
             resolves.
         stribeck_velocity: Initial ``v_s`` [rad/s, m/s].
-        start: Initial coefficients [N m s, N m].
+        start: Initial coefficients [N m s, N m; N s/m, N].
     """
 
     def __init__(

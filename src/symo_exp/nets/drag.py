@@ -99,8 +99,8 @@ class LearnedBodyDrag(nn.Module, Dissipation):
 
     Args:
         coordinates: A rotation, or a position of three lengths and a rotation.
-        start: Initial diagonal of the matrices [N s/m, N s²/m²; of torques N s radius, N s²
-            radius].
+        start: Initial diagonal of the matrices of the force [N s/m, N s²/m²]; those of the torque
+            begin with ``start radius²`` [N m s, N m s²].
         radius: Unit of length of the parameters [m], as in ``LearnedRigidBody``.
     """
 

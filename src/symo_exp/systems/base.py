@@ -186,7 +186,8 @@ class LagrangianSystem(System, Lagrangian):
 
     A subclass gives ``mass_matrix`` and ``potential`` and, to be drawn, ``skeleton``. Friction is
     ``F_d = −d ∘ v − c ∘ tanh(v / ε_v)`` with coefficients for every coordinate: ``viscous`` d
-    [N m s], ``coulomb`` c [N m] and ``rest_velocity`` ε_v [rad/s]; without them there is none.
+    [N m s, N s/m], ``coulomb`` c [N m, N] and ``rest_velocity`` ε_v [rad/s, m/s]; without them
+    there is none.
     """
 
     box: SamplingBox = field()  # without it there is nothing to simulate
@@ -279,7 +280,7 @@ class LagrangianSystem(System, Lagrangian):
         v: Float[Tensor, "batch n"],
         u: Float[Tensor, "batch m"],
     ) -> Float[Tensor, "batch n"]:
-        """``v̇ = H⁻¹ (B u + F_d − Ḣ v + ∂ℒ/∂q)``."""
+        """Return ``v̇ = H⁻¹ (B u + F_d − Ḣ v + ∂ℒ/∂q)`` [rad/s², m/s²]."""
         force = self.input_force(self.input_matrix.to(u), q, u)
         return acceleration(self.lagrangian, q, v, force)
 
@@ -297,7 +298,7 @@ class LagrangianSystem(System, Lagrangian):
         return complex_step.applies(self, q, v)
 
     def identity(self) -> dict[str, object]:
-        """Everything that decides how this system moves, as plain values."""
+        """Return everything that decides how this system moves, as plain values."""
         kind, units = type(self), self.units()
         shared = {f.name for f in fields(LagrangianSystem)}
         own = [f.name for f in fields(self) if f.name not in shared]
@@ -315,7 +316,7 @@ class LagrangianSystem(System, Lagrangian):
         }
 
     def _fingerprint(self) -> str:
-        """Hash of accelerations, so that edited equations do not pass for the old ones."""
+        """Return a hash of accelerations, so that edited equations do not pass for the old ones."""
         with torch.no_grad():
             values = self.acceleration(*self.points(64, seed=0)).flatten().tolist()
         return hashlib.sha256(" ".join(f"{x:.9e}" for x in values).encode()).hexdigest()[:16]

@@ -46,12 +46,12 @@ class Rig(Lagrangian):
     def force(
         self, v: Float[Tensor, "batch n"], u: Float[Tensor, "batch m"]
     ) -> Float[Tensor, "batch n"]:
-        """Generalised force [N m] of the motors and of friction."""
+        """Return the generalised force [N m] of the motors and of friction."""
 
     def acceleration(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"], u: Float[Tensor, "batch m"]
     ) -> Float[Tensor, "batch n"]:
-        """``v̇ = H⁻¹ (F − Ḣ v + ∂ℒ/∂q)``."""
+        """Return ``v̇ = H⁻¹ (F − Ḣ v + ∂ℒ/∂q)`` [rad/s²]."""
         rates = complex_step.rates(self, q, v)
         return solve(rates.mass, self.force(v, u) - rates.mass_rate_v + rates.q)
 

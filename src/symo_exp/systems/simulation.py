@@ -51,7 +51,18 @@ class Solver:
         h: float,
         settle: Settle | None = None,
     ) -> Float[np.ndarray, "nodes batch states"]:
-        """Return the states at every node; raise ``ConfigError`` if the integrator fails."""
+        """Return the states at every node.
+
+        Args:
+            slope: ``ẋ``.
+            start: States at the first node.
+            nodes: Number of nodes.
+            h: Time between them [s].
+            settle: Applied to the states at every node after the first.
+
+        Raises:
+            ConfigError: If the integrator fails.
+        """
         states = np.empty((nodes, *start.shape))
         states[0], step = start, None
         for k in range(nodes - 1):
@@ -91,7 +102,7 @@ def simulate(
     steps: int,
     solver: Solver,
 ) -> Trajectories:
-    """Integrate ``v̇ = H⁻¹ (B u − Ḣ v + ∂ℒ/∂q)`` over ``steps`` steps of ``system.time_step``.
+    """Integrate ``v̇ = H⁻¹ (B u + F_d − Ḣ v + ∂ℒ/∂q)`` over so many steps of ``system.time_step``.
 
     ``u`` is (batch, m), constant along a trajectory, or (batch, steps + 1, m), one value a node;
     the input is held from a node to the next. Angles are not wrapped. The entries of rotations are
