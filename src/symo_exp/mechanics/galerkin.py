@@ -22,12 +22,13 @@ coefficients in ``q`` and ``h v``, one formula serves them all:
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from typing_extensions import override
+from typing_extensions import Self, override
 
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec
 from symo_exp.mechanics.roots import Rule, iterate, newton_step
@@ -322,17 +323,69 @@ class Basis:
         return x.unflatten(0, (len(self.alpha), len(self.alpha)))
 
 
-class GalerkinExpansion(DiscreteExpansion):
-    """The discrete Lagrangian around ``(q₀, q₁)`` at inner coefficients ``c``.
+class CondensedExpansion(DiscreteExpansion):
+    """A discrete Lagrangian around ``(q₀, q₁)`` with inner coefficients ``c``.
 
     At stationary ``c`` the slot derivatives are the partial ones (envelope theorem). Their own
-    derivatives include the motion of ``c``: with ``W`` the Hessian in all variables and ``e`` the
-    ends,
+    derivatives include the motion of ``c``: with ``W`` the derivatives of ``D₁``, the equations of
+    ``c`` and ``D₂`` in all variables, and ``e`` the ends,
 
         d(D_e L_d) = ∂(D_e L_d) − W_ec W_cc⁻¹ ∂(D_c L_d)
 
     which gives ``D₂D₁L_d = W_01 − W_0c W_cc⁻¹ W_c1``, exact, and with ``W`` held fixed the
     derivatives in parameters, configurations and forces.
+    """
+
+    stationarity: Float[Tensor, "inner batch n"]
+    """``∂L_d/∂cⱼ + h Σᵢ bᵢ φⱼ F``, zero at the solution."""
+    _condensed: tuple[Tensor, Tensor] | None = None
+
+    @abstractmethod
+    def by_unknowns(self) -> Float[Tensor, "variables unknowns batch n n"]:
+        """Return the columns of ``W`` for ``c`` and ``q₁``, the unknowns of a step."""
+
+    @override
+    def d2d1(self) -> Tensor:
+        return self._condense()[0]
+
+    @override
+    def mismatch(self, impulse: Tensor) -> Tensor:
+        return torch.cat((impulse + self.values.d1, _row(self.stationarity)), dim=1)
+
+    @override
+    def mismatch_jacobian(self) -> Tensor:
+        w = self.by_unknowns()[:-1]
+        return block_matrix(torch.cat((w[:, -1:], w[:, :-1]), dim=1))
+
+    def condensed(self) -> Self:
+        """Return this expansion with ``d2d1`` computed, which its rows then share."""
+        self._condense()
+        return self
+
+    def followed(self, slots: Slots, stationarity: Float[Tensor, "inner batch n"]) -> Slots:
+        """Return slot derivatives with those of ``c``, given the differentiable equations of it."""
+        if len(stationarity) == 0:
+            return slots
+        moved = matvec(self._condense()[1], _row(stationarity - stationarity.detach()))
+        n = slots.d1.shape[-1]
+        return Slots(slots.d1 - moved[:, :n], slots.d2 - moved[:, n:])
+
+    @torch.no_grad()
+    def _condense(self) -> tuple[Tensor, Tensor]:
+        """Return ``D₂D₁L_d`` and ``W_ec W_cc⁻¹``."""
+        if self._condensed is None:
+            w = self.by_unknowns()
+            ends, inner, n = w[[0, -1]], w[1:-1], w.shape[-1]
+            transfer = torch.linalg.solve_ex(
+                block_matrix(inner[:, :-1]), block_matrix(ends[:, :-1]), left=False
+            )[0]
+            d2d1 = w[0, -1] - transfer[:, :n] @ block_matrix(inner[:, -1:])
+            self._condensed = d2d1, transfer
+        return self._condensed
+
+
+class GalerkinExpansion(CondensedExpansion):
+    """The discrete Lagrangian of lengths and angles; ``W`` is its Hessian.
 
     Args:
         basis: The polynomials.
@@ -355,8 +408,6 @@ class GalerkinExpansion(DiscreteExpansion):
         slopes = basis.slopes(at.values, h)
         self.values = Slots(slopes[0], slopes[-1])
         self.stationarity = slopes[1:-1] + pull
-        """``∂L_d/∂cⱼ + h Σᵢ bᵢ φⱼ F``, zero at the solution."""
-        self._condensed: tuple[Tensor, Tensor] | None = None
 
     @staticmethod
     def of(
@@ -392,30 +443,17 @@ class GalerkinExpansion(DiscreteExpansion):
         return self.stationarity.abs().amax((0, -1))
 
     @override
-    def d2d1(self) -> Tensor:
-        return self._condense()[0]
-
-    @override
-    def mismatch(self, impulse: Tensor) -> Tensor:
-        return torch.cat((impulse + self.values.d1, _row(self.stationarity)), dim=1)
-
-    @override
-    def mismatch_jacobian(self) -> Tensor:
-        w = self.hessian()
-        return block_matrix(torch.cat((w[:-1, -1:], w[:-1, 1:-1]), dim=1))
+    def by_unknowns(self) -> Tensor:
+        return self.hessian()[:, 1:]
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         basis, h = self.basis, self.h
         slopes = basis.slopes(self.at.gradients(*basis.path(q0, q1, self.inner, h)), h)
-        first, inner, last = slopes[0], slopes[1:-1], slopes[-1]
-        if len(inner) == 0:
-            return Slots(first, last)
-        if forces is not None:
+        inner = slopes[1:-1]
+        if forces is not None and len(inner) > 0:
             inner = inner + basis.impulses(forces, h)[1:-1]
-        moved = matvec(self._condense()[1], _row(inner - inner.detach()))
-        n = first.shape[-1]
-        return Slots(first - moved[:, :n], last - moved[:, n:])
+        return self.followed(Slots(slopes[0], slopes[-1]), inner)
 
     # Gauss points are rows of ``at``, and blocks come before rows in the coefficients.
 
@@ -423,9 +461,7 @@ class GalerkinExpansion(DiscreteExpansion):
     def rows(self, index: Tensor) -> GalerkinExpansion:
         at = self.at.rows(self._points(index))
         rows = GalerkinExpansion(self.basis, at, self.inner[:, index], self._pull[:, index], self.h)
-        if self._condensed is not None:
-            d2d1, transfer = self._condensed
-            rows._condensed = d2d1[index], transfer[index]
+        rows._condensed = take_rows(self._condensed, index)
         return rows
 
     @override
@@ -448,25 +484,6 @@ class GalerkinExpansion(DiscreteExpansion):
         assert before is None or isinstance(before, GalerkinExpansion)
         curvature = self.at.curvature(None if before is None else before.at)
         return self.basis.hessian(curvature, self.at.mass(), self.h)
-
-    def condensed(self) -> GalerkinExpansion:
-        """Return this expansion with ``d2d1`` computed, which its rows then share."""
-        self._condense()
-        return self
-
-    @torch.no_grad()
-    def _condense(self) -> tuple[Tensor, Tensor]:
-        """Return ``D₂D₁L_d`` and ``W_ec W_cc⁻¹``."""
-        if self._condensed is None:
-            w = self.hessian()
-            ends = w[[0, -1]][:, 1:-1]
-            transfer = torch.linalg.solve_ex(
-                block_matrix(w[1:-1, 1:-1]), block_matrix(ends), left=False
-            )[0]
-            n = w.shape[-1]
-            d2d1 = w[0, -1] - transfer[:, :n] @ block_matrix(w[1:-1, -1:])
-            self._condensed = d2d1, transfer
-        return self._condensed
 
 
 def _row(blocks: Float[Tensor, "a batch n"]) -> Float[Tensor, "batch a*n"]:

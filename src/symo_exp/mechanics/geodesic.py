@@ -34,9 +34,8 @@ from symo_exp.mechanics.chart import (
     at_points,
     detached,
 )
-from symo_exp.mechanics.galerkin import Galerkin, GalerkinExpansion
+from symo_exp.mechanics.galerkin import CondensedExpansion, Galerkin, GalerkinExpansion
 from symo_exp.mechanics.geodesic_midpoint import GeodesicMidpoint
-from symo_exp.mechanics.lagrangian import matvec
 from symo_exp.mechanics.rows import take_rows
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import (
@@ -44,7 +43,6 @@ from symo_exp.mechanics.variational import (
     Forces,
     Slots,
     VariationalIntegrator,
-    block_matrix,
 )
 
 
@@ -116,7 +114,7 @@ class Geodesic(Galerkin):
         return ChartLagrangian(lagrangian, self.space, self.basis, q0.detach(), detached(forces))
 
 
-class GeodesicExpansion(DiscreteExpansion):
+class GeodesicExpansion(CondensedExpansion):
     """The discrete Lagrangian around ``(q₀, q₁)``, in body axes of these.
 
     Args:
@@ -132,21 +130,11 @@ class GeodesicExpansion(DiscreteExpansion):
         last = at.values.d2
         self._ends = Ends.of(space, x)
         self.values = self._ends.slots(last, at.basis.total(self._points.turned, at.h))
-        self._condensed: tuple[Tensor, Tensor] | None = None
+        self.stationarity = at.stationarity
 
     @override
-    def d2d1(self) -> Tensor:
-        return self._condense()[0]
-
-    @override
-    def mismatch(self, impulse: Tensor) -> Tensor:
-        inner = self._at.stationarity.transpose(0, 1).flatten(1)
-        return torch.cat((impulse + self.values.d1, inner), dim=1)
-
-    @override
-    def mismatch_jacobian(self) -> Tensor:
-        derivatives = self._derivatives()[:-1]
-        return block_matrix(torch.cat((derivatives[:, -1:], derivatives[:, :-1]), dim=1))
+    def by_unknowns(self) -> Tensor:
+        return self._in_chart(self._points.derivatives())[:, 1:]
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
@@ -157,12 +145,7 @@ class GeodesicExpansion(DiscreteExpansion):
         torques = self._points.torques(*at_points(basis, q0, forces), *path)
         slopes = basis.slopes(torques.gradients, at.h)
         found = Ends.of(space, x).slots(slopes[-1], basis.total(torques.turned, at.h))
-        stationarity = slopes[1:-1]
-        if len(stationarity) == 0:
-            return found
-        change = (stationarity - stationarity.detach()).transpose(0, 1).flatten(1)
-        moved, n = matvec(self._condense()[1], change), x.shape[1]
-        return Slots(found.d1 - moved[:, :n], found.d2 - moved[:, n:])
+        return self.followed(found, slopes[1:-1])
 
     @override
     def rows(self, index: Tensor) -> GeodesicExpansion:
@@ -174,11 +157,6 @@ class GeodesicExpansion(DiscreteExpansion):
     def replace(self, index: Tensor, other: GeodesicExpansion) -> GeodesicExpansion:
         at = self._at.replace(index, other._at)
         return GeodesicExpansion(self._space, at, self._x.index_copy(0, index, other._x))
-
-    def condensed(self) -> GeodesicExpansion:
-        """Return this expansion with ``d2d1`` computed, which its rows then share."""
-        self._condense()
-        return self
 
     @override
     def hessian(self, before: DiscreteExpansion | None = None) -> Tensor:
@@ -194,10 +172,6 @@ class GeodesicExpansion(DiscreteExpansion):
         start = w[:, :1] * ~turns + by_turn - w[:, -1:] @ (ends.inverse.mT * turns)
         return torch.cat((start, w[:, 1:-1], w[:, -1:] @ ends.inverse), dim=1)
 
-    def _derivatives(self) -> Float[Tensor, "variables variables batch n n"]:
-        """Return the derivatives of ``D₁``, the inner equations and ``D₂`` in ``(c, x)``."""
-        return self._in_chart(self._points.derivatives())[:, 1:]
-
     def _in_chart(self, found: ChartDerivatives) -> Float[Tensor, "variables variables batch n n"]:
         """Return the derivatives of ``D₁``, the inner equations and ``D₂`` in ``(φ₀, c, x)``."""
         at, ends = self._at, self._ends
@@ -208,17 +182,3 @@ class GeodesicExpansion(DiscreteExpansion):
         first = torch.cat((first[:-1], first[-1:] - start_slope))
         final = torch.cat((final[:-1], final[-1:] + end_slope))
         return torch.cat((first.unsqueeze(0), w[:-1], final.unsqueeze(0)))
-
-    @torch.no_grad()
-    def _condense(self) -> tuple[Tensor, Tensor]:
-        """Return ``D₂D₁L_d`` and the derivatives of both slots in the inner equations."""
-        if self._condensed is None:
-            derivatives = self._derivatives()
-            ends, inner = derivatives[[0, -1]], derivatives[1:-1]
-            transfer = torch.linalg.solve_ex(
-                block_matrix(inner[:, :-1]), block_matrix(ends[:, :-1]), left=False
-            )[0]
-            n = derivatives.shape[-1]
-            d2d1 = derivatives[0, -1] - transfer[:, :n] @ block_matrix(inner[:, -1:])
-            self._condensed = d2d1, transfer
-        return self._condensed
