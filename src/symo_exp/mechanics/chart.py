@@ -62,11 +62,6 @@ def control_slope(
         return space.pull(point.unsqueeze(1), jacobian(force, q).detach())
 
 
-def detached(forces: Forces | None) -> Forces | None:
-    """Return forces without a graph."""
-    return forces and Forces(forces.start.detach(), forces.end.detach())
-
-
 def at_points(basis: Basis, q0: Tensor, controls: Forces | None) -> tuple[Tensor, Tensor | None]:
     """Return ``q₀`` and the controls for each Gauss point, the points outermost."""
     base = q0.repeat(len(basis.b), 1)

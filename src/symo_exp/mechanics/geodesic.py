@@ -32,7 +32,6 @@ from symo_exp.mechanics.chart import (
     Controlled,
     Ends,
     at_points,
-    detached,
 )
 from symo_exp.mechanics.galerkin import CondensedExpansion, Galerkin, GalerkinExpansion
 from symo_exp.mechanics.geodesic_midpoint import GeodesicMidpoint
@@ -111,7 +110,8 @@ class Geodesic(Galerkin):
         return zero, zero
 
     def _chart(self, lagrangian: Controlled, q0: Tensor, forces: Forces | None) -> ChartLagrangian:
-        return ChartLagrangian(lagrangian, self.space, self.basis, q0.detach(), detached(forces))
+        controls = forces and forces.detached()
+        return ChartLagrangian(lagrangian, self.space, self.basis, q0.detach(), controls)
 
 
 class GeodesicExpansion(CondensedExpansion):

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.chart import Chart, Controlled, Ends, control_slope, detached
+from symo_exp.mechanics.chart import Chart, Controlled, Ends, control_slope
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, matvec, vecmat
 from symo_exp.mechanics.space import Space, cross
 from symo_exp.mechanics.variational import DiscreteExpansion, Forces, Slots, VariationalIntegrator
@@ -51,7 +51,8 @@ class GeodesicMidpoint(VariationalIntegrator):
         self, lagrangian: Controlled, q0: Tensor, x: Tensor, h: float, forces: Forces | None = None
     ) -> GeodesicMidpointExpansion:
         middle = _Middle.of(self.space, q0.detach(), x, h)
-        at, controls = lagrangian.lagrangian.expand(middle.q, middle.v), detached(forces)
+        at = lagrangian.lagrangian.expand(middle.q, middle.v)
+        controls = forces and forces.detached()
         moment = middle.moment(lagrangian, controls, at.values.q)
         values = middle.slots_of(moment, at.values.v)
         found = GeodesicMidpointExpansion(

@@ -37,6 +37,10 @@ class Forces(NamedTuple):
     start: Float[Tensor, "batch n"]
     end: Float[Tensor, "batch n"]
 
+    def detached(self) -> Forces:
+        """Return the forces without a graph."""
+        return Forces(self.start.detach(), self.end.detach())
+
 
 class Slots(NamedTuple):
     """The slot derivatives of a discrete Lagrangian ``L_d(q₀, q₁)``."""
@@ -357,9 +361,8 @@ class MomentumMatching(Rowwise):
         impulse: Float[Tensor, "batch n"],
         forces: Forces | None = None,
     ) -> None:
-        self._discrete = discrete
+        self._discrete, self._forces = discrete, forces and forces.detached()
         self._q0, self._impulse = q0.detach(), impulse.detach()
-        self._forces = forces and Forces(forces.start.detach(), forces.end.detach())
 
     def start(self, guess: Float[Tensor, "batch n"]) -> Float[Tensor, "batch k"]:
         """Return the unknowns at an initial guess of ``q₁``."""
