@@ -81,5 +81,28 @@ def test_a_fit_in_other_units_has_the_same_predictions(lagrangian, integrator, a
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("integrator", [VariationalMidpoint(), Galerkin(stages=2)])
+def test_a_step_in_other_units_takes_as_many_iterations(integrator):
+    """Also in single precision, whose roundings of metres are larger than a small machine."""
+    generator = torch.Generator().manual_seed(1)
+    q, v = torch.randn(2, 6, 2, generator=generator)
+    found = []
+    for units in (SI, Units(2.0**-20, 1.0, 1.0)):
+        torch.manual_seed(0)
+        coordinates = _coordinates(units, (False, False))
+        model = SyMo(
+            partial(NetworkLagrangian, width=8),
+            coordinates=coordinates,
+            input_matrix=torch.zeros(2, 1),
+            time_step=0.3,
+            integrator=integrator,
+            root=Newton(tolerance=1e-5, max_iterations=20),
+        )
+        step = model.step(q * coordinates.sizes, v * coordinates.sizes)
+        found.append((step.q / coordinates.sizes, step.iterations, step.converged))
+    torch.testing.assert_close(found[1], found[0])
+    assert found[0][1].max() > 1
+
+
 def _coordinates(units, angular):
     return Coordinates(tuple(map(str, range(len(angular)))), angular, units=units)

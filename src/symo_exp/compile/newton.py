@@ -81,7 +81,7 @@ def iterate_branch_free(
     step = solve(jacobian, -at.residual)
     norm = joint_norm(at.residual).expand(x.shape[0]) if together else row_norm(at.residual)
     near = norm <= root.tolerance
-    settled = (step.abs() <= rounding(x)).all(-1)
+    settled = (step.abs() <= rounding(x, root.sizes)).all(-1)
     last = torch.zeros_like(settled) if together else settled
     if before is None:
         wanting = torch.ones_like(near) if together else ~near

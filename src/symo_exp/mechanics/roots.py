@@ -45,6 +45,8 @@ class RootPoint(Point, Protocol):
         ...
 
 
+Sizes = tuple[float, ...] | None
+"""Units of coordinates [m; 1 of angles], which numbers near zero are relative to; ``None``: 1."""
 P = TypeVar("P", bound=Point)
 R = TypeVar("R", bound=RootPoint)
 S = TypeVar("S", bound=tuple[Any, ...])
@@ -157,6 +159,9 @@ class RootFinder(ABC):
         max_iterations: Bound on the evaluations of ``g`` after the first.
     """
 
+    sizes: Sizes = None
+    """Units of the unknowns ``x``."""
+
     def __init__(self, *, tolerance: float, max_iterations: int) -> None:
         if not tolerance > 0.0:
             raise ValueError(f"tolerance must be positive, got {tolerance}")
@@ -203,7 +208,7 @@ class Newton(RootFinder):
             x, at, common = iterate(problem, x, joint, self.max_iterations)
             converged = (row_norm(at.residual) <= self.tolerance) | (common.norm <= self.tolerance)
             return Root(x, converged, common.iterations, at)
-        damped: DampedNewton[R] = DampedNewton(self.tolerance)
+        damped: DampedNewton[R] = DampedNewton(self.tolerance, self.sizes)
         x, at, state = iterate(problem, x, damped, self.max_iterations)
         converged = (state.norm <= self.tolerance) | state.settled
         return Root(x, converged, state.iterations, at)
@@ -225,13 +230,14 @@ class DampedNewton(Rule[R, Damped]):
 
     Args:
         tolerance: Bound on ``‖g‖₂ / √n`` of a row.
+        sizes: Units of the unknowns.
     """
 
     smallest_damping = 1 / 16
     """A row that asks for a smaller ``α`` is given up: it is near a singular Jacobian."""
 
-    def __init__(self, tolerance: float) -> None:
-        self._tolerance = tolerance
+    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
+        self._tolerance, self._sizes = tolerance, sizes
 
     @override
     def start(self, x: Tensor, at: R) -> Damped:
@@ -256,7 +262,7 @@ class DampedNewton(Rule[R, Damped]):
     @override
     def trial(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
         step = newton_step(at)
-        settled = (step.abs() <= rounding(x)).all(-1)
+        settled = (step.abs() <= rounding(x, self._sizes)).all(-1)
         return x + state.damping.unsqueeze(-1) * step, state._replace(settled=settled)
 
     @override
@@ -379,9 +385,15 @@ def newton_step(at: RootPoint) -> Float[Tensor, "batch n"]:
     return solve(at.jacobian(), -at.residual)
 
 
-def rounding(x: Tensor) -> Tensor:
-    """Return a bound on the effect of a few roundings of ``x``."""
-    return 16.0 * torch.finfo(x.dtype).eps * x.abs().clamp(min=1.0)
+def rounding(x: Float[Tensor, "*batch k"], sizes: Sizes = None) -> Float[Tensor, "*batch k"]:
+    """Return a bound on the effect of a few roundings of ``x``, in numbers of its order or one."""
+    size = x.abs().clamp(min=1.0) if sizes is None else x.abs().maximum(repeated(sizes, x))
+    return 16.0 * torch.finfo(x.dtype).eps * size
+
+
+def repeated(sizes: tuple[float, ...], like: Float[Tensor, "*batch k"]) -> Float[Tensor, " k"]:
+    """Return the units of the columns of a tensor, in which those of all coordinates repeat."""
+    return like.new_tensor(sizes).repeat(like.shape[-1] // len(sizes))
 
 
 def row_norm(residual: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.roots import Rule, rounding
+from symo_exp.mechanics.roots import Rule, Sizes, rounding
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import (
@@ -142,15 +142,17 @@ class StretchPoint(Rowwise):
         nodes = self._space.retract(x[:, :, :width], step[:, :, :n])
         return torch.cat((nodes, x[:, :, width:] + step[:, :, n:]), dim=2).flatten(1)
 
-    def resolution(self, x: Float[Tensor, "batch unknowns"]) -> Float[Tensor, "batch changes"]:
+    def resolution(
+        self, x: Float[Tensor, "batch unknowns"], sizes: Sizes
+    ) -> Float[Tensor, "batch changes"]:
         """Return a bound on the effect of roundings of the unknowns on their changes."""
         if not self._space.rotations:
-            return rounding(x)
+            return rounding(x, sizes)
         n, width = self.p.shape[2], self._space.stored(self.p.shape[2])
         x = x.unflatten(1, (self.p.shape[1], -1))
         flat = n - 3 * self._space.rotations
         change = torch.cat((x[:, :, :flat], torch.zeros_like(x[:, :, flat:n])), dim=2)
-        return rounding(torch.cat((change, x[:, :, width:]), dim=2).flatten(1))
+        return rounding(torch.cat((change, x[:, :, width:]), dim=2).flatten(1), sizes)
 
     def slopes(
         self, start: Float[Tensor, "batch 2n columns"]
@@ -212,10 +214,11 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
 
     Args:
         tolerance: Bound on ``‖g‖₂ / √k`` of a step.
+        sizes: Units of the coordinates.
     """
 
-    def __init__(self, tolerance: float) -> None:
-        self._tolerance = tolerance
+    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
+        self._tolerance, self._sizes = tolerance, sizes
 
     def converged(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, " batch"]:
         """Return the rows that are roots, or as near to one as rounding allows."""
@@ -243,7 +246,7 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
     ) -> tuple[Tensor, StretchState]:
         step = at.newton_step(state.before)
         there = at.moved(x, step)
-        settled = (step.abs() <= at.resolution(x)).all(-1)
+        settled = (step.abs() <= at.resolution(x, self._sizes)).all(-1)
         length = step.norm(dim=-1)
         grows = (length > state.length) & ~settled & ~self.converged(at, state)
         return there, StretchState(settled, at, length, state.lost | grows)

@@ -386,7 +386,7 @@ class VariationalFlow(Flow):
         t = self.time_step * torch.arange(1, steps + 1).to(q)
         moved = t[:, None] * self.decode(q, p).unsqueeze(1)
         guess = self.space.retract(q.unsqueeze(1).expand(-1, steps, -1), moved)
-        rule = StretchNewton(self.rollout_root.tolerance)
+        rule = StretchNewton(self.rollout_root.tolerance, self.rollout_root.sizes)
         x, at, state = iterate(problem, problem.start(guess), rule, MOST_UPDATES)
         return problem.nodes(x), at, rule.converged(at, state)
 

@@ -62,10 +62,11 @@ def learned_lagrangian(
 
 
 def in_units(root: Root, coordinates: Coordinates) -> Root:
-    """Return a root finder of momenta whose tolerance is in the units of the coordinates."""
+    """Return a root finder of momenta whose tolerances are in the units of the coordinates."""
     if root is None or coordinates.units == SI:
         return root
     momenta = coordinates.units.size("N m s") / coordinates.sizes
     found = copy.copy(root)
     found.tolerance = root.tolerance * float(momenta.min())
+    found.sizes = tuple(coordinates.sizes.tolist())
     return found
