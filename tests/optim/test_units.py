@@ -21,7 +21,7 @@ from symo_exp.training.learner import Learner
 CASES = [
     (VariationalMidpoint(), (False, True)),
     (VariationalMidpoint(), (True, False, True)),
-    (Galerkin(stages=2), (False,)),  # its inner steps compare lengths with angles
+    (Galerkin(stages=2), (False, True)),
 ]
 UNITS = [Units(1e-6, 1e-3, 1e3), Units(1e3, 1.0, 1e-3), Units(1.0, 1.0, 1e-9)]
 STEP = 0.02

@@ -22,6 +22,7 @@ coefficients in ``q`` and ``h v``, one formula serves them all:
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from typing import NamedTuple
 
@@ -31,7 +32,7 @@ from torch import Tensor
 from typing_extensions import Self, override
 
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec
-from symo_exp.mechanics.roots import Rule, iterate, newton_step
+from symo_exp.mechanics.roots import Rule, Sizes, iterate, newton_step, repeated
 from symo_exp.mechanics.rows import Rowwise, take_rows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -42,6 +43,9 @@ from symo_exp.mechanics.variational import (
     distinct,
 )
 
+TOLERANCE, MOST_UPDATES = 1e-12, 12
+"""Of the inner coefficients, by default and in evaluation."""
+
 
 class Galerkin(VariationalIntegrator):
     """The Galerkin variational integrator with ``stages`` = s Gauss points, order 2s.
@@ -49,9 +53,10 @@ class Galerkin(VariationalIntegrator):
     A step solves for ``(q₁, c)`` at once. Between two given configurations the inner coefficients
     start at zero and are improved by Newton's method with the inertia's part of the Hessian,
     ``Σᵢ bᵢ Pⱼ Pₗ Hᵢ / h``, which is nearly diagonal and always regular, and with that of friction,
-    until the last update is below ``tolerance`` of the displacement. Each update gains two to three
-    digits at usual step sizes. A row that an update would make worse keeps its coefficients
-    (untrained networks have such rows); with friction it tries a part of the update.
+    until the last update is below ``tolerance`` of the displacement, both in the units of the
+    coordinates (``sizes``). Each update gains two to three digits at usual step sizes. A row that
+    an update would make worse keeps its coefficients (untrained networks have such rows); with
+    friction it tries a part of the update.
 
     Args:
         stages: Number of Gauss points.
@@ -61,7 +66,9 @@ class Galerkin(VariationalIntegrator):
 
     has_hessian = True
 
-    def __init__(self, *, stages: int, tolerance: float = 1e-12, max_iterations: int = 12) -> None:
+    def __init__(
+        self, *, stages: int, tolerance: float = TOLERANCE, max_iterations: int = MOST_UPDATES
+    ) -> None:
         if stages < 1:
             raise ValueError(f"stages must be at least 1, got {stages}")
         if not tolerance > 0.0:
@@ -107,7 +114,7 @@ class Galerkin(VariationalIntegrator):
         start = q0.new_zeros(q0.shape[0], (self.stages - 1) * q0.shape[1])
         if self.stages == 1:
             return problem.at(start).expansion
-        rule = InnerSteps(max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps))
+        rule = InnerSteps(max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps), self.sizes)
         return iterate(problem, start, rule, self.max_iterations)[1].expansion
 
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
@@ -123,8 +130,10 @@ class Galerkin(VariationalIntegrator):
         return GalerkinExpansion.of(self.basis, lagrangian, q0, q1, c, h, forces)
 
     @override
-    def converged(self) -> Galerkin:
-        return Galerkin(stages=self.stages)
+    def converged(self) -> Self:
+        found = copy.copy(self)
+        found.tolerance, found.max_iterations = TOLERANCE, MOST_UPDATES
+        return found
 
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
         """Return ``h Σᵢ bᵢ (1 − τᵢ) F(τᵢ)`` and ``h Σᵢ bᵢ τᵢ F(τᵢ)``, exact for ``s ≥ 2``."""
@@ -184,10 +193,10 @@ class InnerPoint(Rowwise):
         """Return the part of the inertia in ``W_cc`` and that of friction."""
         return self.expansion.inner_mass()
 
-    def reach(self) -> Float[Tensor, " batch"]:
-        """Return the size of the motion over the interval."""
-        inner = self.expansion.inner.abs().amax((0, -1))
-        return self._displacement.abs().amax(-1) + inner
+    def reach(self, sizes: Sizes) -> Float[Tensor, " batch"]:
+        """Return the size of the motion over the interval, in the units of the coordinates."""
+        inner = _over(self.expansion.inner, sizes).abs().amax((0, -1))
+        return _over(self._displacement, sizes).abs().amax(-1) + inner
 
 
 class Inner(NamedTuple):
@@ -203,10 +212,12 @@ class InnerSteps(Rule[InnerPoint, Inner]):
 
     Args:
         tolerance: Bound on a step, relative to the motion over the interval.
+        sizes: Units of the coordinates, in which lengths and angles are compared.
     """
 
-    def __init__(self, tolerance: float) -> None:
-        self._tolerance = tolerance
+    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
+        self._tolerance, self._sizes = tolerance, sizes
+        self._impulses = sizes and tuple(1.0 / size for size in sizes)
 
     @override
     def start(self, x: Tensor, at: InnerPoint) -> Inner:
@@ -215,7 +226,8 @@ class InnerSteps(Rule[InnerPoint, Inner]):
     @override
     def active(self, x: Tensor, at: InnerPoint, state: Inner) -> tuple[Tensor, Inner]:
         step = newton_step(at)
-        active = ~(step.abs().amax(-1) <= self._tolerance * at.reach())
+        largest = _over(step, self._sizes).abs().amax(-1)
+        active = ~(largest <= self._tolerance * at.reach(self._sizes))
         return active, state._replace(step=step)
 
     @override
@@ -230,7 +242,8 @@ class InnerSteps(Rule[InnerPoint, Inner]):
     def judge(
         self, active: Tensor, at: InnerPoint, there: InnerPoint, state: Inner
     ) -> tuple[Tensor, Inner]:
-        better = there.expansion.imbalance() <= at.expansion.imbalance()
+        after, before = (x.expansion.imbalance(self._impulses) for x in (there, at))
+        better = after <= before
         accepted = better & (better & active).any()
         if at.expansion.dissipates:
             share = torch.where(better.unsqueeze(-1), 1.0, 0.25 * state.share)
@@ -438,9 +451,9 @@ class GalerkinExpansion(CondensedExpansion):
         """True if there is friction, which varies within a step: updates may go too far."""
         return self.at.dissipates
 
-    def imbalance(self) -> Float[Tensor, " batch"]:
-        """Return the largest entry of ``stationarity`` of a row."""
-        return self.stationarity.abs().amax((0, -1))
+    def imbalance(self, sizes: Sizes) -> Float[Tensor, " batch"]:
+        """Return the largest entry of ``stationarity`` of a row, in units of impulses."""
+        return _over(self.stationarity, sizes).abs().amax((0, -1))
 
     @override
     def by_unknowns(self) -> Tensor:
@@ -484,6 +497,11 @@ class GalerkinExpansion(CondensedExpansion):
         assert before is None or isinstance(before, GalerkinExpansion)
         curvature = self.at.curvature(None if before is None else before.at)
         return self.basis.hessian(curvature, self.at.mass(), self.h)
+
+
+def _over(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
+    """Return numbers in the given units, as they are without them."""
+    return x if sizes is None else x / repeated(sizes, x)
 
 
 def _row(blocks: Float[Tensor, "a batch n"]) -> Float[Tensor, "batch a*n"]:

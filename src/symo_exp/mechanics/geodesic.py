@@ -60,7 +60,9 @@ def on_space(integrator: VariationalIntegrator, space: Space) -> VariationalInte
         )
     if integrator.stages == 1:
         return GeodesicMidpoint(space)
-    return Geodesic(space=space, stages=integrator.stages)
+    found = Geodesic(space=space, stages=integrator.stages)
+    found.sizes = integrator.sizes
+    return found
 
 
 class Geodesic(Galerkin):
@@ -98,10 +100,6 @@ class Geodesic(Galerkin):
     @override
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
         return super().unknowns(q0, self.space.chart(q0, q1))
-
-    @override
-    def converged(self) -> Geodesic:
-        return Geodesic(space=self.space, stages=self.stages)
 
     @override
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:

@@ -26,7 +26,7 @@ from typing_extensions import override
 
 from symo_exp.mechanics.implicit import attach_root
 from symo_exp.mechanics.lagrangian import Expansion, Lagrangian
-from symo_exp.mechanics.roots import Root, RootFinder
+from symo_exp.mechanics.roots import Root, RootFinder, Sizes
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import FLAT, Space
 
@@ -95,6 +95,8 @@ class VariationalIntegrator(ABC):
     """True if it solves for the motion between two configurations."""
     space: Space = FLAT
     """The space of the configurations that it takes."""
+    sizes: Sizes = None
+    """Units of the coordinates."""
     stages: int | None = None
     """Number of Gauss points of its extension to rotations, ``None`` if it has none."""
     has_hessian = False

@@ -59,7 +59,7 @@ class E2ESyMo(DynamicsModel):
     ) -> None:
         flow = VariationalFlow(
             learned_lagrangian(coordinates, lagrangian, dissipation, springs),
-            integrator,
+            in_units(integrator, coordinates),
             time_step,
             input_matrix,
             root=in_units(root, coordinates),

@@ -11,9 +11,10 @@ from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
+from symo_exp.mechanics.variational import VariationalIntegrator
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 
-Root = TypeVar("Root", bound="RootFinder | None")
+Method = TypeVar("Method", bound="RootFinder | VariationalIntegrator | None")
 
 
 @runtime_checkable
@@ -61,12 +62,13 @@ def learned_lagrangian(
     return DissipativeLagrangian(conservative, friction)
 
 
-def in_units(root: Root, coordinates: Coordinates) -> Root:
-    """Return a root finder of momenta whose tolerances are in the units of the coordinates."""
-    if root is None or coordinates.units == SI:
-        return root
-    momenta = coordinates.units.size("N m s") / coordinates.sizes
-    found = copy.copy(root)
-    found.tolerance = root.tolerance * float(momenta.min())
+def in_units(method: Method, coordinates: Coordinates) -> Method:
+    """Return an integrator, or a root finder of momenta, that iterates in units of coordinates."""
+    if method is None or coordinates.units == SI:
+        return method
+    found = copy.copy(method)
     found.sizes = tuple(coordinates.sizes.tolist())
+    if isinstance(found, RootFinder):
+        momenta = coordinates.units.size("N m s") / coordinates.sizes
+        found.tolerance *= float(momenta.min())
     return found

@@ -68,7 +68,7 @@ class SyMo(DynamicsModel):
             )
         flow = VariationalFlow(
             learned_lagrangian(coordinates, lagrangian, dissipation, springs),
-            integrator,
+            in_units(integrator, coordinates),
             time_step,
             input_matrix,
             root=in_units(root, coordinates),
