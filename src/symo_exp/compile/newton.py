@@ -79,8 +79,9 @@ def iterate_branch_free(
     at, together = problem.at(x), root.stopping == "batch"
     jacobian = at.jacobian()
     step = solve(jacobian, -at.residual)
-    norm = joint_norm(at.residual).expand(x.shape[0]) if together else row_norm(at.residual)
-    near = norm <= root.tolerance
+    norm = joint_norm if together else row_norm
+    length = norm(at.residual, root.sizes)
+    near = (length.expand(x.shape[0]) if together else length) <= root.tolerance
     settled = (step.abs() <= rounding(x, root.sizes)).all(-1)
     last = torch.zeros_like(settled) if together else settled
     if before is None:

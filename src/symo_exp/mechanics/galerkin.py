@@ -32,7 +32,7 @@ from torch import Tensor
 from typing_extensions import Self, override
 
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec
-from symo_exp.mechanics.roots import Rule, Sizes, iterate, newton_step, repeated
+from symo_exp.mechanics.roots import Rule, Sizes, comparable, iterate, newton_step, relative
 from symo_exp.mechanics.rows import Rowwise, take_rows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -195,8 +195,8 @@ class InnerPoint(Rowwise):
 
     def reach(self, sizes: Sizes) -> Float[Tensor, " batch"]:
         """Return the size of the motion over the interval, in the units of the coordinates."""
-        inner = _over(self.expansion.inner, sizes).abs().amax((0, -1))
-        return _over(self._displacement, sizes).abs().amax(-1) + inner
+        inner = relative(self.expansion.inner, sizes).abs().amax((0, -1))
+        return relative(self._displacement, sizes).abs().amax(-1) + inner
 
 
 class Inner(NamedTuple):
@@ -217,7 +217,6 @@ class InnerSteps(Rule[InnerPoint, Inner]):
 
     def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
         self._tolerance, self._sizes = tolerance, sizes
-        self._impulses = sizes and tuple(1.0 / size for size in sizes)
 
     @override
     def start(self, x: Tensor, at: InnerPoint) -> Inner:
@@ -226,7 +225,7 @@ class InnerSteps(Rule[InnerPoint, Inner]):
     @override
     def active(self, x: Tensor, at: InnerPoint, state: Inner) -> tuple[Tensor, Inner]:
         step = newton_step(at)
-        largest = _over(step, self._sizes).abs().amax(-1)
+        largest = relative(step, self._sizes).abs().amax(-1)
         active = ~(largest <= self._tolerance * at.reach(self._sizes))
         return active, state._replace(step=step)
 
@@ -242,7 +241,7 @@ class InnerSteps(Rule[InnerPoint, Inner]):
     def judge(
         self, active: Tensor, at: InnerPoint, there: InnerPoint, state: Inner
     ) -> tuple[Tensor, Inner]:
-        after, before = (x.expansion.imbalance(self._impulses) for x in (there, at))
+        after, before = (x.expansion.imbalance(self._sizes) for x in (there, at))
         better = after <= before
         accepted = better & (better & active).any()
         if at.expansion.dissipates:
@@ -452,8 +451,8 @@ class GalerkinExpansion(CondensedExpansion):
         return self.at.dissipates
 
     def imbalance(self, sizes: Sizes) -> Float[Tensor, " batch"]:
-        """Return the largest entry of ``stationarity`` of a row, in units of impulses."""
-        return _over(self.stationarity, sizes).abs().amax((0, -1))
+        """Return the largest entry of ``stationarity`` of a row, in the units of coordinates."""
+        return comparable(self.stationarity, sizes).abs().amax((0, -1))
 
     @override
     def by_unknowns(self) -> Tensor:
@@ -497,11 +496,6 @@ class GalerkinExpansion(CondensedExpansion):
         assert before is None or isinstance(before, GalerkinExpansion)
         curvature = self.at.curvature(None if before is None else before.at)
         return self.basis.hessian(curvature, self.at.mass(), self.h)
-
-
-def _over(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
-    """Return numbers in the given units, as they are without them."""
-    return x if sizes is None else x / repeated(sizes, x)
 
 
 def _row(blocks: Float[Tensor, "a batch n"]) -> Float[Tensor, "batch a*n"]:

@@ -160,7 +160,7 @@ class RootFinder(ABC):
     """
 
     sizes: Sizes = None
-    """Units of the unknowns ``x``."""
+    """Units of the unknowns ``x``; the norm is that of ``g`` times these, energy times time."""
 
     def __init__(self, *, tolerance: float, max_iterations: int) -> None:
         if not tolerance > 0.0:
@@ -204,9 +204,10 @@ class Newton(RootFinder):
     @override
     def solve(self, problem: RowProblem[R], x: Tensor) -> Root[R]:
         if self.stopping == "batch":
-            joint: JointNewton[R] = JointNewton(self.tolerance)
+            joint: JointNewton[R] = JointNewton(self.tolerance, self.sizes)
             x, at, common = iterate(problem, x, joint, self.max_iterations)
-            converged = (row_norm(at.residual) <= self.tolerance) | (common.norm <= self.tolerance)
+            near = row_norm(at.residual, self.sizes) <= self.tolerance
+            converged = near | (common.norm <= self.tolerance)
             return Root(x, converged, common.iterations, at)
         damped: DampedNewton[R] = DampedNewton(self.tolerance, self.sizes)
         x, at, state = iterate(problem, x, damped, self.max_iterations)
@@ -242,7 +243,7 @@ class DampedNewton(Rule[R, Damped]):
     @override
     def start(self, x: Tensor, at: R) -> Damped:
         return Damped(
-            row_norm(at.residual),
+            row_norm(at.residual, self._sizes),
             torch.ones(len(x), dtype=x.dtype, device=x.device),
             torch.zeros(len(x), dtype=torch.bool, device=x.device),
             torch.zeros(len(x), dtype=torch.int64, device=x.device),
@@ -267,7 +268,7 @@ class DampedNewton(Rule[R, Damped]):
 
     @override
     def judge(self, active: Tensor, at: R, there: R, state: Damped) -> tuple[Tensor | None, Damped]:
-        norm, alpha = row_norm(there.residual), state.damping
+        norm, alpha = row_norm(there.residual, self._sizes), state.damping
         bound = torch.clamp((1.0 - 1e-4 * alpha) * state.norm, min=self._tolerance)
         accepted = norm <= bound
         alpha = torch.where(accepted, (2.0 * alpha).clamp(max=1.0), 0.5 * alpha)
@@ -288,10 +289,11 @@ class JointNewton(Rule[R, JointState]):
 
     Args:
         tolerance: Bound on ``‖g‖_F / √(B n)``.
+        sizes: Units of the unknowns.
     """
 
-    def __init__(self, tolerance: float) -> None:
-        self._tolerance = tolerance
+    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
+        self._tolerance, self._sizes = tolerance, sizes
 
     @override
     def start(self, x: Tensor, at: R) -> JointState:
@@ -309,7 +311,7 @@ class JointNewton(Rule[R, JointState]):
 
     @override
     def judge(self, active: Tensor, at: R, there: R, state: JointState) -> tuple[None, JointState]:
-        norm = joint_norm(there.residual).expand(len(active))
+        norm = joint_norm(there.residual, self._sizes).expand(len(active))
         return None, JointState(norm, state.iterations + active)
 
 
@@ -329,7 +331,7 @@ class Broyden(RootFinder):
 
     @override
     def solve(self, problem: RowProblem[R], x: Tensor) -> Root[R]:
-        rule: SecantSteps[R] = SecantSteps(self.tolerance)
+        rule: SecantSteps[R] = SecantSteps(self.tolerance, self.sizes)
         x, at, state = iterate(problem, x, rule, self.max_iterations)
         return Root(x, state.norm <= self.tolerance, state.iterations, at)
 
@@ -348,15 +350,17 @@ class SecantSteps(Rule[R, Secant]):
 
     Args:
         tolerance: Bound on ``‖g‖₂ / √n`` of a row.
+        sizes: Units of the unknowns.
     """
 
-    def __init__(self, tolerance: float) -> None:
-        self._tolerance = tolerance
+    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
+        self._tolerance, self._sizes = tolerance, sizes
 
     @override
     def start(self, x: Tensor, at: R) -> Secant:
         counts = torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        return Secant(row_norm(at.residual), at.jacobian(), torch.zeros_like(x), counts)
+        norm = row_norm(at.residual, self._sizes)
+        return Secant(norm, at.jacobian(), torch.zeros_like(x), counts)
 
     @override
     def active(self, x: Tensor, at: R, state: Secant) -> tuple[Tensor, Secant]:
@@ -377,7 +381,8 @@ class SecantSteps(Rule[R, Secant]):
         mismatch = there.residual - at.residual - matvec(secant, step)
         scale = step.square().sum(-1, keepdim=True).clamp(min=torch.finfo(step.dtype).tiny)
         secant = secant + mismatch.unsqueeze(-1) * (step / scale).unsqueeze(-2)
-        return None, Secant(row_norm(there.residual), secant, step, iterations + active)
+        norm = row_norm(there.residual, self._sizes)
+        return None, Secant(norm, secant, step, iterations + active)
 
 
 def newton_step(at: RootPoint) -> Float[Tensor, "batch n"]:
@@ -396,11 +401,21 @@ def repeated(sizes: tuple[float, ...], like: Float[Tensor, "*batch k"]) -> Float
     return like.new_tensor(sizes).repeat(like.shape[-1] // len(sizes))
 
 
-def row_norm(residual: Tensor) -> Tensor:
+def row_norm(residual: Float[Tensor, "*batch n"], sizes: Sizes = None) -> Float[Tensor, " *batch"]:
     """Return ``‖g‖₂ / √n`` of each row."""
-    return residual.square().mean(-1).sqrt()
+    return comparable(residual, sizes).square().mean(-1).sqrt()
 
 
-def joint_norm(residual: Tensor) -> Tensor:
+def joint_norm(residual: Float[Tensor, "batch n"], sizes: Sizes = None) -> Float[Tensor, ""]:
     """Return ``‖g‖_F / √(B n)`` of all rows together."""
-    return residual.square().mean().sqrt()
+    return comparable(residual, sizes).square().mean().sqrt()
+
+
+def relative(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
+    """Return changes of coordinates over the units of these."""
+    return x if sizes is None else x / repeated(sizes, x)
+
+
+def comparable(momenta: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
+    """Return momenta times the units of their coordinates: all have the unit energy times time."""
+    return momenta if sizes is None else momenta * repeated(sizes, momenta)

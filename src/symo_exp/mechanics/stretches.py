@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.roots import Rule, Sizes, rounding
+from symo_exp.mechanics.roots import Rule, Sizes, comparable, relative, rounding
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import (
@@ -121,9 +121,9 @@ class StretchPoint(Rowwise):
         batch, steps = self.p.shape[:2]
         return (torch.arange(steps, device=index.device)[:, None] * batch + index).flatten()
 
-    def norm(self) -> Float[Tensor, " batch"]:
+    def norm(self, sizes: Sizes) -> Float[Tensor, " batch"]:
         """Return the largest ``‖g‖₂ / √k`` of a step."""
-        return self.mismatch.square().mean(-1).amax(-1).sqrt()
+        return comparable(self.mismatch, sizes).square().mean(-1).amax(-1).sqrt()
 
     def newton_step(self, before: StretchPoint | None) -> Float[Tensor, "batch unknowns"]:
         """Return the step of Newton's method; ``before`` is the previous iterate."""
@@ -222,7 +222,7 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
 
     def converged(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, " batch"]:
         """Return the rows that are roots, or as near to one as rounding allows."""
-        norm = at.norm()
+        norm = at.norm(self._sizes)
         return ~state.lost & ((norm <= self._tolerance) | (state.settled & norm.isfinite()))
 
     @override
@@ -234,7 +234,7 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
     def active(
         self, x: Tensor, at: StretchPoint, state: StretchState
     ) -> tuple[Tensor, StretchState]:
-        return at.norm().isfinite() & ~state.lost & ~self.converged(at, state), state
+        return at.norm(self._sizes).isfinite() & ~state.lost & ~self.converged(at, state), state
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -247,7 +247,7 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
         step = at.newton_step(state.before)
         there = at.moved(x, step)
         settled = (step.abs() <= at.resolution(x, self._sizes)).all(-1)
-        length = step.norm(dim=-1)
+        length = relative(step, self._sizes).norm(dim=-1)
         grows = (length > state.length) & ~settled & ~self.converged(at, state)
         return there, StretchState(settled, at, length, state.lost | grows)
 

@@ -69,6 +69,5 @@ def in_units(method: Method, coordinates: Coordinates) -> Method:
     found = copy.copy(method)
     found.sizes = tuple(coordinates.sizes.tolist())
     if isinstance(found, RootFinder):
-        momenta = coordinates.units.size("N m s") / coordinates.sizes
-        found.tolerance *= float(momenta.min())
+        found.tolerance *= coordinates.units.size("N m s")
     return found
