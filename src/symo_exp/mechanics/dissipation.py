@@ -17,16 +17,8 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.forced import ForcedLagrangian
-from symo_exp.mechanics.lagrangian import (
-    Curvature,
-    Expansion,
-    Gradients,
-    Lagrangian,
-    jacobian,
-    matvec,
-)
-from symo_exp.mechanics.space import Space
+from symo_exp.mechanics.forced import ForcedExpansion, ForcedLagrangian
+from symo_exp.mechanics.lagrangian import Curvature, Expansion, Lagrangian, jacobian, matvec
 
 
 class Dissipation(ABC):
@@ -86,8 +78,33 @@ class Friction(Dissipation):
         return -matvec(self.viscous.to(v), v) - dry
 
 
+class DissipativeExpansion(ForcedExpansion):
+    """A Lagrangian and a dissipative force around ``(q, v)``."""
+
+    dissipates = True
+    _lagrangian: DissipativeLagrangian
+
+    @override
+    def curvature(self, before: Expansion | None = None) -> Curvature:
+        dissipation = self._lagrangian.dissipation
+        force_q, force_v = dissipation.derivatives(self._q, self._v)
+        if isinstance(before, DissipativeExpansion):
+            chord = dissipation.chord(self._v, before._v)
+            force_v = force_v if chord is None else force_v + chord
+        if force_q.shape != force_v.shape:  # in the entries of rotations
+            force_q = self._lagrangian.space.pull(self._q.unsqueeze(1), force_q)
+        qq, vq, qv = self._at.curvature()
+        return Curvature(qq + force_q, vq, qv + force_v)
+
+    @override
+    def damping(self) -> Tensor:
+        return self._lagrangian.dissipation.damping(self._q, self._v)
+
+
 class DissipativeLagrangian(ForcedLagrangian):
     """A Lagrangian with a dissipation; energy and inertia are those of the Lagrangian alone."""
+
+    expansion = DissipativeExpansion
 
     def __init__(self, conservative: Lagrangian, dissipation: Dissipation) -> None:
         super().__init__(conservative)
@@ -96,56 +113,3 @@ class DissipativeLagrangian(ForcedLagrangian):
     @override
     def further_force(self, q: Tensor, v: Tensor) -> Tensor:
         return self.dissipation.force(q, v)
-
-    @override
-    def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
-        q, v = q.detach(), v.detach()
-        at = self.conservative.expand(q, v)
-        return DissipativeExpansion(at, self.dissipation, self.space, q, v)
-
-
-class DissipativeExpansion(Expansion):
-    """A Lagrangian and a dissipative force around ``(q, v)``."""
-
-    dissipates = True
-    parts = ("_at", "_dissipation", "_space", "_q", "_v", "values")
-
-    def __init__(
-        self,
-        at: Expansion,
-        dissipation: Dissipation,
-        space: Space,
-        q: Tensor,
-        v: Tensor,
-        values: Gradients | None = None,
-    ) -> None:
-        self._at, self._dissipation, self._space, self._q, self._v = at, dissipation, space, q, v
-        if values is None:
-            with torch.no_grad():
-                force = dissipation.force(q, v)
-            values = Gradients(at.values.q + force, at.values.v)
-        self.values = values
-
-    @override
-    def mass(self) -> Tensor:
-        return self._at.mass()
-
-    @override
-    def curvature(self, before: Expansion | None = None) -> Curvature:
-        force_q, force_v = self._dissipation.derivatives(self._q, self._v)
-        if isinstance(before, DissipativeExpansion):
-            chord = self._dissipation.chord(self._v, before._v)
-            force_v = force_v if chord is None else force_v + chord
-        if force_q.shape != force_v.shape:  # in the entries of rotations
-            force_q = self._space.pull(self._q.unsqueeze(1), force_q)
-        qq, vq, qv = self._at.curvature()
-        return Curvature(qq + force_q, vq, qv + force_v)
-
-    @override
-    def damping(self) -> Tensor:
-        return self._dissipation.damping(self._q, self._v)
-
-    @override
-    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        dq, p = self._at.gradients(q, v)
-        return Gradients(dq + self._dissipation.force(q, v), p)

@@ -1,14 +1,16 @@
-"""Lagrangians with a further generalised force."""
+"""Lagrangians with a further generalised force, and their expansions."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.mechanics.lagrangian import Gradients, Lagrangian, Rates
+from symo_exp.mechanics.lagrangian import Expansion, Gradients, Lagrangian, Rates
 from symo_exp.mechanics.space import Space
 
 
@@ -18,6 +20,9 @@ class ForcedLagrangian(nn.Module, Lagrangian):
     Args:
         conservative: The Lagrangian without the force.
     """
+
+    expansion: ClassVar[type[ForcedExpansion]]
+    """Its expansions."""
 
     def __init__(self, conservative: Lagrangian) -> None:
         super().__init__()
@@ -55,3 +60,45 @@ class ForcedLagrangian(nn.Module, Lagrangian):
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         rates = self.conservative.rates(q, v)
         return rates._replace(q=rates.q + self.further_force(q, v))
+
+    @override
+    def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
+        q, v = q.detach(), v.detach()
+        return self.expansion(self, self.conservative.expand(q, v), q, v)
+
+
+class ForcedExpansion(Expansion):
+    """A Lagrangian with a further force around ``(q, v)``; a subclass adds the second derivatives.
+
+    Args:
+        lagrangian: The Lagrangian with the force.
+        at: The Lagrangian without it, expanded.
+        q: Configurations.
+        v: Velocities.
+        values: Gradients at the point, if known already.
+    """
+
+    parts = ("_lagrangian", "_at", "_q", "_v", "values")
+
+    def __init__(
+        self,
+        lagrangian: ForcedLagrangian,
+        at: Expansion,
+        q: Tensor,
+        v: Tensor,
+        values: Gradients | None = None,
+    ) -> None:
+        self._lagrangian, self._at, self._q, self._v = lagrangian, at, q, v
+        with torch.no_grad():
+            self.values = self._with_force(at.values, q, v) if values is None else values
+
+    def _with_force(self, gradients: Gradients, q: Tensor, v: Tensor) -> Gradients:
+        return Gradients(gradients.q + self._lagrangian.further_force(q, v), gradients.v)
+
+    @override
+    def mass(self) -> Tensor:
+        return self._at.mass()
+
+    @override
+    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
+        return self._with_force(self._at.gradients(q, v), q, v)

@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.forced import ForcedLagrangian
-from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec
+from symo_exp.mechanics.forced import ForcedExpansion, ForcedLagrangian
+from symo_exp.mechanics.lagrangian import Curvature, Expansion, Lagrangian, matvec
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
 from symo_exp.nets.roles import mark
@@ -91,6 +91,20 @@ def _symmetric(start: Sequence[Sequence[float]] | None, n: int) -> Float[Tensor,
     return found
 
 
+class SprungExpansion(ForcedExpansion):
+    """A Lagrangian with springs around ``(q, v)``."""
+
+    _lagrangian: SprungLagrangian
+
+    @override
+    @torch.no_grad()
+    def curvature(self, before: Expansion | None = None) -> Curvature:
+        qq, vq, qv = self._at.curvature()
+        stiffness = self._lagrangian.springs.matrix
+        more = qq.shape[-1] - len(stiffness)
+        return Curvature(qq - nn.functional.pad(stiffness, (0, more, 0, more)), vq, qv)
+
+
 class SprungLagrangian(ForcedLagrangian):
     """A Lagrangian with springs beside it.
 
@@ -98,6 +112,8 @@ class SprungLagrangian(ForcedLagrangian):
         conservative: The Lagrangian without springs.
         springs: The springs.
     """
+
+    expansion = SprungExpansion
 
     def __init__(self, conservative: Lagrangian, springs: LinearSprings) -> None:
         super().__init__(conservative)
@@ -110,36 +126,3 @@ class SprungLagrangian(ForcedLagrangian):
     @override
     def potential(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, " batch"]:
         return super().potential(q) + self.springs.energy(q)
-
-    @override
-    def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
-        at = self.conservative.expand(q, v)
-        with torch.no_grad():
-            dq, p = at.values
-            values = Gradients(dq + self.springs.force(q.detach(), v.shape[1]), p)
-        return SprungExpansion(at, self.springs, values)
-
-
-class SprungExpansion(Expansion):
-    """A Lagrangian with springs around ``(q, v)``."""
-
-    parts = ("_at", "_springs", "values")
-
-    def __init__(self, at: Expansion, springs: LinearSprings, values: Gradients) -> None:
-        self._at, self._springs, self.values = at, springs, values
-
-    @override
-    def mass(self) -> Tensor:
-        return self._at.mass()
-
-    @override
-    @torch.no_grad()
-    def curvature(self, before: Expansion | None = None) -> Curvature:
-        qq, vq, qv = self._at.curvature(before)
-        more = qq.shape[-1] - len(self._springs.preload)
-        return Curvature(qq - nn.functional.pad(self._springs.matrix, (0, more, 0, more)), vq, qv)
-
-    @override
-    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        dq, p = self._at.gradients(q, v)
-        return Gradients(dq + self._springs.force(q, v.shape[1]), p)
