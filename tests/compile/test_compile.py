@@ -19,11 +19,15 @@ from symo_exp.compile import (
     program,
     trains_compiled,
 )
-from symo_exp.compile.inductor import CompilerError, lower
+from symo_exp.compile.inductor import CompilerError, flatten, lower, unflatten
 from symo_exp.mechanics.roots import Broyden, Newton
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import SI, Units
+from symo_exp.models.learned import learned_lagrangian
 from symo_exp.models.objectives import Objective, Residual, Residuals
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownLagrangian
+from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings
@@ -191,6 +195,18 @@ PARTS: dict[str, dict[str, Any]] = {
     "known": {"lagrangian": partial(KnownLagrangian, system=ChainPendulum(1))},
 }
 """What a Lagrangian may consist of, of one coordinate: tracing a chain takes long."""
+
+
+@pytest.mark.parametrize("units", [SI, Units(0.5, 0.8, 1.5)])
+@pytest.mark.parametrize("parts", PARTS)
+def test_expansions_that_pieces_pass_on_consist_of_tensors(parts, units):
+    coordinates = Coordinates(("theta_1",), (True,), units=units)
+    made = {"lagrangian": partial(NetworkLagrangian, width=4), "dissipation": None, "springs": None}
+    lagrangian = learned_lagrangian(coordinates, **made | PARTS[parts])
+    at = lagrangian.expand(torch.zeros(3, 1), torch.ones(3, 1))
+    tensors, structure = flatten(at)
+    assert all(isinstance(x, torch.Tensor) for x in tensors)
+    torch.testing.assert_close(unflatten(tensors, structure).curvature(), at.curvature())
 
 
 QUICK = {("links in a plane", "l_node")}

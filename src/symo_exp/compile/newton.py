@@ -19,6 +19,7 @@ from symo_exp.compile.trainable import Trainable
 from symo_exp.mechanics.dissipation import DissipativeExpansion
 from symo_exp.mechanics.lagrangian import AutodiffExpansion, solve
 from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding, row_norm
+from symo_exp.mechanics.scaled import ScaledExpansion
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, MidpointExpansion, MomentumMatching
 from symo_exp.models.flows import VariationalFlow
@@ -31,6 +32,7 @@ carry(AutodiffExpansion)
 carry(DissipativeExpansion)
 carry(MidpointExpansion)
 carry(PlanarExpansion)
+carry(ScaledExpansion)
 carry(SprungExpansion)
 carry(StructuredExpansion)
 
