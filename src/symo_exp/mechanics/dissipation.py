@@ -82,23 +82,23 @@ class DissipativeExpansion(ForcedExpansion):
     """A Lagrangian and a dissipative force around ``(q, v)``."""
 
     dissipates = True
-    _lagrangian: DissipativeLagrangian
+    lagrangian: DissipativeLagrangian
 
     @override
     def curvature(self, before: Expansion | None = None) -> Curvature:
-        dissipation = self._lagrangian.dissipation
-        force_q, force_v = dissipation.derivatives(self._q, self._v)
+        dissipation = self.lagrangian.dissipation
+        force_q, force_v = dissipation.derivatives(self.q, self.v)
         if isinstance(before, DissipativeExpansion):
-            chord = dissipation.chord(self._v, before._v)
+            chord = dissipation.chord(self.v, before.v)
             force_v = force_v if chord is None else force_v + chord
         if force_q.shape != force_v.shape:  # in the entries of rotations
-            force_q = self._lagrangian.space.pull(self._q.unsqueeze(1), force_q)
-        qq, vq, qv = self._at.curvature()
+            force_q = self.lagrangian.space.pull(self.q.unsqueeze(1), force_q)
+        qq, vq, qv = self.at.curvature()
         return Curvature(qq + force_q, vq, qv + force_v)
 
     @override
     def damping(self) -> Tensor:
-        return self._lagrangian.dissipation.damping(self._q, self._v)
+        return self.lagrangian.dissipation.damping(self.q, self.v)
 
 
 class DissipativeLagrangian(ForcedLagrangian):

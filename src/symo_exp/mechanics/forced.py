@@ -78,7 +78,7 @@ class ForcedExpansion(Expansion):
         values: Gradients at the point, if known already.
     """
 
-    parts = ("_lagrangian", "_at", "_q", "_v", "values")
+    parts = ("lagrangian", "at", "q", "v", "values")
 
     def __init__(
         self,
@@ -88,17 +88,17 @@ class ForcedExpansion(Expansion):
         v: Tensor,
         values: Gradients | None = None,
     ) -> None:
-        self._lagrangian, self._at, self._q, self._v = lagrangian, at, q, v
+        self.lagrangian, self.at, self.q, self.v = lagrangian, at, q, v
         with torch.no_grad():
             self.values = self._with_force(at.values, q, v) if values is None else values
 
     def _with_force(self, gradients: Gradients, q: Tensor, v: Tensor) -> Gradients:
-        return Gradients(gradients.q + self._lagrangian.further_force(q, v), gradients.v)
+        return Gradients(gradients.q + self.lagrangian.further_force(q, v), gradients.v)
 
     @override
     def mass(self) -> Tensor:
-        return self._at.mass()
+        return self.at.mass()
 
     @override
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        return self._with_force(self._at.gradients(q, v), q, v)
+        return self._with_force(self.at.gradients(q, v), q, v)

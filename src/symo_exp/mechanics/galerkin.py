@@ -32,7 +32,7 @@ from torch import Tensor
 from typing_extensions import Self, override
 
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec
-from symo_exp.mechanics.roots import Rule, Sizes, comparable, iterate, newton_step, relative
+from symo_exp.mechanics.roots import Rule, Sizes, as_actions, iterate, newton_step, relative
 from symo_exp.mechanics.rows import Rowwise, take_rows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -452,7 +452,7 @@ class GalerkinExpansion(CondensedExpansion):
 
     def imbalance(self, sizes: Sizes) -> Float[Tensor, " batch"]:
         """Return the largest entry of ``stationarity`` of a row, in the units of coordinates."""
-        return comparable(self.stationarity, sizes).abs().amax((0, -1))
+        return as_actions(self.stationarity, sizes).abs().amax((0, -1))
 
     @override
     def by_unknowns(self) -> Tensor:

@@ -392,30 +392,30 @@ def newton_step(at: RootPoint) -> Float[Tensor, "batch n"]:
 
 def rounding(x: Float[Tensor, "*batch k"], sizes: Sizes = None) -> Float[Tensor, "*batch k"]:
     """Return a bound on the effect of a few roundings of ``x``, in numbers of its order or one."""
-    size = x.abs().clamp(min=1.0) if sizes is None else x.abs().maximum(repeated(sizes, x))
+    size = x.abs().clamp(min=1.0) if sizes is None else x.abs().maximum(column_sizes(sizes, x))
     return 16.0 * torch.finfo(x.dtype).eps * size
 
 
-def repeated(sizes: tuple[float, ...], like: Float[Tensor, "*batch k"]) -> Float[Tensor, " k"]:
+def column_sizes(sizes: tuple[float, ...], like: Float[Tensor, "*batch k"]) -> Float[Tensor, " k"]:
     """Return the units of the columns of a tensor, in which those of all coordinates repeat."""
     return like.new_tensor(sizes).repeat(like.shape[-1] // len(sizes))
 
 
 def row_norm(residual: Float[Tensor, "*batch n"], sizes: Sizes = None) -> Float[Tensor, " *batch"]:
     """Return ``‖g‖₂ / √n`` of each row."""
-    return comparable(residual, sizes).square().mean(-1).sqrt()
+    return as_actions(residual, sizes).square().mean(-1).sqrt()
 
 
 def joint_norm(residual: Float[Tensor, "batch n"], sizes: Sizes = None) -> Float[Tensor, ""]:
     """Return ``‖g‖_F / √(B n)`` of all rows together."""
-    return comparable(residual, sizes).square().mean().sqrt()
+    return as_actions(residual, sizes).square().mean().sqrt()
 
 
 def relative(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
     """Return changes of coordinates over the units of these."""
-    return x if sizes is None else x / repeated(sizes, x)
+    return x if sizes is None else x / column_sizes(sizes, x)
 
 
-def comparable(momenta: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
+def as_actions(momenta: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
     """Return momenta times the units of their coordinates: all have the unit energy times time."""
-    return momenta if sizes is None else momenta * repeated(sizes, momenta)
+    return momenta if sizes is None else momenta * column_sizes(sizes, momenta)

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.roots import Rule, Sizes, comparable, relative, rounding
+from symo_exp.mechanics.roots import Rule, Sizes, as_actions, relative, rounding
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import (
@@ -123,7 +123,7 @@ class StretchPoint(Rowwise):
 
     def norm(self, sizes: Sizes) -> Float[Tensor, " batch"]:
         """Return the largest ``‖g‖₂ / √k`` of a step."""
-        return comparable(self.mismatch, sizes).square().mean(-1).amax(-1).sqrt()
+        return as_actions(self.mismatch, sizes).square().mean(-1).amax(-1).sqrt()
 
     def newton_step(self, before: StretchPoint | None) -> Float[Tensor, "batch unknowns"]:
         """Return the step of Newton's method; ``before`` is the previous iterate."""

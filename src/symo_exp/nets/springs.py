@@ -94,13 +94,13 @@ def _symmetric(start: Sequence[Sequence[float]] | None, n: int) -> Float[Tensor,
 class SprungExpansion(ForcedExpansion):
     """A Lagrangian with springs around ``(q, v)``."""
 
-    _lagrangian: SprungLagrangian
+    lagrangian: SprungLagrangian
 
     @override
     @torch.no_grad()
     def curvature(self, before: Expansion | None = None) -> Curvature:
-        qq, vq, qv = self._at.curvature()
-        stiffness = self._lagrangian.springs.matrix
+        qq, vq, qv = self.at.curvature()
+        stiffness = self.lagrangian.springs.matrix
         more = qq.shape[-1] - len(stiffness)
         return Curvature(qq - nn.functional.pad(stiffness, (0, more, 0, more)), vq, qv)
 
