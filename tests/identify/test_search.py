@@ -1,5 +1,7 @@
 """The search as a command: an answer, a link to the model, and nothing done twice."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -319,9 +321,34 @@ def test_quaternions_are_refused_with_the_setting_that_reads_them(workplace):
         examine({"path": "mine.csv"})
 
 
-@pytest.mark.parametrize("stiffness", [0.0, 0.5, 1.4])
-def test_the_stiffness_of_an_elastic_joint_is_found_and_gravity_is_no_spring(stiffness, workplace):
-    """A motor and a link with a spring between them, or a link that hangs from it."""
+@pytest.mark.parametrize(("gravity", "horizons"), [(25.0, [0.2, 0.4, 0.8]), (-25.0, None)])
+def test_errors_of_machines_that_a_controller_balances_count_over_shorter_times(
+    gravity, horizons, workplace
+):
+    """A pendulum upright, where errors grow by e in 0.2 s, or hanging."""
+    h, rng = 0.005, np.random.default_rng(0)
+    q, v, rows = 0.1, 0.0, []
+    for t in h * np.arange(6000):
+        u = -40.0 * q - 4.0 * v + sum(np.sin(w * t + w**2) for w in (2.3, 3.7, 5.1, 8.3))
+        rows.append((t, q, u))
+        for _ in range(5):
+            v += h / 5 * (gravity * np.sin(q) - 0.2 * v + u)
+            q += h / 5 * v
+    frame = pd.DataFrame(rows, columns=["t", "q_theta", "u_motor"])
+    frame["q_theta"] += 1e-5 * rng.normal(size=len(frame))
+    frame.to_csv("mine.csv", index=False)
+    given = [x.split("=")[1] for x in examine({"path": "mine.csv"}).settings if "horizons" in x]
+    if horizons is None:
+        assert not given
+    else:
+        np.testing.assert_allclose(json.loads(given[0]), horizons, rtol=0.1)
+
+
+@pytest.mark.parametrize(("stiffness", "weight"), [(0.0, 0.5), (0.5, 0.0), (1.4, 0.0), (1.4, 0.5)])
+def test_the_stiffness_of_an_elastic_joint_is_found_and_gravity_is_no_spring(
+    stiffness, weight, workplace
+):
+    """A motor and a link, with a spring between them or none; the link has a weight or none."""
     h, rng = 0.005, np.random.default_rng(0)
     t = np.arange(0.0, 30.0, h)
     force = sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
@@ -330,8 +357,7 @@ def test_the_stiffness_of_an_elastic_joint_is_found_and_gravity_is_no_spring(sti
     for now in force:
         motion.append(q)
         twist = stiffness * (q[1] - q[0])
-        gravity = 0.0 if stiffness else 0.5 * np.sin(q[1])
-        torque = np.array([now + twist, -twist - gravity]) - 0.02 * v
+        torque = np.array([now + twist, -twist - weight * np.sin(q[1])]) - 0.02 * v
         v = v + h * torque / inertia
         q = q + h * v
     q = np.array(motion) + 1e-5 * rng.normal(size=(len(t), 2))

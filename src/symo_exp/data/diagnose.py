@@ -18,8 +18,11 @@ POOR, NOISY, COARSE = 0.5, 0.5, 0.7
 angle in a step [rad], above which the time step does not suit."""
 SUSPECT = 0.3
 """Share of the unexplained power below which angles are suspected to be in degrees."""
-SPRUNG = 0.5
-"""Share of what gravity leaves unexplained that springs leave at most where they are likely."""
+SPRUNG, SPRUNG_TOO = 0.5, 0.1
+"""Shares of what gravity leaves unexplained that springs, alone or beside gravity, leave at most
+where they are likely."""
+LINEAR = 0.1
+"""Share of the accelerations' power that linear equations of motion leave unexplained, at most."""
 HELP = 0.1
 """Share of the unexplained power that meaningful inputs explain at least."""
 SHORTEST = 2 * HALF + 3
@@ -39,7 +42,7 @@ class Diagnosis:
         free: The same without the inputs.
         degrees: The same, with the inputs, if the numbers of the angles are degrees; ``None``
             without angles.
-        sprung: Whether springs explain accelerations better than gravity.
+        sprung: Whether springs explain accelerations that gravity does not.
         noise: Standard deviation of the noise of each coordinate's samples [rad, m].
         encoder: Step of each coordinate's encoder [rad, m], 0 where none is seen.
         turn: Largest change of each coordinate in a time step [rad, m].
@@ -69,7 +72,7 @@ class Diagnosis:
 
     def lines(self) -> list[str]:
         """Return lines for the log: inputs, units, noise, time step, scale and springs."""
-        springs = "springs: they explain accelerations better than gravity alone (springs=linear)"
+        springs = "springs: they explain accelerations that gravity does not (springs=linear)"
         found = [self._inputs(), *self._unit(), self._noise(), self._step(), self._scale()]
         return [*found, springs] if self.sprung else found
 
@@ -126,6 +129,8 @@ class Diagnosis:
 
 Motion = tuple[np.ndarray, np.ndarray]
 """Configurations (T, n) and inputs (T, m) at nodes."""
+Terms = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Maps configurations, velocities and inputs at nodes to the columns of a regression."""
 
 
 def diagnose(
@@ -159,7 +164,7 @@ def diagnose(
         explained=explained_power(motions, coordinates, time_step, driven=True),
         free=explained_power(motions, coordinates, time_step, driven=False),
         degrees=explained_in_degrees(motions, coordinates, time_step),
-        sprung=springs is not None and springs[0] <= SPRUNG,
+        sprung=springs is not None,
         noise=noise,
         encoder=np.array([encoder_of(columns) for columns in _columns(raw)]),
         turn=np.max([np.abs(np.diff(q, axis=0)).max(0) for q, _ in motions], axis=0),
@@ -236,34 +241,58 @@ def input_gains(motions: Sequence[Motion], coordinates: Coordinates, h: float) -
 
 def spring_slopes(
     motions: Sequence[Motion], coordinates: Coordinates, h: float
-) -> tuple[float, np.ndarray] | None:
-    """Return whether springs explain accelerations, and the slopes (n, n) of these in ``q``.
+) -> np.ndarray | None:
+    """Return the slopes (n, n) of accelerations in ``q`` if springs explain them, else ``None``.
 
-    The first result is the share that springs leave of the power that gravity, on each coordinate
-    alone, leaves unexplained. ``None`` as for ``explained_power``.
+    The power that springs, gravity on each coordinate alone, and both together leave unexplained is
+    compared. ``None`` also as for ``explained_power``.
     """
     n, angular = coordinates.n, np.array(coordinates.angular)
-
-    def others(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.ones((len(q), 1)), v, directions(v), u], axis=1)
-
-    def springs(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.concatenate([q, others(q, v, u)], axis=1)
 
     def gravity(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         turned = q[:, angular]
         return np.concatenate([np.cos(turned), np.sin(turned), others(q, v, u)], axis=1)
 
-    sprung, hanging = (_regression(motions, h, terms) for terms in (springs, gravity))
-    if sprung is None or hanging is None:
+    def others(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.ones((len(q), 1)), v, signs_of(v), u], axis=1)
+
+    hanging = _regression(motions, h, gravity)
+    for beside, most in (others, SPRUNG), (gravity, SPRUNG_TOO):
+
+        def springs(
+            q: np.ndarray, v: np.ndarray, u: np.ndarray, beside: Terms = beside
+        ) -> np.ndarray:
+            return np.concatenate([q, beside(q, v, u)], axis=1)
+
+        sprung = _regression(motions, h, springs)
+        if sprung is not None and hanging is not None and sprung[0] <= most * hanging[0]:
+            return sprung[1][:n].T
+    return None
+
+
+def growth_rate(motions: Sequence[Motion], coordinates: Coordinates, h: float) -> float | None:
+    """Return the rate [1/s] at which deviations grow by the best linear equations of motion.
+
+    It is the largest real part of their eigenvalues. ``None`` if linear equations do not explain
+    the accelerations, and as for ``explained_power``.
+    """
+    n = coordinates.n
+
+    def linear(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.concatenate([q, v, np.ones((len(q), 1)), signs_of(v), u], axis=1)
+
+    found = _regression(motions, h, linear)
+    if found is None or found[0] > LINEAR:
         return None
-    return sprung[0] / max(hanging[0], 1e-300), sprung[1][:n].T
+    zero, one = np.zeros((n, n)), np.eye(n)
+    slopes = np.block([[zero, one], [found[1][:n].T, found[1][n : 2 * n].T]])
+    return float(np.linalg.eigvals(slopes).real.max())
 
 
 def _regression(
     motions: Sequence[Motion],
     h: float,
-    terms: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    terms: Terms,
 ) -> tuple[float, np.ndarray] | None:
     """Regress weak accelerations on weak terms of ``(q, v, u)``, at the best ridge.
 
@@ -286,7 +315,7 @@ def weak_rows(
     q: np.ndarray,
     u: np.ndarray,
     h: float,
-    terms: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    terms: Terms,
 ) -> np.ndarray:
     """Return weak accelerations and weak terms of ``(q, v, u)`` side by side.
 
@@ -332,7 +361,7 @@ def acceleration_terms(
     """
     places = place_terms(q, coordinates)
     products = [a * b for a, b in itertools.combinations_with_replacement(v.T, 2)]
-    friction = [*v.T, *directions(v).T]
+    friction = [*v.T, *signs_of(v).T]
     forces = [*products, *u.T]
     return np.stack([*places, *friction, *(f * p for f in forces for p in places)], axis=1)
 
@@ -347,7 +376,7 @@ def place_terms(q: np.ndarray, coordinates: Coordinates) -> list[np.ndarray]:
     return [np.ones(len(q)), *itertools.chain(*each), *pairs]
 
 
-def directions(v: np.ndarray) -> np.ndarray:
-    """Return the directions of velocities (k, n): -1 or 1, and in between at rest."""
+def signs_of(v: np.ndarray) -> np.ndarray:
+    """Return the signs of velocities (k, n), -1 or 1; at rest, numbers in between."""
     pace = np.sqrt(np.mean(v**2, axis=0)) + 1e-300
     return np.tanh(10 * v / pace)

@@ -11,7 +11,7 @@ from symo_exp.data.diagnose import (
     SHORTEST,
     Motion,
     acceleration_terms,
-    directions,
+    signs_of,
     place_terms,
     weak_rows,
 )
@@ -66,7 +66,7 @@ def shocks(
         return nothing
 
     def columns(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        rests = 1 - np.abs(directions(v))
+        rests = 1 - np.abs(signs_of(v))
         return np.concatenate([acceleration_terms(q, v, u, coordinates), rests, v], axis=1)
 
     q, u = motions[long[0]]

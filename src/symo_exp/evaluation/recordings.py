@@ -89,14 +89,16 @@ class HeldOutErrors:
 
     Args:
         iterations: Of the fit of starts (``fitted_start``).
+        horizons: Times up to which errors count [s], rising; at most 2 s.
     """
 
     iterations: int = ITERATIONS
+    horizons: Sequence[float] = HORIZONS
 
     def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
         """Return the score of a model on held-out trajectories."""
         h, place, units = model.time_step, model.input_matrix, model.coordinates.sizes
-        return held_out_error(model, trajectories, h, place, units, self.iterations)
+        return held_out_error(model, trajectories, h, place, units, self.iterations, self.horizons)
 
 
 def held_out_error(
@@ -106,23 +108,26 @@ def held_out_error(
     place: Tensor,
     units: Float[Tensor, " n"] | float = 1.0,
     iterations: int = ITERATIONS,
+    horizons: Sequence[float] = HORIZONS,
 ) -> float:
-    """Return the geometric mean of the errors ``rmse_<T>s``, infinite without a window.
+    """Return the geometric mean of the errors up to horizons [s], infinite without a window.
 
     ``units`` are those of the coordinates [rad, m], of which no one outweighs the others in units
     in which they move by about one.
 
     Where there are recordings of 4 s or more, it includes the error over them as a whole
-    (``whole_error``), in which drifts show that windows of 2 s do not. ``place`` and ``iterations``
-    are those of ``predict``.
+    (``whole_error``), in which drifts show that windows of 2 s do not; not with shorter horizons,
+    which are for motions that cannot be predicted longer. ``place`` and ``iterations`` are those of
+    ``predict``.
     """
     windows = cut(trajectories, time_step, run_in=True)
     if windows is None:
         return math.inf
     found = predict(model, windows, time_step, place, iterations)
-    errors = [median(found.rmse(seconds, units)) for seconds in HORIZONS]
-    whole = whole_error(model, trajectories, time_step, place, units)
-    errors += [] if whole is None else [whole]
+    errors = [median(found.rmse(seconds, units)) for seconds in horizons]
+    if horizons[-1] >= HORIZONS[-1]:
+        whole = whole_error(model, trajectories, time_step, place, units)
+        errors += [] if whole is None else [whole]
     return math.prod(errors) ** (1 / len(errors))
 
 

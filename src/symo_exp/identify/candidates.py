@@ -88,7 +88,7 @@ class Candidate:
 def structures(machine: Machine) -> list[Candidate]:
     """Return a candidate of every structure, with viscous and dry friction, the simplest first.
 
-    All have springs if these explain the motion better than gravity: a fit that starts without
+    All have springs if these explain motion that gravity does not: a fit that starts without
     their stiffness seldom finds it.
     """
     several = sum(machine.angular) > 1

@@ -9,11 +9,11 @@ import numpy as np
 
 from symo_exp.data.diagnose import (
     POOR,
-    SPRUNG,
     Motion,
     blur_of,
     explained_in_degrees,
     explained_power,
+    growth_rate,
     input_gains,
     noise_of,
     spring_slopes,
@@ -22,6 +22,7 @@ from symo_exp.data.recorded import delayed
 from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.shocks import shocks
 from symo_exp.data.table import Recording
+from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
 
@@ -30,6 +31,9 @@ STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4)
 COARSE = 0.7
 """Change of an angle, or of the phase of a vibration, in a time step above which a smaller one is
 taken [rad]."""
+LARGEST, LONGEST = 7.0, 4.0
+"""Logarithms of the growth of errors: over 2 s beyond which horizons are shorter, and over the
+longest of these."""
 MISSED = 0.3
 """Share of a motion that lines between the nodes may miss."""
 DELAYS = np.arange(-0.04, 0.0601, 0.01)
@@ -68,7 +72,7 @@ class Dynamics(NamedTuple):
         delay: Of the inputs [s], if one explains the motion better than none; else 0; ``None`` if
             ``settings`` have it.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
-        stiffness: Of springs that explain accelerations better than gravity, in ``units``; else
+        stiffness: Of springs that explain what gravity does not, in ``units``; else
             ``None``.
         settings: Overrides that every candidate has.
         notes: A line on each property.
@@ -123,9 +127,15 @@ def dynamics(
         settings.append(f"dissipation.rest_velocity={rest:g}")
         unit = "units of velocity" if units != SI else "m/s or rad/s"
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} {unit}")
+    if horizons := _shorter_horizons(scaled, angular, step, units.time):
+        told_times = ", ".join(horizons)
+        settings.append(f"learner.validation.horizons=[{told_times}]")
+        notes.append(
+            f"unstable: the errors of predictions grow fast; those over {told_times} s are compared"
+        )
     stiffness = _stiffness(scaled, angular, step, light)
     if stiffness is not None:
-        notes.append("springs: they explain accelerations better than gravity alone")
+        notes.append("springs: they explain accelerations that gravity does not")
     return Dynamics(
         rest_velocity=rest,
         units=units,
@@ -322,11 +332,24 @@ def _stiffness(
     Training does not find springs from none within some tens of epochs: the inertia of what they
     move falls instead.
     """
-    found = spring_slopes(pairs, _coordinates(angular), h) if pairs else None
-    if found is None or found[0] > SPRUNG:
+    slopes = spring_slopes(pairs, _coordinates(angular), h) if pairs else None
+    if slopes is None:
         return None
-    stiffness = -0.5 * inertia * (found[1] + found[1].T)
+    stiffness = -0.5 * inertia * (slopes + slopes.T)
     return tuple(tuple(float(f"{x:.3g}") for x in row) for row in stiffness)
+
+
+def _shorter_horizons(
+    pairs: Sequence[Motion], angular: np.ndarray, h: float, second: float
+) -> list[str]:
+    """Return horizons [s] over which errors grow less, nothing if the usual ones are suitable.
+
+    Over longer ones the noise of the starts grows beyond the motion, and a wrong model that stays
+    near the mean has smaller errors than the right one. ``second`` is the unit of ``h`` [s].
+    """
+    rate = growth_rate(pairs, _coordinates(angular), h) if pairs else None
+    growth = 0.0 if rate is None else rate / second * HORIZONS[-1]
+    return [f"{LONGEST / growth * each:.2g}" for each in HORIZONS] if growth > LARGEST else []
 
 
 def _pairs(motions: Sequence[Sampled], h: float, delay: float) -> list[Motion]:

@@ -59,7 +59,7 @@ class Machine:
             ``settings`` have it.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
         moves: Whether any coordinate moves by more than its noise.
-        stiffness: Of springs that explain accelerations better than gravity, in ``units``; else
+        stiffness: Of springs that explain what gravity does not, in ``units``; else
             ``None``.
         notes: The inferred properties, a line each.
     """

@@ -30,7 +30,7 @@ def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int) ->
         numbers = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
         lines.append("  ".join([name.ljust(widths[0]), *numbers]))
     if best is not None:
-        lines.append("* chosen; error: to 0.5, 1, 2 s and the end, geometric mean [m, rad]")
+        lines.append("* chosen; error: geometric mean of those over several times [m, rad]")
     lines += [
         f"failed: {trial.candidate.name}: {reason}"
         for trial in trials

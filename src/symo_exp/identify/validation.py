@@ -12,6 +12,7 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
+from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.evaluation.recordings import held_out_error
 from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.identify.candidates import Candidate
@@ -108,7 +109,10 @@ def baseline_error(folder: RunFolder) -> float:
     system = instantiate(config.system)
     data = instantiate(config.data, _partial_=True)(system=system)
     h, place = system.time_step, torch.zeros((), dtype=torch.float64)
-    return held_out_error(ConstantVelocity(h), data.load().val, h, place, system.coordinates.sizes)
+    return held_out_error(
+        ConstantVelocity(h), data.load().val, h, place, system.coordinates.sizes,
+        horizons=config.learner.validation.get("horizons", HORIZONS),
+    )  # fmt: skip
 
 
 def latest_stage(losses: Sequence[Mapping[int, float]]) -> int:
