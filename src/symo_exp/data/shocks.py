@@ -11,8 +11,8 @@ from symo_exp.data.diagnose import (
     SHORTEST,
     Motion,
     acceleration_terms,
-    signs_of,
     place_terms,
+    signs_of,
     weak_rows,
 )
 from symo_exp.mechanics.types import Coordinates
