@@ -42,3 +42,10 @@ def test_a_model_without_hope_is_hardly_better_than_constant_velocity_anywhere(e
     measures = {f"rmse_{t}": x for t, x in zip(names, errors, strict=False)}
     measures |= {f"constant_velocity_rmse_{t}": 1.0 for t in names}
     assert hopeless(measures) is expected
+
+
+@pytest.mark.parametrize(("usable", "expected"), [(0.05, True), (0.15, True), (0.3, False)])
+def test_a_model_that_is_usable_for_a_short_time_is_one_of_an_unstable_machine(usable, expected):
+    measures = {"rmse_1s": 2.0, "constant_velocity_rmse_1s": 1.0}
+    measures |= {"usable_s": usable, "constant_velocity_usable_s": 0.1}
+    assert hopeless(measures) is expected

@@ -36,6 +36,10 @@ THE_STEP = "the time step"
 """End of the parts of names that say which share of the time step a candidate has."""
 HELD = 0.05
 """Difference of delays over the time step up to which they count as equal."""
+FEW = 3
+"""Number of coordinates up to which the cost of an epoch is as stated."""
+GROWTH = {"planar": 3.8, "relative": 2.9, "absolute": 2.9, "rigid": 2.3}
+"""Power of the number of coordinates with which it grows beyond these, by the Lagrangian."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "relative": {"lagrangian": "planar"},
     "absolute": {"lagrangian": "planar", "lagrangian.relative": "false"},
@@ -114,6 +118,7 @@ def structures(machine: Machine) -> list[Candidate]:
     if several:
         name = f"{NETWORK}, {BETWEEN}"
         found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=2.0, starts=2))
+    found = [_with_cost_of(machine.n, one) for one in found]
     return found if machine.stiffness is None else [_sprung(one, machine) for one in found]
 
 
@@ -392,3 +397,9 @@ def _candidate(
 ) -> Candidate:
     settings = {"integrator": "midpoint", **STRUCTURES[structure], **friction}
     return Candidate(name, rank, settings, cost, starts)
+
+
+def _with_cost_of(n: int, candidate: Candidate) -> Candidate:
+    """Return a candidate with the cost of its epochs of so many coordinates."""
+    power = GROWTH.get(candidate.settings["lagrangian"], 0.0)
+    return replace(candidate, cost=candidate.cost * max(1.0, n / FEW) ** power)

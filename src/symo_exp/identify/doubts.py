@@ -10,7 +10,10 @@ EXPLAINED = 0.5
 """Share of the accelerations' power below which something else moves the machine."""
 HORIZONS = ("0.5s", "1s", "2s")
 BETTER = 0.5
-"""Share of constant velocity's error above which, over all horizons, there is no model."""
+"""Ratio of the error of a model to that of constant velocity above which, over all horizons, there
+is no model; it is also that of the times to which they are usable."""
+USEFUL = 0.1
+"""Time to which a model is usable at least [s], if its errors over longer times are no better."""
 LITTLE = 10.0
 """Length below which recordings are short [s]."""
 
@@ -18,9 +21,13 @@ LITTLE = 10.0
 def hopeless(measures: Mapping[str, float]) -> bool:
     """Return whether a model is hardly better than constant velocity over every horizon.
 
-    It is false if there is no window.
+    It is false if there is no window, or if the model is usable for a short time, but twice as
+    long, as of an unstable machine.
     """
     if measures.get("windows") == 0.0:
+        return False
+    usable = measures.get("usable_s", 0.0)
+    if usable >= USEFUL and BETTER * usable >= measures.get("constant_velocity_usable_s", usable):
         return False
     pairs = [
         (measures[f"rmse_{t}"], measures[f"constant_velocity_rmse_{t}"])
