@@ -14,6 +14,7 @@ from symo_exp.identify.candidates import (
     ladder,
     left_open,
     structure_of,
+    structures,
     variations,
     with_friction_of,
     with_less_friction,
@@ -318,3 +319,9 @@ def test_the_speed_is_measured_once_by_each_version(tmp_path, monkeypatch):
         monkeypatch.setattr(plans, "REFERENCE", reference)
         monkeypatch.setattr(plans, "exercise", lambda time=time: time)
         assert plans.machine_speed() == expected
+
+
+def test_epochs_of_links_take_longer_with_six_coordinates_and_those_of_networks_do_not():
+    few, many = ({c.name: c.cost for c in structures(machine(n))} for n in (3, 6))
+    for name in few:
+        assert (many[name] > 4.0 * few[name]) is ("links" in name), name
