@@ -28,8 +28,10 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "No Python 3.10 or newer with venv found; give one: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@echo "Making the environment $(VENV): one or two minutes, PyTorch is large"
 	$(PYTHON) -m venv $(VENV)
-	@# modules are compiled when they are first imported, which takes half as long as all at once
-	$(PY) -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[dev]'
+	@# modules are compiled when they are first imported, which takes half as long as all at once;
+	@# all at once if Python must not write them then, or each start would take ten seconds longer
+	$(PY) -m pip install --quiet $(if $(PYTHONDONTWRITEBYTECODE),,--no-compile) \
+		--constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
 demo: install ## train all four methods on the pendulum and print the results, some minutes

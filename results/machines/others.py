@@ -1,12 +1,15 @@
-"""Write recordings of six simulated machines that are not chains of links in a plane.
+"""Write recordings of twelve simulated machines, most of them no chains of links in a plane.
 
 Usage: ``python results/machines/others.py``. ``furuta.csv`` has a pendulum on an arm that turns
 about a vertical axis, ``wheel.csv`` a pendulum with a reaction wheel, ``ball.csv`` a ball on a
-beam, ``crane.csv`` a load on a rope whose length changes, ``masses.csv`` two masses on springs, and
-``duffing.csv`` a mass on a spring that stiffens. Each has ten motions of 6 s, sampled every 5 ms
-with a noise of 3e-4 [rad, m]. Forces [N m, N] are sums of four sines and what a controller adds
-that keeps the machine in its range. They are held between samples, as digital controllers hold
-them. All coordinates have viscous friction, some also dry friction.
+beam, ``crane.csv`` a load on a rope whose length changes, ``masses.csv`` two masses on springs,
+``duffing.csv`` a mass on a spring that stiffens, ``crank.csv`` a slider-crank, ``segway.csv`` a
+body on two wheels that a controller balances, ``spring_pendulum.csv`` a mass on an elastic rope,
+``scara.csv`` two horizontal links with a vertical slide, ``bistable.csv`` a magnet between two
+others, and ``coupled.csv`` two pendulums with a spring between them. Each has ten motions of 6 s,
+sampled every 5 ms with a noise of 3e-4 [rad, m]. Forces [N m, N] are sums of four sines and what a
+controller adds that keeps the machine in its range. They are held between samples, as digital
+controllers hold them. All coordinates have viscous friction, some also dry friction.
 """
 
 from __future__ import annotations
@@ -84,6 +87,42 @@ def duffing(q: Symbols, v: Symbols) -> Any:
     return 1.5 * v[0] ** 2 / 2 - 20.0 * q[0] ** 2 / 2 - 400.0 * q[0] ** 4 / 4
 
 
+def crank(q: Symbols, v: Symbols) -> Any:
+    radius, rod = 0.05, 0.15
+    slider = radius * sympy.cos(q[0]) + sympy.sqrt(rod**2 - (radius * sympy.sin(q[0])) ** 2)
+    sliding = 0.5 * (sympy.diff(slider, q[0]) * v[0]) ** 2 / 2
+    return 0.0006 * v[0] ** 2 / 2 + sliding - 0.5 * GRAVITY * slider
+
+
+def segway(q: Symbols, v: Symbols) -> Any:
+    radius, mass, height = 0.05, 0.6, 0.12
+    wheels, lean = v[0] + v[1], v[1]  # the motor turns the wheels relative to the body
+    forward = radius * wheels + height * lean * sympy.cos(q[1])
+    body = mass * (forward**2 + (height * lean * sympy.sin(q[1])) ** 2) + 0.002 * lean**2
+    rolling = (0.25 * radius**2 + 1e-4) * wheels**2
+    return (rolling + body) / 2 - mass * GRAVITY * height * sympy.cos(q[1])
+
+
+def spring_pendulum(q: Symbols, v: Symbols) -> Any:
+    moving = 0.5 * (v[0] ** 2 + q[0] ** 2 * v[1] ** 2) / 2
+    return moving - 60.0 * (q[0] - 0.4) ** 2 / 2 + 0.5 * GRAVITY * q[0] * sympy.cos(q[1])
+
+
+def scara(q: Symbols, v: Symbols) -> Any:
+    shoulder = (0.12 + 0.06 * sympy.cos(q[1])) * v[0] ** 2 / 2
+    links = shoulder + (0.03 * sympy.cos(q[1]) + 0.02) * v[0] * v[1] + 0.02 * v[1] ** 2 / 2
+    return links + 1.2 * v[2] ** 2 / 2 - 1.2 * GRAVITY * q[2]
+
+
+def bistable(q: Symbols, v: Symbols) -> Any:
+    return 0.02 * v[0] ** 2 / 2 - 0.25 * sympy.cos(2 * q[0]) - 0.1 * sympy.cos(q[0] - 0.3)
+
+
+def coupled(q: Symbols, v: Symbols) -> Any:
+    gravity = 0.6 * sympy.cos(q[0]) + 0.8 * sympy.cos(q[1])
+    return (0.03 * v[0] ** 2 + 0.05 * v[1] ** 2) / 2 + gravity - 0.4 * (q[0] - q[1]) ** 2 / 2
+
+
 MACHINES = {
     "furuta": Simulated(
         ("arm", "pendulum"), furuta, [0], (0.002, 0.0002), (0.004, 0.0),
@@ -110,6 +149,28 @@ MACHINES = {
         ("x_a", "x_b"), masses, [0], (0.4, 0.2), (0.1, 0.0), (-0.2, -0.2), (0.2, 0.2), 0.3, [5.0],
     ),
     "duffing": Simulated(("x",), duffing, [0], (0.5,), (0.2,), (-0.3,), (0.3,), 0.5, [6.0]),
+    "crank": Simulated(("crank",), crank, [0], (0.003,), (0.01,), (-3.0,), (3.0,), 2.0, [0.25]),
+    "segway": Simulated(
+        ("motor", "lean"), segway, [0], (0.002, 0.001), (0.01, 0.0),
+        (-1.0, -0.15), (1.0, 0.15), 0.3, [0.25],
+        lambda q, v: q @ [[0.02], [3.02]] + v @ [[0.03], [0.38]],
+    ),
+    "spring_pendulum": Simulated(
+        ("r", "theta"), spring_pendulum, [], (0.1, 0.003), (0.0, 0.0),
+        (0.4, -1.0), (0.6, 1.0), 0.4, [],
+    ),
+    "scara": Simulated(
+        ("shoulder", "elbow", "z"), scara, [0, 1, 2], (0.1, 0.05, 3.0), (0.1, 0.05, 1.0),
+        (-1.0, -1.5, -0.1), (1.0, 1.5, 0.1), 0.3, [1.5, 0.6, 6.0],
+        lambda q, v: q * [-1.0, -0.3, -40.0] + v * [-0.05, -0.02, -4.0]
+        + [0.0, 0.0, 1.2 * GRAVITY],
+    ),
+    "bistable": Simulated(
+        ("theta",), bistable, [0], (0.002,), (0.0,), (-2.0,), (2.0,), 1.0, [0.25],
+    ),
+    "coupled": Simulated(
+        ("one", "two"), coupled, [], (0.002, 0.003), (0.0, 0.0), (-1.5, -1.5), (1.5, 1.5), 1.0, [],
+    ),
 }  # fmt: skip
 
 
