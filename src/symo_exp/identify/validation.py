@@ -111,7 +111,7 @@ def baseline_error(folder: RunFolder) -> float:
     h, place = system.time_step, torch.zeros((), dtype=torch.float64)
     return held_out_error(
         ConstantVelocity(h), data.load().val, h, place, system.coordinates.sizes,
-        horizons=config.learner.validation.get("horizons", HORIZONS),
+        horizons=OmegaConf.select(config, "learner.validation.horizons", default=HORIZONS),
     )  # fmt: skip
 
 
