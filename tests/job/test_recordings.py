@@ -1,6 +1,9 @@
 """Runs on recordings: measured window by window and compared with a reference."""
 
+import json
 import math
+import os
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,8 +11,11 @@ import pytest
 
 import symo_exp
 from symo_exp.__main__ import main
+from symo_exp.data.formats import content_of
+from symo_exp.errors import ConfigError
+from symo_exp.job.job import changed_recordings
 from symo_exp.runs.folder import RunFolder
-from tests.jobs import refusal
+from tests.jobs import job_of, jobs_of, refusal
 
 WORDS = [
     "system=pendulum", "system.time_step=0.02", "data=recorded", "data.path=mine.csv",
@@ -70,6 +76,58 @@ def test_another_reference_measures_a_finished_run_again_and_does_not_train_it(
     for who in ("", "reference_"):
         error = (predicted[f"q_{who}theta"] - predicted.q_true_theta) ** 2
         assert after[f"{who}pooled_rmse_2s"] == pytest.approx(math.sqrt(error.mean()))
+
+
+@pytest.mark.parametrize("status", ["finished", "interrupted"])
+def test_results_of_other_recordings_are_refused_and_kept(status, recordings, capsys):
+    words = [*WORDS, "measures=false", "pictures=false"]
+    assert main(words) == 0
+    folder = only(recordings)
+    folder.record(status)
+    trained = (folder / "checkpoints" / "last.ckpt").read_bytes()
+    os.utime("mine.csv")  # the content is the same
+    assert changed_recordings(job_of(*words).values, folder, restarts=True) is None
+    text = Path("mine.csv").read_text()
+    Path("mine.csv").write_text(text.replace("\n0,0.02,", "\n0,0.021,"))
+    capsys.readouterr()
+    for more in ([], ["study=drift"]):
+        assert main([*words, *more]) == 2
+        (said,) = capsys.readouterr().err.splitlines()
+        assert "data.path=mine.csv: the recordings have changed since outputs/default/" in said
+        assert "give resume=false to start this run anew, or experiment=NAME" in said
+    assert folder.outcome().status == status
+    assert (folder / "checkpoints" / "last.ckpt").read_bytes() == trained
+    about = json.loads((folder / "run.json").read_text())
+    del about["recordings"]  # as of an earlier version
+    (folder / "run.json").write_text(json.dumps(about))
+    assert not refused(*words)
+    (folder / "run.json").write_text(json.dumps(about | {"recordings": "0123456789"}))
+    for more in (["resume=false"], ["experiment=other"]):
+        assert main([*words, *more]) == 0
+    assert not refused(*words)
+    Path("mine.csv").unlink()
+    assert not refused(*words)
+
+
+def refused(*words: str) -> bool:
+    """Whether the command of a run whose folder exists is refused."""
+    try:
+        jobs_of(*words)
+    except ConfigError:
+        return True
+    return False
+
+
+def test_the_content_of_recordings_is_read_once_a_version(workplace, monkeypatch):
+    file, read, found = Path("log.csv"), [], []
+    monkeypatch.setattr(Path, "open", lambda *x, inner=Path.open: read.append(1) or inner(*x))
+    for text in ("a", "b", "b"):
+        with open(file, "w") as opened:
+            opened.write(text)
+        os.utime(file, ns=(0, len(found)))
+        found += [content_of([file]), content_of([file.absolute()])]
+    assert found[0] == found[1] != found[2] == found[3] == found[4] == found[5]
+    assert len(read) == 3
 
 
 @pytest.mark.parametrize("names", [[], ["system.names=[arm]", "system.inputs=[motor]"]])

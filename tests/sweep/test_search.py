@@ -3,6 +3,8 @@
 import json
 import shlex
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from symo_exp.__main__ import main
@@ -35,6 +37,23 @@ def test_the_least_of_a_measure_is_found_and_a_run_that_diverges_is_the_worst(wo
     assert best(workplace)["best_value"] == min(
         json.loads(path.read_text())["test_mse"] for path in found(workplace)
     )
+
+
+def test_results_of_other_recordings_are_refused(workplace, capsys):
+    t = 0.05 * np.arange(60)
+    words = ["system=pendulum", "data=recorded", "data.path=mine.csv", "model=node", "logger=none",
+             "pictures=false", "optimized_metric=test_mse", "trainer.max_epochs=1",
+             *SEARCH[-3:], "hydra.sweeper.n_trials=1", "net.width=choice(4)"]  # fmt: skip
+    for code, size in ((0, 1.0), (2, 1.1)):
+        table = pd.DataFrame({"t": t, "q_theta": size * np.cos(2.0 * t), "u_0": np.sin(t)})
+        table.to_csv("mine.csv", index=False)
+        assert main(words) == code
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "the recordings have changed" in line
+    assert "give experiment=NAME" in line
+    assert [json.loads(path.read_text())["status"] for path in workplace.rglob("outcome.json")] == [
+        "finished"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import glob
+import hashlib
 import itertools
 import os
 import re
@@ -13,6 +14,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -121,6 +123,28 @@ def files(path: Location) -> list[Path]:
             f"{TABLES[0]}, a ROS 2 bag, or a folder of these{mend}"
         )
     return [file]
+
+
+def content_of(paths: Sequence[Path]) -> str:
+    """Return a digest of the content of files and of folders of files, read once a version."""
+    every = [
+        file
+        for path in paths
+        for file in (sorted(path.rglob("*")) if path.is_dir() else [path])
+        if file.is_file()
+    ]
+    states = [(file.absolute(), file.stat()) for file in every]
+    return _content(tuple((file, now.st_mtime_ns, now.st_size) for file, now in states))
+
+
+@lru_cache(maxsize=64)  # shared by the jobs of a sweep
+def _content(versions: tuple[tuple[Path, int, int], ...]) -> str:
+    found = hashlib.sha256()
+    for file, *_ in versions:
+        with file.open("rb") as handle:
+            while part := handle.read(2**20):
+                found.update(part)
+    return found.hexdigest()[:10]
 
 
 def suffix(file: Path) -> str:

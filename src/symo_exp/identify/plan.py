@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -334,18 +333,6 @@ def kept_recordings(file: Path) -> str | None:
         return str(json.loads(file.read_text(encoding="utf-8"))["recordings"]) or None
     except (OSError, ValueError, TypeError, KeyError):
         return None
-
-
-def content_of(paths: Sequence[Path]) -> str:
-    """Return a digest of the content of files and of folders of files."""
-    found = hashlib.sha256()
-    for path in paths:
-        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-            if file.is_file():
-                with file.open("rb") as handle:
-                    while part := handle.read(2**20):
-                        found.update(part)
-    return found.hexdigest()[:10]
 
 
 def keep_plan(file: Path, plan: Plan) -> None:

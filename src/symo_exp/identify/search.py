@@ -20,7 +20,7 @@ from hydra.core.utils import configure_log
 from joblib import effective_n_jobs
 from omegaconf import DictConfig, OmegaConf
 
-from symo_exp.data.formats import files, shown
+from symo_exp.data.formats import content_of, files, shown
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
@@ -90,7 +90,7 @@ class Search:
         self._machine = machine = self._examine()
         every = ladder(machine)
         candidates = distinct_candidates(every, self._given)
-        recordings = plans.content_of(self._files)
+        recordings = content_of(self._files)
         key = self._key(candidates, recordings)
         self._check_kept(recordings)
         kept = plans.kept_plan(self._folder / PLAN, key) if self._master.resume else None

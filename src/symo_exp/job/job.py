@@ -95,15 +95,60 @@ def is_done(settings: Mapping[str, Any], folder: RunFolder) -> bool:
     return drawn and measured and not folder.missing_studies(settings["study"])
 
 
+def recordings_of(settings: Mapping[str, Any]) -> str:
+    """Return a digest of the content of a run's recordings, nothing if there are none to read."""
+    path = settings["data"].get("path")
+    if path is None:
+        return ""
+    from symo_exp.data.formats import content_of, files  # pandas and SciPy
+
+    with suppress(ConfigError, OSError):  # to read them tells the user why
+        found = files(path)
+        return content_of(found) if all(one.exists() for one in found) else ""
+    return ""
+
+
+def changed_recordings(
+    settings: Mapping[str, Any], folder: RunFolder, *, restarts: bool
+) -> ConfigError | None:
+    """Return the refusal to go on with results of other recordings, ``None`` if there are none.
+
+    Args:
+        settings: Resolved settings of the job.
+        folder: Its folder, whose name does not depend on the content of recordings.
+        restarts: Whether the command starts a run anew with ``resume=false``.
+    """
+    if settings["data"].get("path") is None or not folder.has_results():
+        return None
+    before = folder.about()
+    if before is None or not before.recordings:  # of a version that kept none
+        return None
+    if recordings_of(settings) in ("", before.recordings):
+        return None
+    from symo_exp.data.formats import shown  # pandas and SciPy
+
+    anew = "resume=false to start this run anew, or " * restarts
+    return ConfigError(
+        f"{shown(settings['data']['path'])}: the recordings have changed since {folder} was "
+        f"started; give {anew}experiment=NAME for a run beside it"
+    )
+
+
 def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | None:
     """Do what is left of the run and return what ended it early, if anything did."""
     start = time.perf_counter()
     tracker: Any = None
     time_is_up = False
     with stopping.urgent(), folder.alone():
+        trained = folder.outcome().status == "finished"
+        restarts = hydras.sweeper._target_.startswith(READS_FOLDERS)
+        refusal = changed_recordings(settings.values, folder, restarts=restarts)
+        if refusal is not None:
+            if not trained:  # else its results stay those of a finished run
+                folder.record("refused", one_line(refusal))
+            return refusal
         if is_done(settings.values, folder):
             return None
-        trained = folder.outcome().status == "finished"
         failure: BaseException | None = None
         status, reason = "finished", ""
         try:
@@ -200,6 +245,7 @@ def describe_job(
         variant=found.variant(),
         sweep=os.environ.get(SWEEP, ""),
         tags={**revision_tags(), COMMAND: shlex.join(["python", "-m", "symo_exp", *words])},
+        recordings=recordings_of(settings.values),
     )
 
 

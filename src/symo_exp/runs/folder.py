@@ -2,7 +2,7 @@
 
 | file | what it holds | written |
 | --- | --- | --- |
-| ``run.json`` | parameters, variant and code revision | at the first start |
+| ``run.json`` | parameters, variant, code revision, digest of recordings | at the first start |
 | ``config.yaml`` | the resolved configuration, which builds the model again | at each start |
 | ``outcome.json`` | status, and the reason of an early end | at each change |
 | ``series.csv`` | a row for each epoch (``runs.series``) | while it trains |
@@ -134,6 +134,10 @@ class RunFolder:
         shutil.rmtree(self / CHECKPOINTS, ignore_errors=True)
         for name in (SERIES, ABOUT, PUBLISHED):
             (self / name).unlink(missing_ok=True)
+
+    def has_results(self) -> bool:
+        """Return whether there is anything that a command would go on with."""
+        return self.outcome().status == "finished" or any((self / CHECKPOINTS).glob("*.ckpt"))
 
     # -- description and results -----------------------------------------------------------------
 

@@ -31,6 +31,7 @@ class About:
 
     ``parameters`` are flat. ``variant`` names the settings that differ from the files that ship,
     beyond those with columns in tables. ``sweep`` is the identity of the first sweep of the run.
+    ``recordings`` is a digest of their content, nothing without any.
     """
 
     name: str
@@ -38,6 +39,7 @@ class About:
     variant: str = ""
     sweep: str = ""
     tags: dict[str, str] = field(default_factory=dict)
+    recordings: str = ""
     started: float = field(default_factory=time.time)
     identity: str = field(default_factory=lambda: uuid.uuid4().hex)
 

@@ -25,7 +25,7 @@ from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, debugging, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
-from symo_exp.job.job import is_done, publish
+from symo_exp.job.job import changed_recordings, is_done, publish
 from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
 from symo_exp.shell import python_command
@@ -152,6 +152,9 @@ class Sweep:
         values = job.values
         check_parts(job.settings, job.known)
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
+        refusal = changed_recordings(values, job.folder, restarts=True)
+        if refusal is not None and values["resume"]:
+            raise refusal
         if not is_done(values, job.folder):
             self._composer.check_choices(job)
             check_settings(job.settings, job.known)
