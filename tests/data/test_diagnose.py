@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from symo_exp.data.diagnose import Diagnosis, diagnose, encoder_of, input_gains, noise_of
+from symo_exp.data.diagnose import (
+    Diagnosis,
+    diagnose,
+    encoder_of,
+    explained_power,
+    input_gains,
+    noise_of,
+    spring_slopes,
+)
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver, simulate_driven
@@ -125,3 +133,31 @@ def test_angles_in_degrees_are_suspected(n: int, torque: float, size: float) -> 
         lines = diagnose(noisy, [q for q, _ in noisy], system.coordinates, H).lines()
         told[unit] = any("data.degrees=true" in line for line in lines)
     assert told == {"radians": False, "degrees": True}
+
+
+@pytest.mark.parametrize("place", [0.0, 0.3, 1e4])
+@pytest.mark.parametrize("n", [1, 2])
+def test_coordinates_that_never_move_change_nothing_for_the_others(n: int, place: float) -> None:
+    system, clean = motions(n, 5.0)
+    rng = np.random.default_rng(0)
+    rounding = place * np.finfo(float).eps
+    columns = [place + rounding * rng.standard_normal((len(q), 1)) for q, _ in clean]
+    beside = [(np.hstack([q, x]), u) for (q, u), x in zip(clean, columns, strict=True)]
+    both = Coordinates((*system.coordinates.names, "x"), (*system.coordinates.angular, False))
+    for driven in (True, False):
+        share = explained_power(beside, both, H, driven=driven)
+        assert share == pytest.approx(
+            explained_power(clean, system.coordinates, H, driven=driven), abs=0.02
+        )
+    gains, plain = input_gains(beside, both, H), input_gains(clean, system.coordinates, H)
+    np.testing.assert_allclose(gains[:n], plain, rtol=0.1, atol=0.1 * np.abs(plain).max())
+    assert not gains[n:].any()
+
+
+def test_springs_are_found_beside_a_coordinate_that_never_moves() -> None:
+    t = H * np.arange(400)
+    q = np.stack([np.cos(3.0 * t) * np.exp(-0.05 * t), np.full(len(t), 0.3)], axis=1)
+    given = [((1 + 0.2 * k) * q, np.zeros((len(t), 0))) for k in range(3)]
+    slopes = spring_slopes(given, Coordinates(("x", "y"), (False, False)), H)
+    assert slopes is not None
+    np.testing.assert_allclose(slopes, [[-9.0, 0.0], [0.0, 0.0]], rtol=0.05)

@@ -25,6 +25,8 @@ LINEAR = 0.1
 """Share of the accelerations' power that linear equations of motion leave unexplained, at most."""
 HELP = 0.1
 """Share of the unexplained power that meaningful inputs explain at least."""
+ROUNDING = 1e-10
+"""Range of a coordinate relative to its size up to which it is still."""
 SHORTEST = 2 * HALF + 3
 """Nodes of a motion that a test function fits into, at least."""
 
@@ -216,7 +218,8 @@ def explained_power(
 ) -> float | None:
     """Return the share of the power of weak accelerations that a ridge regression predicts.
 
-    Each row is predicted from the others. ``None`` with fewer than 20 rows or without motion.
+    Each row is predicted from the others; coordinates that never move are not. ``None`` with fewer
+    than 20 rows or without motion.
     """
 
     def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -266,7 +269,8 @@ def spring_slopes(
 
         sprung = _regression(motions, h, springs)
         if sprung is not None and hanging is not None and sprung[0] <= most * hanging[0]:
-            return sprung[1][:n].T
+            moves = moving(motions)  # a place that is always the same shows no slope
+            return np.where(np.outer(moves, moves), sprung[1][:n].T, 0.0)
     return None
 
 
@@ -297,18 +301,31 @@ def _regression(
     """Regress weak accelerations on weak terms of ``(q, v, u)``, at the best ridge.
 
     Returns:
-        The mean square of leave-one-out errors over the mean square, and the coefficients (k, n);
-        ``None`` with fewer than 20 rows or without motion.
+        The mean square of leave-one-out errors over the mean square, of the coordinates that move,
+        and the coefficients (k, n), 0 for the others; ``None`` with fewer than 20 rows or without
+        motion.
     """
-    rows = [weak_rows(q, u, h, terms)[::HALF] for q, u in motions if len(q) >= SHORTEST]
+    moves = moving(motions) if motions else np.zeros(0, dtype=bool)
+    # the rounding errors of what is still would be accelerations
+    held = [(np.where(moves, q, q[0]), u) for q, u in motions if len(q) >= SHORTEST]
+    rows = [weak_rows(q, u, h, terms)[::HALF] for q, u in held]
     table = np.concatenate(rows) if rows else np.empty((0, 1))
-    n = motions[0][0].shape[1] if motions else 0
-    if len(table) < 20 or not (np.isfinite(table).all() and np.ptp(table[:, :n], axis=0).all()):
+    n = len(moves)
+    if len(table) < 20 or not (np.isfinite(table).all() and moves.any()):
         return None
     size = np.sqrt(np.mean(table**2, axis=0) + 1e-300)
     target, given = np.split(table / size, [n], 1)
-    error, coefficients = _left_out(given, target)
+    error, found = _left_out(given, target[:, moves])
+    coefficients = np.zeros((given.shape[1], n))
+    coefficients[:, moves] = found
     return error, coefficients * size[:n] / size[n:, None]
+
+
+def moving(motions: Sequence[Motion]) -> np.ndarray:
+    """Return which coordinates (n,) move in any recording, by more than rounding errors."""
+    ranges = np.max([np.ptp(q, axis=0) for q, _ in motions], axis=0)
+    sizes = np.max([np.abs(q).max(axis=0) for q, _ in motions], axis=0)
+    return np.asarray(ranges > ROUNDING * sizes)
 
 
 def weak_rows(

@@ -321,7 +321,8 @@ def _inertia(
     gains = input_gains(pairs, _coordinates(angular), h)
     assert gains is not None
     size = float(np.linalg.norm(gains))
-    return float(np.linalg.norm(input_matrix)) / size if size > 0 else 1.0
+    moves = gains.any(axis=1)  # what never moves has no gains
+    return float(np.linalg.norm(input_matrix[moves])) / size if size > 0 else 1.0
 
 
 def _stiffness(
