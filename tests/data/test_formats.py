@@ -167,6 +167,14 @@ WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
         csv("x.csv", lambda t: t.rename(columns={"q_0": "angle"})),
         {"columns": {"q_0": "angle"}},
     ),
+    "columns that are left out": (
+        csv("x.csv", lambda t: t.assign(u_bat=np.nan, q_lock=0.3, traj=t.t, split="x")),
+        {"columns": {"u_bat": None, "q_lock": None, "traj": None, "split": None}},
+    ),
+    "a clock that is left out": (
+        csv("x.csv", lambda t: t.rename(columns={"t": "time"}).assign(t=0.0)),
+        {"columns": {"t": None}},
+    ),
 }
 
 
@@ -221,6 +229,21 @@ def test_hidden_files_of_a_folder_are_left_out(tmp_path: Path) -> None:
 def test_what_is_no_path_is_refused(path: object) -> None:
     with pytest.raises(ConfigError, match=r"data.path=.*: expected a file, a folder"):
         load(path)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"u_bat": None}, "u_bat=null, but .* has no such column; it has t, q_0, u_0"),
+        ({"q_0": None}, "no column q_<name>"),
+        ({"t": None}, "no column t"),
+        ({"u_0": None, "u_1": "u_0"}, "one column has two names"),
+    ],
+)
+def test_columns_that_cannot_be_left_out_are_refused(columns, said, tmp_path: Path) -> None:
+    motion().to_csv(tmp_path / "x.csv", index=False)
+    with pytest.raises(ConfigError, match=said):
+        load(tmp_path / "x.csv", columns=columns)
 
 
 def test_files_with_other_columns_are_refused(tmp_path: Path) -> None:

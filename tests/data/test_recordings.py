@@ -39,11 +39,11 @@ def test_a_recording_is_enough(file: Path, workplace: Path) -> None:
 
 def test_the_configuration_of_a_run_is_whole(workplace: Path) -> None:
     """Its system is made again where the recording is not."""
-    columns = {"trajectory": 0, "t": [0.0, 0.1, 0.2], "angle": 0.0, "u_motor": 0.0}
+    columns = {"trajectory": 0, "t": [0.0, 0.1, 0.2], "angle": 0.0, "u_motor": 0.0, "u_bat": 9}
     table = pd.concat([pd.DataFrame(columns).assign(trajectory=k) for k in range(3)])
     table.to_csv("mine.csv", index=False)
     words = "data=recorded data.path=mine.csv system=recorded system.angular=[arm]"
-    job = job_of(*words.split(), "system.time_step=0.1", "data.columns={q_arm: angle}")
+    job = job_of(*words.split(), "system.time_step=0.1", "data.columns={q_arm: angle, u_bat: null}")
     stated = job.values["system"]
     Path("mine.csv").unlink()
     system = instantiate(stated)

@@ -254,7 +254,12 @@ def test_coordinates_that_never_move_are_named(workplace):
     frame = table()
     frame["q_elbow"] = 0.3
     frame.to_csv("mine.csv", index=False)
-    assert any("q_elbow never moves" in note for note in examine({"path": "mine.csv"}).notes)
+    found = examine({"path": "mine.csv"})
+    (note,) = [note for note in found.notes if "q_elbow never moves" in note]
+    assert note.endswith("give 'data.columns={q_elbow: null}'")
+    alone = examine({"path": "mine.csv", "columns": {"q_elbow": None}})
+    assert (found.n, alone.n) == (2, 1)
+    assert found.explained == pytest.approx(alone.explained, abs=0.01)
 
 
 def test_inputs_with_the_names_of_coordinates_drive_these(workplace):

@@ -23,6 +23,9 @@ from symo_exp.data.formats import (
 )
 from symo_exp.errors import ConfigError
 
+Columns = Mapping[str, str | None]
+"""This project's names of columns to those of the file; the name of one that is left out to null.
+"""
 OTHERS = ("trajectory", "split", "t")
 """Columns that belong to no coordinate or input."""
 KINDS = {"q": "coordinate", "v": "coordinate", "u": "input"}
@@ -57,12 +60,13 @@ class Header(NamedTuple):
     notes: tuple[str, ...]
 
 
-def header(path: Location, columns: Mapping[str, str] | None = None) -> list[str]:
+def header(path: Location, columns: Columns | None = None) -> list[str]:
     """Return the columns of recordings, renamed by ``columns``, of all files alike.
 
     Args:
         path: A file, a folder, a glob pattern or a list of them.
-        columns: A mapping of this project's names to those of the file.
+        columns: A mapping of this project's names to those of the file; ``None`` instead of a name
+            leaves the column out.
 
     Raises:
         ConfigError: If a file cannot be read or has no coordinates.
@@ -70,7 +74,7 @@ def header(path: Location, columns: Mapping[str, str] | None = None) -> list[str
     return list(headers(path, columns)[0][1].names)
 
 
-def headers(path: Location, columns: Mapping[str, str] | None) -> list[tuple[Path, Header]]:
+def headers(path: Location, columns: Columns | None) -> list[tuple[Path, Header]]:
     """Return every file of a path with its columns; all have the same coordinates and inputs."""
     every = files(path)
     if twice := [file for file in every if every.count(file) > 1]:
@@ -86,7 +90,7 @@ def headers(path: Location, columns: Mapping[str, str] | None) -> list[tuple[Pat
     return found
 
 
-def header_of(path: Location, file: Path, columns: Mapping[str, str] | None) -> Header:
+def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
     """Return the columns of one file; ``path`` is what the user gave."""
     where = shown(path if isinstance(path, str | os.PathLike) and Path(path) == file else file)
     with readable(file):
@@ -116,20 +120,20 @@ def names(kind: str, columns: Sequence[str]) -> tuple[str, ...]:
 
 
 def renamed(
-    where: str, found: Sequence[str], columns: Mapping[str, str] | None
+    where: str, found: Sequence[str], columns: Columns | None
 ) -> tuple[list[str], float | None, list[str]]:
     """Return columns by the names of this project, the unit of time [s] and notes for the log.
 
     The unit is ``None`` where no name states it.
 
-    A column whose own name is taken by the mapping is set aside: its name begins with a dot then.
+    A column that is left out, or whose own name is taken by the mapping, is set aside: its name
+    begins with a dot then.
     """
     new = _mapping(where, found, columns)
-    notes = []
-    for ours, theirs in _aliases(found, set(new.values()) | set(found)).items():
-        if theirs not in new:
-            new[theirs] = ours
-            notes.append(f"column {theirs} is read as {ours}")
+    notes, free = [], [name for name in found if name not in new]
+    for ours, theirs in _aliases(free, {*new.values(), *free}).items():
+        new[theirs] = ours
+        notes.append(f"column {theirs} is read as {ours}")
     taken = set(new.values())
     result = [new.get(name, f".{name}" if name in taken else name) for name in found]
     unit = next((_unit(theirs) for theirs, ours in new.items() if ours == "t"), None)
@@ -138,7 +142,7 @@ def renamed(
     return result, None if unit is None else UNITS[unit], notes
 
 
-def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None) -> dict[str, str]:
+def _mapping(where: str, found: Sequence[str], columns: Columns | None) -> dict[str, str]:
     """Return the user's mapping by the names in the file."""
     if columns is None:
         return {}
@@ -146,14 +150,18 @@ def _mapping(where: str, found: Sequence[str], columns: Mapping[str, str] | None
         raise ConfigError(
             f"data.columns={columns}: expected a mapping, 'data.columns={{t: time, q_arm: angle}}'"
         )
-    new = {str(theirs): str(ours) for ours, theirs in columns.items()}
+    new = {
+        str(ours if theirs is None else theirs): f".{ours}" if theirs is None else str(ours)
+        for ours, theirs in columns.items()
+    }
     for theirs, ours in new.items():
+        omitted = ours == f".{theirs}"
         if theirs not in found:
+            given = f"{theirs}=null" if omitted else f"{ours}={theirs}"
             raise ConfigError(
-                f"data.columns: {ours}={theirs}, but {where} has no such column; it has "
-                f"{few(found)}"
+                f"data.columns: {given}, but {where} has no such column; it has {few(found)}"
             )
-        if ours not in OTHERS and not re.fullmatch(r"[qvu]_.+", ours):
+        if not omitted and ours not in OTHERS and not re.fullmatch(r"[qvu]_.+", ours):
             raise ConfigError(
                 f"data.columns: {ours}={theirs} is not allowed; expected one of "
                 f"{', '.join(OTHERS)}, q_<name>, v_<name>, u_<name>"
@@ -231,6 +239,11 @@ def _short(stem: str) -> str:
     if re.fullmatch(r"q\d+", stem):
         return stem[1:]
     return re.sub(r"\W+", "_", stem).strip("_")
+
+
+def omitting(columns: Sequence[str]) -> str:
+    """Return the setting that leaves columns out."""
+    return "'data.columns={" + ", ".join(f"{_quoted(name)}: null" for name in columns) + "}'"
 
 
 def _quoted(name: str) -> str:

@@ -16,7 +16,7 @@ from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, few, shown
-from symo_exp.data.header import UNITS, header, names
+from symo_exp.data.header import UNITS, Columns, header, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, RecordingTable, read_recordings, write_recordings
@@ -45,7 +45,7 @@ def recorded_system(
     *,
     time_step: float,
     angular: str | Sequence[str],
-    columns: Mapping[str, str] | None = None,
+    columns: Columns | None = None,
     rotations: Sequence[str] = (),
     input_matrix: Any = None,
 ) -> Recorded:
@@ -62,7 +62,8 @@ def recorded_system(
         path: A file, a folder, a glob pattern or a list of them.
         time_step: Of the nodes to which recordings are resampled [s].
         angular: Coordinates that are angles [rad]: ``"all"``, ``"none"`` or their names.
-        columns: A mapping of this project's names to those of the file.
+        columns: A mapping of this project's names to those of the file; ``None`` instead of a name
+            leaves the column out.
         rotations: Names of the rotations.
         input_matrix: As that of ``Recorded``.
 
@@ -103,7 +104,8 @@ class RecordedData(DataModule):
         system: Whose motions were recorded.
         path: A ``.parquet``, ``.csv``, ``.npz`` or ``.mat`` file, a ROS 2 bag, a folder or glob
             pattern of these, or a list.
-        columns: A mapping of the names above to those of the table.
+        columns: A mapping of the names above to those of the table; ``None`` instead of a name
+            leaves the column out.
         wrapped: Whether angles jump by a turn; they are unwrapped then.
         degrees: Whether angles and their velocities are in degrees.
         time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's name or values say
@@ -139,7 +141,7 @@ class RecordedData(DataModule):
         *,
         system: System,
         path: Location,
-        columns: Mapping[str, str] | None = None,
+        columns: Columns | None = None,
         wrapped: bool = False,
         degrees: bool = False,
         time_unit: str | None = None,

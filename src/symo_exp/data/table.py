@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from symo_exp.data.formats import Location, few, readable, shown, table_of
-from symo_exp.data.header import KINDS, OTHERS, UNITS, headers, suggestion
+from symo_exp.data.header import KINDS, OTHERS, UNITS, Columns, headers, omitting, suggestion
 from symo_exp.data.resample import Samples
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories
@@ -59,7 +59,7 @@ class RecordingTable(NamedTuple):
 def read_recordings(
     path: Location,
     system: System,
-    columns: Mapping[str, str] | None = None,
+    columns: Columns | None = None,
     time_unit: str | None = None,
 ) -> RecordingTable:
     """Return the trajectories of a path, their times rising, in seconds.
@@ -70,7 +70,8 @@ def read_recordings(
     Args:
         path: A file, a folder, a glob pattern or a list of them.
         system: Whose coordinates and inputs are read.
-        columns: A mapping of this project's column names to those of the files.
+        columns: A mapping of this project's column names to those of the files; ``None`` instead of
+            a name leaves the column out.
         time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of the column's name
             or of its values.
 
@@ -195,7 +196,7 @@ def _check_places(where: str, found: Sequence[str], wanted: Mapping[str, Sequenc
             there = few([name[2:] for name in wanted[kind]]) or "none"
             raise ConfigError(
                 f"{where}: column {column} belongs to no {KINDS[kind]} of the system ({there}); "
-                "rename it by data.columns or in the file"
+                f"rename it by data.columns or in the file, or leave it out, {omitting([column])}"
             )
 
 

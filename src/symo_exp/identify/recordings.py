@@ -12,7 +12,7 @@ import numpy as np
 from symo_exp.data.diagnose import POOR, SUSPECT, noise_of
 from symo_exp.data.folds import ABOVE_NOISE, at_rest
 from symo_exp.data.formats import few, shown
-from symo_exp.data.header import header, in_degrees, names
+from symo_exp.data.header import header, in_degrees, names, omitting
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
@@ -312,8 +312,8 @@ def _told_still(recordings: Sequence[Recording], names: Sequence[str]) -> list[s
         return []
     told = "never moves" if len(still) == 1 else "never move"
     return [
-        f"{few(still)} {told}, so that it cannot be told what accelerates the others: remove what "
-        "never moves from the table"
+        f"{few(still)} {told}; to leave {'it' if len(still) == 1 else 'them'} out of the model, give "
+        f"{omitting(still)}"
     ]
 
 
