@@ -311,10 +311,7 @@ def _told_still(recordings: Sequence[Recording], names: Sequence[str]) -> list[s
     if not 0 < len(still) < len(names):
         return []
     told = "never moves" if len(still) == 1 else "never move"
-    return [
-        f"{few(still)} {told}; to leave {'it' if len(still) == 1 else 'them'} out of the model, give "
-        f"{omitting(still)}"
-    ]
+    return [f"{few(still)} {told}; for a model without such a coordinate, give {omitting(still)}"]
 
 
 def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
