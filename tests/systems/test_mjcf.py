@@ -89,9 +89,10 @@ def test_a_urdf_of_shifted_references_is_refused():
         urdf(MECHANISMS["crane"])
 
 
-def test_comments_are_written():
-    text = mjcf(MECHANISMS["pendulums"], comments=["not here: a -- network"])
-    assert "<!-- not here: a - - network -->" in text
+@pytest.mark.parametrize(("dashes", "written"), [("--", "- -"), ("---", "- - -"), ("-", "-")])
+def test_comments_are_written(dashes, written):
+    text = mjcf(MECHANISMS["pendulums"], comments=[f"not here: a {dashes} network{dashes}"])
+    assert f"<!-- not here: a {written} network{written} -->" in text
     compiled(text)
 
 

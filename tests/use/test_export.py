@@ -68,8 +68,8 @@ def check_alone(model, folder, iterations):
     given = states(model)
     with torch.no_grad():
         expected = tuple(model.step(*given))[:3]
-    torch.save((given, expected), folder / "states.pt")
     symo_exp.export(model, folder / "model.pt2", iterations=iterations)
+    torch.save((given, expected), folder / "states.pt")
     done = subprocess.run(
         [sys.executable, "-I", "-c", ALONE], cwd=folder, capture_output=True, text=True
     )
@@ -102,7 +102,7 @@ def test_a_step_takes_either_precision_and_returns_plain_tensors(method, name, t
 
 
 def test_a_step_runs_without_this_package(tmp_path):
-    check_alone(make("node", "midpoint", 1), tmp_path, iterations=1)
+    check_alone(make("node", "midpoint", 1), tmp_path / "made" / "on the way", iterations=1)
 
 
 @pytest.mark.slow
@@ -170,11 +170,20 @@ def test_a_variational_step_reports_roots_that_were_not_found(name, iterations, 
 
 def test_impossible_exports_are_refused_in_one_line(tmp_path, monkeypatch):
     model = make("node", "rk4", 1)
+    (tmp_path / "file").touch()
     wrong = [
         ({"path": "model.zip"}, r"ends in .pt2, .onnx"),
         ({"path": "model.pt2", "iterations": 0}, "at least 1"),
-        ({"path": str(tmp_path / "no" / "model.pt2")}, "cannot be written"),
+        ({"path": tmp_path / "file" / "model.pt2"}, "cannot be written"),
     ]
+    for suffix in (".pt2", ".onnx", ".xml", ".urdf"):
+        (tmp_path / f"folder{suffix}").mkdir()
+        wrong.append(({"path": tmp_path / f"folder{suffix}"}, "is a folder; give the name of"))
+    for other in (SYSTEMS["pendulum"], None):
+        with pytest.raises(
+            ConfigError, match=rf"export\({type(other).__name__}\): expected a model"
+        ):
+            symo_exp.export(other, "model.pt2")
     lagrangian = {"run": make("l_node", "midpoint", 1), "path": "x.onnx"}
     with monkeypatch.context() as installed:
         installed.setattr("importlib.util.find_spec", lambda name: name)

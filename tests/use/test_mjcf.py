@@ -323,6 +323,16 @@ def test_a_network_that_is_left_out_is_reported(tmp_path, caplog):
     np.testing.assert_allclose(found.actuator_ctrlrange[0], system.box.u[0])
 
 
+def test_a_file_that_cannot_be_written_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    system = SYSTEMS["cartpole"]
+    model = model_of(
+        KnownLagrangian(system=system).double(), system.coordinates, system.input_matrix
+    )
+    with pytest.raises(ConfigError, match="cannot be written"):
+        symo_exp.export(model, tmp_path / "file" / "arm.xml")
+
+
 def test_a_model_without_bodies_is_refused(tmp_path):
     truth = oscillator(2)
     coordinates = Coordinates(("a", "b"), (False, False))

@@ -7,6 +7,7 @@ values, but for those on ball joints, which have the axes that their rotations a
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -333,7 +334,7 @@ def _coefficients(tendon: ET.Element, joints: Sequence[Joint], values: Iterable[
 
 def _comment(root: ET.Element, lines: Sequence[str]) -> None:
     for line in lines:
-        root.append(ET.Comment(f" {line.replace('--', '- -')} "))
+        root.append(ET.Comment(f" {re.sub('-(?=-)', '- ', line)} "))
 
 
 def _number(value: float) -> str:

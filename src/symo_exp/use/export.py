@@ -76,19 +76,31 @@ def export(
 
     Args:
         run: A model, a run, its folder or the id of an MLflow run.
-        path: The file to write.
+        path: The file to write; its folder is made if there is none.
         iterations: Newton iterations of a variational step.
 
     Returns:
         The path.
 
     Raises:
-        ConfigError: If the suffix is unknown, or the step has operations that the format lacks.
+        ConfigError: If the suffix is unknown, the file cannot be written, the step has operations
+            that the format lacks, or ``run`` is none of the above.
     """
+    if not isinstance(run, DynamicsModel | str | os.PathLike):
+        raise ConfigError(
+            f"export({type(run).__name__}): expected a model as symo_exp.load gives it, a run, its "
+            "folder or the id of an MLflow run"
+        )
     model = run if isinstance(run, DynamicsModel) else load(os.fspath(run))
     path = Path(path).expanduser()
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder; give the name of a file, such as model.pt2")
     if path.suffix in (".xml", ".urdf"):
-        return write_bodies(model, path)
+        try:
+            return write_bodies(model, path)
+        except OSError as error:
+            reason = f"{path} cannot be written ({error.strerror}); give another one"
+            raise ConfigError(reason) from error
     if path.suffix not in (".pt2", ".onnx"):
         raise ConfigError(f"{path}: expected a name that ends in .pt2, .onnx, .xml or .urdf")
     if iterations < 1:
@@ -100,6 +112,7 @@ def export(
     step = FixedStep(model.flow, iterations).eval()
     try:
         program = _program(step, model, exact=path.suffix == ".onnx")
+        path.parent.mkdir(parents=True, exist_ok=True)
         (_onnx if path.suffix == ".onnx" else _pt2)(program, path, model)
     except Exception as error:  # PyTorch has many
         if isinstance(error, ConfigError):
