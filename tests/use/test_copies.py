@@ -120,6 +120,19 @@ def test_thousands_of_copies_move_in_one_batch():
     assert reward.shape == (4096,)
 
 
+@pytest.mark.parametrize("copies", [None, 3])
+def test_episodes_without_a_step_and_actions_that_are_no_numbers_are_refused(copies):
+    system = SYSTEMS["pendulum"]
+    for steps in (0, -1, 1.5, True, np.nan):
+        with pytest.raises(ConfigError, match=f"max_episode_steps={steps}: expected a whole"):
+            environment(system, copies, max_episode_steps=steps)
+    env = environment(system, copies, max_episode_steps=1)
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"action \[nan\] of copy 0: expected numbers"):
+        env.step(np.full((copies or 1, 1), np.nan))
+    assert np.all(env.step(np.zeros((copies or 1, 1)))[3])
+
+
 @pytest.mark.parametrize("copies", [None, np.int64(3)])
 def test_rewards_and_actions_may_have_any_form(copies):
     """A reward in NumPy, as a list or one number; an action as a tensor, a list or a number."""

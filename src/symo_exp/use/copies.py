@@ -103,6 +103,12 @@ class Copies:
                 f"{shape}, a row for each copy"
             )
         given = given.astype(np.float64).reshape(shape)
+        if np.isnan(given).any():
+            row = int(np.argmax(np.isnan(given).any(axis=1)))
+            raise ConfigError(
+                f"action {given[row].tolist()} of copy {row}: expected numbers, not nan; check the "
+                "policy that computed it"
+            )
         return given.clip(self.actions.low, self.actions.high)
 
 

@@ -82,7 +82,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         self.system, self.solver, self.render_mode = system, solver, render_mode
         self._copies = Copies(system, motion or exact(system, solver), reward)
         self.action_space, self.observation_space = self._copies.actions, self._copies.observations
-        self._last, self._age = max_episode_steps, 0
+        self._last, self._age = _limit(max_episode_steps), 0
         self._state: np.ndarray | None = None
         self._renderer: Renderer | None = None
 
@@ -98,7 +98,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         states, rewards, lost = self._copies.move(self._now(), np.asarray(action)[None])
         self._age += 1
-        truncated = self._last is not None and self._age >= self._last
+        truncated = self._age >= self._last
         return self._arrive(states), float(rewards[0]), bool(lost[0]), truncated, {}
 
     @override
@@ -175,7 +175,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
         self.single_observation_space = self._copies.observations
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._last = np.inf if max_episode_steps is None else max_episode_steps
+        self._last = _limit(max_episode_steps)
         self._state: np.ndarray | None = None
         self._age, self._over = np.zeros(num_envs), np.zeros(num_envs, dtype=bool)
 
@@ -202,6 +202,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.nd
         truncated = self._age >= self._last
         self._over = lost | truncated
         return self._state.copy(), reward, lost, truncated, {}
+
+
+def _limit(steps: int | None) -> float:
+    return np.inf if steps is None else whole_number("max_episode_steps", steps)
 
 
 def environment(
