@@ -1,6 +1,7 @@
 """Runs from Python: the same as those of the command."""
 
 import sys
+from math import nan
 
 import pytest
 import torch
@@ -20,6 +21,7 @@ def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
     assert run.measures == RunFolder(run.folder).measures()
     assert run.measures["test_mse"] > 0
     assert {"trajectory", "t", "q_theta", "q_true_theta"} <= set(run.rollouts.columns)
+    assert run.parameters.empty  # of a network
     path = run.model.rollout([0.1], [0.0], steps=3)
     assert path.q.shape == (4, 1)
     trained = (run.folder / "checkpoints" / "last.ckpt").stat().st_mtime_ns
@@ -39,10 +41,15 @@ def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
         symo_exp.Run("nowhere")
     with pytest.raises(ConfigError, match=rf"no config.yaml, but {run.folder.name} in it has one"):
         symo_exp.Run(run.folder.parent)
+    rows = [{"name": "mass", "value": 0.5, "unit": "kg"}, {"name": "b", "value": nan, "unit": ""}]
+    RunFolder(run.folder).write_parameters(rows)
+    assert symo_exp.Run(run.folder).parameters.set_index("name").value["mass"] == 0.5
     RunFolder(run.folder).record("running")
-    (run.folder / "metrics.json").unlink()
-    with pytest.raises(ConfigError, match=r"metrics.json does not exist; .* 'running'"):
-        symo_exp.Run(run.folder).measures  # noqa: B018
+    for name in ("metrics.json", "parameters.csv"):
+        (run.folder / name).unlink()
+    for result in ("measures", "parameters"):
+        with pytest.raises(ConfigError, match=r"metrics.json does not exist; .* 'running'"):
+            getattr(symo_exp.Run(run.folder), result)
 
 
 def test_a_sweep_gives_its_runs_in_order(workplace):

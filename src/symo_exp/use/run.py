@@ -13,7 +13,7 @@ from PIL import Image
 from symo_exp.cli.command import Command
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
-from symo_exp.runs.folder import LOG, MEASURES, PICTURES, ROLLOUTS, RunFolder
+from symo_exp.runs.folder import LOG, MEASURES, PARAMETERS, PICTURES, ROLLOUTS, RunFolder
 from symo_exp.runs.load import require_run
 from symo_exp.shell import override_value
 from symo_exp.sweep.sweeper import watched
@@ -50,6 +50,15 @@ class Run:
     def rollouts(self) -> pd.DataFrame:
         """Predicted and true motions, a row per node."""
         return pd.read_parquet(self._file(ROLLOUTS))
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """Physical parameters, a row each: docs/uncertainty.md; empty if the model has none."""
+        path = self.folder / PARAMETERS
+        if not path.exists():
+            self._file(MEASURES)  # both are written at the end
+            return pd.DataFrame()
+        return pd.read_csv(path)
 
     def figure(self, name: str) -> Image.Image:
         """Return a picture of the run by name, such as ``trajectories`` or ``phase_portrait``."""
