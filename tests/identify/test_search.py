@@ -1,6 +1,7 @@
 """The search as a command: an answer, a link to the model, and nothing done twice."""
 
 import json
+import os
 
 import numpy as np
 import pandas as pd
@@ -107,6 +108,14 @@ def test_a_search_without_time_says_what_it_leaves_out_and_repeats_itself(
     left_out = [line for line in said.splitlines() if line.startswith("no time left for")]
     assert left_out == [line for line in again.splitlines() if line.startswith("no time left for")]
     assert again.splitlines()[-3:] == said.splitlines()[-3:]
+    link = workplace / "outputs" / "machine_mine" / "best"
+    chosen = os.path.relpath(link.resolve())
+    link.unlink()
+    link.mkdir()  # as a copy without links has it
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    assert f"machine_mine/best is no link (Is a directory); the best is {chosen}" in told
+    assert f'symo_exp.load("{chosen}")' in told
 
 
 def test_a_search_whose_candidates_all_fail_ends_with_their_reasons(workplace, capsys):

@@ -77,7 +77,7 @@ class Rounds:
         given: Collection[str],
         *,
         clock: bool,
-        progressed: Callable[[RunFolder], None],
+        progressed: Callable[[RunFolder], object],
     ) -> None:
         self._fits, self._machine, self._plan, self._given = fits, machine, plan, given
         self._clock, self._progressed = clock, progressed

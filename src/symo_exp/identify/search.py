@@ -141,8 +141,7 @@ class Search:
             print(f"the last fit with the least noise of {len(last)} is kept")
         if (done := len(read(folder / SERIES))) < epochs:
             print(f"the last fit ran out of time after {done} of {epochs} epochs")
-        self._link(folder)
-        self._print_verdict(folder.measures())
+        self._print_verdict(folder.measures(), self._link(folder))
         tried = {trial.candidate.name for trial in rounds.trials}
         if untried := [c.name for c in others if c.name not in tried]:
             print(f"with a larger budget, the search also tries: {'; '.join(untried)}")
@@ -233,7 +232,7 @@ class Search:
             found |= fits.to_all(candidate, epochs, range(first, plans.MOST_FITS))
         return found
 
-    def _print_verdict(self, measures: Mapping[str, float]) -> None:
+    def _print_verdict(self, measures: Mapping[str, float], model: Path) -> None:
         label = verdict(measures) or "not judged"
         if failed := hopeless(measures):
             bad = label.startswith("no")
@@ -246,7 +245,7 @@ class Search:
             print(f"  RMSE over whole test recordings, in open loop from their start: {whole:.2g}")
         if failed or comparison(measures) is None:
             self._print_doubts()
-        print(f'the model: symo_exp.load("{os.path.relpath(self._folder / BEST)}")')
+        print(f'the model: symo_exp.load("{os.path.relpath(model)}")')
 
     def _print_doubts(self) -> None:
         for line in doubts(self._machine):
@@ -284,11 +283,21 @@ class Search:
     def _folder(self) -> Path:
         return Path(str(self._master.output_dir)).absolute() / self._experiment
 
-    def _link(self, folder: RunFolder) -> None:
+    def _link(self, folder: RunFolder) -> Path:
+        """Link ``BEST`` to a run and return it; where that is impossible, name and return the run.
+
+        There may be a folder of that name, as in a copy of a search, or links may be impossible.
+        """
         link, new = self._folder / BEST, self._folder / f".{BEST}.{os.getpid()}"
-        new.unlink(missing_ok=True)
-        new.symlink_to(os.path.relpath(folder.path, self._folder), target_is_directory=True)
-        os.replace(new, link)
+        try:
+            new.unlink(missing_ok=True)
+            new.symlink_to(os.path.relpath(folder.path, self._folder), target_is_directory=True)
+            os.replace(new, link)
+        except OSError as error:
+            new.unlink(missing_ok=True)
+            print(f"{os.path.relpath(link)} is no link ({error.strerror}); the best is {folder}")
+            return folder.path
+        return link
 
     def _summary(self, trials: Sequence[Trial], best: Trial | None) -> None:
         """Print and keep the table of candidates."""
