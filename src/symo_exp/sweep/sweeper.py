@@ -152,9 +152,10 @@ class Sweep:
         values = job.values
         check_parts(job.settings, job.known)
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
-        refusal = changed_recordings(values, job.folder, restarts=True)
-        if refusal is not None and values["resume"]:
-            raise refusal
+        if values["resume"]:
+            refusal = changed_recordings(values, job.folder, restarts=True)
+            if refusal is not None:
+                raise refusal
         if not is_done(values, job.folder):
             self._composer.check_choices(job)
             check_settings(job.settings, job.known)
