@@ -7,6 +7,7 @@ import torch
 
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.scaled import ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.mechanics.units import SI, Units
 from symo_exp.mechanics.variational import VariationalMidpoint
@@ -108,6 +109,20 @@ def test_a_step_in_other_units_takes_as_many_iterations(integrator, angular):
         found.append((step.q / coordinates.sizes, step.iterations, step.converged))
     torch.testing.assert_close(found[1], found[0])
     assert found[0][1].max() > 1
+
+
+@pytest.mark.parametrize("angular", [(False,), (False, True), (True, False, True)])
+def test_units_are_exact_in_double_precision_after_single_precision(angular):
+    coordinates = _coordinates(Units(1e-6, 1e-3, 1e-5), angular)
+    model = ScaledLagrangian(NetworkLagrangian(coordinates=coordinates, width=3), coordinates)
+    x = torch.ones(1, len(angular)).double()
+    for found in (model.double(), model.float().double()):
+        torch.testing.assert_close(
+            found.scale.inside(x, x)[0], x / coordinates.sizes, rtol=1e-15, atol=0.0
+        )
+        expected = coordinates.units.size("N m") / coordinates.sizes * x
+        torch.testing.assert_close(found.scale.force(x), expected, rtol=1e-15, atol=0.0)
+    assert model.float().scale.place.dtype == torch.float32
 
 
 def _coordinates(units, angular):

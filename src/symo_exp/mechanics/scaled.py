@@ -11,10 +11,13 @@ so that a machine of micrometres is learned as one of metres.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from typing_extensions import override
+from typing_extensions import Self, override
 
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, Rates
@@ -37,11 +40,19 @@ class Scale(nn.Module):
     def __init__(self, coordinates: Coordinates) -> None:
         super().__init__()
         flat, rest = len(coordinates.flat), coordinates.width - len(coordinates.flat)
-        motion = coordinates.sizes.to(torch.get_default_dtype())
-        self.register_buffer("motion", motion, persistent=False)
-        place = torch.cat((motion[:flat], torch.ones(rest)))
-        self.register_buffer("place", place, persistent=False)
+        self._exact = coordinates.sizes, torch.cat((coordinates.sizes[:flat], torch.ones(rest)))
+        for name, exact in zip(("motion", "place"), self._exact, strict=True):
+            self.register_buffer(name, exact.to(torch.get_default_dtype()), persistent=False)
         self.time, self.energy = coordinates.units.time, coordinates.units.size("N m")
+
+    @override
+    def _apply(self, fn: Callable[..., Any], recurse: bool = True) -> Self:
+        # A buffer that was converted to single precision stays rounded in double precision.
+        super()._apply(fn, recurse)
+        self.motion, self.place = (
+            exact.to(x) for exact, x in zip(self._exact, (self.motion, self.place), strict=True)
+        )
+        return self
 
     def inside(self, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``q / ℓ`` and ``v T / ℓ``."""
