@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.units import Units
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.rigid_body import LearnedRigidBody
@@ -105,12 +106,23 @@ def make(method: str, integrator: str, n: int, *, width: int = 8, **overrides: A
     if "root" in file:
         arguments["root"] = Newton(tolerance=1e-12, max_iterations=50)
     model = get_class(file["_target_"])(**{**arguments, **overrides}).double()
-    net = getattr(model.lagrangian, "net", None)
+    learned = getattr(model.lagrangian, "inner", model.lagrangian)
+    net = getattr(learned, "net", None)
     if net is not None:
         with torch.no_grad():  # Xavier's weights again: derivatives that can be told from zero
             net.weights[-1].div_(QUIET)
             net.biases[-1].zero_()[:n] += 1.5
     return model
+
+
+def make_small(method: str, integrator: str, n: int, **overrides: Any) -> tuple[Any, torch.Tensor]:
+    """The same machine with lengths of about 1 µm instead of 1 m, and the units of coordinates."""
+    model = make(method, integrator, n, **overrides)
+    coordinates = model.coordinates._replace(units=Units(length=2.0**-20))
+    force = coordinates.units.size("N m") / coordinates.sizes[:, None]
+    matrix = force * model.input_matrix
+    overrides |= {"coordinates": coordinates, "input_matrix": matrix}
+    return make(method, integrator, n, **overrides), coordinates.sizes
 
 
 def learner(method: str, integrator: str, n: int, **overrides: Any) -> Learner:

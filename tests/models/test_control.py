@@ -5,8 +5,10 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.models import control
 from tests.differences import slopes
-from tests.models.methods import flows, make, pairwise, windows
+from tests.models.methods import flows, make, make_small, pairwise, windows
 
 FLOWS = pytest.mark.parametrize(("method", "integrator", "n"), pairwise(flows()))
 
@@ -99,6 +101,38 @@ def test_inverse_dynamics_takes_the_nearest_possible_motion(method, integrator, 
     assert (distance(u - 0.002) >= least).all()
     assert (distance(u + 0.002) >= least).all()
     assert (least.max() < 1e-9) == (n == 1)
+
+
+@pytest.mark.parametrize(("method", "integrator"), [("l_node", "rk4"), ("symo", "midpoint")])
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_inverse_dynamics_of_a_small_machine_finds_the_same_controls(method, integrator, n):
+    """In single precision, too, whose roundings of metres are larger than the machine."""
+    model, (small, sizes) = make(method, integrator, n), make_small(method, integrator, n)
+    _, (q_prev, q, q_next) = motion(model, windows(n))
+    path = q_prev, q, q_next + 1e-5 * torch.randn_like(q_next)  # not in reach
+    expected = model.inverse_dynamics(*path)
+    torch.testing.assert_close(
+        small.inverse_dynamics(*(q * sizes for q in path)), expected, rtol=1e-7, atol=1e-7
+    )
+    single = small.float().inverse_dynamics(*(q * sizes for q in path))
+    torch.testing.assert_close(single.double(), expected, rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_controls_of_a_small_machine_take_as_many_updates(n, monkeypatch):
+    """After fewer ones the same rows are nan."""
+    lengths = {"coordinates": Coordinates(tuple("xyz"[:n]), (False,) * n)}
+    model = make("l_node", "rk4", n, **lengths)
+    small, sizes = make_small("l_node", "rk4", n, **lengths)
+    _, path = motion(model, windows(n))
+    lost = []
+    for most in range(1, 6):
+        monkeypatch.setattr(control, "MOST_UPDATES", most)
+        lost.append(model.inverse_dynamics(*path).isnan())
+        found = small.inverse_dynamics(*(q * sizes for q in path))
+        assert torch.equal(found.isnan(), lost[-1])
+    assert lost[1].any()
+    assert not lost[-1].any()
 
 
 def test_single_states_precisions_and_systems_without_a_control():

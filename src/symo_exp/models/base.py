@@ -49,6 +49,7 @@ class DynamicsModel(nn.Module):
     ) -> None:
         super().__init__()
         self.flow, self.coordinates, self.time_step = flow, coordinates, flow.time_step
+        self.flow.sizes = tuple(coordinates.sizes.tolist())
         self.objective = objective
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self.compiled: dict[str, Callable[..., Any]] = {}
@@ -195,8 +196,9 @@ class DynamicsModel(nn.Module):
 
         Of all motions of the model through ``q_prev`` and ``q`` it belongs to the one that comes
         closest to ``q_next``, which it reaches where there is a control for each coordinate. With
-        fewer controls (underactuated) the root mean square distance is least; with more, ``u`` has
-        the least norm. Rows for which no such motion is found are ``nan``.
+        fewer controls (underactuated) the root mean square distance, in the units of the
+        coordinates, is least; with more, ``u`` has the least norm. Rows for which no such motion is
+        found are ``nan``.
 
         Args:
             q_prev: Configurations (B, n) or (n,) at the first node.

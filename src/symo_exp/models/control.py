@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import jacobian, matvec, solve
-from symo_exp.mechanics.roots import rounding
+from symo_exp.mechanics.roots import relative, rounding
 from symo_exp.models.flows import ExplicitFlow, Flow, Step
 
 MOST_UPDATES = 20
@@ -47,9 +47,10 @@ def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> T
     """Return the control (batch, m), held over both steps, behind three configurations.
 
     A motion from ``q_prev`` has a velocity there and a control: ``v`` is such that it passes
-    through ``q``, ``u`` such that it comes as near to ``q_next`` as it can. Both follow by the
-    Gauss-Newton method from ``v = (q − q_prev) / h``, ``u = 0``: with ``J_v``, ``J_u`` and ``K_v``,
-    ``K_u`` the derivatives of the first and the second configuration
+    through ``q``, ``u`` such that it comes as near to ``q_next`` as it can, in the units of the
+    coordinates. Both follow by the Gauss-Newton method from ``v = (q − q_prev) / h``, ``u = 0``:
+    with ``J_v``, ``J_u`` and ``K_v``, ``K_u`` the derivatives of the first and the second
+    configuration
 
         dv = −J_v⁻¹ (r + J_u du)        min ‖s + K_v dv + K_u du‖ over du
 
@@ -57,6 +58,7 @@ def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> T
     """
     (n, m), space = flow.input_matrix.shape, flow.space
     v, u = space.difference(q_prev, q) / flow.time_step, q.new_zeros(len(q), m)
+    least = rounding(space.origin(q), flow.sizes)
     still = torch.zeros_like(v)
     for _ in range(MOST_UPDATES if m else 0):
         first, (a, b) = linearize(flow, q_prev, v, u)
@@ -66,13 +68,13 @@ def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> T
         shift = solve(a[:, :n, n:], off)
         slope = torch.linalg.solve_ex(a[:, :n, n:], b[:, :n])[0]
         to_go = space.difference(second.q, q_next) - matvec(by_v[:, :n], shift)
-        du = matvec(torch.linalg.pinv(by_u[:, :n] - by_v[:, :n] @ slope), to_go)
+        reach = relative((by_u[:, :n] - by_v[:, :n] @ slope).mT, flow.sizes).mT
+        du = matvec(torch.linalg.pinv(reach), relative(to_go, flow.sizes))
         dv = shift - matvec(slope, du)
         u, v = u + du, v + dv
         still = matvec(by_u[:, :n], du).abs() + off.abs()
         if m >= n:  # q_next can be reached: nothing has converged before
             still = still + to_go.abs()
-        if not (still > rounding(space.origin(q))).any():
+        if not (still > least).any():
             break
-    lost = 1e3 * rounding(space.origin(q))
-    return u.where((still <= lost).all(1, keepdim=True), torch.nan)
+    return u.where((still <= 1e3 * least).all(1, keepdim=True), torch.nan)

@@ -23,7 +23,7 @@ from symo_exp.mechanics.chart import Controlled
 from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.geodesic import on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.mechanics.roots import Newton, RootFinder, iterate
+from symo_exp.mechanics.roots import Newton, RootFinder, Sizes, iterate
 from symo_exp.mechanics.rows import put_rows
 from symo_exp.mechanics.space import FLAT, Space
 from symo_exp.mechanics.stretches import StretchMatching, StretchNewton, StretchPoint
@@ -80,6 +80,8 @@ class Flow(nn.Module, ABC):
     """The Lagrangian of the system, if the flow has one."""
     space: Space = FLAT
     """The space of configurations."""
+    sizes: Sizes = None
+    """Units of the coordinates."""
     stretch = STRETCH
     """Steps that a rollout takes at a time."""
 
