@@ -18,7 +18,7 @@ from symo_exp.evaluation.horizon import (
 from symo_exp.evaluation.recordings import held_out_error
 from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
 from symo_exp.mechanics.types import Trajectory
-from symo_exp.models.starts import fitted_start
+from symo_exp.models.starts import closest_start, fitted_start
 
 H = 0.02
 PLACE = torch.zeros(1, dtype=torch.float64)
@@ -62,6 +62,47 @@ def test_the_true_model_has_no_error(n, run_in):
     found = predict(model, windows, H, PLACE).measures()
     assert found.pop("valid_s") == HORIZONS[-1]
     assert max(found.values()) < 1e-6, found
+
+
+@dataclass(frozen=True)
+class Small:
+    """A machine with coordinates in units of their own, such as micrometres."""
+
+    model: Chain
+    sizes: torch.Tensor
+
+    def rollout(self, q0, v0, u):
+        path = self.model.rollout(q0 / self.sizes, v0 / self.sizes, u)
+        return ReferenceRollout(path.q * self.sizes, path.v * self.sizes)
+
+
+@EACH_N
+def test_a_small_machine_is_predicted_like_a_large_one(n):
+    """From the same fitted starts, in the units of the coordinates."""
+    model, motions = swings(n, 3.0, 5.0)
+    sizes = torch.tensor([2.0**-30, 1.0, 2.0**10]).double()[:n]
+    generator = torch.Generator().manual_seed(0)
+    noise = [1e-3 * torch.randn(m.q.shape, generator=generator).double() for m in motions]
+    large = [m._replace(q=m.q + e) for m, e in zip(motions, noise, strict=True)]
+    small = [m._replace(q=m.q * sizes, v=m.v * sizes) for m in large]
+    ones, found = torch.ones_like(sizes), []
+    for one, given, unit in ((model, large, ones), (Small(model, sizes), small, sizes)):
+        windows = cut(large, H, run_in=True)
+        windows = predict(one, windows._replace(q=windows.q * unit), H, PLACE, unit)
+        whole = predict_whole(one, given, H, PLACE, unit)
+        score = held_out_error(one, given, H, PLACE, unit)
+        found.append((windows.q / unit, whole.q / unit, score))
+    torch.testing.assert_close(found[1], found[0], rtol=1e-6, atol=1e-8, equal_nan=True)
+
+
+def test_a_fit_begins_from_the_same_parabola_in_other_units():
+    """Of two coordinates, the one with the larger unit does not decide."""
+    model, motions = swings(2, *[1.0] * 40)
+    q, _, u = (torch.stack(x) for x in zip(*motions, strict=True))
+    sizes = torch.tensor([2.0**-30, 1.0]).double()
+    small = Small(model, sizes)
+    found = closest_start(small, q * sizes, u, H, sizes=tuple(sizes.tolist()))
+    torch.testing.assert_close(found / sizes.repeat(2), closest_start(model, q, u, H))
 
 
 @EACH_N

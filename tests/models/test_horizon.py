@@ -22,7 +22,7 @@ from symo_exp.optim.robust import huber_weights
 from symo_exp.systems.table import system as stated
 from symo_exp.training.learner import Learner
 from tests.jobs import refusal
-from tests.models.methods import flows, make, pairwise
+from tests.models.methods import flows, make, make_small, pairwise
 from tests.tables import arguments_of
 
 STEPS = 4
@@ -181,6 +181,28 @@ def test_a_motion_that_is_lost_has_constant_residuals():
     flat = gradient_of(residuals, model)
     forwards = found.parameters.flatten(0, 1).T @ found.residuals.flatten()
     torch.testing.assert_close(2.0 * forwards / found.residuals.numel(), flat)
+
+
+@pytest.mark.parametrize(("method", "integrator"), [("l_node", "rk4"), ("e2e_symo", "midpoint")])
+@pytest.mark.parametrize("n", [2, 3])
+def test_a_small_machine_has_the_same_residuals_weights_and_lost_motions(method, integrator, n):
+    """Each in the units of its coordinates; one length jumps, and its motion is lost."""
+    objective, found = HorizonError(horizon=STEPS), []
+    model, (small, sizes) = make(method, integrator, n), make_small(method, integrator, n)
+    samples, kept = motions(model, n, noise=0.01), [0, 2, 3]
+    samples.q[1, -1, 1] += 30.0
+    samples.weight[1, -1, 1] = 0.0
+    for one, unit in ((model, torch.ones(n).double()), (small, sizes)):
+        given = samples._replace(q=samples.q * unit)
+        (robust,) = objective.prepare(one.flow, [given], 100)
+        residuals = objective(one.flow, given)
+        linear = objective.linearised(one.flow, given, list(one.parameters()))
+        assert float(residuals.statistics["lost"]) == 0.25
+        found.append((
+            robust.weight[kept], linear.residuals, linear.parameters, residuals.values,
+            gradient_of(residuals, one),
+        ))  # fmt: skip
+    torch.testing.assert_close(found[1], found[0], rtol=1e-5, atol=1e-8)
 
 
 def test_stretches_grow_and_end_with_their_trajectories():

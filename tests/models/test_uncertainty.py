@@ -13,7 +13,7 @@ from symo_exp.models.uncertainty import (
     sensitivity,
 )  # fmt: skip
 from symo_exp.optim.posterior import Posterior
-from tests.models.methods import flows, make, pairwise
+from tests.models.methods import flows, make, make_small, pairwise
 
 STATE = torch.tensor([0.3]).double(), torch.tensor([0.1]).double()
 
@@ -91,6 +91,18 @@ def test_sensitivity_is_that_of_starts_that_are_off(method, integrator, n):
             total += ((up - down) / (2.0 * off)).square()
     torch.testing.assert_close(found, total.sqrt(), rtol=1e-4, atol=1e-6)
     torch.testing.assert_close(found[:, 0], torch.ones_like(found[:, 0]), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(("method", "integrator"), [("l_node", "rk4"), ("symo", "galerkin4")])
+@pytest.mark.parametrize("n", [2, 3])
+def test_starts_are_off_by_the_units_of_the_coordinates(method, integrator, n):
+    """The sensitivity of a small machine is that of a large one, in its units."""
+    flow, (small, sizes) = make(method, integrator, n).flow, make_small(method, integrator, n)
+    q, v = torch.linspace(-0.4, 0.5, 2 * n, dtype=torch.float64).view(2, 1, n)
+    u = torch.zeros(1, 5, 1, dtype=torch.float64)
+    middle = flow.rollout(q, v, u).q
+    found = sensitivity(small.flow, q * sizes, v * sizes, u, middle * sizes)
+    torch.testing.assert_close(found / sizes, sensitivity(flow, q, v, u, middle), rtol=1e-6, atol=0)
 
 
 def test_intervals_of_an_earlier_version_are_those_of_the_parameters_and_said_so(caplog):

@@ -25,6 +25,7 @@ from torch import Tensor
 from symo_exp.data.diagnose import noise_of
 from symo_exp.evaluation.measures import VALID_ERROR, comparable, squared_error
 from symo_exp.evaluation.rollouts import CHUNK
+from symo_exp.mechanics.roots import Sizes
 from symo_exp.mechanics.space import Space, space_of
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import ITERATIONS, RollsOut, State, fitted_start
@@ -215,16 +216,17 @@ def predict(
     windows: PredictionWindows,
     time_step: float,
     place: Tensor,
+    units: Float[Tensor, " n"] | float = 1.0,
     iterations: int = ITERATIONS,
 ) -> Predictions:
     """Return a model's motions through the windows, from fitted starts where they have a run-in.
 
-    ``place`` is a tensor of the precision and on the device in which the model works;
-    ``iterations`` are those of ``fitted_start``.
+    ``place`` is a tensor of the precision and on the device in which the model works; ``units``
+    are those of the coordinates [rad, m], and ``iterations`` those of ``fitted_start``.
     """
     q_true, v_true, inputs = (x.to(place).split(CHUNK) for x in (windows.q, windows.v, windows.u))
     parts = [
-        _roll_out(model, *chunk, windows.lead, time_step, iterations)
+        _roll_out(model, *chunk, windows.lead, time_step, _sizes(units), iterations)
         for chunk in zip(q_true, v_true, inputs, strict=True)
     ]
     q, v = (torch.cat(field) for field in zip(*parts, strict=True))
@@ -233,13 +235,17 @@ def predict(
 
 @torch.no_grad()
 def predict_whole(
-    model: RollsOut, trajectories: Sequence[Trajectory], time_step: float, place: Tensor
+    model: RollsOut,
+    trajectories: Sequence[Trajectory],
+    time_step: float,
+    place: Tensor,
+    units: Float[Tensor, " n"] | float = 1.0,
 ) -> Predictions:
     """Return a model's motions along whole trajectories, in open loop from their first nodes.
 
-    The start is fitted to the configurations of the first 0.2 s.
+    The start is fitted to the configurations of the first 0.2 s, in ``units`` [rad, m].
     """
-    q, v, u, start = _started(model, trajectories, time_step, place)
+    q, v, u, start = _started(model, trajectories, time_step, place, _sizes(units))
     count = torch.arange(len(trajectories))
     whole = PredictionWindows(count, torch.zeros_like(count), 0, q, v, u)
     path = model.rollout(*start, u.to(place))
@@ -264,7 +270,7 @@ def whole_error(
     long = [one for one in trajectories if (len(one.q) - 1) * time_step >= LONG * (1 - 1e-9)]
     if not long:
         return None
-    q, v, u, state = _started(model, long, time_step, place)
+    q, v, u, state = _started(model, long, time_step, place, _sizes(units))
     u, space = u.to(place), space_of(q, v)
     plain, there = space.along(q) / torch.as_tensor(units), q.isfinite().all(2)
     most = (plain - plain.nanmean(1, keepdim=True)).square().nanmean((1, 2))
@@ -285,14 +291,18 @@ def whole_error(
 
 
 def _started(
-    model: RollsOut, trajectories: Sequence[Trajectory], time_step: float, place: Tensor
+    model: RollsOut,
+    trajectories: Sequence[Trajectory],
+    time_step: float,
+    place: Tensor,
+    sizes: Sizes,
 ) -> tuple[Tensor, Tensor, Tensor, State]:
     """Return padded ``q``, ``v`` and ``u``, and the state that fits the first 0.2 s of each."""
     q, v, u = (_padded(field) for field in zip(*trajectories, strict=True))
     u = u.nan_to_num()
     lead = min(_run_in(trajectories, time_step), min(len(one.q) for one in trajectories) - 1)
     given = q[:, : lead + 1].to(place), u[:, : lead + 1].to(place)
-    return q, v, u, fitted_start(model, *given, time_step, space=space_of(q, v))
+    return q, v, u, fitted_start(model, *given, time_step, space=space_of(q, v), sizes=sizes)
 
 
 def _roll_out(
@@ -302,14 +312,21 @@ def _roll_out(
     u: Tensor,
     lead: int,
     time_step: float,
+    sizes: Sizes,
     iterations: int,
 ) -> tuple[Tensor, Tensor]:
     start = State(q[:, 0], v[:, 0])
     if lead:
         given = q[:, : lead + 1], u[:, : lead + 1]
-        start = fitted_start(model, *given, time_step, iterations, space=space_of(q, v))
+        space = space_of(q, v)
+        start = fitted_start(model, *given, time_step, iterations, space=space, sizes=sizes)
     path = model.rollout(*start, u)
     return path.q[:, lead:].double().cpu(), path.v[:, lead:].double().cpu()
+
+
+def _sizes(units: Tensor | float) -> Sizes:
+    """Return units as numbers, of which a single one is that of all coordinates."""
+    return tuple(torch.as_tensor(units).reshape(-1).tolist())
 
 
 def _starts(steps: int, lead: int, length: int, time_step: float) -> range:

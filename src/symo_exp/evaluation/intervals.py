@@ -51,7 +51,8 @@ def widened(
     windows = cut(trajectories, model.time_step, run_in=True) if trajectories else None
     if windows is None:
         return ModelPosterior(posterior)
-    found = predict(model, _some(windows, WINDOWS), model.time_step, model.input_matrix)
+    h, place, units = model.time_step, model.input_matrix, model.coordinates.sizes
+    found = predict(model, _some(windows, WINDOWS), h, place, units)
     rolled = _rolled(model, found)
     by_parameters = spread(model.flow, posterior, *rolled, ROLLOUTS).double().cpu()
     by_start = sensitivity(model.flow, *rolled).double().cpu()

@@ -123,7 +123,7 @@ def held_out_error(
     windows = cut(trajectories, time_step, run_in=True)
     if windows is None:
         return math.inf
-    found = predict(model, windows, time_step, place, iterations)
+    found = predict(model, windows, time_step, place, units, iterations)
     errors = [median(found.rmse(seconds, units)) for seconds in horizons]
     if horizons[-1] >= HORIZONS[-1]:
         whole = whole_error(model, trajectories, time_step, place, units)
@@ -144,7 +144,7 @@ def on_recordings(
         trajectories: The recordings to predict.
         reference: A model to compare with.
     """
-    h, place = model.time_step, model.input_matrix
+    h, place, units = model.time_step, model.input_matrix, model.coordinates.sizes
     who: dict[str, RollsOut] = {
         "": model,
         "constant_velocity_": ConstantVelocity(h, model.coordinates.space),
@@ -157,7 +157,7 @@ def on_recordings(
         windows = cut(trajectories, h, run_in=run_in)
         if windows is None:
             continue
-        found = {prefix: predict(one, windows, h, place) for prefix, one in who.items()}
+        found = {prefix: predict(one, windows, h, place, units) for prefix, one in who.items()}
         measures[f"windows{suffix}"] = float(len(windows.q))
         measures[f"window_s{suffix}"] = median(found[""].measured_seconds())
         for prefix, one in found.items():
@@ -176,7 +176,7 @@ def on_recordings(
             for prefix, one in found.items():
                 measures[f"{prefix}usable_s"] = median(one.usable_seconds(usable))
     for prefix, simulator in who.items():
-        errors = predict_whole(simulator, trajectories, h, place).errors()
+        errors = predict_whole(simulator, trajectories, h, place, units).errors()
         measures[f"{prefix}open_loop_rmse"] = errors.nanmean().sqrt().item()
     measures["noise"] = noise(trajectories).square().mean().sqrt().item()
     if recorded is None:

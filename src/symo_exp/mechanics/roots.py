@@ -416,6 +416,11 @@ def relative(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batc
     return x if sizes is None else x / column_sizes(sizes, x)
 
 
+def absolute(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
+    """Return changes of coordinates from those over the units of these."""
+    return x if sizes is None else x * column_sizes(sizes, x)
+
+
 def as_actions(momenta: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
     """Return momenta times the units of their coordinates: all have the unit energy times time."""
     return momenta if sizes is None else momenta * column_sizes(sizes, momenta)

@@ -12,6 +12,7 @@ from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.chart import Ends
+from symo_exp.mechanics.roots import relative
 from symo_exp.mechanics.types import Stretches, Trajectory
 from symo_exp.mechanics.windows import cut_stretches
 from symo_exp.models.flows import Flow, chained
@@ -22,7 +23,7 @@ from symo_exp.optim.base import EpochOptimizer, concatenated
 from symo_exp.optim.robust import huber_weights
 
 LOST = 10.0
-"""An error beyond which a motion does not follow the data any more [rad, m]."""
+"""An error beyond which a motion does not follow the data any more [units of coordinates]."""
 ROUNDS = 3
 """Fits of the starts, each with the weights that the last one gave."""
 ITERATIONS = 6
@@ -36,7 +37,8 @@ class HorizonError(Objective):
 
     ``min_θ Σ_stretches min_{q₀, v₀} Σ_{k=0}^{N} w_k |q̂_k(q₀, v₀; θ) − q_k|²``
 
-    Configurations alone are read, by every method. The error of a rotation is a rotation vector.
+    Configurations alone are read, by every method. The error of a rotation is a rotation vector,
+    and errors are in the units of the coordinates.
     The weights ``w`` are those of Huber's loss at the start of an epoch, with a threshold of
     ``huber`` standard deviations of the errors of each coordinate (``robust.huber_weights``).
 
@@ -162,7 +164,7 @@ class HorizonError(Objective):
             q, y, _ = flow.advance(q, y, before, after)
             path.append(q)
         errors = flow.space.difference(found.measured, torch.stack(path, 1))
-        values = (found.root * errors).flatten(1)
+        values = (found.root * relative(errors, flow.sizes)).flatten(1)
         change = (values - values.detach()).unsqueeze(-1)
         return values.detach() + (change - _projected(by_start, change)).squeeze(-1)
 
@@ -177,7 +179,7 @@ class _Fitted(NamedTuple):
     measured: Float[Tensor, "stretches nodes n"]
     """``q``."""
     errors: Float[Tensor, "stretches nodes n"]
-    """``q̂ − q``, bounded."""
+    """``q̂ − q`` in the units of the coordinates, bounded."""
     root: Float[Tensor, "stretches nodes n"]
     """``√w``."""
     follows: Bool[Tensor, " stretches"]
@@ -197,10 +199,12 @@ class _Fitted(NamedTuple):
 def _fit(flow: Flow, stretches: Stretches) -> _Fitted:
     q, u, begin, weight = stretches
     if not begin.isfinite().all():
-        begin = closest_start(flow, q, u, flow.time_step, flow.space)
-    start = fitted_start(flow, q, u, flow.time_step, ITERATIONS, weight, begin, flow.space)
+        begin = closest_start(flow, q, u, flow.time_step, flow.space, flow.sizes)
+    start = fitted_start(
+        flow, q, u, flow.time_step, ITERATIONS, weight, begin, flow.space, flow.sizes
+    )
     path = flow.rollout(*start, u)
-    errors = flow.space.difference(q, path.q)
+    errors = relative(flow.space.difference(q, path.q), flow.sizes)
     follows = path.converged.all(1) & (errors.abs() < LOST).flatten(1).all(1)
     bounded = errors.nan_to_num(LOST, LOST, -LOST).clamp(-LOST, LOST)
     return _Fitted(start, path.q, path.v, u, q, bounded, weight.sqrt(), follows)
@@ -235,5 +239,5 @@ def _forwards(
     else:  # of errors along the step from the data
         turned = Ends.of(space, found.errors.flatten(0, 1)).inverse.unflatten(0, (count, nodes))
         by_start, by_parameters = (turned @ x for x in motions)
-    root = found.root.flatten(1).unsqueeze(-1)
+    root = relative(found.root, flow.sizes).flatten(1).unsqueeze(-1)
     return root * by_start.flatten(1, 2), root * by_parameters.flatten(1, 2)

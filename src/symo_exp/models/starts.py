@@ -10,13 +10,13 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.mechanics.chart import Ends
-from symo_exp.mechanics.roots import Rule, iterate
+from symo_exp.mechanics.roots import Rule, Sizes, absolute, iterate, relative
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import FLAT, Space
 
 ITERATIONS = 12
 DIFFERENCE = 1e-5
-"""Distance of initial states for differences of rollouts [rad, rad/s; m, m/s]."""
+"""Distance of initial states for differences of rollouts [unit of the coordinate, this per s]."""
 GAIN, TINY = 1e-6, 1e-24
 """A row is done if a step is predicted to lower its cost by at most this share, or this number."""
 SMALLEST = 1e-12
@@ -72,8 +72,11 @@ def fitted_start(
     weight: Float[Tensor, "batch nodes n"] | None = None,
     start: Float[Tensor, "batch unknowns"] | None = None,
     space: Space = FLAT,
+    sizes: Sizes = None,
 ) -> State:
     """Return the states at node 0 that minimise ``Σ_k w_k |q̂_k(q₀, v₀) − q_k|²`` for each motion.
+
+    Errors are in the units of the coordinates.
 
     Levenberg-Marquardt for all rows at once, each with its own damping. Derivatives are central
     differences of rollouts where a model does not know them, so that any model will do. A trial
@@ -89,9 +92,10 @@ def fitted_start(
         start: ``(q₀, v₀)`` to begin from, ``q₀`` in the charts at the first nodes; that of a
             parabola through all nodes if left out.
         space: The space of configurations.
+        sizes: Units of the coordinates.
     """
     plain = space.along(q)
-    fit = Fit(model, q, u, torch.ones_like(plain) if weight is None else weight, space)
+    fit = Fit(model, q, u, torch.ones_like(plain) if weight is None else weight, space, sizes)
     begin = parabola(plain, time_step) if start is None else start
     x, _, _ = iterate(fit, begin, FitSteps(), iterations)
     return fit.state(x)
@@ -103,11 +107,12 @@ def closest_start(
     u: Float[Tensor, "batch nodes m"],
     time_step: float,
     space: Space = FLAT,
+    sizes: Sizes = None,
 ) -> Float[Tensor, "batch unknowns"]:
     """Return states ``(q₀, v₀)`` to begin a fit from, for motions of many steps.
 
-    Of parabolas through the first 3, 5, 9, … nodes each motion takes that with the least squares;
-    configurations are in the charts at the first nodes.
+    Of parabolas through the first 3, 5, 9, … nodes each motion takes that with the least squares,
+    in the units of the coordinates; configurations are in the charts at the first nodes.
     """
     counts = [2**k + 1 for k in range(1, q.shape[1].bit_length()) if 2**k < q.shape[1]]
     plain, repeats = space.along(q), (len(counts), 1, 1)
@@ -115,22 +120,31 @@ def closest_start(
     place, v0 = starts.flatten(0, 1).chunk(2, dim=1)
     q0 = space.point(q[:, 0].repeat(len(counts), 1), place)
     path = model.rollout(q0, v0, u.repeat(repeats)).q
-    error = space.difference(q.repeat(repeats), path)
+    error = relative(space.difference(q.repeat(repeats), path), sizes)
     cost = error.square().flatten(1).sum(1).nan_to_num(torch.inf, torch.inf)
     chosen = cost.view(len(counts), -1).argmin(0)
     return starts[chosen, torch.arange(len(q), device=q.device)]
 
 
 class Fit(Rowwise):
-    """Least squares of rollouts over their initial states, in the charts at the first nodes."""
+    """Least squares of rollouts over their initial states, in the charts at the first nodes.
 
-    parts = ("_model", "_q", "_u", "_weight", "_space")
+    Errors are in the units of the coordinates.
+    """
+
+    parts = ("_model", "_q", "_u", "_weight", "_space", "_sizes")
 
     def __init__(
-        self, model: RollsOut, q: Tensor, u: Tensor, weight: Tensor, space: Space = FLAT
+        self,
+        model: RollsOut,
+        q: Tensor,
+        u: Tensor,
+        weight: Tensor,
+        space: Space = FLAT,
+        sizes: Sizes = None,
     ) -> None:
         self._model, self._q, self._u, self._weight = model, q, u, weight
-        self._space = space
+        self._space, self._sizes = space, sizes
 
     def state(self, x: Float[Tensor, "batch unknowns"]) -> State:
         """Return the initial states."""
@@ -146,7 +160,7 @@ class Fit(Rowwise):
         if known is None:
             return self._by_differences(x)
         path, slopes = (y.to(self._q) for y in known)
-        root, error = self._weight.sqrt().flatten(1), self._space.difference(self._q, path)
+        root, error = self._root(), self._space.difference(self._q, path)
         slopes = self._in_charts(slopes, x, error).flatten(1, 2)
         found = FitPoint(root * error.flatten(1), root.unsqueeze(-1) * slopes)
         lost = (~path.isfinite().flatten(1).all(1)).nonzero().squeeze(1)
@@ -157,8 +171,8 @@ class Fit(Rowwise):
     def _by_differences(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
         """Evaluate residuals and their derivatives by central differences of rollouts."""
         batch, unknowns = x.shape
-        root, true = self._weight.sqrt().flatten(1), self._space.origin(self._q)
-        beside = DIFFERENCE * torch.eye(unknowns).to(x)
+        root, true = self._root(), self._space.origin(self._q)
+        beside = absolute(DIFFERENCE * torch.eye(unknowns).to(x), self._sizes)
         shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
         starts = (x + shifts[:, None]).flatten(0, 1)
         path = self._model.rollout(*self.state(starts), self._u.repeat(len(shifts), 1, 1)).q
@@ -166,8 +180,13 @@ class Fit(Rowwise):
         moved = self._space.chart(self._q.expand_as(path), path).flatten(2)
         at, plus, minus = moved.split((1, unknowns, unknowns))
         slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
+        slopes = relative(slopes, self._sizes)
         error = (at[0].view_as(true) - true).flatten(1)
         return FitPoint(root * error, root.unsqueeze(-1) * slopes.nan_to_num(0.0, 0.0, 0.0))
+
+    def _root(self) -> Float[Tensor, "batch errors"]:
+        """Return the factors of errors, ``√w`` over the units of the coordinates."""
+        return relative(self._weight.sqrt(), self._sizes).flatten(1)
 
     def _in_charts(
         self, slopes: Float[Tensor, "batch nodes n 2n"], x: Tensor, error: Tensor
@@ -183,9 +202,10 @@ class Fit(Rowwise):
 
 
 class FitPoint(Rowwise):
-    """Residuals ``√w (q̂ − q)`` (batch, r) and their derivatives (batch, r, 2n).
+    """Residuals ``√w (q̂ − q) / ℓ`` (batch, r) and their derivatives (batch, r, 2n).
 
-    Residuals of rollouts that diverge are not finite; their derivatives are zero.
+    ``ℓ`` are the units of the coordinates. Residuals of rollouts that diverge are not finite; their
+    derivatives are zero.
     """
 
     parts = ("residual", "slopes")

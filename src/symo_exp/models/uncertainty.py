@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.roots import absolute
 from symo_exp.models.flows import Flow
 from symo_exp.models.starts import Fit
 from symo_exp.optim.posterior import Posterior
@@ -161,10 +162,10 @@ def variance(
 def sensitivity(
     flow: Flow, q: Tensor, v: Tensor, u: Tensor, middle: Tensor
 ) -> Float[Tensor, "batch nodes n"]:
-    """Return the standard deviation of rollouts from starts that are off by 1.
+    """Return the standard deviation of rollouts from starts that are off by one unit.
 
-    Each configuration is off by 1 and each velocity by ``1 / START_TIME``, independently.
-    Rollouts that diverge have zero.
+    Each configuration is off by the unit ``ℓ`` of its coordinate and each velocity by
+    ``ℓ / START_TIME``, independently. Rollouts that diverge have zero.
 
     Args:
         flow: The flow.
@@ -173,9 +174,11 @@ def sensitivity(
         u: Controls at all nodes.
         middle: The rollouts of ``flow``.
     """
-    at = Fit(flow, middle, u, torch.ones_like(middle)).at(torch.cat((q, v), dim=1))
-    by_q, by_v = at.slopes.unflatten(1, middle.shape[1:]).chunk(2, dim=3)
-    return (by_q.square().sum(3) + by_v.square().sum(3) / START_TIME**2).sqrt()
+    fit = Fit(flow, middle, u, torch.ones_like(middle), sizes=flow.sizes)
+    slopes = absolute(fit.at(torch.cat((q, v), dim=1)).slopes, flow.sizes)
+    by_q, by_v = slopes.unflatten(1, middle.shape[1:]).chunk(2, dim=3)
+    found = (by_q.square().sum(3) + by_v.square().sum(3) / START_TIME**2).sqrt()
+    return absolute(found, flow.sizes)
 
 
 @torch.no_grad()

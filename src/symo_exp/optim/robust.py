@@ -8,7 +8,7 @@ from torch import Tensor
 NORMAL = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 SMALLEST = 1e-12
-"""Lower bound on a threshold [rad, m]."""
+"""Lower bound on a threshold [unit of the errors]."""
 
 
 def huber_weights(errors: Float[Tensor, "*batch n"], factor: float) -> Float[Tensor, "*batch n"]:
@@ -19,7 +19,7 @@ def huber_weights(errors: Float[Tensor, "*batch n"], factor: float) -> Float[Ten
     (Holland and Welsch 1977).
 
     Args:
-        errors: ``e`` [rad, m].
+        errors: ``e``.
         factor: ``c`` of a coordinate in robust standard deviations of its errors, which are 1.48
             times the median of ``|e|``.
     """
