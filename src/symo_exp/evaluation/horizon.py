@@ -163,11 +163,18 @@ class Predictions:
 
 
 def cut(
-    trajectories: Sequence[Trajectory], time_step: float, *, run_in: bool
+    trajectories: Sequence[Trajectory],
+    time_step: float,
+    *,
+    run_in: bool,
+    seconds: float = HORIZONS[-1],
 ) -> PredictionWindows | None:
-    """Return the windows of all trajectories, with or without a run-in; ``None`` without any."""
+    """Return the windows of all trajectories, with or without a run-in; ``None`` without any.
+
+    ``seconds`` is their length without the run-in.
+    """
     lead = _run_in(trajectories, time_step) if run_in else 0
-    length = lead + round(HORIZONS[-1] / time_step)
+    length = lead + max(1, round(seconds / time_step))
     pieces = [
         (at, start + lead, Trajectory(*(x[start : start + length + 1] for x in whole)))
         for at, whole in enumerate(trajectories)

@@ -120,7 +120,7 @@ def held_out_error(
     which are for motions that cannot be predicted longer. ``place`` and ``iterations`` are those of
     ``predict``.
     """
-    windows = cut(trajectories, time_step, run_in=True)
+    windows = cut(trajectories, time_step, run_in=True, seconds=horizons[-1])
     if windows is None:
         return math.inf
     found = predict(model, windows, time_step, place, units, iterations)

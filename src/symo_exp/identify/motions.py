@@ -74,6 +74,7 @@ class Dynamics(NamedTuple):
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
         stiffness: Of springs that explain what gravity does not, in ``units``; else
             ``None``.
+        horizon: Longest time over which errors are compared [s].
         settings: Overrides that every candidate has.
         notes: A line on each property.
     """
@@ -83,6 +84,7 @@ class Dynamics(NamedTuple):
     delay: float | None
     explained: float | None
     stiffness: tuple[tuple[float, ...], ...] | None
+    horizon: float
     settings: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -127,8 +129,9 @@ def dynamics(
         settings.append(f"dissipation.rest_velocity={rest:g}")
         unit = "units of velocity" if units != SI else "m/s or rad/s"
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} {unit}")
-    if horizons := _shorter_horizons(scaled, angular, step, units.time):
-        told_times = ", ".join(horizons)
+    horizons = _horizons(scaled, angular, step, units.time)
+    if horizons != HORIZONS:
+        told_times = ", ".join(f"{each:g}" for each in horizons)
         settings.append(f"learner.validation.horizons=[{told_times}]")
         notes.append(
             f"unstable: the errors of predictions grow fast; those over {told_times} s are compared"
@@ -142,6 +145,7 @@ def dynamics(
         delay=None if clear else delay,
         explained=1.0 - left[delay] if left else None,
         stiffness=stiffness,
+        horizon=horizons[-1],
         settings=tuple(settings),
         notes=(*notes, told) if driven else tuple(notes),
     )
@@ -340,17 +344,19 @@ def _stiffness(
     return tuple(tuple(float(f"{x:.3g}") for x in row) for row in stiffness)
 
 
-def _shorter_horizons(
+def _horizons(
     pairs: Sequence[Motion], angular: np.ndarray, h: float, second: float
-) -> list[str]:
-    """Return horizons [s] over which errors grow less, nothing if the usual ones are suitable.
+) -> tuple[float, ...]:
+    """Return horizons [s] over which errors grow little, the usual ones if these are suitable.
 
     Over longer ones the noise of the starts grows beyond the motion, and a wrong model that stays
     near the mean has smaller errors than the right one. ``second`` is the unit of ``h`` [s].
     """
     rate = growth_rate(pairs, _coordinates(angular), h) if pairs else None
     growth = 0.0 if rate is None else rate / second * HORIZONS[-1]
-    return [f"{LONGEST / growth * each:.2g}" for each in HORIZONS] if growth > LARGEST else []
+    if growth <= LARGEST:
+        return HORIZONS
+    return tuple(float(f"{LONGEST / growth * each:.2g}") for each in HORIZONS)
 
 
 def _pairs(motions: Sequence[Sampled], h: float, delay: float) -> list[Motion]:

@@ -94,7 +94,7 @@ class Effort:
         """Return the time of the validations of a training on the reference machine [s].
 
         Steps are taken one after another, for all windows at once, and again along the longest
-        recording as a whole.
+        recording as a whole, unless errors are compared over shorter times than usual.
         """
         step = float(candidate.settings.get("system.time_step", machine.time_step))
         held_out = machine.seconds / FOLDS
@@ -105,8 +105,8 @@ class Effort:
         def rolled(length: float, rows: float) -> float:
             return length / step * (STEP + ROW * machine.n * (machine.n + 1) * rows)
 
-        found = rolled(HORIZONS[-1] + FITTED, max(1.0, seconds / EVERY))
-        if piece >= LONG:
+        found = rolled(machine.horizon + FITTED, max(1.0, seconds / EVERY))
+        if piece >= LONG and machine.horizon >= HORIZONS[-1]:
             found += rolled(piece, seconds / piece)
         slow = math.sqrt(candidate.cost * step / machine.time_step)
         if machine.driven and machine.n > 1:

@@ -16,6 +16,7 @@ from symo_exp.data.header import header, in_degrees, names, omitting
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
+from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.identify.motions import (
     STEPS,
     Shock,
@@ -62,6 +63,7 @@ class Machine:
         stiffness: Of springs that explain what gravity does not, in ``units``; else
             ``None``.
         notes: The inferred properties, a line each.
+        horizon: Longest time over which errors are compared [s].
     """
 
     settings: tuple[str, ...]
@@ -78,6 +80,7 @@ class Machine:
     moves: bool
     stiffness: tuple[tuple[float, ...], ...] | None
     notes: tuple[str, ...]
+    horizon: float = HORIZONS[-1]
 
     @property
     def nodes(self) -> int:
@@ -187,6 +190,7 @@ def examine(
         explained=shown_by.explained,
         moves=_moves(used),
         stiffness=shown_by.stiffness,
+        horizon=shown_by.horizon,
         notes=(*notes, *shown_by.notes),
     )
 

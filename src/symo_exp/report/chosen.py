@@ -15,8 +15,8 @@ from symo_exp.runs.folder import CANDIDATES, PARAMETERS, WINDOWS
 
 NOTES = (
     "In order of simplicity. Error [rad, m]: geometric mean over the folds of those to 0.5, 1 and "
-    "2 s and of whole recordings, or of unstable machines over shorter times. × chosen: ratio over the folds that both have, with the standard error "
-    "of its logarithm.",
+    "2 s and of whole recordings, or of unstable machines over shorter times. × chosen: ratio over "
+    "the folds that both have, with the standard error of its logarithm.",
     "The chosen one is the simplest that the best one does not beat by more than one standard "
     "error.",
 )
