@@ -254,13 +254,10 @@ def spring_slopes(
 
     def gravity(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         turned = q[:, angular]
-        return np.concatenate([np.cos(turned), np.sin(turned), others(q, v, u)], axis=1)
-
-    def others(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.ones((len(q), 1)), v, signs_of(v), u], axis=1)
+        return np.concatenate([np.cos(turned), np.sin(turned), _forces(q, v, u)], axis=1)
 
     hanging = _regression(motions, h, gravity)
-    for beside, most in (others, SPRUNG), (gravity, SPRUNG_TOO):
+    for beside, most in (_forces, SPRUNG), (gravity, SPRUNG_TOO):
 
         def springs(
             q: np.ndarray, v: np.ndarray, u: np.ndarray, beside: Terms = beside
@@ -283,14 +280,19 @@ def growth_rate(motions: Sequence[Motion], coordinates: Coordinates, h: float) -
     n = coordinates.n
 
     def linear(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.concatenate([q, v, np.ones((len(q), 1)), signs_of(v), u], axis=1)
+        return np.concatenate([q, _forces(q, v, u)], axis=1)
 
     found = _regression(motions, h, linear)
     if found is None or found[0] > LINEAR:
         return None
     zero, one = np.zeros((n, n)), np.eye(n)
-    slopes = np.block([[zero, one], [found[1][:n].T, found[1][n : 2 * n].T]])
+    slopes = np.block([[zero, one], [found[1][:n].T, found[1][n + 1 : 2 * n + 1].T]])
     return float(np.linalg.eigvals(slopes).real.max())
+
+
+def _forces(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return terms that do not depend on places: a constant force, friction and inputs."""
+    return np.concatenate([np.ones((len(q), 1)), v, signs_of(v), u], axis=1)
 
 
 def _regression(

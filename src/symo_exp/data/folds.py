@@ -58,14 +58,17 @@ def at_rest(recordings: Sequence[Recording]) -> list[bool]:
     """
     motion = np.array([np.ptp(one.samples.q, axis=0) for one in recordings])
     little = (motion <= REST * motion.max(axis=0)).all(axis=1)
-    still = [bool(x) and not _moves(one) for x, one in zip(little, recordings, strict=True)]
+    still = [bool(x) and not any_moves([one]) for x, one in zip(little, recordings, strict=True)]
     return [False] * len(still) if all(still) else still
 
 
-def _moves(recording: Recording) -> bool:
-    columns = recording.samples.q.T
-    noise = np.nan_to_num([noise_of([column]) for column in columns])
-    return bool((np.ptp(columns, axis=1) > ABOVE_NOISE * noise).any())
+def any_moves(recordings: Sequence[Recording]) -> bool:
+    """Return whether any coordinate moves by more than its noise in any recording."""
+    for column in zip(*(one.samples.q.T for one in recordings), strict=True):
+        noise = np.nan_to_num(noise_of(column))
+        if max(np.ptp(x) for x in column) > max(ABOVE_NOISE * noise, np.finfo(float).tiny):
+            return True
+    return False
 
 
 def deal(durations: Sequence[float], count: int) -> list[list[int]]:

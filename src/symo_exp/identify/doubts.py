@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from symo_exp.evaluation.verdict import HORIZONS
 from symo_exp.identify.recordings import Machine
 
 EXPLAINED = 0.5
 """Share of the accelerations' power below which something else moves the machine."""
-HORIZONS = ("0.5s", "1s", "2s")
 BETTER = 0.5
 """Ratio of the error of a model to that of constant velocity above which, over all horizons, there
 is no model; it is also that of the times to which they are usable."""

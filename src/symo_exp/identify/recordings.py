@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import POOR, SUSPECT, noise_of
-from symo_exp.data.folds import ABOVE_NOISE, at_rest
+from symo_exp.data.diagnose import POOR, SUSPECT
+from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown
 from symo_exp.data.header import header, in_degrees, names, omitting
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
@@ -188,7 +188,7 @@ def examine(
         units=shown_by.units,
         delay=shown_by.delay,
         explained=shown_by.explained,
-        moves=_moves(used),
+        moves=any_moves(used),
         stiffness=shown_by.stiffness,
         horizon=shown_by.horizon,
         notes=(*notes, *shown_by.notes),
@@ -298,14 +298,6 @@ def _ask_for_degrees(
             f"power is explained if these are degrees, {100 * plain:.3g} % if they are radians; "
             "give data.degrees=true or false"
         )
-
-
-def _moves(recordings: Sequence[Recording]) -> bool:
-    for column in zip(*(one.samples.q.T for one in recordings), strict=True):
-        noise = np.nan_to_num(noise_of(column))
-        if max(np.ptp(x) for x in column) > max(ABOVE_NOISE * noise, np.finfo(float).tiny):
-            return True
-    return False
 
 
 def _told_still(recordings: Sequence[Recording], names: Sequence[str]) -> list[str]:
