@@ -19,7 +19,7 @@ from symo_exp.identify.candidates import (
     with_friction_of,
     with_less_friction,
 )
-from symo_exp.identify.recordings import Machine
+from symo_exp.identify.recordings import Body, Machine
 from symo_exp.mechanics.units import SI
 
 
@@ -29,6 +29,19 @@ def machine(n=2, seconds=60.0, recordings=7, driven=True, angular=True):
         seconds=seconds, recordings=recordings, rest_velocity=0.1, units=SI, delay=-0.01 * driven,
         explained=0.97, moves=True, stiffness=None, notes=(),
     )  # fmt: skip
+
+
+TURNING = [
+    replace(machine(n, driven=driven, angular=False), rotations=n // 3, body=body)
+    for n, driven, body in (
+        (3, False, Body(free=False, radius=1.0, learned_inputs=0)),
+        (3, True, Body(free=False, radius=1.0, learned_inputs=3)),
+        (6, True, Body(free=True, radius=0.1, learned_inputs=0)),
+        (6, True, Body(free=True, radius=1.0, learned_inputs=4)),
+        (6, False, None),
+    )
+]
+"""Machines that turn freely."""
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
@@ -129,10 +142,11 @@ def test_invalid_durations_are_refused(text):
         plans.seconds_of(text)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
-@pytest.mark.parametrize("angular", [True, False])
-def test_candidates_differ_and_variations_change_one_respect(n, angular):
-    one = machine(n, angular=angular)
+@pytest.mark.parametrize(
+    "one",
+    [*TURNING, *(machine(n, angular=angular) for n in (1, 2, 3) for angular in (True, False))],
+)
+def test_candidates_differ_and_variations_change_one_respect(one):
     candidates = ladder(one)
     assert [c.rank for c in candidates] == sorted(c.rank for c in candidates)
     every = [*candidates, *(v for c in candidates for v in variations(c, one))]

@@ -327,14 +327,6 @@ def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, work
     examine({"path": "degrees.csv", "degrees": False})
 
 
-def test_quaternions_are_refused_with_the_setting_that_reads_them(workplace):
-    frame = table()
-    frame[[f"q_body_{entry}" for entry in "wxyz"]] = [1.0, 0.0, 0.0, 0.0]
-    frame.to_csv("mine.csv", index=False)
-    with pytest.raises(ConfigError, match=r"system.rotations=\[body\]"):
-        examine({"path": "mine.csv"})
-
-
 @pytest.mark.parametrize(("gravity", "horizons"), [(25.0, [0.2, 0.4, 0.8]), (-25.0, None)])
 def test_errors_of_machines_that_a_controller_balances_count_over_shorter_times(
     gravity, horizons, workplace

@@ -81,6 +81,17 @@ def test_a_fitted_start_is_that_of_the_motion() -> None:
     torch.testing.assert_close(start.v, v, rtol=0, atol=1e-4)
 
 
+def test_a_start_is_fitted_to_turns_beyond_a_whole_one() -> None:
+    system = stated("rigid_body", gravity=(0.0, 0.0, 0.0))
+    model = model_of(system, "explicit")
+    q, _, u = system.points(1, seed=1)
+    v = torch.tensor([[0.5, 30.0, -0.3]]).double()
+    controls = 0.0 * u.unsqueeze(1).expand(-1, round(7.0 / 30.0 / system.time_step) + 1, -1)
+    path = model.rollout(q, v, controls)
+    start = fitted_start(model, path.q, controls, system.time_step, space=system.space)
+    torch.testing.assert_close(start.v, v, rtol=1e-6, atol=1e-6)
+
+
 class OnlyRollsOut:
     """A model that does not know the derivatives of its rollouts."""
 

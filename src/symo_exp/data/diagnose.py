@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
+import torch
 
 from symo_exp.mechanics.types import Coordinates
 
@@ -111,7 +112,7 @@ class Diagnosis:
     def _step(self) -> str:
         h, names = f"{self.time_step:g}", self.coordinates.names
         moves = ", ".join(f"{n} at most {x:.2g}" for n, x in zip(names, self.turn, strict=True))
-        angles = self.turn[np.array(self.coordinates.angular)]
+        angles = self.turn[np.array(self.coordinates.turning)]
         verdict = "suits"
         if angles.size and angles.max() > COARSE:
             verdict = "is coarse: a smaller one sees more of the motion"
@@ -130,7 +131,7 @@ class Diagnosis:
 
 
 Motion = tuple[np.ndarray, np.ndarray]
-"""Configurations (T, n) and inputs (T, m) at nodes."""
+"""Configurations (T, N) and inputs (T, m) at nodes."""
 Terms = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Maps configurations, velocities and inputs at nodes to the columns of a regression."""
 
@@ -145,14 +146,16 @@ def diagnose(
     """Return the diagnosis of recordings.
 
     Args:
-        motions: Configurations (T, n) and inputs (T, m) of each recording, at the nodes.
-        raw: Its configurations (T', n) as sampled.
+        motions: Configurations (T, N) and inputs (T, m) of each recording, at the nodes.
+        raw: Its configurations (T', N) as sampled.
         coordinates: Those of the system.
         time_step: Distance of the nodes [s].
         samples: Number of samples in a time step.
     """
-    second = [np.diff(q, 2, axis=0) for q, _ in motions]
-    noise = np.array([noise_of(columns) for columns in _columns(raw)])
+    paths = [quasi_coordinates(q, coordinates) for q, _ in motions]
+    sampled = [quasi_coordinates(q, coordinates) for q in raw]
+    second = [np.diff(path, 2, axis=0) for path in paths]
+    noise = np.array([noise_of(columns) for columns in _columns(sampled)])
     blur = blur_of(noise, samples)
     power = (
         np.mean(np.concatenate(second) ** 2, axis=0) - 6 * blur**2
@@ -168,11 +171,30 @@ def diagnose(
         degrees=explained_in_degrees(motions, coordinates, time_step),
         sprung=springs is not None,
         noise=noise,
-        encoder=np.array([encoder_of(columns) for columns in _columns(raw)]),
-        turn=np.max([np.abs(np.diff(q, axis=0)).max(0) for q, _ in motions], axis=0),
+        encoder=np.array([encoder_of(columns) for columns in _columns(sampled)]),
+        turn=np.max([np.abs(np.diff(path, axis=0)).max(0) for path in paths], axis=0),
         curvature=curvature,
         blur=float(np.max(blur / np.maximum(curvature, np.finfo(float).tiny))),
     )
+
+
+def quasi_coordinates(q: np.ndarray, coordinates: Coordinates) -> np.ndarray:
+    """Return numbers (T, n) whose rates are the velocities of a motion (T, N), all in body axes.
+
+    Lengths and angles are such numbers. Those of a rotation are the sums of the turns between
+    nodes, those of the position of a free body the sums of its steps in body axes: forces that turn
+    with a body do not depend on its attitude then.
+    """
+    if not coordinates.rotations:
+        return q
+    space, stored = coordinates.space, torch.as_tensor(q)
+    found = space.unrolled(stored)
+    axes = space.rotation_matrices(space.middle(stored[:-1], stored[1:]))
+    for place, turn in coordinates.free:
+        moved = stored[:, place : place + 3].diff(dim=0)
+        steps = torch.einsum("tji,tj->ti", axes[:, turn], moved)
+        found[1:, place : place + 3] = found[:1, place : place + 3] + steps.cumsum(0)
+    return found.numpy()
 
 
 def blur_of(noise: np.ndarray, samples: float) -> np.ndarray:
@@ -225,7 +247,7 @@ def explained_power(
     def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         return acceleration_terms(q, v, u if driven else u[:, :0], coordinates)
 
-    found = _regression(motions, h, terms)
+    found = _regression(motions, coordinates, h, terms)
     return None if found is None else max(0.0, 1.0 - found[0])
 
 
@@ -238,7 +260,7 @@ def input_gains(motions: Sequence[Motion], coordinates: Coordinates, h: float) -
     def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         return np.concatenate([acceleration_terms(q, v, u[:, :0], coordinates), u], axis=1)
 
-    found = _regression(motions, h, terms)
+    found = _regression(motions, coordinates, h, terms)
     return None if found is None else found[1][-motions[0][1].shape[1] :].T
 
 
@@ -248,15 +270,17 @@ def spring_slopes(
     """Return the slopes (n, n) of accelerations in ``q`` if springs explain them, else ``None``.
 
     The power that springs, gravity on each coordinate alone, and both together leave unexplained is
-    compared. ``None`` also as for ``explained_power``.
+    compared. ``None`` also with rotations and as for ``explained_power``.
     """
+    if coordinates.rotations:
+        return None
     n, angular = coordinates.n, np.array(coordinates.angular)
 
     def gravity(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         turned = q[:, angular]
         return np.concatenate([np.cos(turned), np.sin(turned), _forces(q, v, u)], axis=1)
 
-    hanging = _regression(motions, h, gravity)
+    hanging = _regression(motions, coordinates, h, gravity)
     for beside, most in (_forces, SPRUNG), (gravity, SPRUNG_TOO):
 
         def springs(
@@ -264,7 +288,7 @@ def spring_slopes(
         ) -> np.ndarray:
             return np.concatenate([q, beside(q, v, u)], axis=1)
 
-        sprung = _regression(motions, h, springs)
+        sprung = _regression(motions, coordinates, h, springs)
         if sprung is not None and hanging is not None and sprung[0] <= most * hanging[0]:
             moves = moving(motions)  # a place that is always the same shows no slope
             return np.where(np.outer(moves, moves), sprung[1][:n].T, 0.0)
@@ -275,14 +299,16 @@ def growth_rate(motions: Sequence[Motion], coordinates: Coordinates, h: float) -
     """Return the rate [1/s] at which deviations grow by the best linear equations of motion.
 
     It is the largest real part of their eigenvalues. ``None`` if linear equations do not explain
-    the accelerations, and as for ``explained_power``.
+    the accelerations, with rotations, and as for ``explained_power``.
     """
+    if coordinates.rotations:
+        return None
     n = coordinates.n
 
     def linear(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
         return np.concatenate([q, _forces(q, v, u)], axis=1)
 
-    found = _regression(motions, h, linear)
+    found = _regression(motions, coordinates, h, linear)
     if found is None or found[0] > LINEAR:
         return None
     zero, one = np.zeros((n, n)), np.eye(n)
@@ -297,6 +323,7 @@ def _forces(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def _regression(
     motions: Sequence[Motion],
+    coordinates: Coordinates,
     h: float,
     terms: Terms,
 ) -> tuple[float, np.ndarray] | None:
@@ -307,20 +334,35 @@ def _regression(
         and the coefficients (k, n), 0 for the others; ``None`` with fewer than 20 rows or without
         motion.
     """
-    moves = moving(motions) if motions else np.zeros(0, dtype=bool)
-    # the rounding errors of what is still would be accelerations
-    held = [(np.where(moves, q, q[0]), u) for q, u in motions if len(q) >= SHORTEST]
-    rows = [weak_rows(q, u, h, terms)[::HALF] for q, u in held]
+    paths = [(quasi_coordinates(q, coordinates), u) for q, u in motions]
+    moves = moving(paths) if paths else np.zeros(0, dtype=bool)
+    rows = []
+    for (q, u), (path, _) in zip(motions, paths, strict=True):
+        if len(q) >= SHORTEST:
+            # the rounding errors of what is still would be accelerations
+            held = np.where(moves, path, path[0])
+            places = q if coordinates.rotations else held
+            rows.append(weak_rows(places, u, h, terms, held)[::HALF])
     table = np.concatenate(rows) if rows else np.empty((0, 1))
     n = len(moves)
     if len(table) < 20 or not (np.isfinite(table).all() and moves.any()):
         return None
     size = np.sqrt(np.mean(table**2, axis=0) + 1e-300)
+    size[:n] = _shared(size[:n], coordinates)
     target, given = np.split(table / size, [n], 1)
     error, found = _left_out(given, target[:, moves])
     coefficients = np.zeros((given.shape[1], n))
     coefficients[:, moves] = found
     return error, coefficients * size[:n] / size[n:, None]
+
+
+def _shared(sizes: np.ndarray, coordinates: Coordinates) -> np.ndarray:
+    """Return sizes (n,), of which the components of a vector in body axes have the same."""
+    found, flat = sizes.copy(), len(coordinates.flat)
+    starts = [*range(flat, coordinates.n, 3), *(place for place, _ in coordinates.free)]
+    for start in starts:
+        found[start : start + 3] = np.sqrt(np.mean(sizes[start : start + 3] ** 2))
+    return found
 
 
 def moving(motions: Sequence[Motion]) -> np.ndarray:
@@ -335,23 +377,29 @@ def weak_rows(
     u: np.ndarray,
     h: float,
     terms: Terms,
+    path: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return weak accelerations and weak terms of ``(q, v, u)`` side by side.
 
-    Row ``i`` is that of node ``i + HALF + 1``; nodes nearer to the ends have none.
+    Row ``i`` is that of node ``i + HALF + 1``; nodes nearer to the ends have none. ``path`` are the
+    ``quasi_coordinates`` of ``q``; ``None``: ``q`` itself.
     """
     s = np.arange(-HALF, HALF + 1) / (HALF + 1)
     bump = (1 - s**2) ** 3
-    v, middle = (q[2:] - q[:-2]) / (2 * h), q[1:-1]
-    both = np.concatenate([np.diff(q, 2, axis=0) / h**2, terms(middle, v, u[1:-1])], axis=1)
+    path = q if path is None else path
+    v, middle = (path[2:] - path[:-2]) / (2 * h), q[1:-1]
+    both = np.concatenate([np.diff(path, 2, axis=0) / h**2, terms(middle, v, u[1:-1])], axis=1)
     return np.lib.stride_tricks.sliding_window_view(both, len(bump), axis=0) @ bump
 
 
 def explained_in_degrees(
     motions: Sequence[Motion], coordinates: Coordinates, h: float
 ) -> float | None:
-    """Return ``explained_power`` if the numbers of the angles are degrees; ``None`` without any."""
-    if not any(coordinates.angular):
+    """Return ``explained_power`` if the numbers of the angles are degrees.
+
+    ``None`` without angles, and with rotations.
+    """
+    if coordinates.rotations or not any(coordinates.angular):
         return None
     scale = np.where(coordinates.angular, np.pi / 180, 1.0)
     return explained_power([(q * scale, u) for q, u in motions], coordinates, h, driven=True)
@@ -376,10 +424,15 @@ def acceleration_terms(
 ) -> np.ndarray:
     """Return terms of accelerations: places, viscous and dry friction, and products.
 
-    Forces and products of velocities are multiplied by all places.
+    Forces and products of velocities are multiplied by all places. With rotations, of which all
+    velocities and forces are in body axes, there are the places of lengths, the entries of
+    rotations, to which gravity is proportional, linear and quadratic drag, products of velocities
+    and forces, which for one rigid body are all terms.
     """
-    places = place_terms(q, coordinates)
     products = [a * b for a, b in itertools.combinations_with_replacement(v.T, 2)]
+    if coordinates.rotations:
+        return np.stack([np.ones(len(q)), *q.T, *v.T, *(v * np.abs(v)).T, *products, *u.T], axis=1)
+    places = place_terms(q, coordinates)
     friction = [*v.T, *signs_of(v).T]
     forces = [*products, *u.T]
     return np.stack([*places, *friction, *(f * p for f in forces for p in places)], axis=1)

@@ -294,7 +294,7 @@ class Nodes:
         return samples._replace(q=samples.q * unit, v=v)
 
     def _of(self, where: str, samples: Samples, h: float) -> Trajectory:
-        samples = self._turned(where, self._unwrapped(where, samples))
+        samples = self.turned(where, self._unwrapped(where, samples))
         if not _equal(samples.t, h):
             _check_steps(where, samples.t, h)
             samples = self._resampled(samples, h)
@@ -320,8 +320,12 @@ class Nodes:
         v = space.velocity(q, v) if samples.v is None else v
         return found._replace(q=q.numpy(), v=v.numpy())
 
-    def _turned(self, where: str, samples: Samples) -> Samples:
-        """Return samples with rotation matrices instead of quaternions."""
+    def turned(self, where: str, samples: Samples) -> Samples:
+        """Return samples with rotation matrices instead of quaternions.
+
+        Raises:
+            ConfigError: If a quaternion does not have the norm 1.
+        """
         coordinates = self._coordinates
         for i, name in enumerate(coordinates.rotations):
             first = len(coordinates.flat) + 4 * i

@@ -205,15 +205,21 @@ def noise(trajectories: Sequence[Trajectory]) -> Float[Tensor, " n"]:
     return torch.tensor(found, dtype=torch.float64).nan_to_num(0.0)
 
 
-def tolerance(windows: PredictionWindows, angular: Sequence[bool]) -> Float[Tensor, " n"]:
+def tolerance(windows: PredictionWindows, turning: Sequence[bool]) -> Float[Tensor, " n"]:
     """Return the error of each coordinate up to which a prediction is usable [rad, m].
 
-    It is a tenth of the motion in a window (standard deviation, root mean square over windows); of
-    an angle that moves by more than 1 rad, 0.1 rad.
+    It is a tenth of the motion in a window (standard deviation, root mean square over windows; of a
+    rotation, also over its three components); of
+    an angle or a rotation that moves by more than 1 rad, 0.1 rad.
     """
-    q = space_of(windows.q, windows.v).along(windows.q[:, windows.lead :])
+    space = space_of(windows.q, windows.v)
+    q = space.along(windows.q[:, windows.lead :])
     motion = (q - q.nanmean(1, keepdim=True)).square().nanmean((0, 1)).sqrt()
-    motion = torch.where(torch.tensor(angular), motion.clamp(max=TURNS), motion)
+    if space.rotations:
+        flat, turns = motion.split((len(motion) - 3 * space.rotations, 3 * space.rotations))
+        whole = turns.view(-1, 3).square().mean(1, keepdim=True).sqrt()
+        motion = torch.cat((flat, whole.expand(-1, 3).flatten()))
+    motion = torch.where(torch.tensor(turning), motion.clamp(max=TURNS), motion)
     return TOLERANCE * motion.where(motion > 0, motion.max())
 
 
@@ -354,8 +360,8 @@ def _ranges(q: Tensor) -> Tensor:
 
 
 def _plain(one: Trajectory) -> Tensor:
-    """Return the configurations with n numbers each."""
-    return space_of(one.q, one.v).along(one.q)
+    """Return the configurations with n numbers each, which do not jump."""
+    return space_of(one.q, one.v).unrolled(one.q)
 
 
 def _padded(pieces: Sequence[Tensor]) -> Tensor:

@@ -172,7 +172,7 @@ def on_recordings(
                 model.coordinates, found[""], found.get("reference_"), interval,
                 _dissipation(model, found[""]),
             )  # fmt: skip
-            usable = tolerance(windows, model.coordinates.angular)
+            usable = tolerance(windows, model.coordinates.turning)
             for prefix, one in found.items():
                 measures[f"{prefix}usable_s"] = median(one.usable_seconds(usable))
     for prefix, simulator in who.items():

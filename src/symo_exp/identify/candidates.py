@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from symo_exp.identify.recordings import Machine
+from symo_exp.identify.recordings import Body, Machine
 from symo_exp.shell import override_value
 
 FREE_DAMPING = 1.0
 """Friction at the start of training over the inertia, of machines without inputs."""
-LINKS, NETWORK = "rigid links", "network"
+LINKS, BODY, NETWORK = "rigid links", "rigid body", "network"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
 BETWEEN = "friction between neighbours"
@@ -22,7 +22,7 @@ KINDS = {"asymmetric friction": 0.2, "constant force": 0.1, "Stribeck friction":
 """Kinds of friction of machines, with what each adds to the rank."""
 FRICTION_NAMES = {*KINDS, "dry friction", "learned friction", "viscous friction"}
 """Parts of names that say which friction a candidate has."""
-FRICTION_RANK = {"none": -0.6, "viscous": -0.3, "friction": 0.0, "learned": 0.6}
+FRICTION_RANK = {"none": -0.6, "viscous": -0.3, "friction": 0.0, "body_drag": 0.0, "learned": 0.6}
 """Share of the choice of friction in the rank; that of machines is the sum of its kinds."""
 FRICTION_COST = {"learned": 1.7, "machine": 1.2}
 """Cost of an epoch with a choice of friction, relative to the others."""
@@ -50,6 +50,8 @@ STRUCTURES: Mapping[str, Mapping[str, str]] = {
     },
     "network": {"lagrangian": "network", "net.width": "8", "lagrangian.harmonics": "2"},
     "rigid": {"lagrangian": "rigid"},
+    "body": {"lagrangian": "rigid_body"},
+    "turning network": {"lagrangian": "network", "net.width": "8", "lagrangian.harmonics": "0"},
 }  # fmt: skip
 """Settings of the Lagrangians, the only place that names them."""
 
@@ -95,6 +97,8 @@ def structures(machine: Machine) -> list[Candidate]:
     All have springs if these explain motion that gravity does not: a fit that starts without
     their stiffness seldom finds it.
     """
+    if machine.rotations:
+        return _turning(machine)
     several = sum(machine.angular) > 1
     relative = ", relative angles" if several else ""
     # without inputs only the ratio to the inertia counts, and from too little friction fits hang;
@@ -122,10 +126,37 @@ def structures(machine: Machine) -> list[Candidate]:
     return found if machine.stiffness is None else [_sprung(one, machine) for one in found]
 
 
+def _turning(machine: Machine) -> list[Candidate]:
+    """Return a candidate of every structure of a machine that turns freely, the simplest first."""
+    body, found = machine.body, []
+    if body is not None:
+        learned = {"lagrangian.learned_inputs": str(body.learned_inputs)}
+        given = {"lagrangian.radius": f"{body.radius:g}", **learned, **_drag(body)}
+        first = _candidate(BODY, 1.0, "body", given, 5.0 if body.free else 3.0)
+        found.append(first)
+        if body.learned_inputs:
+            width = {"lagrangian__input_width": "4"}
+            found.append(first.changed("inputs that depend on the attitude", 0.8, 1.3, **width))
+        width = {"lagrangian__potential_width": "8"}
+        found.append(first.changed("learned potential", 1.2, 1.5, **width))
+    if body is None or not body.learned_inputs:
+        friction = {"dissipation": "viscous"} if body is None else _drag(body)
+        found.append(_candidate(NETWORK, 4.0, "turning network", friction, 6.0, 2))
+    return found
+
+
+def _drag(body: Body) -> dict[str, str]:
+    """Return the settings of the drag of a body."""
+    return {"dissipation": "body_drag", "dissipation.radius": f"{body.radius:g}"}
+
+
 def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
     found = structures(machine)
     first = found[0]
+    if machine.rotations:
+        viscous = with_less_friction(first)
+        return sorted([*found, next(viscous)], key=lambda candidate: candidate.rank)
     links = [one for one in found if one.settings["lagrangian"] == "planar"]
     network = next(one for one in found if one.name.split(", ")[0] == NETWORK)
     plain = list(without_springs(first))
@@ -145,6 +176,9 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     Without motors, those with the friction of motors are the last.
     """
     settings = candidate.settings
+    if machine.rotations:
+        yield from _of_turning(candidate, machine)
+        return
     motors = [
         _with_kinds(candidate, (kind,), more, machine)
         for kind, more in KINDS.items()
@@ -169,6 +203,19 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight=weight)
     if not machine.driven:
         yield from motors
+
+
+def _of_turning(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
+    """Yield variations of a candidate with rotations, the most promising first."""
+    settings = candidate.settings
+    if settings["dissipation"] == "viscous" and machine.body is not None:
+        yield _with_friction(candidate, _drag(machine.body), PLACE_AND_START, FRICTION_NAMES, "")
+    yield from finer(candidate, machine)
+    if machine.driven:
+        yield from _delayed(candidate, machine)
+    if settings["dissipation"] in ("viscous", "body_drag"):
+        learned, name = {"dissipation": "learned"}, "learned friction"
+        yield _with_friction(candidate, learned, PLACE_AND_START, FRICTION_NAMES, name)
 
 
 def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
@@ -360,7 +407,9 @@ def _with_friction(
     return replace(
         candidate,
         name=", ".join([*parts, *([name] if name else [])]),
-        rank=candidate.rank + _friction_rank(settings) - _friction_rank(candidate.settings),
+        rank=round(
+            candidate.rank + _friction_rank(settings) - _friction_rank(candidate.settings), 9
+        ),
         settings=settings,
         cost=candidate.cost * _friction_cost(settings) / _friction_cost(candidate.settings),
     )

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from symo_exp.data.diagnose import (
     POOR,
@@ -16,6 +17,7 @@ from symo_exp.data.diagnose import (
     growth_rate,
     input_gains,
     noise_of,
+    quasi_coordinates,
     spring_slopes,
 )
 from symo_exp.data.recorded import delayed
@@ -56,6 +58,11 @@ DAMPING = 0.01
 """Friction at the start of training over the inertia, in the units of the machine."""
 FAR = 100.0
 """Factor from 1 up to which times and inertias are learned in SI units."""
+NARROW, WIDE = 1e-5, 10.0
+"""Radii of gyration of a body at least and at most [units of length]."""
+USUAL_RADIUS = 1.0
+"""That with which training starts if the inputs do not show it: the ratio of inertia and mass of a
+body is not determined then [units of length]."""
 Sampled = tuple[Samples, np.ndarray, np.ndarray]
 """Samples, nodes a time step apart, and configurations at the nodes."""
 Shock = tuple[str, float, float]
@@ -75,6 +82,7 @@ class Dynamics(NamedTuple):
         stiffness: Of springs that explain what gravity does not, in ``units``; else
             ``None``.
         horizon: Longest time over which errors are compared [s].
+        radius: Radius of gyration of a body that turns freely, in ``units``.
         settings: Overrides that every candidate has.
         notes: A line on each property.
     """
@@ -85,32 +93,43 @@ class Dynamics(NamedTuple):
     explained: float | None
     stiffness: tuple[tuple[float, ...], ...] | None
     horizon: float
+    radius: float
     settings: tuple[str, ...]
     notes: tuple[str, ...]
 
 
 def dynamics(
     recordings: Sequence[Recording],
-    angular: np.ndarray,
+    coordinates: Coordinates,
     time_step: float,
     input_matrix: np.ndarray | None,
 ) -> Dynamics:
-    """Return the dynamics that recordings show; ``input_matrix`` is ``None`` without inputs."""
+    """Return the dynamics that recordings show.
+
+    Args:
+        recordings: Configurations (T, N), angles in radians and rotations as their nine entries.
+        coordinates: Those of the machine.
+        time_step: Distance of the nodes [s].
+        input_matrix: That of the inputs, zero where it is to be learned; ``None``: no inputs.
+    """
     driven, settings, notes = input_matrix is not None, [], []
-    motions = _motions(_beginning(recordings, max(EXAMINED, NODES * time_step)), time_step)
+    beginning = _beginning(recordings, max(EXAMINED, NODES * time_step))
+    motions = _of_rotations(_motions(beginning, time_step), coordinates)
     delays = DELAYS * min(1.0, time_step / UNHURRIED) if driven else np.zeros(1)
-    left = _unexplained(motions, angular, time_step, delays)
+    left = _unexplained(motions, coordinates, time_step, delays)
     if (between := _lowest(left)) is not None:
-        left |= _unexplained(motions, angular, time_step, [between])
+        left |= _unexplained(motions, coordinates, time_step, [between])
     delay, told = _delay(left)
     clear = delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
-    units = _units(motions, angular, time_step)
-    light, step = 1.0, time_step / units.time
-    sizes = np.where(angular, 1.0, units.length)
-    scaled = [(q / sizes, u) for q, u in _pairs(motions, time_step, delay)]
+    units = _units(motions, coordinates, time_step)
+    light, radius, step = 1.0, USUAL_RADIUS, time_step / units.time
+    sizes = coordinates._replace(units=units).sizes.numpy()
+    flat = len(coordinates.flat)
+    places = np.concatenate([sizes[:flat], np.ones(coordinates.width - flat)])
+    scaled = [(q / places, u) for q, u in _pairs(motions, time_step, delay)]
     if input_matrix is not None and left and 1.0 - left[delay] > POOR:
         matrix = input_matrix * sizes[:, None] / units.size("N m")
-        light = _inertia(scaled, angular, step, matrix)
+        light, radius = _inertia(scaled, coordinates, step, matrix)
         notes.append(f"scale: training starts with an inertia of {light:.2g}, as inputs suggest")
         units = units._replace(mass=_unit(light, FAR))
         light /= units.mass
@@ -125,18 +144,21 @@ def dynamics(
         )
     if clear:
         settings.append(f"data.input_delay={delay:g}")
-    if (rest := _rest_velocity([q for q, _ in scaled], step)) != USUAL_REST:
+    rest = USUAL_REST  # bodies that turn freely have no joints with dry friction
+    if not coordinates.rotations:
+        rest = _rest_velocity([q for q, _ in scaled], step)
+    if rest != USUAL_REST:
         settings.append(f"dissipation.rest_velocity={rest:g}")
         unit = "units of velocity" if units != SI else "m/s or rad/s"
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} {unit}")
-    horizons = _horizons(scaled, angular, step, units.time)
+    horizons = _horizons(scaled, coordinates, step, units.time)
     if horizons != HORIZONS:
         told_times = ", ".join(f"{each:g}" for each in horizons)
         settings.append(f"learner.validation.horizons=[{told_times}]")
         notes.append(
             f"unstable: the errors of predictions grow fast; those over {told_times} s are compared"
         )
-    stiffness = _stiffness(scaled, angular, step, light)
+    stiffness = _stiffness(scaled, coordinates, step, light)
     if stiffness is not None:
         notes.append("springs: they explain accelerations that gravity does not")
     return Dynamics(
@@ -146,6 +168,7 @@ def dynamics(
         explained=1.0 - left[delay] if left else None,
         stiffness=stiffness,
         horizon=horizons[-1],
+        radius=float(f"{radius:.2g}"),
         settings=tuple(settings),
         notes=(*notes, told) if driven else tuple(notes),
     )
@@ -227,18 +250,28 @@ def _missed(motions: Sequence[Sampled]) -> float:
     return float(np.sqrt(left / motion).max())
 
 
-def _units(motions: Sequence[Sampled], angular: np.ndarray, h: float) -> Units:
+def _units(motions: Sequence[Sampled], coordinates: Coordinates, h: float) -> Units:
     """Return units of length and time in which motions are of order one, with SI prefixes.
 
     Lengths have the prefix nearest to their range, so that logs in m and in mm are learned as the
-    same; time has the unit s unless the motion is faster or slower by ``FAR``.
+    same; with rotations, if it is far from 1 m, since bodies are smaller than their flights. Time
+    has the unit s unless the motion is faster or slower by ``FAR``.
     """
     if not motions:
         return SI
-    q = np.concatenate([nodes for _, _, nodes in motions])[:, ~angular]
-    frequency = _frequency(motions, h)
+    count = len(coordinates.flat)
+    lengths = ~np.array(coordinates.angular[:count], dtype=bool)
+    q = np.concatenate([nodes[:, :count] for _, _, nodes in motions])[:, lengths]
+    paths = [
+        (samples._replace(q=quasi_coordinates(samples.q, coordinates)), nodes,
+         quasi_coordinates(q, coordinates))
+        for samples, nodes, q in motions
+    ]  # fmt: skip
+    frequency = _frequency(paths, h)
     return Units(
-        length=_unit(float(np.ptp(q, axis=0).max(initial=0.0)), 1.0),
+        length=_unit(
+            float(np.ptp(q, axis=0).max(initial=0.0)), FAR if coordinates.rotations else 1.0
+        ),
         time=_unit(1.0 / frequency, FAR) if frequency > 0.0 else 1.0,
     )
 
@@ -272,6 +305,14 @@ def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
     return motions
 
 
+def _of_rotations(motions: Sequence[Sampled], coordinates: Coordinates) -> list[Sampled]:
+    """Return motions whose nodes are rotations, not their entries alone."""
+    if not coordinates.rotations:
+        return list(motions)
+    nearest = coordinates.space.normalised
+    return [(samples, nodes, nearest(torch.tensor(q)).numpy()) for samples, nodes, q in motions]
+
+
 def _rest_velocity(paths: Sequence[np.ndarray], h: float) -> float:
     """Return a small part of the speed of the slowest coordinate that moves, if it is slow."""
     if not paths:
@@ -284,13 +325,13 @@ def _rest_velocity(paths: Sequence[np.ndarray], h: float) -> float:
 
 
 def _unexplained(
-    motions: Sequence[Sampled], angular: np.ndarray, h: float, delays: Iterable[float]
+    motions: Sequence[Sampled], coordinates: Coordinates, h: float, delays: Iterable[float]
 ) -> dict[float, float]:
     """Return the share of the accelerations' power that inputs with each delay do not explain."""
     left = {}
     for delay in map(float, delays):
         pairs = _pairs(motions, h, delay)
-        share = explained_power(pairs, _coordinates(angular), h, driven=True) if pairs else None
+        share = explained_power(pairs, coordinates, h, driven=True) if pairs else None
         if share is not None:
             left[round(delay, 5)] = 1.0 - share
     return left
@@ -315,29 +356,43 @@ def _lowest(left: Mapping[float, float]) -> float | None:
 
 
 def _inertia(
-    pairs: Sequence[Motion], angular: np.ndarray, h: float, input_matrix: np.ndarray
-) -> float:
-    """Return the inertia that the inputs move, that of the lightest coordinates.
+    pairs: Sequence[Motion], coordinates: Coordinates, h: float, input_matrix: np.ndarray
+) -> tuple[float, float]:
+    """Return the inertia that the inputs move and, of a free body, its radius of gyration.
 
-    A training that starts with too much inertia does not find its way: the accelerations due to the
-    inputs are then lost among those of the potential and of friction.
+    The inertia is that of the lightest coordinates, the mass of a free body. A training that starts
+    with too much inertia does not find its way: the accelerations due to the inputs are then lost
+    among those of the potential and of friction. If the input matrix is to be learned, the inertia
+    is such that its entries are about one.
     """
-    gains = input_gains(pairs, _coordinates(angular), h)
+    gains = input_gains(pairs, coordinates, h)
     assert gains is not None
-    size = float(np.linalg.norm(gains))
     moves = gains.any(axis=1)  # what never moves has no gains
-    return float(np.linalg.norm(input_matrix[moves])) / size if size > 0 else 1.0
+    if not coordinates.rotations:
+        size = float(np.linalg.norm(gains))
+        return (float(np.linalg.norm(input_matrix[moves])) / size if size > 0 else 1.0), 1.0
+    turns = np.array(coordinates.turning)
+    if not input_matrix.any():
+        size = float(np.abs(gains).max())
+        return (1.0 / size if size > 0 else 1.0), USUAL_RADIUS
+    mass, inertia = (
+        float(np.linalg.norm(input_matrix[rows])) / max(float(np.linalg.norm(gains[rows])), 1e-300)
+        for rows in (moves & ~turns, moves & turns)
+    )
+    if not (mass > 0.0 and inertia > 0.0):
+        return max(mass, inertia), USUAL_RADIUS
+    return mass, float(np.clip(np.sqrt(inertia / mass), NARROW, WIDE))
 
 
 def _stiffness(
-    pairs: Sequence[Motion], angular: np.ndarray, h: float, inertia: float
+    pairs: Sequence[Motion], coordinates: Coordinates, h: float, inertia: float
 ) -> tuple[tuple[float, ...], ...] | None:
     """Return the stiffness of springs at that inertia, ``None`` if they explain little.
 
     Training does not find springs from none within some tens of epochs: the inertia of what they
     move falls instead.
     """
-    slopes = spring_slopes(pairs, _coordinates(angular), h) if pairs else None
+    slopes = spring_slopes(pairs, coordinates, h) if pairs else None
     if slopes is None:
         return None
     stiffness = -0.5 * inertia * (slopes + slopes.T)
@@ -345,14 +400,14 @@ def _stiffness(
 
 
 def _horizons(
-    pairs: Sequence[Motion], angular: np.ndarray, h: float, second: float
+    pairs: Sequence[Motion], coordinates: Coordinates, h: float, second: float
 ) -> tuple[float, ...]:
     """Return horizons [s] over which errors grow little, the usual ones if these are suitable.
 
     Over longer ones the noise of the starts grows beyond the motion, and a wrong model that stays
     near the mean has smaller errors than the right one. ``second`` is the unit of ``h`` [s].
     """
-    rate = growth_rate(pairs, _coordinates(angular), h) if pairs else None
+    rate = growth_rate(pairs, coordinates, h) if pairs else None
     growth = 0.0 if rate is None else rate / second * HORIZONS[-1]
     if growth <= LARGEST:
         return HORIZONS

@@ -109,7 +109,7 @@ class Effort:
         if piece >= LONG and machine.horizon >= HORIZONS[-1]:
             found += rolled(piece, seconds / piece)
         slow = math.sqrt(candidate.cost * step / machine.time_step)
-        if machine.driven and machine.n > 1:
+        if machine.driven and machine.n > 1 and not machine.rotations:
             slow *= STICKING
         return slow * found * self.total(candidate) / self.between(candidate)
 

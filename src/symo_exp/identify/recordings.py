@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import POOR, SUSPECT
+from symo_exp.data.diagnose import POOR, SUSPECT, quasi_coordinates
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown
 from symo_exp.data.header import header, in_degrees, names, omitting
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
+from symo_exp.data.recorded import Nodes
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.horizon import HORIZONS
@@ -25,6 +26,7 @@ from symo_exp.identify.motions import (
     fitting_time_step,
     struck,
 )
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 from symo_exp.shell import override_value
 from symo_exp.systems.recorded import Recorded
@@ -39,6 +41,21 @@ ANGLE = (
 )
 SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
 """Words in the names of angles and of positions."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """One rigid body that turns freely, as its recordings show it.
+
+    Args:
+        free: Whether it moves as well; else it turns about a pivot.
+        radius: Radius of gyration near which training starts, in units of length.
+        learned_inputs: Number of inputs whose matrix is learned; 0: it is given, or there are none.
+    """
+
+    free: bool
+    radius: float
+    learned_inputs: int
 
 
 @dataclass(frozen=True)
@@ -64,6 +81,8 @@ class Machine:
             ``None``.
         notes: The inferred properties, a line each.
         horizon: Longest time over which errors are compared [s].
+        rotations: Number of rotations in space.
+        body: The body, if the machine is a single one that turns freely.
     """
 
     settings: tuple[str, ...]
@@ -81,6 +100,8 @@ class Machine:
     stiffness: tuple[tuple[float, ...], ...] | None
     notes: tuple[str, ...]
     horizon: float = HORIZONS[-1]
+    rotations: int = 0
+    body: Body | None = None
 
     @property
     def nodes(self) -> int:
@@ -99,6 +120,7 @@ def examine(
     angular: Any = None,
     input_matrix: Any = None,
     time_step: float | None = None,
+    rotations: Sequence[str] = (),
 ) -> Machine:
     """Read recordings and infer what is not given.
 
@@ -107,6 +129,7 @@ def examine(
         angular: As ``system.angular``; ``None``: by names and ranges.
         input_matrix: As ``system.input_matrix``; ``None``: by names.
         time_step: As ``system.time_step``; ``None``: by the fastest motion.
+        rotations: As ``system.rotations``; none: by the names of quaternions.
 
     Raises:
         ConfigError: If something can neither be read nor inferred.
@@ -114,19 +137,32 @@ def examine(
     path, columns = data["path"], data.get("columns")
     found = header(path, columns)
     coordinates, inputs = names("q", found), names("u", found)
-    _refuse_rotations(coordinates)
     settings, notes = [], []
+    if not rotations and (rotations := _quaternions(coordinates)):
+        settings.append(f"system.rotations={override_value(list(rotations))}")
+        notes.append(f"rotations: {', '.join(rotations)}, each a quaternion, by their names")
+    flat, freedoms = _freedoms(coordinates, rotations)
+    body = len(rotations) == 1 and len(flat) in (0, 3)
+    learned_inputs = 0
     if input_matrix is None:
-        input_matrix = _input_matrix(coordinates, inputs)
+        input_matrix = _input_matrix(freedoms, inputs)
         if input_matrix is not None:
-            settings.append(f"system.input_matrix={str(input_matrix).replace(' ', '')}")
             pairs = ", ".join(f"u_{name} drives q_{name}" for name in inputs)
             notes.append(f"inputs: {pairs}, by their names")
+        elif body and inputs and inputs != freedoms:
+            learned_inputs = len(inputs)
+            input_matrix = [[0] * learned_inputs for _ in freedoms]
+            notes.append(
+                "inputs: the forces and torques that they cause are learned, in body axes, so that "
+                "the inertia is known up to a factor (system.input_matrix=... gives them)"
+            )
+        if input_matrix is not None:
+            settings.append(f"system.input_matrix={str(input_matrix).replace(' ', '')}")
 
     def system(which: Any) -> Recorded:
         return Recorded(
-            names=coordinates, angular=which, inputs=inputs, input_matrix=input_matrix,
-            time_step=1.0,
+            names=coordinates, rotations=rotations, angular=which, inputs=inputs,
+            input_matrix=input_matrix, time_step=1.0,
         )  # fmt: skip
 
     used, test, starts, told = _parts(data, system("none"), time_step)
@@ -136,16 +172,17 @@ def examine(
         recordings -= len(still)
         notes.append(f"at rest, for training only: {few(still)}")
     if angular is None:
-        which = [
-            _is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(coordinates)
-        ]
+        which = [_is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(flat)]
     else:
-        which = list(system(angular).coordinates.angular)
-    angles = np.array(which)
-    chosen = [name for name, angle in zip(coordinates, which, strict=True) if angle]
+        which = list(system(angular).coordinates.angular)[: len(flat)]
+    angles = np.array([*which, *(False for _ in range(4 * len(rotations)))], dtype=bool)
+    chosen = [name for name, angle in zip(flat, which, strict=True) if angle]
+    if chosen and learned_inputs:  # the machine is more than a body
+        input_matrix = None
+        system(chosen)  # asks for the matrix
     if angular is None:
         settings.append(f"system.angular={override_value(chosen) if chosen else 'none'}")
-        notes.append(_told(chosen, coordinates))
+        notes += [_told(chosen, flat)] if flat else []
     if data.get("degrees") is None and chosen and all(map(in_degrees, chosen)):
         settings.append("data.degrees=true")
         notes.append("angles are in degrees, as their names say")
@@ -155,18 +192,22 @@ def examine(
         notes.append(f"angles jump by a turn: read with {' '.join(settings[-len(units) :])}")
         data = {**data, **dict.fromkeys(units, True)}
     used = [_in_radians(one, angles, data) for one in used]
-    notes += _told_still(used, coordinates)
-    if data.get("degrees") is None:
+    notes += _told_still(used, flat)
+    if data.get("degrees") is None and not rotations:
         _ask_for_degrees(used, angles, coordinates)
     finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
+    space = system(chosen or "none").coordinates
+    used = _turned(shown(path), used, space)
     if time_step is None:
-        time_step = fitting_time_step(used, angles, finest)
+        paths = [_along(one, space) for one in used]
+        time_step = fitting_time_step(paths, np.array(space.turning), finest)
         settings.append(f"system.time_step={time_step:g}")
         notes.append(f"time step: {time_step:g} s, samples every {finest:.3g} s")
     _, note = uninterrupted([*used, *test], time_step)
     notes += [note] if note else []
     used, _ = uninterrupted(used, time_step)
-    if data.get("leave_out") is None and (hit := struck(used, angles, time_step)):
+    searched = data.get("leave_out") is None and not rotations  # for shocks
+    if searched and (hit := struck(used, angles, time_step)):
         stretches = [_in_table(one, starts) for one in hit]
         settings.append(f"data.leave_out={override_value(stretches)}")
         notes.append(_told_shocks(stretches))
@@ -175,10 +216,10 @@ def examine(
         used, _ = uninterrupted([_in_radians(one, angles, data) for one in used], time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     matrix = system("none").input_matrix.numpy() if driven else None
-    shown_by = dynamics(used, angles, time_step, matrix)
+    shown_by = dynamics(used, space, time_step, matrix)
     return Machine(
         settings=(*settings, *shown_by.settings),
-        angular=tuple(which),
+        angular=space.angular,
         driven=driven,
         time_step=time_step,
         finest_step=finest,
@@ -191,20 +232,40 @@ def examine(
         moves=any_moves(used),
         stiffness=shown_by.stiffness,
         horizon=shown_by.horizon,
+        rotations=len(rotations),
+        body=Body(bool(flat), shown_by.radius, learned_inputs) if body and not chosen else None,
         notes=(*notes, *shown_by.notes),
     )
 
 
-def _refuse_rotations(names: Sequence[str]) -> None:
-    """Refuse columns that are the entries of a quaternion."""
+def _quaternions(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the rotations whose quaternions are among the columns."""
     stems = [name.removesuffix("_w") for name in names if name.endswith("_w")]
-    for stem in stems:
-        columns = [f"q_{stem}_{entry}" for entry in "wxyz"]
-        if {column.removeprefix("q_") for column in columns} <= set(names):
-            raise ConfigError(
-                f"{', '.join(columns)} are a rotation, and the search learns lengths and angles "
-                f"only: learn it by one run with system.rotations=[{stem}] (docs/rotations.md)"
-            )
+    return tuple(stem for stem in stems if {f"{stem}_{part}" for part in "wxyz"} <= set(names))
+
+
+def _freedoms(
+    names: Sequence[str], rotations: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of lengths and angles, and of all degrees of freedom."""
+    parts = {f"{name}_{part}" for name in rotations for part in "wxyz"}
+    flat = tuple(name for name in names if name not in parts)
+    return flat, Coordinates.of(flat, [False] * len(flat), rotations).names
+
+
+def _turned(where: str, recordings: Sequence[Recording], space: Coordinates) -> list[Recording]:
+    """Return recordings with rotation matrices instead of quaternions."""
+    nodes = Nodes(where, space, 1.0, wrapped=False, degrees=False)
+    return [
+        one._replace(samples=nodes.turned(f"{where}: trajectory {one.label}", one.samples))
+        for one in recordings
+    ]
+
+
+def _along(recording: Recording, space: Coordinates) -> Recording:
+    """Return a recording of the sums of the turns of rotations (``quasi_coordinates``)."""
+    samples = recording.samples
+    return recording._replace(samples=samples._replace(q=quasi_coordinates(samples.q, space)))
 
 
 def _parts(
@@ -301,10 +362,10 @@ def _ask_for_degrees(
 
 
 def _told_still(recordings: Sequence[Recording], names: Sequence[str]) -> list[str]:
-    """Return a line on the coordinates that never move, if others do."""
+    """Return a line on the lengths and angles that never move, if others or a rotation do."""
     motion = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
-    still = [f"q_{name}" for name, size in zip(names, motion, strict=True) if size == 0.0]
-    if not 0 < len(still) < len(names):
+    still = [f"q_{name}" for name, size in zip(names, motion, strict=False) if size == 0.0]
+    if not 0 < len(still) < len(motion):
         return []
     told = "never moves" if len(still) == 1 else "never move"
     return [f"{few(still)} {told}; for a model without such a coordinate, give {omitting(still)}"]

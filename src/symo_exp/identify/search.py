@@ -169,6 +169,7 @@ class Search:
             angular=_plain(system.angular),
             input_matrix=_plain(system.input_matrix),
             time_step=None if OmegaConf.is_missing(system, "time_step") else system.time_step,
+            rotations=_plain(system.rotations),
         )
 
     def _check_kept(self, recordings: str) -> None:

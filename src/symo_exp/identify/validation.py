@@ -110,7 +110,8 @@ def baseline_error(folder: RunFolder) -> float:
     data = instantiate(config.data, _partial_=True)(system=system)
     h, place = system.time_step, torch.zeros((), dtype=torch.float64)
     return held_out_error(
-        ConstantVelocity(h), data.load().val, h, place, system.coordinates.sizes,
+        ConstantVelocity(h, system.coordinates.space), data.load().val, h, place,
+        system.coordinates.sizes,
         horizons=OmegaConf.select(config, "learner.validation.horizons", default=HORIZONS),
     )  # fmt: skip
 

@@ -203,6 +203,17 @@ class Space:
             return q
         return self.chart(q[..., :1, :].expand_as(q), q)
 
+    def unrolled(self, q: Float[Tensor, "*batch nodes N"]) -> Float[Tensor, "*batch nodes n"]:
+        """Return flat coordinates, and the sums of the turns between the nodes of motions.
+
+        Turns of less than half a turn in a step add up beyond a whole one.
+        """
+        if not self.rotations:
+            return q
+        start = self.origin(q[..., :1, :])
+        steps = self.difference(q[..., :-1, :], q[..., 1:, :])
+        return torch.cat((start, start + steps.cumsum(-2)), dim=-2)
+
     def shown(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch n"]:
         """Return flat coordinates, and roll, pitch and yaw [rad] of rotations, to be drawn.
 

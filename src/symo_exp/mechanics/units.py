@@ -29,7 +29,7 @@ class Units(NamedTuple):
     def size(self, unit: str) -> float:
         """Return the unit of the same quantity, in an SI unit such as ``kg m^2`` or ``N s/m``."""
         found = 1.0
-        for below, name, power in re.findall(r"(/?)([A-Za-z]+|1)(?:\^\(?([\d/]+)\)?)?", unit):
+        for below, name, power in re.findall(r"(/?)([A-Za-z]+|1)(?:\^\(?(\d+(?:/\d+)?)\)?)?", unit):
             exponent = Fraction(power or 1) * (-1 if below else 1)
             for size, times in zip(self, POWERS[name], strict=True):
                 found *= size ** float(exponent * times)

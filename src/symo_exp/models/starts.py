@@ -94,7 +94,7 @@ def fitted_start(
         space: The space of configurations.
         sizes: Units of the coordinates.
     """
-    plain = space.along(q)
+    plain = space.unrolled(q)
     fit = Fit(model, q, u, torch.ones_like(plain) if weight is None else weight, space, sizes)
     begin = parabola(plain, time_step) if start is None else start
     x, _, _ = iterate(fit, begin, FitSteps(), iterations)
@@ -115,7 +115,7 @@ def closest_start(
     in the units of the coordinates; configurations are in the charts at the first nodes.
     """
     counts = [2**k + 1 for k in range(1, q.shape[1].bit_length()) if 2**k < q.shape[1]]
-    plain, repeats = space.along(q), (len(counts), 1, 1)
+    plain, repeats = space.unrolled(q), (len(counts), 1, 1)
     starts = torch.stack([parabola(plain[:, :count], time_step) for count in counts])
     place, v0 = starts.flatten(0, 1).chunk(2, dim=1)
     q0 = space.point(q[:, 0].repeat(len(counts), 1), place)

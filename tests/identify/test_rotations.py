@@ -1,0 +1,133 @@
+"""Machines that turn freely: properties that their recordings show, and their candidates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from symo_exp.data.diagnose import quasi_coordinates
+from symo_exp.data.recorded import write_recordings
+from symo_exp.errors import ConfigError
+from symo_exp.identify.candidates import ladder, variations
+from symo_exp.identify.recordings import Machine, examine
+from symo_exp.mechanics.types import Coordinates, Trajectories
+from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.table import system as stated
+from tests.jobs import planned
+
+H = 0.01
+FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",), [(0, 0)])
+
+
+def motions(name: str, count: int = 16, steps: int = 150) -> Trajectories:
+    """Motions of a system under inputs that differ from node to node."""
+    system = stated(name, time_step=H)
+    q, v, u = system.points(count, seed=1)
+    t = torch.arange(steps + 1).double()
+    phases = torch.arange(count * u.shape[1]).view(count, 1, -1)
+    swings = 1.0 + 0.5 * torch.sin(0.15 * t[None, :, None] + phases)
+    return simulate(system, q, v, u.unsqueeze(1) * swings, steps, Solver())
+
+
+def logged(name: str, path: Path, velocities: bool = False) -> pd.DataFrame:
+    """Return the table of the motions of a system."""
+    write_recordings(path / "log.parquet", motions(name), stated(name).coordinates, H)
+    table = pd.read_parquet(path / "log.parquet")
+    return table if velocities else table[[c for c in table if not c.startswith("v_")]]
+
+
+def examined(table: pd.DataFrame, path: Path, **given: object) -> Machine:
+    table.to_csv(path / "log.csv", index=False)
+    return examine({"path": str(path / "log.csv")}, **given)
+
+
+@pytest.mark.parametrize("name", ["rigid_body", "spherical_pendulum", "quadrotor"])
+def test_a_rotation_and_what_moves_it_are_found_in_a_table(name: str, tmp_path: Path) -> None:
+    system = stated(name)
+    found = examined(logged(name, tmp_path), tmp_path)
+    assert found.n == system.coordinates.n
+    assert "system.rotations=[R]" in found.settings or 'system.rotations=["R"]' in found.settings
+    assert found.body is not None
+    assert found.body.free == bool(system.coordinates.flat)
+    assert found.body.learned_inputs == system.input_matrix.shape[1]
+    assert found.explained > 0.99
+    assert found.stiffness is None
+
+
+def test_known_inputs_show_the_mass_and_the_radius_of_gyration_of_a_body(tmp_path: Path) -> None:
+    system = stated("quadrotor")
+    matrix = system.input_matrix.tolist()
+    found = examined(logged("quadrotor", tmp_path), tmp_path, input_matrix=matrix)
+    assert found.body is not None
+    assert found.body.learned_inputs == 0
+    (mass,) = (x.partition("=")[2] for x in found.settings if "initial_inertia" in x)
+    assert float(mass) == pytest.approx(system.mass, rel=0.1)
+    gyration = (np.mean(system.inertia) / system.mass) ** 0.5
+    assert found.body.radius == pytest.approx(gyration, rel=0.3)
+
+
+def test_the_time_step_resolves_a_fast_spin(tmp_path: Path) -> None:
+    t = np.arange(0.0, 4.0, 0.001)
+    for rate, step in ((5.0, 0.02), (60.0, 0.01), (200.0, 0.002)):
+        quaternion = [np.cos(rate * t / 2), 0 * t, 0 * t, np.sin(rate * t / 2)]
+        columns = dict(zip((f"q_R_{part}" for part in "wxyz"), quaternion, strict=True))
+        found = examined(pd.DataFrame({"t": t, **columns}), tmp_path)
+        assert found.time_step == step
+
+
+def test_several_bodies_need_the_matrix_of_their_inputs(tmp_path: Path) -> None:
+    table = logged("rigid_body", tmp_path)
+    for part in "wxyz":
+        table[f"q_S_{part}"] = table[f"q_R_{part}"]
+    with pytest.raises(ConfigError, match=r"system\.input_matrix"):
+        examined(table, tmp_path)
+    table = table[[c for c in table if not c.startswith("u_")]]
+    found = examined(table, tmp_path)
+    assert (found.rotations, found.body) == (2, None)
+    assert {c.settings["lagrangian"] for c in ladder(found)} == {"network"}
+
+
+def test_angles_beside_a_rotation_need_the_matrix_of_their_inputs(tmp_path: Path) -> None:
+    table = logged("quadrotor", tmp_path).rename(columns={"q_z": "q_theta"})
+    with pytest.raises(ConfigError, match=r"system\.input_matrix"):
+        examined(table, tmp_path)
+
+
+def test_a_quaternion_that_is_none_is_refused(tmp_path: Path) -> None:
+    table = logged("rigid_body", tmp_path)
+    table["q_R_w"] *= 1.1
+    with pytest.raises(ConfigError, match="expected a unit quaternion"):
+        examined(table, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["rigid_body", "quadrotor"])
+@pytest.mark.parametrize("known", [True, False])
+def test_every_candidate_and_variation_can_be_built(
+    name: str, known: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    matrix = stated(name).input_matrix.tolist() if known else None
+    found = examined(logged(name, tmp_path), tmp_path, input_matrix=matrix)
+    given = [f"system.input_matrix={str(matrix).replace(' ', '')}"] if known else []
+    for candidate in ladder(found):
+        for one in (candidate, *variations(candidate, found)):
+            words = ["preset=recorded", "data=recorded", "system=recorded", "data.path=log.csv"]
+            with planned(*words, *found.settings, *given, *one.overrides()) as (sweep, jobs):
+                sweep.check(jobs, labelled=False)
+
+
+def test_quasi_coordinates_are_sums_of_turns_and_of_steps_in_body_axes() -> None:
+    """A body that turns about a fixed axis and moves along an axis of its own."""
+    t = np.arange(400) * H
+    angle = 3.0 * t
+    zero, one, cos, sin = 0 * t, 1 + 0 * t, np.cos(angle), np.sin(angle)
+    place = np.stack([sin / 3.0, (1.0 - cos) / 3.0, zero], axis=1)  # its velocity is (cos, sin, 0)
+    turn = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1)
+    path = quasi_coordinates(np.concatenate([place, turn], axis=1), FREE)
+    np.testing.assert_allclose(path[:, 5], angle, atol=1e-9)  # beyond a turn
+    np.testing.assert_allclose(path[:, 0], t, rtol=1e-3)
+    np.testing.assert_allclose(path[:, 1:5], 0.0, atol=1e-9)
