@@ -185,6 +185,48 @@ def test_searches_that_cannot_be_made_are_refused_in_one_line(words, wanted, wor
     assert not (workplace / "outputs").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "mend"),
+    [
+        ("objective=horizon", "possible: objective=smoothing"),
+        ("objective=plain", "possible: objective=smoothing"),
+        ("optimizer=adam", "possible: optimizer=total_least_squares"),
+        ("model=node", "possible: model=e2e_symo, model=l_node, model=symo"),
+        ("model=true_ode", "possible: model=e2e_symo, model=l_node, model=symo"),
+        ("data=simulated", "possible: data=recorded"),
+        ("system=pendulum", "possible: system=recorded"),
+        ("preset=fast", "leave it out"),
+        ("preset=fast objective=smoothing optimizer=total_least_squares", "leave it out"),
+        ("learner.validation=null", "leave it out"),
+        ("data.fold=[0,3]", "leave it out"),
+        ("data.monitor=test", "leave it out"),
+    ],
+)
+def test_choices_that_do_not_suit_a_search_are_named_with_those_that_do(
+    words, mend, workplace, capsys
+):
+    table().to_csv("mine.csv", index=False)
+    given = words.split()
+    path = [] if "data=simulated" in given else ["data.path=mine.csv"]
+    assert main(["-cn", "machine", *path, *given]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{given[0]} does not suit a search, which " in line
+    assert line.endswith(f"; {mend}")
+    assert not (workplace / "outputs").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["l_node", "e2e_symo"])
+def test_a_search_takes_other_models_with_a_lagrangian(model, workplace, capsys):
+    table().to_csv("mine.csv", index=False)
+    words = ["-cn", "machine", "data.path=mine.csv", "budget=1s", "hydra/launcher=basic",
+             "logger=none", "pictures=false", "hydra.sweeper.clock=false"]  # fmt: skip
+    assert main([*words, f"model={model}"]) == 0
+    capsys.readouterr()
+    measures = RunFolder(workplace / "outputs" / "machine_mine" / "best").measures()
+    assert measures["rmse_1s"] < 0.05 * measures["constant_velocity_rmse_1s"]
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_a_machine_at_rest_has_no_model_and_a_reason(noise, workplace, capsys):
     frame = table()
