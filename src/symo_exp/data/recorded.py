@@ -108,8 +108,8 @@ class RecordedData(DataModule):
             leaves the column out.
         wrapped: Whether angles jump by a turn; they are unwrapped then.
         degrees: Whether angles and their velocities are in degrees.
-        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's name or values say
-            (``t_ms``), else seconds.
+        time_unit: ``d``, ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's name or
+            values say (``t_ms``), else seconds.
         train: Names of the training trajectories. ``None``: the column ``split`` says.
         val: Those for validation.
         test: Those for testing.
