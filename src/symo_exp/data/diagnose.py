@@ -308,9 +308,8 @@ def _regression(
         motion.
     """
     moves = moving(motions) if motions else np.zeros(0, dtype=bool)
-    # the rounding errors of what is still would be accelerations
-    held = [(np.where(moves, q, q[0]), u) for q, u in motions if len(q) >= SHORTEST]
-    rows = [weak_rows(q, u, h, terms)[::HALF] for q, u in held]
+    long = [motion for motion in held_still(motions) if len(motion[0]) >= SHORTEST]
+    rows = [weak_rows(q, u, h, terms)[::HALF] for q, u in long]
     table = np.concatenate(rows) if rows else np.empty((0, 1))
     n = len(moves)
     if len(table) < 20 or not (np.isfinite(table).all() and moves.any()):
@@ -328,6 +327,12 @@ def moving(motions: Sequence[Motion]) -> np.ndarray:
     ranges = np.max([np.ptp(q, axis=0) for q, _ in motions], axis=0)
     sizes = np.max([np.abs(q).max(axis=0) for q, _ in motions], axis=0)
     return np.asarray(ranges > ROUNDING * sizes)
+
+
+def held_still(motions: Sequence[Motion]) -> list[Motion]:
+    """Return motions without the rounding errors of what never moves, which are accelerations."""
+    moves = moving(motions) if motions else np.zeros(0, dtype=bool)
+    return [(np.where(moves, q, q[0]), u) for q, u in motions]
 
 
 def weak_rows(
