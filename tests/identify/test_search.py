@@ -313,6 +313,20 @@ def test_coordinates_that_never_move_are_named(workplace):
     assert found.explained == pytest.approx(alone.explained, abs=0.01)
 
 
+@pytest.mark.parametrize("place", [0.1, 0.3, 123.456])
+@pytest.mark.parametrize("step", [0.005, 0.0013])
+def test_coordinates_that_never_move_set_neither_the_time_step_nor_units(place, step, workplace):
+    """Between samples at irregular times, they have rounding errors."""
+    rng = np.random.default_rng(0)
+    t = step * (np.arange(round(20.0 / step)) + 0.1 * rng.random(round(20.0 / step)))
+    frame = pd.DataFrame({"t": t, "q_theta": 0.5 * np.sin(3 * t) + 0.2 * np.cos(5 * t)})
+    frame.to_csv("alone.csv", index=False)
+    frame.assign(q_x=place).to_csv("mine.csv", index=False)
+    alone, found = examine({"path": "alone.csv"}), examine({"path": "mine.csv"})
+    assert (found.time_step, found.units) == (alone.time_step, alone.units)
+    assert found.rest_velocity == alone.rest_velocity
+
+
 def test_inputs_with_the_names_of_coordinates_drive_these(workplace):
     frame = table(name="shoulder")
     frame["q_elbow"], frame["u_elbow"] = frame.q_shoulder * 0.5, 0.1
