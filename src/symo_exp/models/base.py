@@ -14,6 +14,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.units import SI
 from symo_exp.models.control import Linear, inverse_dynamics, linearize
 from symo_exp.models.flows import Flow, Rollout, Step
 from symo_exp.models.inputs import Array, Inputs
@@ -50,7 +51,10 @@ class DynamicsModel(nn.Module):
     ) -> None:
         super().__init__()
         self.flow, self.coordinates, self.time_step = flow, coordinates, flow.time_step
-        self.flow.sizes = tuple(coordinates.sizes.tolist())
+        if coordinates.units != SI:
+            action, sizes = coordinates.units.size("N m s"), coordinates.sizes
+            self.flow.sizes = tuple(sizes.tolist())
+            self.flow.momentum_sizes = tuple((action / sizes).tolist())
         self.objective = objective
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self.compiled: dict[str, Callable[..., Any]] = {}
