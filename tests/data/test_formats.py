@@ -295,6 +295,10 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             "'data.columns={q_1: q1, v_1: dq1, u_tau1: tau1}'",
         ),
         (
+            lambda t: t.rename(columns={"q_0": "arm_pos", "u_0": "motor1"}),
+            "'data.columns={q_arm: arm_pos, u_motor1: motor1}'",
+        ),
+        (
             lambda t: t.rename(columns={"q_0": "arm_pos"}).assign(arm_vel=0.0),
             "'data.columns={q_arm: arm_pos, v_arm: arm_vel}'",
         ),

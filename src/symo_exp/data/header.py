@@ -37,8 +37,8 @@ TRAJECTORY = ("trajectory", "traj", "traj_id", "trajectory_id", "episode", "epis
 POSITION = re.compile(r"^(?:pos|position|angle)[_ ]|[_ ](?:pos|position|angle)$", re.I)
 VELOCITY = re.compile(r"^(?:d|dot_|vel_|velocity_|omega_)(?=.)|_?(?:dot|vel|velocity)$")
 INPUT = re.compile(
-    r"u\d*|tau\d*|torques?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?|ctrl|act"
-    r"|actions?|volt|volts|voltages?|pwm|duty|throttle|thrust|rudder|heat",
+    r"(?:u|tau|torques?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?|ctrl|act"
+    r"|actions?|volt|volts|voltages?|pwm|duty|throttle|thrust|rudder|heat)\d*",
     re.I,
 )
 """A word of an input's name."""
