@@ -20,7 +20,7 @@ from tests.architecture import (
 )
 
 TESTS = Path(__file__).parent
-EVERYBODYS = {"errors", "files", "imports", "shell", "shipped", "code"}
+EVERYBODYS = {"checks", "errors", "files", "imports", "shell", "shipped", "code"}
 CONFIG_HOMES = {"cli", "job", "sweep", "identify", "runs"}
 """Packages in which objects of Hydra and OmegaConf may occur; `runs` builds models from files."""
 
@@ -98,6 +98,11 @@ def test_newtons_iteration_is_written_twice():
         if "problem.at(" in file.read_text(encoding="utf-8")
     }
     assert evaluates == {"mechanics/roots.py", "mechanics/galerkin.py", "compile/newton.py"}
+
+
+def test_whole_numbers_are_checked_in_one_place():
+    found = [file for file in ROOT.rglob("*.py") if "numbers" in imports(file)]
+    assert [file.name for file in found] == ["checks.py"]
 
 
 PRIVATE = re.compile(r"(?:hydra|submitit|lightning|mlflow|omegaconf|loky|joblib)(?:\.\w+)*\._\w+")

@@ -155,6 +155,11 @@ WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
         {},
     ),
     "a unit that is given": (csv("x.csv", lambda t: t.assign(t=1e6 * t.t)), {"time_unit": "us"}),
+    "days": (csv("x.csv", lambda t: t.assign(t=t.t / 86400)), {"time_unit": "d"}),
+    "days in the name": (
+        csv("x.csv", lambda t: t.assign(t=t.t / 86400).rename(columns={"t": "time (days)"})),
+        {},
+    ),
     "degrees": (csv("x.csv", lambda t: t.assign(q_0=np.degrees(t.q_0))), {"degrees": True}),
     "npz": (lambda folder: arrays(folder, "x.npz"), {}),
     "mat": (lambda folder: arrays(folder, "x.mat"), {}),
@@ -290,6 +295,10 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             "'data.columns={q_1: q1, v_1: dq1, u_tau1: tau1}'",
         ),
         (
+            lambda t: t.rename(columns={"q_0": "arm_pos", "u_0": "motor1"}),
+            "'data.columns={q_arm: arm_pos, u_motor1: motor1}'",
+        ),
+        (
             lambda t: t.rename(columns={"q_0": "arm_pos"}).assign(arm_vel=0.0),
             "'data.columns={q_arm: arm_pos, v_arm: arm_vel}'",
         ),
@@ -307,6 +316,7 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             "'data.columns={q_arm: arm_deg}' data.degrees=true",
         ),
         (lambda t: t.assign(t=1e9 * t.t), "give data.time_unit=ns"),
+        (lambda t: t.assign(t=t.t / 86400), "if they are in days, give data.time_unit=d"),
         (
             lambda t: t.assign(q_0=(200 * t.t) % 360),
             "data.degrees=true data.wrapped=true",
@@ -338,15 +348,38 @@ def test_doubtful_units_are_noted(change, said: str | None, tmp_path: Path, capl
     assert [said in line for line in told] == [True] if said else not told
 
 
-def test_dates_are_read_as_seconds_from_the_first_one(tmp_path: Path) -> None:
-    table, start = motion(), pd.Timestamp("2024-05-01 12:00")
-    table.assign(t=start + pd.to_timedelta(table.t, "s")).to_csv(tmp_path / "dated.csv")
+@pytest.mark.parametrize(
+    ("dated", "rounding"),
+    [
+        (lambda t: pd.Timestamp("2024-05-01 12:00") + pd.to_timedelta(t, "s"), 1e-9),
+        (lambda t: 45413.5 + t / 86400, 1e-6),  # a spreadsheet's
+        (lambda t: 739373.5 + t / 86400, 1e-5),  # MATLAB's
+    ],
+)
+def test_dates_are_read_as_seconds_from_the_first_one(dated, rounding, tmp_path: Path) -> None:
+    table = motion()
+    table.assign(t=dated(table.t)).to_csv(tmp_path / "dated.csv")
     table.to_csv(tmp_path / "x.csv")
     system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
     (found,), (expected,) = (
         read_recordings(tmp_path / name, system).recordings for name in ("dated.csv", "x.csv")
     )
-    np.testing.assert_allclose(found.samples.t, expected.samples.t, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found.samples.t, expected.samples.t, rtol=0.0, atol=rounding)
+
+
+@pytest.mark.parametrize("start", [0.0, 40000.0])
+def test_times_of_a_fast_clock_are_seconds(start: float, tmp_path: Path) -> None:
+    """Also if rounded, as the sums of a counter are, in rows of several trajectories."""
+    t = start + 1e-4 * np.arange(100)
+    rounded = np.nextafter(t, np.inf)
+    rows = pd.DataFrame(
+        {"trajectory": np.tile([0, 1], 100), "t": np.stack([t, rounded], 1).ravel()}
+    )
+    rows.assign(q_0=0.0).to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=1e-4, names=("0",), inputs=(), angular="all")
+    found = read_recordings(tmp_path / "x.csv", system)
+    assert [np.ptp(one.samples.t) for one in found.recordings] == pytest.approx([99e-4] * 2)
+    assert not found.notes
 
 
 def test_a_few_rows_without_a_number_are_left_out_and_it_is_said(tmp_path: Path) -> None:

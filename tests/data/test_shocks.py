@@ -72,6 +72,25 @@ def test_a_blow_is_found_and_nothing_else(blow: float) -> None:
         assert H * (last - first) < 2 * (END - BEGIN) + 10 * H
 
 
+@pytest.mark.parametrize("blow", [0.0, 60.0])
+@pytest.mark.parametrize("angular", [False, True])
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.1])
+def test_a_coordinate_that_never_moves_hides_no_shock_and_adds_none(
+    share: float, angular: bool, blow: float
+) -> None:
+    """But for rounding errors of a share of its samples; it has another place in each motion."""
+    frames, rng, pairs = motions(1, blow), np.random.default_rng(0), []
+    for k, frame in enumerate(frames):
+        place, q = 0.3 + 0.1 * k, frame.filter(like="q_").to_numpy()
+        rounded = np.where(rng.random((len(q), 1)) < share, np.nextafter(place, 9.0), place)
+        pairs.append((np.concatenate([rounded, q], axis=1), frame.filter(like="u_").to_numpy()))
+    runs = shocks(pairs, Coordinates(("still", "link"), (angular, True)), H)
+    expected = found(frames, 1)
+    assert [len(each) for each in runs] == [len(each) for each in expected]
+    if blow:
+        np.testing.assert_allclose(runs[STRUCK], expected[STRUCK], rtol=0.0, atol=2)
+
+
 @pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_machines_that_nothing_strikes_have_no_shocks(n: int) -> None:
     assert not any(found(motions(n, 0.0), n))

@@ -185,6 +185,48 @@ def test_searches_that_cannot_be_made_are_refused_in_one_line(words, wanted, wor
     assert not (workplace / "outputs").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "mend"),
+    [
+        ("objective=horizon", "possible: objective=smoothing"),
+        ("objective=plain", "possible: objective=smoothing"),
+        ("optimizer=adam", "possible: optimizer=total_least_squares"),
+        ("model=node", "possible: model=e2e_symo, model=l_node, model=symo"),
+        ("model=true_ode", "possible: model=e2e_symo, model=l_node, model=symo"),
+        ("data=simulated", "possible: data=recorded"),
+        ("system=pendulum", "possible: system=recorded"),
+        ("preset=fast", "leave it out"),
+        ("preset=fast objective=smoothing optimizer=total_least_squares", "leave it out"),
+        ("learner.validation=null", "leave it out"),
+        ("data.fold=[0,3]", "leave it out"),
+        ("data.monitor=test", "leave it out"),
+    ],
+)
+def test_choices_that_do_not_suit_a_search_are_named_with_those_that_do(
+    words, mend, workplace, capsys
+):
+    table().to_csv("mine.csv", index=False)
+    given = words.split()
+    path = [] if "data=simulated" in given else ["data.path=mine.csv"]
+    assert main(["-cn", "machine", *path, *given]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{given[0]} does not suit a search, which " in line
+    assert line.endswith(f"; {mend}")
+    assert not (workplace / "outputs").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["l_node", "e2e_symo"])
+def test_a_search_takes_other_models_with_a_lagrangian(model, workplace, capsys):
+    table().to_csv("mine.csv", index=False)
+    words = ["-cn", "machine", "data.path=mine.csv", "budget=1s", "hydra/launcher=basic",
+             "logger=none", "pictures=false", "hydra.sweeper.clock=false"]  # fmt: skip
+    assert main([*words, f"model={model}"]) == 0
+    capsys.readouterr()
+    measures = RunFolder(workplace / "outputs" / "machine_mine" / "best").measures()
+    assert measures["rmse_1s"] < 0.05 * measures["constant_velocity_rmse_1s"]
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_a_machine_at_rest_has_no_model_and_a_reason(noise, workplace, capsys):
     frame = table()
@@ -269,6 +311,20 @@ def test_coordinates_that_never_move_are_named(workplace):
     alone = examine({"path": "mine.csv", "columns": {"q_elbow": None}})
     assert (found.n, alone.n) == (2, 1)
     assert found.explained == pytest.approx(alone.explained, abs=0.01)
+
+
+@pytest.mark.parametrize("place", [0.1, 0.3, 123.456])
+@pytest.mark.parametrize("step", [0.005, 0.0013])
+def test_coordinates_that_never_move_set_neither_the_time_step_nor_units(place, step, workplace):
+    """Between samples at irregular times, they have rounding errors."""
+    rng = np.random.default_rng(0)
+    t = step * (np.arange(round(20.0 / step)) + 0.1 * rng.random(round(20.0 / step)))
+    frame = pd.DataFrame({"t": t, "q_theta": 0.5 * np.sin(3 * t) + 0.2 * np.cos(5 * t)})
+    frame.to_csv("alone.csv", index=False)
+    frame.assign(q_x=place).to_csv("mine.csv", index=False)
+    alone, found = examine({"path": "alone.csv"}), examine({"path": "mine.csv"})
+    assert (found.time_step, found.units) == (alone.time_step, alone.units)
+    assert found.rest_velocity == alone.rest_velocity
 
 
 def test_inputs_with_the_names_of_coordinates_drive_these(workplace):

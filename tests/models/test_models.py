@@ -287,6 +287,7 @@ def test_states_may_be_tensors_arrays_or_lists_single_or_batched(method, integra
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], [1.0]), r"u has .*: expected \(nodes, 1\)"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=-1), "steps=-1: expected a whole"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=2.0), "steps=2.0: expected a whole"),
+        (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=True), "steps=True: expected a whole"),
         (lambda m: m.rollout("still", [0.0, 0.0], steps=1), "q is not an array of numbers"),
         (lambda m: m.rollout([0.0, 1j], [0.0, 0.0], steps=1), "numbers: its type is complex"),
         (lambda m: m.mass_matrix([0.0] * 5), r"expected \(2\) for a single state, or \(batch, 2\)"),

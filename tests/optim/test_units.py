@@ -5,17 +5,22 @@ from functools import partial
 import pytest
 import torch
 
+from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.scaled import ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.mechanics.units import SI, Units
 from symo_exp.mechanics.variational import VariationalMidpoint
-from symo_exp.models.objectives import PreconditionedResidual
+from symo_exp.mechanics.windows import cut_windows
+from symo_exp.models.e2e_symo import E2ESyMo
+from symo_exp.models.l_node import LNODE
+from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.models.symo import SyMo
 from symo_exp.nets.dissipation import MachineFriction
 from symo_exp.nets.lagrangians import NetworkLagrangian, PlanarLagrangian
 from symo_exp.nets.springs import LinearSprings
+from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.training.learner import Learner
 
@@ -85,6 +90,41 @@ def test_a_fit_in_other_units_has_the_same_predictions(lagrangian, integrator, a
     expected = fitted(SI, angular, integrator, lagrangian)
     found = fitted(units, angular, integrator, lagrangian)
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+
+VARIATIONAL = {
+    "integrator": VariationalMidpoint(),
+    "root": Newton(tolerance=1e-10, max_iterations=50),
+}
+METHODS = {
+    "residual": partial(SyMo, objective=Residual(), **VARIATIONAL),
+    "preconditioned": partial(SyMo, objective=PreconditionedResidual(), **VARIATIONAL),
+    "root error": partial(E2ESyMo, **VARIATIONAL),
+    "state error": partial(LNODE, integrator=RK4()),
+}
+
+
+@pytest.mark.parametrize("units", [UNITS[1], Units(2.0**-40, 1.0, 2.0**20)])
+@pytest.mark.parametrize("method", METHODS)
+def test_lengths_and_angles_have_the_same_weight_in_any_unit_of_length(method, units):
+    """Also of outliers, which count linearly, however small a motion is in metres."""
+    angular, found = (False, True), []
+    for given in (SI, units):
+        torch.manual_seed(0)
+        coordinates = _coordinates(given, angular)
+        (motion,), input_matrix = motions(given, angular)
+        motion.q[30] += 0.1 * coordinates.sizes
+        v = torch.gradient(motion.q, spacing=STEP, dim=0)[0]
+        model = METHODS[method](
+            partial(NetworkLagrangian, width=3), coordinates=coordinates,
+            input_matrix=input_matrix, time_step=STEP,
+        ).double()  # fmt: skip
+        optimizer = LevenbergMarquardt(model.parameters(), huber=3.0, force_epochs=1)
+        samples, losses = cut_windows([motion._replace(v=v)]), []
+        for _ in range(5):
+            losses.append(float(optimizer.epoch(Learner(model), [samples])["train_loss"]))
+        found.append(losses)
+    assert found[1] == pytest.approx(found[0], rel=1e-4, abs=0.0)
 
 
 @pytest.mark.parametrize("angular", [(False, False), (False, True)])

@@ -78,6 +78,18 @@ def test_of_several_experiments_the_last_is_reported_and_the_option_named(
     monkeypatch.setattr("builtins.input", lambda _: "2")
     assert main(["--no-page"]) == 0
     assert report.read_text().startswith("# old:")
+    for end, code, said in [
+        (EOFError, 2, "error: no experiment was chosen; give --experiment NAME, or --all"),
+        (KeyboardInterrupt, 130, "interrupted"),
+    ]:
+
+        def asked(_, end=end):
+            raise end
+
+        monkeypatch.setattr("builtins.input", asked)
+        capsys.readouterr()
+        assert main(["--no-page"]) == code
+        assert capsys.readouterr().err == f"symo_exp.report: {said}\n"
 
 
 def test_the_answer_is_of_the_last_sweep_unless_other_settings_are_asked_for(tmp_path):

@@ -17,10 +17,8 @@ from symo_exp.job.checks import did_you_mean, unknown_key
 from symo_exp.shell import install_command, override_value
 from symo_exp.shipped import CONF, SWEEPS
 
-BAD_INPUT = (
-    ConfigError, HydraException, OmegaConfBaseException, YAMLError, RecursionError, ValueError,
-)  # fmt: skip
-"""Errors caused by an invalid command or configuration file."""
+BAD_INPUT = HydraException, OmegaConfBaseException, YAMLError, RecursionError, ValueError
+"""Errors caused by an invalid command or configuration file, ``ConfigError`` among them."""
 EXTRAS = {"submitit": ("submitit_slurm", "cluster"), "optuna": ("optuna", "optuna")}
 """By the prefix of a choice: a choice that its installed extra provides, and the extra."""
 

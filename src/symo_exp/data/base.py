@@ -11,11 +11,11 @@ import lightning
 import torch
 from torch import Tensor
 
+from symo_exp.checks import one_of, real, whole_number
 from symo_exp.data.noise import add_noise
 from symo_exp.mechanics.space import FLAT, Space, space_of
 from symo_exp.mechanics.types import TrainingSamples, Trajectories, Trajectory, Windows
 from symo_exp.mechanics.windows import cut_windows
-from symo_exp.systems.checks import one_of, real, whole_number
 
 Item = TypeVar("Item")
 

@@ -13,6 +13,7 @@ import scipy
 import torch
 from typing_extensions import override
 
+from symo_exp.checks import whole_number
 from symo_exp.data.base import DataModule, Splits
 from symo_exp.data.cache import Cache
 from symo_exp.data.draws import Draws, Independent
@@ -22,7 +23,6 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.process import phases
 from symo_exp.systems.base import LagrangianSystem, System
-from symo_exp.systems.checks import whole_number
 from symo_exp.systems.simulation import Solver
 
 log = logging.getLogger(__name__)

@@ -337,12 +337,10 @@ def _regression(
     paths = [(quasi_coordinates(q, coordinates), u) for q, u in motions]
     moves = moving(paths) if paths else np.zeros(0, dtype=bool)
     rows = []
-    for (q, u), (path, _) in zip(motions, paths, strict=True):
+    for (q, u), (path, _) in zip(motions, held_still(paths), strict=True):
         if len(q) >= SHORTEST:
-            # the rounding errors of what is still would be accelerations
-            held = np.where(moves, path, path[0])
-            places = q if coordinates.rotations else held
-            rows.append(weak_rows(places, u, h, terms, held)[::HALF])
+            places = q if coordinates.rotations else path
+            rows.append(weak_rows(places, u, h, terms, path)[::HALF])
     table = np.concatenate(rows) if rows else np.empty((0, 1))
     n = len(moves)
     if len(table) < 20 or not (np.isfinite(table).all() and moves.any()):
@@ -370,6 +368,12 @@ def moving(motions: Sequence[Motion]) -> np.ndarray:
     ranges = np.max([np.ptp(q, axis=0) for q, _ in motions], axis=0)
     sizes = np.max([np.abs(q).max(axis=0) for q, _ in motions], axis=0)
     return np.asarray(ranges > ROUNDING * sizes)
+
+
+def held_still(motions: Sequence[Motion]) -> list[Motion]:
+    """Return motions without the rounding errors of what never moves, which are accelerations."""
+    moves = moving(motions) if motions else np.zeros(0, dtype=bool)
+    return [(np.where(moves, q, q[0]), u) for q, u in motions]
 
 
 def weak_rows(

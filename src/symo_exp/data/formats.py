@@ -30,7 +30,9 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 """Text files; in a folder only the first kind is taken for a recording."""
 BAGS = (".db3", ".mcap", ".bag")
 TIME = re.compile(
-    r"_*(?:t|time|timestamp|stamp)(?:_(s|sec|ms|us|ns)| *[\[(](s|sec|ms|us|ns)[\])])?",
+    r"_*(?:t|time|timestamp|stamp)(?:_(UNIT)| *[\[(](UNIT)[\])])?".replace(
+        "UNIT", "s|sec|ms|us|ns|d|days?"
+    ),
     re.IGNORECASE,
 )
 """Names of a time column, with the unit that they state."""

@@ -29,7 +29,7 @@ Columns = Mapping[str, str | None]
 OTHERS = ("trajectory", "split", "t")
 """Columns that belong to no coordinate or input."""
 KINDS = {"q": "coordinate", "v": "coordinate", "u": "input"}
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+UNITS = {"d": 86400.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of time [s]."""
 TRAJECTORY = ("trajectory", "traj", "traj_id", "trajectory_id", "episode", "episode_id")
 """Names that are read as ``trajectory``, in any case."""
@@ -37,8 +37,8 @@ TRAJECTORY = ("trajectory", "traj", "traj_id", "trajectory_id", "episode", "epis
 POSITION = re.compile(r"^(?:pos|position|angle)[_ ]|[_ ](?:pos|position|angle)$", re.I)
 VELOCITY = re.compile(r"^(?:d|dot_|vel_|velocity_|omega_)(?=.)|_?(?:dot|vel|velocity)$")
 INPUT = re.compile(
-    r"u\d*|tau\d*|torques?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?|ctrl|act"
-    r"|actions?|volt|volts|voltages?|pwm|duty|throttle|thrust|rudder|heat",
+    r"(?:u|tau|torques?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?|ctrl|act"
+    r"|actions?|volt|volts|voltages?|pwm|duty|throttle|thrust|rudder|heat)\d*",
     re.I,
 )
 """A word of an input's name."""
@@ -186,7 +186,7 @@ def _aliases(found: Sequence[str], taken: set[str]) -> dict[str, str]:
 def _unit(name: str) -> str | None:
     match = TIME.fullmatch(name)
     unit = match and (match[1] or match[2])
-    return {"sec": "s"}.get(unit.lower(), unit.lower()) if unit else None
+    return {"sec": "s", "day": "d", "days": "d"}.get(unit.lower(), unit.lower()) if unit else None
 
 
 def suggestion(found: Sequence[str]) -> str:

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from symo_exp.checks import whole_number
 from symo_exp.data.formats import few
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
-from symo_exp.systems.checks import whole_number
 
 PARTS = ("train", "val", "test")
 PATTERN = ("train", "train", "val", "train", "test")

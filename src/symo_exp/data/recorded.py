@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from typing_extensions import override
 
+from symo_exp.checks import one_of, real, whole_number
 from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
@@ -23,7 +24,6 @@ from symo_exp.data.table import Recording, RecordingTable, read_recordings, writ
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.systems.base import System
-from symo_exp.systems.checks import one_of, real, whole_number
 from symo_exp.systems.recorded import Recorded
 
 __all__ = ["RecordedData", "central_differences", "recorded_system", "write_recordings"]
@@ -108,8 +108,8 @@ class RecordedData(DataModule):
             leaves the column out.
         wrapped: Whether angles jump by a turn; they are unwrapped then.
         degrees: Whether angles and their velocities are in degrees.
-        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's name or values say
-            (``t_ms``), else seconds.
+        time_unit: ``d``, ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's name or
+            values say (``t_ms``), else seconds.
         train: Names of the training trajectories. ``None``: the column ``split`` says.
         val: Those for validation.
         test: Those for testing.

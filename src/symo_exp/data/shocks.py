@@ -11,6 +11,7 @@ from symo_exp.data.diagnose import (
     SHORTEST,
     Motion,
     acceleration_terms,
+    held_still,
     place_terms,
     signs_of,
     weak_rows,
@@ -60,6 +61,7 @@ def shocks(
         suit the machine.
     """
     nothing: list[list[tuple[int, int]]] = [[] for _ in motions]
+    motions = held_still(motions)
     long = [k for k, (q, _) in enumerate(motions) if len(q) >= SHORTEST]
     n = coordinates.n
     if not long:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -22,10 +23,12 @@ DROPPED = 0.05
 """Share of the rows, without a number or with an earlier time, up to which they are left out."""
 FEWEST = 3
 """Samples of a recording, at least."""
-SLOW = 1.0
-"""Time between samples from which the unit of time has to be given."""
+SLOW, FAST = 1.0, 5e-6
+"""Times between samples from which, and up to which, the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
 """Seconds since 1970 of the years 2001 to 2099."""
+ORIGINS = {"d": (25569.0, 719529.0)}
+"""1970 in serial days of spreadsheets and of MATLAB; times in other units are counted from it."""
 
 
 class Recording(NamedTuple):
@@ -72,8 +75,8 @@ def read_recordings(
         system: Whose coordinates and inputs are read.
         columns: A mapping of this project's column names to those of the files; ``None`` instead of
             a name leaves the column out.
-        time_unit: ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of the column's name
-            or of its values.
+        time_unit: ``d``, ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of the column's
+            name or of its values.
 
     Raises:
         ConfigError: If a file cannot be read or is not sound.
@@ -207,14 +210,14 @@ def _from_dates(
     dated = pd.api.types.is_datetime64_any_dtype(times)
     numbers = times.isna() if dated else pd.to_numeric(times, errors="coerce")  # words among them
     if not dated and numbers.notna().any():
-        middle = float(numbers.median())
-        for name, unit in UNITS.items():
-            if unit < 1.0 and seconds in (None, unit) and EPOCH[0] <= middle * unit <= EPOCH[1]:
-                if seconds is None:
-                    notes.append(f"times are in {name} since 1970, as their size says")
-                exact = pd.to_numeric(times[numbers.notna()])  # integers have more digits
-                return (exact - exact.min()).reindex(times.index), unit
-        return times, seconds
+        name = _unit_of_dates(numbers.dropna().to_numpy(), seconds)
+        if name is None:
+            return times, seconds
+        if seconds is None:
+            origin = " since 1970" * (name not in ORIGINS)
+            notes.append(f"times are in {name}{origin}, as their size says")
+        exact = pd.to_numeric(times[numbers.notna()])  # integers have more digits
+        return (exact - exact.min()).reindex(times.index), UNITS[name]
     forms: list[tuple[str | None, Literal["coerce", "raise"]]]
     forms = [("ISO8601", "coerce"), (None, "raise")]  # a fraction of ISO may have any digits
     for form, errors in forms:
@@ -225,6 +228,30 @@ def _from_dates(
         if (dates.isna() & times.notna()).mean() <= DROPPED:
             return (dates - dates.min()).dt.total_seconds(), 1.0
     return times, seconds
+
+
+def _unit_of_dates(t: np.ndarray, seconds: float | None) -> str | None:
+    """Return the unit of times that are dates as numbers, ``None`` if they are none.
+
+    Days have to be fine as well: as seconds, times of this size are those of a clock.
+    """
+    middle = float(np.median(t))
+    for name, unit in UNITS.items():
+        if unit == 1.0 or seconds not in (None, unit):
+            continue
+        if unit > 1.0 and seconds is None and not _gap(t) <= FAST:
+            continue
+        for origin in ORIGINS.get(name, (0.0,)):
+            if EPOCH[0] <= (middle - origin) * unit <= EPOCH[1]:
+                return name
+    return None
+
+
+def _gap(t: np.ndarray) -> float:
+    """Return the usual time from a row to the next, NaN without any; roundings are none."""
+    gaps = np.diff(t)
+    gaps = gaps[gaps > 4.0 * np.finfo(float).eps * np.abs(t).max(initial=0.0)]
+    return float(np.median(gaps)) if len(gaps) else math.nan
 
 
 def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
@@ -263,15 +290,19 @@ def _without_gaps(
 
 
 def _check_seconds(where: str, t: np.ndarray) -> None:
-    """Refuse times without a stated unit whose samples would be slow if they are in seconds."""
-    gaps = np.diff(np.unique(t))
-    step = float(np.median(gaps)) if len(gaps) else 0.0
-    if step >= SLOW:
-        other = next((name for name, unit in UNITS.items() if step * unit < 0.1), "ns")
-        raise ConfigError(
-            f"{where}: times are {step:.6g} apart, and nothing says their unit; if they are in "
-            f"{other}, give data.time_unit={other}, if in seconds, data.time_unit=s"
-        )
+    """Refuse times without a stated unit whose samples would be slow or too fast in seconds."""
+    slow, fast = _gap(np.unique(t)), _gap(t)
+    if slow >= SLOW:
+        step, unit = slow, next((name for name, unit in UNITS.items() if slow * unit < 0.1), "ns")
+    elif fast <= FAST:
+        step, unit = fast, "d"
+    else:
+        return
+    told = "days" if unit == "d" else unit
+    raise ConfigError(
+        f"{where}: times are {step:.6g} apart, and nothing says their unit; if they are in {told}, "
+        f"give data.time_unit={unit}, if in seconds, data.time_unit=s"
+    )
 
 
 def _numbered(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:

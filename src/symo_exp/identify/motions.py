@@ -15,6 +15,7 @@ from symo_exp.data.diagnose import (
     explained_in_degrees,
     explained_power,
     growth_rate,
+    held_still,
     input_gains,
     noise_of,
     quasi_coordinates,
@@ -296,12 +297,15 @@ def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recordin
 
 
 def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
+    """Return the recordings at nodes, what never moves exactly constant: roundings vibrate."""
+    held = held_still([(one.samples.q, one.samples.u) for one in recordings])
     motions = []
-    for one in recordings:
+    for one, (q, _) in zip(recordings, held, strict=True):
         t = one.samples.t
         nodes = np.arange(t[0] + h, t[-1] - h, h)
         if len(nodes) > 13:
-            motions.append((one.samples, nodes, fitted(t, one.samples.q, nodes, h)[0]))
+            path = np.where(np.ptp(q, axis=0) > 0.0, fitted(t, q, nodes, h)[0], q[0])
+            motions.append((one.samples._replace(q=q), nodes, path))
     return motions
 
 

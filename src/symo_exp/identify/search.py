@@ -50,6 +50,17 @@ FILES = [
 ]  # fmt: skip
 """Settings of data that say where recordings are and how they are read."""
 
+NEEDED = {
+    "data": ("data.wrapped", "learns from recordings"),
+    "system": ("system.scale", "knows a machine by its recordings alone"),
+    "model": ("model.dissipation", "compares Lagrangians and friction"),
+    "objective": ("learner.validation.iterations", "estimates the noise of recordings"),
+    "optimizer": ("optimizer.starts", "estimates the noise of recordings in stages"),
+}
+"""By group: a setting that its choice has to have, and why."""
+OWN = {"data.monitor": "val", "data.fold": None}
+"""Settings of a search that cannot have other values."""
+
 
 class Search:
     """The search of one command.
@@ -75,6 +86,7 @@ class Search:
         self._sweep, self._master = sweep, master
         self._given = by_key(arguments)
         self._given.pop("budget", None)
+        self._check_choices()
         self._budget = plans.seconds_of(budget)
         if not OmegaConf.is_missing(master.data, "path"):
             self._files = files(_plain(master.data.path))
@@ -154,6 +166,28 @@ class Search:
         return [value for key, value in self._given.items() if key in keys]
 
     # -- before anything starts --------------------------------------------------------------------
+
+    def _check_choices(self) -> None:
+        """Refuse choices of files, and settings, with which nothing can be searched."""
+        for group, (name, reason) in NEEDED.items():
+            above, _, setting = name.rpartition(".")
+            if setting not in list(OmegaConf.select(self._master, above) or ()):
+                raise self._unsuitable(name, group, reason)
+        for name, value in OWN.items():
+            if OmegaConf.select(self._master, name) != value:
+                raise self._unsuitable(name, "data", "holds out folds itself")
+
+    def _unsuitable(self, name: str, group: str, reason: str) -> ConfigError:
+        """Return the error of the word of the command line that decides a setting."""
+        parts = name.split(".")
+        above = [".".join(parts[:end]) for end in range(len(parts), 1, -1)]
+        chosen = f"{group}={self._master.hydra.runtime.choices[group]}"
+        words = [self._given[key] for key in (*above, group, "preset") if key in self._given]
+        word = next(iter(words), chosen)
+        mend = "leave it out"
+        if word == chosen:
+            mend = f"possible: {', '.join(self._sweep.choices_with(group, name))}"
+        return ConfigError(f"{word} does not suit a search, which {reason}; {mend}")
 
     def _examine(self) -> Machine:
         phases.say("reading the recordings")

@@ -14,6 +14,7 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 
 from symo_exp import code
+from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.parameters import physical_parameters
@@ -109,8 +110,7 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     """
     code.add(settings["code"])
     seed = settings["seed"]
-    if not 0 <= seed < 2**32:
-        raise ConfigError(f"seed={seed}: expected a whole number from 0 to {2**32 - 1}")
+    whole_number("seed", seed, low=0, high=2**32 - 1)
     lightning.seed_everything(seed, verbose=False)
     system = make(settings, "system")
     data = make(settings, "data", system=system)

@@ -55,10 +55,10 @@ def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
     """Return the differences of a run."""
     groups = {g: c for g, c in choices.items() if isinstance(c, str) and "/" not in g}
     chosen = [f"{group}={groups[group]}" for group in CHOSEN if group in groups]
-    usual = _shipped(*chosen)
-    same = usual.choices.items()
-    others = [f"{g}={c}" for g, c in sorted(groups.items() - same) if g not in INCIDENTAL]
-    files = (_shipped(*chosen, *others) if others else usual).values
+    usual, files = _shipped(*chosen)
+    others = [f"{g}={c}" for g, c in sorted(groups.items() - usual.items()) if g not in INCIDENTAL]
+    if others:
+        _, files = _shipped(*chosen, *others)
     theirs = dict(relevant(files)) | {n: settings.value(other) for n, other in references(files)}
     different = [
         name
@@ -69,21 +69,14 @@ def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
     return Differences(settings, chosen, others, [n for n in different if n not in TOLD], told)
 
 
-class _Shipped(NamedTuple):
-    """The choices and unresolved settings of a configuration without changed settings."""
-
-    choices: dict[str, Any]
-    values: dict[str, Any]
-
-
-def _shipped(*choices: str) -> _Shipped:
+def _shipped(*choices: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the choices and the unresolved settings of files alone."""
     sources = GlobalHydra.instance().config_loader().get_sources()
     return _composed(choices, tuple(source.path for source in sources))
 
 
 @lru_cache(maxsize=64)
-def _composed(choices: tuple[str, ...], sources: tuple[str, ...]) -> _Shipped:
+def _composed(choices: tuple[str, ...], _: tuple[str, ...]) -> tuple[dict[str, Any], Any]:
     """Compose, which takes a second; runs of a search have few combinations of choices."""
-    config = hydra.compose("config", list(choices), return_hydra_config=True)
-    values = unresolved(config)
-    return _Shipped(values.pop("hydra")["runtime"]["choices"], values)
+    values = unresolved(hydra.compose("config", list(choices), return_hydra_config=True))
+    return values.pop("hydra")["runtime"]["choices"], values

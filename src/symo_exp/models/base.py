@@ -9,13 +9,15 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
+from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.units import SI
 from symo_exp.models.control import Linear, inverse_dynamics, linearize
 from symo_exp.models.flows import Flow, Rollout, Step
-from symo_exp.models.inputs import Array, Inputs, counted
+from symo_exp.models.inputs import Array, Inputs
 from symo_exp.models.objectives import Objective
 from symo_exp.models.uncertainty import Interval, ModelPosterior, interval, known, sample
 
@@ -49,7 +51,10 @@ class DynamicsModel(nn.Module):
     ) -> None:
         super().__init__()
         self.flow, self.coordinates, self.time_step = flow, coordinates, flow.time_step
-        self.flow.sizes = tuple(coordinates.sizes.tolist())
+        if coordinates.units != SI:
+            action, sizes = coordinates.units.size("N m s"), coordinates.sizes
+            self.flow.sizes = tuple(sizes.tolist())
+            self.flow.momentum_sizes = tuple((action / sizes).tolist())
         self.objective = objective
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self.compiled: dict[str, Callable[..., Any]] = {}
@@ -170,7 +175,8 @@ class DynamicsModel(nn.Module):
 
     def sample(self, count: int, *, seed: int = 0) -> list[DynamicsModel]:
         """Return ``count`` models with parameters drawn from the posterior."""
-        return sample(self, known(self.posterior), counted("count", count), seed)
+        count = whole_number("count", count, low=0)
+        return sample(self, known(self.posterior), count, seed)
 
     def linearize(self, q: Array, v: Array, u: Array = None) -> Linear:
         """Return the derivatives of ``(q, v)`` one time step later, in the state and the control.

@@ -82,6 +82,8 @@ class Flow(nn.Module, ABC):
     """The space of configurations."""
     sizes: Sizes = None
     """Units of the coordinates."""
+    momentum_sizes: Sizes = None
+    """Units of their momenta."""
     stretch = STRETCH
     """Steps that a rollout takes at a time."""
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.mechanics.space import FLAT, Space
 
@@ -16,13 +16,6 @@ Array = Any
 """Numbers of any precision: a tensor on any device, an array, a DataFrame or nested sequences."""
 REAL = "biuf"
 """Kinds of NumPy's types that are real numbers."""
-
-
-def counted(name: str, value: object) -> int:
-    """Return a whole number, Python's or NumPy's; refuse any other and negative ones."""
-    if not isinstance(value, Integral) or value < 0:
-        raise ConfigError(f"{name}={value!r}: expected a whole number, 0 or more")
-    return int(value)
 
 
 class Inputs:
@@ -68,7 +61,7 @@ class Inputs:
             raise ConfigError("a rollout needs either u, the control at every node, or steps")
         if steps is None:
             return self._read("u", u, "nodes", self._m)
-        return self._like.new_zeros(len(self.q), counted("steps", steps) + 1, self._m)
+        return self._like.new_zeros(len(self.q), whole_number("steps", steps, low=0) + 1, self._m)
 
     def gradients(self) -> torch.set_grad_enabled:
         """Return a context that builds a graph only if an argument requires a gradient."""

@@ -9,8 +9,9 @@
 =============================  ================================================  ================
 
 Here ``(q̂, v̂)`` is the flow's prediction, ``g`` the discrete Euler-Lagrange residual, ``H`` the
-learned inertia, and ``q``, ``v`` are the data. A further objective is one class and a file in
-``conf/objective`` that names it.
+learned inertia, and ``q``, ``v`` are the data. Residuals are over the units of coordinates or of
+momenta (``system.scale``): the weight of lengths beside angles does not depend on metres. A further
+objective is one class and a file in ``conf/objective`` that names it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.mechanics.lagrangian import solve
+from symo_exp.mechanics.roots import relative
 from symo_exp.mechanics.types import TrainingSamples, Trajectory, Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, Forces, differentiable_root
 from symo_exp.mechanics.windows import cut_windows
@@ -94,7 +96,7 @@ class StateError(Objective):
     def __call__(self, flow: Flow, windows: Windows) -> Residuals:
         q, v, *_ = flow.predict(windows)
         error = flow.space.difference(windows.q_next, q)
-        return Residuals(torch.cat((error, v - windows.v_next), dim=1))
+        return Residuals(relative(torch.cat((error, v - windows.v_next), dim=1), flow.sizes))
 
     @override
     def branch_free(self, flow: Flow) -> bool:
@@ -110,10 +112,14 @@ class Residual(Objective):
 
     @override
     def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:
+        return Residuals(relative(self.imbalance(flow, windows), flow.momentum_sizes))
+
+    def imbalance(self, flow: VariationalFlow, windows: Windows) -> Float[Tensor, "samples n"]:
+        """Return ``g`` [N s, N m s]."""
         q_prev, q, q_next, _, _, *controls = windows
         f_prev, f, f_next = map(flow.force, controls)
         before, after = Forces(f_prev, f), Forces(f, f_next)
-        return Residuals(flow.discrete.residual(q_prev, q, q_next, before, after))
+        return flow.discrete.residual(q_prev, q, q_next, before, after)
 
     @override
     def branch_free(self, flow: VariationalFlow) -> bool:
@@ -144,7 +150,7 @@ class PreconditionedResidual(Residual):
         """Return ``g`` relative to the inputs where these act: without them ``H → 0`` solves it."""
         if flow.space.rotations:
             return None
-        impulse = flow.time_step * flow.force(windows.u)
+        impulse = relative(flow.time_step * flow.force(windows.u), flow.momentum_sizes)
         scale = impulse.square().mean(0).sqrt()
         if not bool(scale.any()):
             return None
@@ -152,9 +158,9 @@ class PreconditionedResidual(Residual):
 
     @override
     def __call__(self, flow: VariationalFlow, windows: Windows) -> Residuals:
-        g, _ = super().__call__(flow, windows)
+        g = self.imbalance(flow, windows)
         mass = flow.lagrangian.mass_matrix(flow.space.middle(windows.q, windows.q_next))
-        return Residuals(flow.time_step * solve(mass, g))
+        return Residuals(relative(flow.time_step * solve(mass, g), flow.sizes))
 
 
 class RootError(Objective):
@@ -215,4 +221,4 @@ class RootError(Objective):
         """Return the error of the root ``x``, around which ``L_d`` is expanded."""
         forces = flow.forces(windows.u, windows.u_next)
         root = differentiable_root(x, at, jacobian, windows.q, impulse, flow.space, forces)
-        return flow.space.difference(windows.q_next, root)
+        return relative(flow.space.difference(windows.q_next, root), flow.sizes)

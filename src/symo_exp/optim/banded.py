@@ -85,9 +85,13 @@ class Chain(NamedTuple):
     def weighted(
         self, residuals: WindowResiduals, nodes: Sequence[Tensor], weight: Float[Tensor, " d"]
     ) -> Float[Tensor, "windows k"]:
-        """Return residuals at the three nodes of every window, those of velocities over weights."""
+        """Return residuals at the three nodes of every window over their noise.
+
+        Residuals are in the units of the coordinates, those of velocities over their weight.
+        """
         found = residuals(self.windows(*nodes))
-        return found / weight[: found.shape[1]]
+        sizes = weight[: self.n].repeat(found.shape[1] // self.n)
+        return found / (weight[: len(sizes)] / sizes)
 
     def linearised(
         self,

@@ -8,7 +8,8 @@ from torch import Tensor
 NORMAL = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 SMALLEST = 1e-12
-"""Lower bound on a threshold [unit of the errors]."""
+"""Lower bound on a threshold: a little above rounding, since errors are over the units of the
+machine, in which motions are of order one."""
 
 
 def huber_weights(errors: Float[Tensor, "*batch n"], factor: float) -> Float[Tensor, "*batch n"]:

@@ -1,6 +1,6 @@
 """``python -m symo_exp.report``: tables, figures and a page of runs.
 
-Exit codes: 0 written, 2 bad input.
+Exit codes: 0 written, 2 bad input, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -107,6 +107,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ConfigError as error:
         print(f"symo_exp.report: error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("symo_exp.report: interrupted", file=sys.stderr)
+        return 130
     seconds = time.perf_counter() - start
     names = {path.name: path for path in files}
     first = names.get("index.html", names["report.md"])
@@ -153,7 +156,13 @@ def _chosen(runs: pd.DataFrame) -> str:
         print("Experiments, the last first:")
         for i, name in enumerate(names):
             print(f"{i + 1:4d}  {name}: {len(each.get_group(name))} runs, {started[name]:%F %H:%M}")
-        answer = input(f"Which one? [1: {last}] ").strip() or "1"
+        try:
+            answer = input(f"Which one? [1: {last}] ").strip() or "1"
+        except EOFError:
+            print()
+            raise ConfigError(
+                "no experiment was chosen; give --experiment NAME, or --all"
+            ) from None
         if answer.isdigit() and 0 < int(answer) <= len(names):
             return names[int(answer) - 1]
         if answer in names:

@@ -119,6 +119,11 @@ class Composer:
             self._options[group] = self.loader.get_group_options(group)
         return self._options[group]
 
+    def choices_with(self, group: str, name: str) -> list[str]:
+        """Return the choices of a group that give a setting a value, as overrides."""
+        every = [f"{group}={option}" for option in self.options(group)]
+        return [one for one in every if OmegaConf.select(self.files(one), name) is not None]
+
     def check_choices(self, job: Job) -> None:
         """Refuse a choice that lacks what the model refers to."""
         for argument in job.values["model"]:
@@ -126,9 +131,7 @@ class Composer:
             group, inside, _ = name.partition(".")
             if not inside or group not in job.choices or job.settings.value(name) is not None:
                 continue
-            others = [f"{group}={option}" for option in self.options(group)]
-            fits = [o for o in others if OmegaConf.select(self.files(o), name) is not None]
-            if fits:
+            if fits := self.choices_with(group, name):
                 raise ConfigError(
                     f"{group}={job.choices[group]} does not fit model={job.choices['model']}; "
                     f"possible: {', '.join(fits)}"

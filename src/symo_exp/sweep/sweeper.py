@@ -187,6 +187,10 @@ class Sweep:
             except ConfigError as error:
                 raise _labelled(error, job.label if labelled else "") from error
 
+    def choices_with(self, group: str, name: str) -> list[str]:
+        """Return the choices of a group that give a setting a value, as overrides."""
+        return self._composer.choices_with(group, name)
+
     def refusal(self, overrides: list[str]) -> ConfigError | None:
         """Return why a job of a search cannot be done, or nothing."""
         try:

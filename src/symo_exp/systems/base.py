@@ -18,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import Self, override
 
+from symo_exp.checks import real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.bodies import Joint, turning_body
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian, Friction
@@ -28,7 +29,6 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems import complex_step
 from symo_exp.systems.box import Range, SamplingBox
 from symo_exp.systems.box import checked as checked_box
-from symo_exp.systems.checks import real
 
 VIEW = ((1.0, 0.35, 0.0), (0.0, 0.3, 1.0))
 """Right and up of a picture in world axes: bodies from the front, a little from above."""

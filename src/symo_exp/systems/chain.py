@@ -12,11 +12,11 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.checks import whole_number
 from symo_exp.mechanics.bodies import link
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import SamplingBox, completed
-from symo_exp.systems.checks import whole_number
 
 
 @final

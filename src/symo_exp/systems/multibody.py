@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 from typing_extensions import Self, override
 
+from symo_exp.checks import one_of
 from symo_exp.mechanics.bodies import (
     Drag,
     Hull,
@@ -33,7 +34,6 @@ from symo_exp.mechanics.space import quaternion
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import Range, SamplingBox, completed
-from symo_exp.systems.checks import one_of
 from symo_exp.systems.complex_step import STEP
 from symo_exp.systems.scene import scene
 

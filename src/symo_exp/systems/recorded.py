@@ -9,11 +9,11 @@ from typing import Any, final
 import torch
 from typing_extensions import override
 
+from symo_exp.checks import real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
 from symo_exp.systems.base import System
-from symo_exp.systems.checks import real
 
 
 @final

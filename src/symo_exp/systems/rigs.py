@@ -16,10 +16,10 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.checks import real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Lagrangian, solve
 from symo_exp.systems import complex_step
-from symo_exp.systems.checks import real
 
 SHARP = 100.0
 """The slope [s/rad] of dry friction ``c atan(100 v)`` about standstill."""

@@ -12,10 +12,10 @@ from jaxtyping import Float
 from scipy.integrate import DOP853, RK23, RK45
 from torch import Tensor
 
+from symo_exp.checks import one_of, real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import LagrangianSystem
-from symo_exp.systems.checks import one_of, real
 
 METHODS = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
 Slope = Callable[[int, float, np.ndarray], np.ndarray]

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.integrate import RK45
 from typing_extensions import override
 
-from symo_exp.systems.checks import one_of
+from symo_exp.checks import one_of
 from symo_exp.systems.simulation import Settle, Slope, Solver
 
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0

@@ -36,10 +36,10 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import System
-from symo_exp.systems.checks import whole_number
 from symo_exp.systems.render import SIZE, Renderer, draw_skeleton
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated

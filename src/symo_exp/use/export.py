@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from symo_exp.checks import whole_number
 from symo_exp.compile.inductor import simplify, stand_ins, trace
 from symo_exp.compile.newton import iterate_branch_free
 from symo_exp.errors import ConfigError, shortened
@@ -103,8 +104,7 @@ def export(
             raise ConfigError(reason) from error
     if path.suffix not in (".pt2", ".onnx"):
         raise ConfigError(f"{path}: expected a name that ends in .pt2, .onnx, .xml or .urdf")
-    if iterations < 1:
-        raise ConfigError(f"iterations={iterations}: expected a whole number of at least 1")
+    iterations = whole_number("iterations", iterations)
     if path.suffix == ".onnx" and (missing := [x for x in ONNX if not importlib.util.find_spec(x)]):
         raise ConfigError(
             f"ONNX needs packages that are missing: {python_command('pip', 'install', *missing)}"
