@@ -23,6 +23,7 @@ from symo_exp.identify.motions import (
     dynamics,
     explained_by_angles,
     fitting_time_step,
+    reversed_inputs,
     struck,
 )
 from symo_exp.mechanics.units import Units
@@ -115,7 +116,7 @@ def examine(
     found = header(path, columns)
     coordinates, inputs = names("q", found), names("u", found)
     _refuse_rotations(coordinates)
-    settings, notes = [], []
+    settings, notes, given = [], [], input_matrix
     if input_matrix is None:
         input_matrix = _input_matrix(coordinates, inputs)
         if input_matrix is not None:
@@ -175,6 +176,12 @@ def examine(
         used, _ = uninterrupted([_in_radians(one, angles, data) for one in used], time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     matrix = system("none").input_matrix.numpy() if driven else None
+    if matrix is not None and (against := reversed_inputs(used, angles, time_step, matrix)).any():
+        matrix = np.where(against, -matrix, matrix) + 0.0
+        acting = [f"u_{name}" for name, x in zip(inputs, against, strict=True) if x]
+        turned = f"system.input_matrix={str(matrix.tolist()).replace(' ', '')}"
+        settings += [turned] if given is None else []
+        notes.append(f"inputs: {few(acting)} acts in the other direction; {turned}")
     shown_by = dynamics(used, angles, time_step, matrix)
     return Machine(
         settings=(*settings, *shown_by.settings),
@@ -223,7 +230,8 @@ def _parts(
     if data.get("leave_out") is not None:
         recordings = list(without(recordings, data["leave_out"], time_step or STEPS[0]))
     if all(given is None for given in (*named.values(), *counts)):
-        recordings, note = with_every_part(recordings, time_step or STEPS[0])
+        finest = min(float(np.median(np.diff(one.samples.t))) for one in recordings)
+        recordings, note = with_every_part(recordings, time_step or min(STEPS[0], finest))
         notes += [note] if note else []
     parts = divided(shown(path), recordings, named, *counts)
     used = [*parts["train"], *parts["val"]]
