@@ -7,6 +7,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
 from symo_exp.nets.inputs import LearnedInputs
+from symo_exp.nets.readings import readings
 from tests.learned import assert_jacobian
 
 MATRICES = [[[1.0, 0.0], [0.0, 1.0]], [[0.0], [-2.0]], [[0.0, 0.0], [0.0, 3.0]], [[1.0, 1.0]]]
@@ -48,6 +49,16 @@ def test_entries_are_of_order_one_in_the_units_of_the_coordinates() -> None:
     with torch.no_grad():
         found.entries.fill_(1.0)
     torch.testing.assert_close(found.matrix, matrix + torch.tensor([[0.0], [1e-6]]).double())
+
+
+def test_it_is_read_as_forces_by_a_unit_of_an_input() -> None:
+    _, found = learned([[1.0, 0.0], [0.0, 3.0]])
+    with torch.no_grad():
+        found.entries.fill_(2.0)
+    rows = readings(found, coordinates(2))
+    assert [row.name for row in rows] == ["0.input.0", "0.input.1", "1.input.0", "1.input.1"]
+    assert [row.unit for row in rows] == ["N", "N", "N m", "N m"]
+    torch.testing.assert_close(torch.stack([row.value for row in rows]), found.matrix.flatten())
 
 
 @pytest.mark.parametrize(

@@ -327,7 +327,7 @@ class VariationalFlow(Flow):
     @property
     @override
     def input_matrix(self) -> Tensor:  # type: ignore[override]
-        return self.given_matrix if self.inputs is None else self.inputs.matrix
+        return self.given_matrix if self.inputs is None else self.inputs.matrix.detach()
 
     @override
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:

@@ -56,8 +56,8 @@ class LearnedInputs(nn.Module):
 
     @property
     def matrix(self) -> Float[Tensor, "n m"]:
-        """``B``, without a graph."""
-        return self.given + (self.entries.detach() @ self.basis).view_as(self.given)
+        """``B``."""
+        return self.given + (self.entries @ self.basis).view_as(self.given)
 
     def force(self, u: Float[Tensor, "batch m"]) -> Float[Tensor, "batch n"]:
         """Return ``B u``."""
