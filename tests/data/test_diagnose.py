@@ -11,6 +11,7 @@ import torch
 
 from symo_exp.data.diagnose import (
     Diagnosis,
+    contradiction,
     diagnose,
     encoder_of,
     explained_power,
@@ -69,6 +70,32 @@ def test_the_gains_of_inputs_tell_the_inertia_that_they_move(n: int, told: float
     assert gains is not None
     assert gains.shape == true.shape
     assert 1 / 3 < told * np.linalg.norm(gains) / float(true.norm()) < 3
+
+
+MIXED = {"gains": [[1.0, 0.0], [0.0, 4.0]], "coupled": [[1.0, 0.4], [-0.5, 0.8]]}
+
+
+@pytest.mark.parametrize("mixed", MIXED)
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_motions_contradict_a_wrong_input_matrix_and_no_right_one(mixed: str, noise: float) -> None:
+    """Inputs that were recorded in other units, or drive each other's coordinates."""
+    system, clean = motions(2, 5.0, count=20, size=0.5)
+    rng = np.random.default_rng(0)
+    inverse = np.linalg.inv(MIXED[mixed]).T
+    recorded = [(q + noise * rng.standard_normal(q.shape), u @ inverse) for q, u in clean]
+    true = system.input_matrix.numpy() @ MIXED[mixed]
+    given = recorded, system.coordinates, H
+    right, wrong = contradiction(*given, true), contradiction(*given, system.input_matrix.numpy())
+    assert right is not None
+    assert wrong is not None
+    assert right < 1.3
+    assert wrong > 2.0
+
+
+def test_one_driven_coordinate_contradicts_no_input_matrix() -> None:
+    system, clean = motions(2, 5.0)
+    given = [(q, u[:, :1]) for q, u in clean], system.coordinates, H
+    assert contradiction(*given, np.array([[1.0], [0.0]])) is None
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -98,6 +98,11 @@ def test_thinned_recordings_last_as_long_as_asked(seconds):
                for r, whole in zip(found, recordings, strict=True))  # fmt: skip
 
 
+def test_recordings_of_a_fast_machine_are_thinned_to_as_many_as_asked():
+    found = thinned([recording(str(k), 0.2) for k in range(20)], 2.0)
+    assert sum(np.ptp(r.samples.t) for r in found) == pytest.approx(2.0, abs=0.2)
+
+
 def test_thinned_recordings_are_seen_from_beginning_to_end():
     recordings = [recording(str(k), 10.0) for k in range(20)]
     found = thinned(recordings, 40.0)

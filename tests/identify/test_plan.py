@@ -115,6 +115,14 @@ def test_plans_count_the_steps_that_validations_take(n):
         assert total <= plans.SPARSE * thrifty[0].between(candidate) < 2 * total
 
 
+def test_plans_count_no_steps_beyond_the_end_of_short_recordings():
+    """Ten recordings of a hundredth of a second, as of a machine that vibrates at some kHz."""
+    one = replace(machine(1, seconds=0.1, recordings=10), time_step=1e-5, finest_step=1e-5)
+    effort = plans.EFFORTS[-1]
+    each = effort.validation(ladder(one)[0], one) * effort.epochs / effort.total(ladder(one)[0])
+    assert 1000 * plans.STEP < each < 5000 * plans.STEP
+
+
 def test_a_plan_is_kept_with_the_search_and_forgotten_for_another(tmp_path):
     one = machine()
     plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")

@@ -267,6 +267,33 @@ def test_the_delay_of_an_input_and_the_inertia_that_it_moves_are_found(delay, in
         assert value == pytest.approx(wanted * inertia, rel=0.3)
 
 
+def driven():
+    """Recordings of a pendulum that a motor drives."""
+    h, q, v, motion = 0.005, 0.0, 0.0, []
+    t = np.arange(0.0, 20.0, h)
+    u = sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
+    for now in u:
+        motion.append(q)
+        v += h * (now - 4.0 * np.sin(q) - 0.3 * v)
+        q += h * v
+    q = np.array(motion) + 1e-4 * np.random.default_rng(0).normal(size=len(t))
+    return pd.DataFrame({"t": t, "q_theta": q, "u_theta": u})
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_input_that_acts_in_the_other_direction_is_told_and_turned(sign, workplace):
+    """Whatever its inertia, a machine accelerates in the direction of a force."""
+    frame = driven()
+    frame["u_theta"] *= sign
+    frame.to_csv("mine.csv", index=False)
+    found, as_given = (examine({"path": "mine.csv"}, input_matrix=x) for x in (None, [[1.0]]))
+    turned = "system.input_matrix=[[-1.0]]"
+    for machine in (found, as_given):
+        assert any(turned in note for note in machine.notes) == (sign < 0.0)
+    assert (turned in found.settings) == (sign < 0.0)
+    assert not any("input_matrix" in word for word in as_given.settings)
+
+
 def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):
     table().to_csv("mine.csv", index=False)
     assert not any("inertia" in setting for setting in examine({"path": "mine.csv"}).settings)
@@ -362,6 +389,22 @@ def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
     step = examine({"path": "mine.csv"}).time_step
     assert 2 * np.pi * hertz * step < 0.75
     assert step == 0.02 or 2 * np.pi * hertz * step > 0.2
+
+
+@pytest.mark.parametrize("pieces", [1, 10])
+@pytest.mark.parametrize("hertz", [300.0, 2e4])
+def test_the_time_step_resolves_a_vibration_that_was_recorded_for_a_short_time(
+    hertz, pieces, workplace
+):
+    t = np.arange(0.0, 400.0 / hertz, 0.01 / hertz)
+    x = np.sin(2 * np.pi * hertz * t) + 1e-3 * np.random.default_rng(0).normal(size=len(t))
+    place = np.arange(len(t)) * pieces // len(t)
+    frame = pd.DataFrame({"t": t, "q_x": x, "u_x": np.cos(2 * np.pi * hertz * t)})
+    if pieces > 1:
+        frame["trajectory"] = place
+    frame.to_csv("mine.csv", index=False)
+    step = examine({"path": "mine.csv"}).time_step
+    assert 0.2 < 2 * np.pi * hertz * step < 0.75
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 2.5])

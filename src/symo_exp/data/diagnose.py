@@ -295,6 +295,56 @@ def spring_slopes(
     return None
 
 
+def contradiction(
+    motions: Sequence[Motion], coordinates: Coordinates, h: float, matrix: np.ndarray
+) -> float | None:
+    """Return by how much motions contradict the matrix ``B`` (n, m) of inputs.
+
+    By ``H q̈ = B u + …``, accelerations due to forces ``B u`` are ``H⁻¹ B u``, and ``H⁻¹`` is
+    symmetric at every place. The result is the power of accelerations that a regression with
+    symmetric coefficients leaves unexplained over that of one with any coefficients, each over its
+    degrees of freedom: about 1 if ``B`` may be right. ``None`` with too few rows, with rotations, or
+    if fewer than two coordinates are driven.
+    """
+    n, driven = coordinates.n, np.flatnonzero(matrix.any(axis=1))
+    if coordinates.rotations or len(driven) < 2:
+        return None
+
+    def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        places, forces = place_terms(q, coordinates), (u @ matrix.T)[:, driven].T
+        acting = np.stack([f * p for f in forces for p in places], axis=1)
+        return np.concatenate([acting, acceleration_terms(q, v, u[:, :0], coordinates)], axis=1)
+
+    rows = [weak_rows(q, u, h, terms)[::HALF] for q, u in motions if len(q) >= SHORTEST]
+    table = np.concatenate(rows) if rows else np.empty((0, 1))
+    if len(table) <= 2 * table.shape[1] or not np.isfinite(table).all():
+        return None
+    count = len(place_terms(motions[0][0][:1], coordinates))
+    target, acting, others = np.split(table, [n, n + count * len(driven)], axis=1)
+    both = np.concatenate([target, acting], axis=1)
+    target, acting = np.split(both - _fit(others, both), [n], axis=1)
+    left = target - _fit(acting, target)
+    usual = np.sqrt(np.mean(left**2, axis=0)) + 1e-300
+    acting = acting.reshape(len(table), len(driven), count)
+    pairs = sorted({(min(i, j), max(i, j)) for i in range(n) for j in driven.tolist()})
+    # rows of all coordinates, and columns for each pair of them, whose coefficients are the same
+    found = np.zeros((n, len(table), len(pairs), count))
+    for k, pair in enumerate(pairs):
+        for one, other in {pair, pair[::-1]}:
+            found[one, :, k] += acting[:, driven == other].sum(axis=1) / usual[one]
+    x, y = found.reshape(n * len(table), -1), (target / usual).T.reshape(-1, 1)
+    symmetric = float(np.sum((y - _fit(x, y)) ** 2))
+    free = n * (len(table) - acting[0].size - others.shape[1])
+    return symmetric / (n * len(table)) * free / (n * (len(table) - others.shape[1]) - x.shape[1])
+
+
+def _fit(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return what a regression on ``x`` explains of ``y``."""
+    size = np.sqrt(np.mean(x**2, axis=0)) + 1e-300
+    found: np.ndarray = x / size @ np.linalg.lstsq(x / size, y, rcond=1e-9)[0]
+    return found
+
+
 def growth_rate(motions: Sequence[Motion], coordinates: Coordinates, h: float) -> float | None:
     """Return the rate [1/s] at which deviations grow by the best linear equations of motion.
 

@@ -91,11 +91,13 @@ def thinned(
     """Return a piece of each recording, the same share of all, that together last ``seconds``.
 
     Each begins elsewhere in its recording, since motions often differ along recordings. Where
-    pieces would be shorter than ``shortest`` [s], only every so many recordings have one.
+    pieces would be shorter than ``shortest`` [s], or than the recordings if these are shorter, only
+    every so many recordings have one.
     """
     total = sum(map(_duration, recordings))
     if seconds >= total:
         return list(recordings)
+    shortest = min(shortest, max(map(_duration, recordings)))
     most = max(1, int(seconds / shortest))
     if len(recordings) > most:
         chosen = np.linspace(0, len(recordings), most, endpoint=False).astype(int)

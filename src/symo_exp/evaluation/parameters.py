@@ -12,6 +12,7 @@ from torch import Tensor
 
 from symo_exp.mechanics.forced import ForcedLagrangian
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.nets.inputs import LearnedInputs
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.readings import Reading, readings
 from symo_exp.optim.posterior import Posterior
@@ -48,6 +49,7 @@ def physical_parameters(
     posterior: Posterior | None,
     *,
     driven: bool = True,
+    inputs: LearnedInputs | None = None,
 ) -> list[Parameter]:
     """Return the physical parameters of a learned Lagrangian; none of a network.
 
@@ -66,9 +68,10 @@ def physical_parameters(
         posterior: Their posterior, where there is one.
         driven: Whether known forces act. If not, learned forces and inertias are relative; those
             of known equations are not, as their constants may be given.
+        inputs: The input matrix, if it was learned.
     """
     with torch.enable_grad():
-        found = readings(lagrangian, coordinates)
+        found = [*readings(lagrangian, coordinates), *readings(inputs, coordinates)]
         conservative = lagrangian
         while isinstance(conservative, ForcedLagrangian):
             conservative = conservative.conservative

@@ -9,9 +9,11 @@ import numpy as np
 import torch
 
 from symo_exp.data.diagnose import (
+    HELP,
     POOR,
     Motion,
     blur_of,
+    contradiction,
     explained_in_degrees,
     explained_power,
     growth_rate,
@@ -29,23 +31,27 @@ from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
 
-STEPS = (0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4)
+STEPS = (0.02, 0.01, 0.005, *(x * 10.0**-k for k in range(3, 7) for x in (2, 1, 0.5)))
 """Time steps to choose from [s], the usual one first."""
 COARSE = 0.7
 """Change of an angle, or of the phase of a vibration, in a time step above which a smaller one is
 taken [rad]."""
+STEEP = 0.3
+"""Logarithm of the growth of errors in a time step above which a smaller one is taken."""
 LARGEST, LONGEST = 7.0, 4.0
 """Logarithms of the growth of errors: over 2 s beyond which horizons are shorter, and over the
 longest of these."""
 MISSED = 0.3
 """Share of a motion that lines between the nodes may miss."""
-DELAYS = np.arange(-0.04, 0.0601, 0.01)
+DELAYS = np.arange(-4, 7) / 100
 """Delays of inputs that are tried [s], in proportion to a time step below ``UNHURRIED``."""
 UNHURRIED = 0.005
 """Time step from which all of ``DELAYS`` are tried [s]."""
 GAIN, CLEAR = 0.05, 0.5
 """Shares of the unexplained power that a delay explains at least to be a candidate, and to be that
 of all candidates."""
+CONTRADICTED = 2.0
+"""Unexplained power with an input matrix over that with any from which the matrix is learned."""
 EXAMINED, NODES = 60.0, 3000
 """Length of the training part that delay and speeds are estimated from [s], and its nodes at
 least."""
@@ -136,6 +142,13 @@ def dynamics(
         light /= units.mass
         settings += [f"lagrangian.initial_inertia={light:.2g}"]
         settings += [f"dissipation.start={DAMPING * light:.2g}"]
+        wrong = contradiction(scaled, coordinates, step, matrix)
+        if wrong is not None and wrong >= CONTRADICTED:
+            settings.append("model.inputs=learned")
+            notes.append(
+                f"input matrix: with the given one, {wrong:.2g} times as much power is not "
+                "explained as with any; it is learned (model.inputs=given keeps it)"
+            )
     if units != SI:
         sized = units._asdict().items()
         settings += [f"system.scale.{name}={size:g}" for name, size in sized if size != 1.0]
@@ -152,7 +165,7 @@ def dynamics(
         settings.append(f"dissipation.rest_velocity={rest:g}")
         unit = "units of velocity" if units != SI else "m/s or rad/s"
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} {unit}")
-    horizons = _horizons(scaled, coordinates, step, units.time)
+    horizons = _horizons(_growth(beginning, coordinates, time_step, delay if clear else 0.0))
     if horizons != HORIZONS:
         told_times = ", ".join(f"{each:g}" for each in horizons)
         settings.append(f"learner.validation.horizons=[{told_times}]")
@@ -195,9 +208,30 @@ def fitting_time_step(recordings: Sequence[Recording], angular: np.ndarray, fine
     ]
     fast = np.quantile(np.concatenate(speeds)[:, angular], 0.999) if angular.any() else 0.0
     beginning = _beginning(recordings, EXAMINED)
-    return next(
-        (h for h in usable if fast * h <= COARSE and _phase(beginning, h) <= COARSE), usable[-1]
-    )
+
+    def resolves(h: float) -> bool:
+        slow = fast * h <= COARSE and _phase(beginning, h) <= COARSE
+        return slow and _growth(beginning, _coordinates(angular), h) * h <= STEEP
+
+    return next(filter(resolves, usable), usable[-1])
+
+
+def reversed_inputs(
+    recordings: Sequence[Recording], angular: np.ndarray, h: float, input_matrix: np.ndarray
+) -> np.ndarray:
+    """Return which inputs (m,) act against the coordinates that they drive.
+
+    The acceleration that an input adds along its own column ``b``, ``b · H⁻¹ b``, is positive with
+    any inertia, unless the sign of the input is that of another direction.
+    """
+    motions = _motions(_beginning(recordings, max(EXAMINED, NODES * h)), h)
+    pairs, coordinates = _pairs(motions, h, 0.0), _coordinates(angular)
+    free, driven = (explained_power(pairs, coordinates, h, driven=x) for x in (False, True))
+    none = np.zeros(input_matrix.shape[1], dtype=bool)
+    if free is None or driven is None or driven - free < HELP * (1.0 - free):
+        return none
+    gains = input_gains(pairs, coordinates, h)
+    return none if gains is None else (input_matrix * gains).sum(axis=0) < 0.0
 
 
 def struck(recordings: Sequence[Recording], angular: np.ndarray, h: float) -> list[Shock]:
@@ -215,12 +249,30 @@ def struck(recordings: Sequence[Recording], angular: np.ndarray, h: float) -> li
 def _phase(recordings: Sequence[Recording], h: float) -> float:
     """Return ``ω h``, the phase by which the fastest coordinate vibrates in a time step [rad].
 
-    It is infinite where lines between the nodes miss much of the motion.
+    It is infinite where lines between the nodes miss much of the motion, or recordings are too
+    short for such a step.
     """
     motions = _motions(recordings, h)
     if not motions:
-        return 0.0
+        return np.inf if recordings else 0.0
     return np.inf if _missed(motions) > MISSED else h * _frequency(motions, h)
+
+
+def _growth(
+    recordings: Sequence[Recording], coordinates: Coordinates, h: float, delay: float = 0.0
+) -> float:
+    """Return the rate at which small errors grow [1/s], 0 with rotations and where it is unknown.
+
+    It is seen at the time step, or where noise hides it there, at the next larger one of ``STEPS``.
+    """
+    if coordinates.rotations:
+        return 0.0
+    for step in sorted({h, *(larger for larger in STEPS if larger > h)}):
+        pairs = _pairs(_motions(recordings, step), step, delay)
+        rate = growth_rate(pairs, coordinates, step) if pairs else None
+        if rate is not None:
+            return rate
+    return 0.0
 
 
 def _frequency(motions: Sequence[Sampled], h: float) -> float:
@@ -337,7 +389,7 @@ def _unexplained(
         pairs = _pairs(motions, h, delay)
         share = explained_power(pairs, coordinates, h, driven=True) if pairs else None
         if share is not None:
-            left[round(delay, 5)] = 1.0 - share
+            left[float(f"{delay:.3g}")] = 1.0 - share
     return left
 
 
@@ -403,16 +455,13 @@ def _stiffness(
     return tuple(tuple(float(f"{x:.3g}") for x in row) for row in stiffness)
 
 
-def _horizons(
-    pairs: Sequence[Motion], coordinates: Coordinates, h: float, second: float
-) -> tuple[float, ...]:
+def _horizons(rate: float) -> tuple[float, ...]:
     """Return horizons [s] over which errors grow little, the usual ones if these are suitable.
 
     Over longer ones the noise of the starts grows beyond the motion, and a wrong model that stays
-    near the mean has smaller errors than the right one. ``second`` is the unit of ``h`` [s].
+    near the mean has smaller errors than the right one. ``rate`` is that of the growth [1/s].
     """
-    rate = growth_rate(pairs, coordinates, h) if pairs else None
-    growth = 0.0 if rate is None else rate / second * HORIZONS[-1]
+    growth = rate * HORIZONS[-1]
     if growth <= LARGEST:
         return HORIZONS
     return tuple(float(f"{LONGEST / growth * each:.2g}") for each in HORIZONS)

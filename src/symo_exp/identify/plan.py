@@ -30,8 +30,9 @@ coordinate and itself included twice, add to it [s]."""
 STICKING = 4.0
 """Factor of the time of a validation with inputs and several coordinates: steps in which some stick
 are taken one by one."""
-FITTED = 6 * RUN_IN
-"""Length of the run-ins of a window that are rolled out to fit its start [s]."""
+FITTED, LEAD = 6.0, 0.25
+"""Times that the run-in of a window is rolled out to fit its start, and its share of a recording at
+most."""
 EPSILONS, LATE = 4, 3
 """Stages of the optimiser after its starts, and further ones if friction is learned late."""
 STARTING = 1.0
@@ -105,7 +106,8 @@ class Effort:
         def rolled(length: float, rows: float) -> float:
             return length / step * (STEP + ROW * machine.n * (machine.n + 1) * rows)
 
-        found = rolled(machine.horizon + FITTED, max(1.0, seconds / EVERY))
+        window = min(machine.horizon, piece) + FITTED * min(RUN_IN, LEAD * piece)
+        found = rolled(window, max(1.0, seconds / min(EVERY, piece)))
         if piece >= LONG and machine.horizon >= HORIZONS[-1]:
             found += rolled(piece, seconds / piece)
         slow = math.sqrt(candidate.cost * step / machine.time_step)

@@ -24,6 +24,7 @@ from symo_exp.identify.motions import (
     dynamics,
     explained_by_angles,
     fitting_time_step,
+    reversed_inputs,
     struck,
 )
 from symo_exp.mechanics.types import Coordinates
@@ -137,7 +138,7 @@ def examine(
     path, columns = data["path"], data.get("columns")
     found = header(path, columns)
     coordinates, inputs = names("q", found), names("u", found)
-    settings, notes = [], []
+    settings, notes, given = [], [], input_matrix
     if not rotations and (rotations := _quaternions(coordinates)):
         settings.append(f"system.rotations={override_value(list(rotations))}")
         notes.append(f"rotations: {', '.join(rotations)}, each a quaternion, by their names")
@@ -216,6 +217,16 @@ def examine(
         used, _ = uninterrupted([_in_radians(one, angles, data) for one in used], time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     matrix = system("none").input_matrix.numpy() if driven else None
+    if (
+        matrix is not None
+        and not rotations
+        and (against := reversed_inputs(used, angles, time_step, matrix)).any()
+    ):
+        matrix = np.where(against, -matrix, matrix) + 0.0
+        acting = [f"u_{name}" for name, x in zip(inputs, against, strict=True) if x]
+        turned = f"system.input_matrix={str(matrix.tolist()).replace(' ', '')}"
+        settings += [turned] if given is None else []
+        notes.append(f"inputs: {few(acting)} acts in the other direction; {turned}")
     shown_by = dynamics(used, space, time_step, matrix)
     return Machine(
         settings=(*settings, *shown_by.settings),
@@ -284,7 +295,8 @@ def _parts(
     if data.get("leave_out") is not None:
         recordings = list(without(recordings, data["leave_out"], time_step or STEPS[0]))
     if all(given is None for given in (*named.values(), *counts)):
-        recordings, note = with_every_part(recordings, time_step or STEPS[0])
+        finest = min(float(np.median(np.diff(one.samples.t))) for one in recordings)
+        recordings, note = with_every_part(recordings, time_step or min(STEPS[0], finest))
         notes += [note] if note else []
     parts = divided(shown(path), recordings, named, *counts)
     used = [*parts["train"], *parts["val"]]

@@ -254,6 +254,7 @@ def _keep_parameters(parts: Parts, folder: RunFolder) -> None:
         list(model.parameters()),
         None if found is None else found.parameters,
         driven=model.input_matrix.shape[1] > 0,
+        inputs=getattr(model.flow, "inputs", None),
     )
     folder.write_parameters([row._asdict() for row in rows])
 

@@ -39,6 +39,7 @@ from symo_exp.mechanics.variational import (
 from symo_exp.models.adjoint import adjoint_step
 from symo_exp.models.fields import Field
 from symo_exp.nets.affine import parameter_jacobian
+from symo_exp.nets.inputs import LearnedInputs
 
 Carried = tuple[Tensor, Tensor, Tensor]
 """The state ``(q, y)`` of a rollout at a node, and which rows have converged."""
@@ -294,7 +295,7 @@ class VariationalFlow(Flow):
         lagrangian: The Lagrangian.
         integrator: Variational integrator.
         time_step: Time step [s].
-        input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
+        input_matrix: ``B`` (n, m) of the generalised force ``F = B u``, or what learns it.
         root: Root finder of steps.
         evaluation_root: That of the copy for evaluation; ``root`` if left out.
         rollout_root: That of rollouts; ``evaluation_root`` if left out.
@@ -302,13 +303,14 @@ class VariationalFlow(Flow):
 
     reads_velocity = False
     lagrangian: Lagrangian
+    given_matrix: Tensor
 
     def __init__(
         self,
         lagrangian: Lagrangian,
         integrator: VariationalIntegrator,
         time_step: float,
-        input_matrix: Float[Tensor, "n m"],
+        input_matrix: Float[Tensor, "n m"] | LearnedInputs,
         *,
         root: RootFinder,
         evaluation_root: RootFinder | None = None,
@@ -319,9 +321,15 @@ class VariationalFlow(Flow):
         self.integrator = on_space(integrator, self.space)
         self.root, self.evaluation_root = root, evaluation_root or root
         self.rollout_root = rollout_root or self.evaluation_root
-        self.register_buffer(
-            "input_matrix", input_matrix.to(torch.get_default_dtype()), persistent=False
-        )
+        self.inputs = input_matrix if isinstance(input_matrix, LearnedInputs) else None
+        if isinstance(input_matrix, Tensor):
+            given = input_matrix.to(torch.get_default_dtype())
+            self.register_buffer("given_matrix", given, persistent=False)
+
+    @property
+    @override
+    def input_matrix(self) -> Tensor:  # type: ignore[override]
+        return self.given_matrix if self.inputs is None else self.inputs.matrix.detach()
 
     @override
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
@@ -433,7 +441,9 @@ class VariationalFlow(Flow):
 
         There the force depends on the motion between nodes: see ``mechanics.geodesic``.
         """
-        return u if self.space.rotations else u @ self.input_matrix.T
+        if self.space.rotations:
+            return u
+        return u @ self.given_matrix.T if self.inputs is None else self.inputs.force(u)
 
     def forces(self, u: Tensor, u_next: Tensor) -> Forces:
         """Return the forces at the ends of an interval."""

@@ -19,6 +19,7 @@ from symo_exp.models.learned import (
     learned_lagrangian,
 )
 from symo_exp.models.objectives import Objective, Residual
+from symo_exp.nets.inputs import LearnedInputs
 
 
 class SyMo(DynamicsModel):
@@ -33,6 +34,7 @@ class SyMo(DynamicsModel):
         springs: Factory of springs beside it.
         coordinates: Coordinates of the system.
         input_matrix: ``B`` (n, m) of the generalised force ``F = B u``.
+        inputs: Whether ``B`` is as given or learned, near the given one.
         time_step: Time step [s].
         integrator: Variational integrator.
         root: Root finder of steps.
@@ -58,6 +60,7 @@ class SyMo(DynamicsModel):
         rollout_root: RootFinder | None = None,
         dissipation: MakesDissipation | None = None,
         springs: MakesSprings | None = None,
+        inputs: Literal["given", "learned"] = "given",
         objective: Objective | None = None,
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
@@ -66,11 +69,13 @@ class SyMo(DynamicsModel):
                 "objective=horizon: SyMo is trained without predictions; with the error of "
                 "predictions it is E2E-SyMo by definition: choose model=e2e_symo"
             )
+        if inputs not in ("given", "learned"):
+            raise ConfigError(f"model.inputs={inputs}: expected given or learned")
         flow = VariationalFlow(
             learned_lagrangian(coordinates, lagrangian, dissipation, springs),
             in_units(integrator, coordinates),
             time_step,
-            input_matrix,
+            input_matrix if inputs == "given" else LearnedInputs(input_matrix, coordinates),
             root=in_units(root, coordinates),
             evaluation_root=in_units(evaluation_root, coordinates),
             rollout_root=in_units(rollout_root, coordinates),

@@ -16,6 +16,7 @@ from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.drag import LearnedBodyDrag, LearnedDrag
+from symo_exp.nets.inputs import LearnedInputs
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.rigid_body import LearnedRigidBody
@@ -68,6 +69,18 @@ def _(module: SprungLagrangian, coordinates: Coordinates) -> list[Reading]:
             unit = ("N/m", "N", "N m/rad")[turns[i] + turns[j]]
             found.append(Reading(label, unit, stiffness[i, j]))
     return found
+
+
+@readings.register
+def _(module: LearnedInputs, coordinates: Coordinates) -> list[Reading]:
+    """Force on each coordinate by a unit of each input."""
+    return [
+        Reading(f"{name}.input.{j}", "N m" if turns else "N", entry)
+        for name, turns, row in zip(
+            coordinates.names, coordinates.turning, module.matrix, strict=True
+        )
+        for j, entry in enumerate(row)
+    ]
 
 
 @readings.register
