@@ -303,8 +303,8 @@ def contradiction(
     By ``H q̈ = B u + …``, accelerations due to forces ``B u`` are ``H⁻¹ B u``, and ``H⁻¹`` is
     symmetric at every place. The result is the power of accelerations that a regression with
     symmetric coefficients leaves unexplained over that of one with any coefficients, each over its
-    degrees of freedom: about 1 if ``B`` may be right. ``None`` with too few rows, with rotations, or
-    if fewer than two coordinates are driven.
+    degrees of freedom: about 1 if ``B`` may be right. ``None`` with too few rows, with rotations,
+    or if fewer than two coordinates are driven.
     """
     n, driven = coordinates.n, np.flatnonzero(matrix.any(axis=1))
     if coordinates.rotations or len(driven) < 2:
