@@ -37,9 +37,7 @@ THE_STEP = "the time step"
 HELD = 0.05
 """Difference of delays over the time step up to which they count as equal."""
 FEW = 3
-"""Number of coordinates up to which the cost of an epoch is as stated."""
-GROWTH = {"planar": 3.8, "relative": 2.9, "absolute": 2.9, "rigid": 2.3}
-"""Power of the number of coordinates with which it grows beyond these, by the Lagrangian."""
+"""Number of coordinates up to which an epoch costs as stated."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "relative": {"lagrangian": "planar"},
     "absolute": {"lagrangian": "planar", "lagrangian.relative": "false"},
@@ -64,6 +62,8 @@ class Candidate:
         settings: Overrides by key.
         cost: Of an epoch, relative to rigid links in a plane in the midpoint rule.
         starts: How many starts the optimiser has.
+        growth: Power of the number of coordinates with which the cost grows beyond ``FEW``:
+            equations of many parameters take long to solve.
     """
 
     name: str
@@ -71,6 +71,11 @@ class Candidate:
     settings: Mapping[str, str]
     cost: float = 1.0
     starts: int = 1
+    growth: float = 0.0
+
+    def cost_of_epoch(self, n: int) -> float:
+        """Return the cost of an epoch with so many coordinates."""
+        return self.cost * max(1.0, n / FEW) ** self.growth
 
     def overrides(self) -> list[str]:
         """Return the settings as Hydra's overrides, choices of files first."""
@@ -107,18 +112,19 @@ def structures(machine: Machine) -> list[Candidate]:
         name = f"{LINKS}, absolute angles"
         found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 1.0, starts))
     name = f"general links{relative}"
-    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts))
+    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts, 1.7))
     if several:
         name = "general links, absolute angles"
-        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts))
+        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts, 1.7))
     if machine.n > 2 and all(machine.angular):
-        found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=3.3))
-    found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.6, starts=2))
-    found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=2.0, starts=2))
+        found.append(
+            _candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=1.5, growth=0.9)
+        )
+    found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.4, starts=2))
+    found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=1.7, starts=2, growth=3.0))
     if several:
         name = f"{NETWORK}, {BETWEEN}"
-        found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=2.0, starts=2))
-    found = [_with_cost_of(machine.n, one) for one in found]
+        found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=1.7, starts=2, growth=3.0))
     return found if machine.stiffness is None else [_sprung(one, machine) for one in found]
 
 
@@ -312,6 +318,7 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
         settings=settings,
         cost=one.cost * other.cost / base.cost,
         starts=one.starts,
+        growth=one.growth,
     )
 
 
@@ -394,12 +401,7 @@ def _candidate(
     friction: Mapping[str, str],
     cost: float = 1.0,
     starts: int = 1,
+    growth: float = 0.0,
 ) -> Candidate:
     settings = {"integrator": "midpoint", **STRUCTURES[structure], **friction}
-    return Candidate(name, rank, settings, cost, starts)
-
-
-def _with_cost_of(n: int, candidate: Candidate) -> Candidate:
-    """Return a candidate with the cost of its epochs of so many coordinates."""
-    power = GROWTH.get(candidate.settings["lagrangian"], 0.0)
-    return replace(candidate, cost=candidate.cost * max(1.0, n / FEW) ** power)
+    return Candidate(name, rank, settings, cost, starts, growth)
