@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 import symo_exp
 from symo_exp.evaluation.horizon import cut, predict
-from symo_exp.identify.search import ITERATIONS
+from symo_exp.identify.fits import ITERATIONS
 from symo_exp.models.flows import VariationalFlow
 
 
@@ -29,7 +29,9 @@ def main(run: str) -> None:
     for together in (False, True):
         start = time.process_time()
         with mock.patch.object(VariationalFlow, "solves_stretches", together):
-            found = predict(model, windows, system.time_step, model.input_matrix, ITERATIONS)
+            found = predict(
+                model, windows, system.time_step, model.input_matrix, iterations=ITERATIONS
+            )
         times.append(time.process_time() - start)
         errors.append(float(found.errors().nanmean().sqrt()))
     change = errors[1] / errors[0] - 1

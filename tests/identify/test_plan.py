@@ -343,7 +343,31 @@ def test_the_speed_is_measured_once_by_each_version(tmp_path, monkeypatch):
         assert plans.machine_speed() == expected
 
 
-def test_epochs_of_links_take_longer_with_six_coordinates_and_those_of_networks_do_not():
-    few, many = ({c.name: c.cost for c in structures(machine(n))} for n in (3, 6))
-    for name in few:
-        assert (many[name] > 4.0 * few[name]) is ("links" in name), name
+def test_epochs_with_many_parameters_take_longer_with_six_coordinates():
+    """The inertia of networks and general links has many, that of rigid links few."""
+    for candidate in structures(machine(6)):
+        one, many = (candidate.cost_of_epoch(n) for n in (1, 6))
+        assert candidate.cost_of_epoch(3) == one == candidate.cost
+        if candidate.name.startswith("general") or candidate.settings.get("net.width") == "8":
+            assert many > 3.0 * one
+        else:
+            assert many < 2.0 * one
+
+
+def test_variations_of_a_structure_keep_the_growth_of_its_cost():
+    one = machine(6)
+    base, *_, network = ladder(one)
+    assert network.growth > 0.0 == base.growth
+    assert {c.growth for c in variations(network, one)} == {network.growth}
+    for variation in variations(network, one):
+        assert joined(network, base, variation).growth == base.growth
+
+
+def test_further_starts_are_planned_and_windows_are_no_longer_than_the_recordings():
+    one, effort = machine(), plans.EFFORTS[-1]
+    candidate = ladder(one)[0]
+    several = replace(candidate, starts=candidate.starts + 1)
+    epochs = effort.total(several) / effort.total(candidate)
+    assert effort.training(several, 100, 2) > epochs * effort.training(candidate, 100, 2)
+    short, long = (replace(one, seconds=x, recordings=6) for x in (6.0, 18.0))
+    assert effort.validation(candidate, short) < 0.8 * effort.validation(candidate, long)

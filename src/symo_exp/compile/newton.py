@@ -25,6 +25,7 @@ from symo_exp.mechanics.variational import DiscreteExpansion, MidpointExpansion,
 from symo_exp.models.flows import VariationalFlow
 from symo_exp.models.objectives import NOTHING, RootError, Statistics
 from symo_exp.nets.planar_links import PlanarExpansion
+from symo_exp.nets.rigid_chain import RigidChainExpansion
 from symo_exp.nets.springs import SprungExpansion
 from symo_exp.nets.structured_lagrangian import StructuredExpansion
 
@@ -32,6 +33,7 @@ carry(AutodiffExpansion)
 carry(DissipativeExpansion)
 carry(MidpointExpansion)
 carry(PlanarExpansion)
+carry(RigidChainExpansion)
 carry(ScaledExpansion)
 carry(SprungExpansion)
 carry(StructuredExpansion)

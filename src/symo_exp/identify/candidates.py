@@ -37,9 +37,7 @@ THE_STEP = "the time step"
 HELD = 0.05
 """Difference of delays over the time step up to which they count as equal."""
 FEW = 3
-"""Number of coordinates up to which the cost of an epoch is as stated."""
-GROWTH = {"planar": 3.8, "relative": 2.9, "absolute": 2.9, "rigid": 2.3}
-"""Power of the number of coordinates with which it grows beyond these, by the Lagrangian."""
+"""Number of coordinates up to which an epoch costs as stated."""
 STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "relative": {"lagrangian": "planar"},
     "absolute": {"lagrangian": "planar", "lagrangian.relative": "false"},
@@ -66,6 +64,8 @@ class Candidate:
         settings: Overrides by key.
         cost: Of an epoch, relative to rigid links in a plane in the midpoint rule.
         starts: How many starts the optimiser has.
+        growth: Power of the number of coordinates with which the cost grows beyond ``FEW``:
+            equations of many parameters take long to solve.
     """
 
     name: str
@@ -73,6 +73,11 @@ class Candidate:
     settings: Mapping[str, str]
     cost: float = 1.0
     starts: int = 1
+    growth: float = 0.0
+
+    def cost_of_epoch(self, n: int) -> float:
+        """Return the cost of an epoch with so many coordinates."""
+        return self.cost * max(1.0, n / FEW) ** self.growth
 
     def overrides(self) -> list[str]:
         """Return the settings as Hydra's overrides, choices of files first."""
@@ -111,18 +116,19 @@ def structures(machine: Machine) -> list[Candidate]:
         name = f"{LINKS}, absolute angles"
         found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 1.0, starts))
     name = f"general links{relative}"
-    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts))
+    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts, 1.7))
     if several:
         name = "general links, absolute angles"
-        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts))
+        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts, 1.7))
     if machine.n > 2 and all(machine.angular):
-        found.append(_candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=3.3))
-    found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.6, starts=2))
-    found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=2.0, starts=2))
+        found.append(
+            _candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=1.5, growth=0.9)
+        )
+    found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.4, starts=2))
+    found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=1.7, starts=2, growth=3.0))
     if several:
         name = f"{NETWORK}, {BETWEEN}"
-        found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=2.0, starts=2))
-    found = [_with_cost_of(machine.n, one) for one in found]
+        found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=1.7, starts=2, growth=3.0))
     return found if machine.stiffness is None else [_sprung(one, machine) for one in found]
 
 
@@ -132,16 +138,16 @@ def _turning(machine: Machine) -> list[Candidate]:
     if body is not None:
         learned = {"lagrangian.learned_inputs": str(body.learned_inputs)}
         given = {"lagrangian.radius": f"{body.radius:g}", **learned, **_drag(body)}
-        first = _candidate(BODY, 1.0, "body", given, 5.0 if body.free else 3.0)
+        first = _candidate(BODY, 1.0, "body", given, 1.6)
         found.append(first)
         if body.learned_inputs:
             width = {"lagrangian__input_width": "4"}
             found.append(first.changed("inputs that depend on the attitude", 0.8, 1.3, **width))
         width = {"lagrangian__potential_width": "8"}
-        found.append(first.changed("learned potential", 1.2, 1.5, **width))
+        found.append(first.changed("learned potential", 1.2, 1.3, **width))
     if body is None or not body.learned_inputs:
         friction = {"dissipation": "viscous"} if body is None else _drag(body)
-        found.append(_candidate(NETWORK, 4.0, "turning network", friction, 6.0, 2))
+        found.append(_candidate(NETWORK, 4.0, "turning network", friction, 2.5, 2, 3.0))
     return found
 
 
@@ -359,6 +365,7 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
         settings=settings,
         cost=one.cost * other.cost / base.cost,
         starts=one.starts,
+        growth=one.growth,
     )
 
 
@@ -443,12 +450,7 @@ def _candidate(
     friction: Mapping[str, str],
     cost: float = 1.0,
     starts: int = 1,
+    growth: float = 0.0,
 ) -> Candidate:
     settings = {"integrator": "midpoint", **STRUCTURES[structure], **friction}
-    return Candidate(name, rank, settings, cost, starts)
-
-
-def _with_cost_of(n: int, candidate: Candidate) -> Candidate:
-    """Return a candidate with the cost of its epochs of so many coordinates."""
-    power = GROWTH.get(candidate.settings["lagrangian"], 0.0)
-    return replace(candidate, cost=candidate.cost * max(1.0, n / FEW) ** power)
+    return Candidate(name, rank, settings, cost, starts, growth)

@@ -19,12 +19,14 @@ from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.recordings import Machine
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
-REFERENCE = 0.64
+REFERENCE = 0.25
 """Time of ``exercise`` on the machine on which the times below were measured [s]."""
-EPOCH, NODE = 40e-3, 15e-6
-"""Times of an epoch of rigid links in a plane, midpoint rule: a fixed one, and what a node and
-coordinate adds [s]."""
-STEP, ROW = 2.2e-3, 2.5e-6
+EPOCH, NODE = 8e-3, 6e-6
+"""Times of an epoch of rigid links in a plane, midpoint rule: a fixed one, and what a node and pair
+of coordinates adds: each of n residuals is differentiated, and solved with those around it [s]."""
+WARM_UP = 1.0
+"""Time of Adam's steps before each start of the optimiser but the first [s]."""
+STEP, ROW = 0.75e-3, 1.4e-6
 """Time of a step of the rollouts of a validation, and what a rollout and a pair of coordinates, a
 coordinate and itself included twice, add to it [s]."""
 STICKING = 4.0
@@ -35,7 +37,7 @@ FITTED, LEAD = 6.0, 0.25
 most."""
 EPSILONS, LATE = 4, 3
 """Stages of the optimiser after its starts, and further ones if friction is learned late."""
-STARTING = 1.0
+STARTING = 0.5
 """Time of a run that depends on nothing [s]."""
 SCREENING, VARYING, REFITTING = 0.45, 0.35, 0.2
 """Shares of the budget; in the last one a model is fitted to as many data as there is time for."""
@@ -89,7 +91,8 @@ class Effort:
 
     def training(self, candidate: Candidate, nodes: int, n: int) -> float:
         """Return the time of a training on the reference machine without validations [s]."""
-        return STARTING + candidate.cost * (EPOCH + NODE * n * nodes) * self.total(candidate)
+        epoch = candidate.cost_of_epoch(n) * (EPOCH + NODE * n**2 * nodes)
+        return STARTING + WARM_UP * (candidate.starts - 1) + epoch * self.total(candidate)
 
     def validation(self, candidate: Candidate, machine: Machine) -> float:
         """Return the time of the validations of a training on the reference machine [s].

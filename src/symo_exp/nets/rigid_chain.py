@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import (
-    AutodiffExpansion,
+    Curvature,
     Expansion,
     Gradients,
     Lagrangian,
@@ -58,10 +58,30 @@ class _Chain(NamedTuple):
         return _Rates(motion, _bracket(motion, self.twists), momenta, _outwards(momenta))
 
     def gradients(self, v: Float[Tensor, "batch n"], at: _Rates) -> Gradients:
-        """Return ``∂T/∂qᵢ = ⟨Ξ̇ᵢ, Σ_{b ≥ i} V_b Π_b⟩`` and ``pᵢ = ⟨Ξᵢ, Σ_{b ≥ i} V_b Π_b⟩``."""
+        """Return ``∂T/∂qᵢ = ⟨Ξ̇ᵢ, Aᵢ⟩`` and ``pᵢ = ⟨Ξᵢ, Aᵢ⟩``, ``Aᵢ = Σ_{b ≥ i} V_b Π_b``."""
         weight = self.pushed[..., 3]  # of the bodies that a joint moves
         dq = (at.twists * at.carried).sum((-2, -1)) + matvec(weight, self.gravity)
         return Gradients(dq, (self.twists * at.carried).sum((-2, -1)) + self.rotors * v)
+
+    def curvature(self, at: _Rates) -> Curvature:
+        """Return the second derivatives.
+
+        Joint ``j`` moves what it carries, ``∂Ξᵢ/∂qⱼ = [Ξⱼ, Ξᵢ]`` and ``∂Π_b/∂qⱼ = Ξⱼ Π_b + Π_b
+        Ξⱼᵀ`` for ``j ≤ i, b``, and the linear part ``Ωⱼ`` of a twist is skew. With
+        ``Sᵢ = Ξ̇ᵢ Cᵢ + Aᵢ Ξᵢᵀ + Ωᵢ Aᵢ`` and the last column ``wᵢ`` of ``Ξᵢ Cᵢ`` follow
+
+            ∂²ℒ/∂qᵢ∂qⱼ = ⟨Sᵢ, Ξ̇ⱼ⟩ + γ · Ωⱼ wᵢ    for j ≤ i,
+            ∂pᵢ/∂qⱼ = ⟨Ξᵢ Cᵢ, Ξ̇ⱼ⟩    for j ≤ i,    ⟨Ξᵢ, Sⱼ⟩    for j > i.
+        """
+        turns = self.twists[..., :3]
+        lever = nn.functional.pad(at.carried @ self.twists.mT, (0, 1))
+        sums = at.twists @ _outwards(self.bodies) + lever + turns @ at.carried
+        weight = turns.mT @ self.gravity[:, None, :, None]  # Ωⱼᵀ γ
+        qq = sums.flatten(2) @ at.twists.flatten(2).mT + self.pushed[..., 3] @ weight.squeeze(3).mT
+        below = self.pushed.flatten(2) @ at.twists.flatten(2).mT
+        above = self.twists.flatten(2) @ sums.flatten(2).mT
+        vq = torch.tril(below) + torch.triu(above, 1)
+        return Curvature(torch.tril(qq) + torch.tril(qq, -1).mT, vq, vq.mT)
 
 
 class _Rates(NamedTuple):
@@ -144,9 +164,8 @@ class RigidChain(nn.Module, Lagrangian):
     @override
     @torch.no_grad()
     def expand(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Expansion:
-        at = self._at(q.detach())
-        values = at.gradients(v, at.rates(v))
-        return AutodiffExpansion(self, q.detach(), v.detach(), values, at.mass())
+        chain = self._at(q)
+        return RigidChainExpansion(self, chain, chain.rates(v), v)
 
     @override
     def rates(self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]) -> Rates:
@@ -190,6 +209,31 @@ class RigidChain(nn.Module, Lagrangian):
         bodies, own = weighted @ weighted.mT, repeated(self.rotors, batch).square()
         pushed = twists @ _outwards(bodies)
         return _Chain(twists, bodies, pushed, own, repeated(self.gravity, batch))
+
+
+class RigidChainExpansion(Expansion):
+    """``ℒ`` of a chain around ``(q, v)``."""
+
+    parts = ("_lagrangian", "_chain", "_rates", "_v")
+
+    def __init__(self, lagrangian: RigidChain, chain: _Chain, rates: _Rates, v: Tensor) -> None:
+        self._lagrangian, self._chain, self._rates, self._v = lagrangian, chain, rates, v
+        with torch.no_grad():
+            self.values = chain.gradients(v, rates)
+
+    @override
+    @torch.no_grad()
+    def mass(self) -> Tensor:
+        return self._chain.mass()
+
+    @override
+    @torch.no_grad()
+    def curvature(self, before: Expansion | None = None) -> Curvature:
+        return self._chain.curvature(self._rates)
+
+    @override
+    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
+        return self._lagrangian.gradients(q, v)
 
 
 def _directions(given: Any, n: int) -> Float[Tensor, "n 3"]:
