@@ -54,6 +54,13 @@ BAD = [
     ("model=node integrator.sensitivity=magic", "magic", "direct or adjoint"),
     ("data.monitor=train", "data.monitor=train", "val, test or held_out"),
     ("trainer.accelerator=tpu", "tpu", "cpu or gpu"),
+    ("objective=smoothing learner.validation.iterations=-1", "iterations=-1", "of at least 0"),
+    *(
+        (f"objective=smoothing learner.validation.horizons={times}", "horizons=[", "that rise")
+        for times in ("[]", "[1,0.5]", "[0.5,3]", "[a]", "[0,1]")
+    ),
+    ("objective=smoothing optimizer.starts=0", "optimizer.starts=0", "whole number of at least 1"),
+    ("objective=smoothing optimizer.velocity_weight=0", "velocity_weight=0", "above 0"),
     ("objective=smoothing trainer=gpu", "TotalLeastSquares", "trainer=cpu"),
     # values
     ("data.n_traj=0", "0", "1 to 128"),

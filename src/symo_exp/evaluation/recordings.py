@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 from collections.abc import Sequence
@@ -11,6 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.checks import whole_number
+from symo_exp.errors import ConfigError
 from symo_exp.evaluation.horizon import (
     HORIZONS,
     Predictions,
@@ -94,6 +97,18 @@ class HeldOutErrors:
 
     iterations: int = ITERATIONS
     horizons: Sequence[float] = HORIZONS
+
+    def __post_init__(self) -> None:
+        """Refuse settings with which there is no score."""
+        whole_number("learner.validation.iterations", self.iterations, low=0)
+        times = list(self.horizons)
+        numbers = bool(times) and all(isinstance(time, int | float) for time in times)
+        rise = numbers and all(a < b for a, b in itertools.pairwise([0.0, *times]))
+        if not (rise and times[-1] <= HORIZONS[-1]):
+            raise ConfigError(
+                f"learner.validation.horizons={times}: expected times that rise, at most "
+                f"{HORIZONS[-1]:g} s, such as [0.5,1,2]"
+            )
 
     def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
         """Return the score of a model on held-out trajectories."""

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.checks import real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.chart import Ends
 from symo_exp.mechanics.roots import relative
@@ -77,12 +78,11 @@ class HorizonError(Objective):
                 f"objective.horizon={horizon}: expected 2 steps or more, since a start alone fits "
                 "two nodes exactly"
             )
-        if stride is not None and stride < 1:
-            raise ConfigError(f"objective.stride={stride}: expected 1 or more, or null")
-        if huber is not None and not huber > 0:
-            raise ConfigError(f"objective.huber={huber}: expected a number above 0, or null")
-        if grow < 0:
-            raise ConfigError(f"objective.grow={grow}: expected 0 or more epochs")
+        if stride is not None:
+            whole_number("objective.stride", stride)
+        if huber is not None:
+            real("objective.huber", huber, above=0)
+        whole_number("objective.grow", grow, low=0)
         self.horizon, self.stride = horizon, stride or horizon
         self.huber, self.grow = huber, grow
 

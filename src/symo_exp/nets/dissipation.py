@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.checks import real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
@@ -58,9 +59,8 @@ class LearnedDissipation(nn.Module, Dissipation):
         super().__init__()
         if joints not in ("own", "neighbours"):
             raise ConfigError(f"dissipation.joints={joints}: expected own or neighbours")
-        for name, value in (("rest_velocity", rest_velocity), ("start", start)):
-            if not value > 0.0:
-                raise ConfigError(f"dissipation.{name}={value}: expected a number above 0")
+        real("dissipation.rest_velocity", rest_velocity, above=0)
+        real("dissipation.start", start, above=0)
         n = coordinates.n
         found = torch.eye(n)
         if joints == "neighbours":
@@ -239,10 +239,7 @@ class MachineFriction(LearnedDissipation):
                 f"dissipation.least_rest_velocity={least_rest_velocity}: "
                 f"expected a number above 0, at most rest_velocity={rest_velocity}"
             )
-        if not stribeck_velocity > 0.0:
-            raise ConfigError(
-                f"dissipation.stribeck_velocity={stribeck_velocity}: expected a number above 0"
-            )
+        real("dissipation.stribeck_velocity", stribeck_velocity, above=0)
         self._least_rest = least_rest_velocity / rest_velocity
         self._stribeck_velocity = stribeck_velocity
         n = coordinates.n

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.checks import real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
@@ -111,10 +112,8 @@ class LearnedBodyDrag(nn.Module, Dissipation):
     ) -> None:
         super().__init__()
         require_one_body(coordinates, "dissipation=body_drag", "dissipation=viscous")
-        if not start > 0.0:
-            raise ConfigError(f"dissipation.start={start}: expected a number above 0")
-        if not radius > 0.0:
-            raise ConfigError(f"dissipation.radius={radius}: expected a number above 0 m")
+        real("dissipation.start", start, above=0)
+        real("dissipation.radius", radius, above=0)
         self._triangle = Triangle(3)
         self._matrices = 2 * coordinates.n // 3
         units = torch.ones(coordinates.n // 3, 1, 1)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.checks import real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Curvature, Gradients, Rates, jacobian, matvec
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
@@ -62,8 +63,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
             raise ConfigError(
                 f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
             )
-        if not radius > 0.0:
-            raise ConfigError(f"lagrangian.radius={radius}: expected a number above 0 m")
+        real("lagrangian.radius", radius, above=0)
         if input_width and not learned_inputs:
             raise ConfigError(
                 f"lagrangian.input_width={input_width}: a network for the input matrix needs the "

@@ -14,7 +14,7 @@ from torch.nn.utils import clip_grads_with_norm_, get_total_norm
 from torch.optim import Optimizer
 from typing_extensions import override
 
-from symo_exp.errors import ConfigError
+from symo_exp.checks import real, whole_number
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.nets.affine import Linearised
 from symo_exp.optim.direct import direct_step
@@ -90,10 +90,8 @@ class EpochOptimizer(Optimizer, ABC):
     """True if it cannot work on a GPU."""
 
     def __init__(self, params: Iterable[Tensor], *, patience: int, tolerance: float = 0.0) -> None:
-        if patience < 1:
-            raise ConfigError(f"optimizer.patience={patience}: expected at least 1")
-        if not 0 <= tolerance < math.inf:
-            raise ConfigError(f"optimizer.tolerance={tolerance}: expected 0 or more")
+        whole_number("optimizer.patience", patience)
+        real("optimizer.tolerance", tolerance, low=0)
         super().__init__(params, {"lr": 1.0})
         self.parameters: list[Tensor] = [p for g in self.param_groups for p in g["params"]]
         self.patience, self.tolerance = patience, tolerance

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.optim import Optimizer
 from typing_extensions import override
 
-from symo_exp.errors import ConfigError
+from symo_exp.checks import whole_number
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Problem, minibatches
 
@@ -35,8 +35,7 @@ class Chained(EpochOptimizer):
         epochs: int,
         then: Callable[[Iterable[Tensor]], EpochOptimizer],
     ) -> None:
-        if epochs < 0:
-            raise ConfigError(f"optimizer.epochs={epochs}: expected 0 or more")
+        whole_number("optimizer.epochs", epochs, low=0)
         super().__init__(params, patience=1)
         self.epochs = epochs
         self._first, self._then = first(self.parameters), then(self.parameters)

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.checks import real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Equations, Problem, concatenated
@@ -75,15 +76,13 @@ class LevenbergMarquardt(EpochOptimizer):
         patience: int = 20,
         chunk: int = 1024,
     ) -> None:
-        for name, value in (("damping", damping), ("trials", trials), ("chunk", chunk)):
-            if not value > 0:
-                raise ConfigError(f"optimizer.{name}={value}: expected a number above 0")
-        if not force_epochs >= 0:
-            raise ConfigError(f"optimizer.force_epochs={force_epochs}: expected 0 or more")
-        if huber is not None and not huber > 0:
-            raise ConfigError(f"optimizer.huber={huber}: expected a number above 0, or null")
-        if not 0 < shortest <= 1:
-            raise ConfigError(f"optimizer.shortest={shortest}: expected above 0, at most 1")
+        real("optimizer.damping", damping, above=0)
+        whole_number("optimizer.force_epochs", force_epochs, low=0)
+        real("optimizer.shortest", shortest, above=0, high=1)
+        if huber is not None:
+            real("optimizer.huber", huber, above=0)
+        for name, value in (("trials", trials), ("chunk", chunk)):
+            whole_number(f"optimizer.{name}", value)
         super().__init__(params, patience=patience)
         self.shortest, self.huber = shortest, huber
         if any(p.dtype != torch.float64 for p in self.parameters):

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.checks import real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.nets.roles import is_coefficient, is_late, start
@@ -94,13 +95,12 @@ class TotalLeastSquares(EpochOptimizer):
         seed: int = 0,
     ) -> None:
         super().__init__(params, patience=10**9, tolerance=tolerance)
-        counts = ("starts", starts), ("start", start), ("epochs", epochs)
+        for name, value in (("starts", starts), ("start", start), ("epochs", epochs)):
+            whole_number(f"optimizer.{name}", value)
         sizes = ("damping", damping), ("velocity_weight", velocity_weight)
-        for name, value in (*counts, *sizes, *(("epsilons", e) for e in epsilons)):
-            if not value > 0:
-                raise ConfigError(f"optimizer.{name}={value}: expected a number above 0")
-        if not 0 <= input_weight < float("inf"):
-            raise ConfigError(f"optimizer.input_weight={input_weight}: expected 0 or more")
+        for name, size in (*sizes, *(("epsilons", e) for e in epsilons)):
+            real(f"optimizer.{name}", size, above=0)
+        real("optimizer.input_weight", input_weight, low=0)
         if any(p.dtype != torch.float64 for p in self.parameters):
             raise ConfigError(
                 "total least squares squares the condition number: it needs dtype=float64"
