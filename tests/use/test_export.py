@@ -123,6 +123,7 @@ def test_every_step_on_rotations_runs_without_this_package(name, method, integra
 
 PARTS = {
     "springs": {"springs": LinearSprings},
+    "input matrix": {"inputs": "learned"},
     "friction of machines": {"dissipation": partial(MachineFriction, stribeck=True, width=3)},
     "known equations": {
         "coordinates": SYSTEMS["chain_2"].coordinates,

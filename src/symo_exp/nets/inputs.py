@@ -61,5 +61,5 @@ class LearnedInputs(nn.Module):
 
     def force(self, u: Float[Tensor, "batch m"]) -> Float[Tensor, "batch n"]:
         """Return ``B u``."""
-        more = (repeated(self.entries, len(u)) @ self.basis).unflatten(1, self.given.shape)
+        more = (repeated(self.entries, u.shape[0]) @ self.basis).unflatten(1, self.given.shape)
         return u @ self.given.T + matvec(more, u)
