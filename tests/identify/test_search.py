@@ -267,17 +267,29 @@ def test_the_delay_of_an_input_and_the_inertia_that_it_moves_are_found(delay, in
         assert value == pytest.approx(wanted * inertia, rel=0.3)
 
 
-def driven():
-    """Recordings of a pendulum that a motor drives."""
+def driven(lag=0.0):
+    """Recordings of a pendulum whose motor follows its input with a time constant."""
     h, q, v, motion = 0.005, 0.0, 0.0, []
-    t = np.arange(0.0, 20.0, h)
-    u = sum(np.sin(w * t + w**2) for w in (1.0, 2.3, 3.7, 5.1, 8.3))
-    for now in u:
+    t, rates = np.arange(0.0, 20.0, h), (1.0, 2.3, 3.7, 5.1, 8.3)
+    force, rising = (sum(f(w * t + w**2) * g for w, g in zip(rates, gains, strict=True))
+                     for f, gains in ((np.sin, np.ones(5)), (np.cos, rates)))  # fmt: skip
+    for now in force:
         motion.append(q)
         v += h * (now - 4.0 * np.sin(q) - 0.3 * v)
         q += h * v
     q = np.array(motion) + 1e-4 * np.random.default_rng(0).normal(size=len(t))
-    return pd.DataFrame({"t": t, "q_theta": q, "u_theta": u})
+    return pd.DataFrame({"t": t, "q_theta": q, "u_theta": force + lag * rising})
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.055, 0.1])
+def test_the_time_constant_with_which_a_force_follows_its_input_is_found(lag, workplace):
+    driven(lag).to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    settings = dict(setting.split("=") for setting in found.settings)
+    assert float(settings.get("data.input_lag", 0.0)) == pytest.approx(lag, abs=2e-3)
+    assert float(settings["lagrangian.initial_inertia"]) == pytest.approx(1.0, rel=0.1)
+    assert not found.delay
+    assert "data.input_delay" not in settings
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -124,6 +124,8 @@ class RecordedData(DataModule):
         seconds: Length of the training part at most [s]; ``None``: all of it.
         val_seconds: Length of the validation part at most [s]; ``None``: all of it.
         input_delay: From the record of an input to its force [s].
+        input_lag: Time constant with which the force follows the input [s], as that of a motor
+            its voltage.
         leave_out: Stretches of trajectories that are not used, ``[NAME, FROM, TO]`` each
             (``data.parts.without``); ``None``: none.
         batch_size: ``None``: an eighth of the samples.
@@ -156,6 +158,7 @@ class RecordedData(DataModule):
         seconds: float | None = None,
         val_seconds: float | None = None,
         input_delay: float = 0.0,
+        input_lag: float = 0.0,
         leave_out: Sequence[Sequence[str | float]] | None = None,
         batch_size: int | None = None,
         noise_std: float = 0.0,
@@ -204,7 +207,10 @@ class RecordedData(DataModule):
             "data.n_traj", available if n_traj is None else n_traj, high=available
         )
         parts["train"] = parts["train"][:n_traj]
-        nodes = Nodes(where, system.coordinates, system.time_step, wrapped, degrees, input_delay)
+        lag = real("data.input_lag", input_lag, low=0.0)
+        nodes = Nodes(
+            where, system.coordinates, system.time_step, wrapped, degrees, input_delay, lag
+        )
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
         self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
         self.counts = {name: len(part) for name, part in found.items()}
@@ -265,10 +271,11 @@ class Nodes:
         wrapped: bool,
         degrees: bool,
         input_delay: float = 0.0,
+        input_lag: float = 0.0,
     ) -> None:
         self._where, self._coordinates, self._h = where, coordinates, h
         self._wrapped, self._degrees = wrapped, degrees
-        self._input_delay = input_delay
+        self._input_delay, self._input_lag = input_delay, input_lag
 
     def of(self, recording: Recording) -> Trajectory:
         """Return one as a trajectory.
@@ -278,9 +285,8 @@ class Nodes:
         """
         where, h = f"{self._where}: trajectory {recording.label}", self._h
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._of(
-                where, delayed(self.in_radians(recording.samples), self._input_delay), h
-            )
+            acting = delayed(self.in_radians(recording.samples), self._input_delay)
+            return self._of(where, lagging(acting, self._input_lag), h)
 
     def in_radians(self, samples: Samples) -> Samples:
         """Return samples whose angles are in radians."""
@@ -370,6 +376,25 @@ def delayed(samples: Samples, seconds: float) -> Samples:
         return samples
     t = samples.t
     return samples._replace(u=np.stack([np.interp(t - seconds, t, u) for u in samples.u.T], axis=1))
+
+
+def lagging(samples: Samples, seconds: float) -> Samples:
+    """Return the samples with inputs that follow the recorded ones with a time constant.
+
+    ``τ ẏ = u - y`` from ``y = u`` at the first sample, exact for inputs that are linear between
+    samples.
+    """
+    t, u = samples.t, samples.u
+    if seconds == 0.0 or not u.shape[1]:
+        return samples
+    steps = np.diff(t)[:, None]
+    behind, kept = seconds * np.diff(u, axis=0) / steps, np.exp(-steps / seconds)
+    gains = u[1:] - behind - kept * (u[:-1] - behind)
+    found = np.empty_like(u)
+    found[0] = u[0]
+    for k, (share, gain) in enumerate(zip(kept, gains, strict=True)):
+        found[k + 1] = share * found[k] + gain
+    return samples._replace(u=found)
 
 
 def _equal(t: np.ndarray, h: float) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from symo_exp.data.diagnose import (
     quasi_coordinates,
     spring_slopes,
 )
-from symo_exp.data.recorded import delayed
+from symo_exp.data.recorded import delayed, lagging
 from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.shocks import shocks
 from symo_exp.data.table import Recording
@@ -45,8 +45,10 @@ MISSED = 0.3
 """Share of a motion that lines between the nodes may miss."""
 DELAYS = np.arange(-4, 7) / 100
 """Delays of inputs that are tried [s], in proportion to a time step below ``UNHURRIED``."""
+LAGS = np.arange(11) / 100
+"""Time constants of inputs that are tried [s], likewise."""
 UNHURRIED = 0.005
-"""Time step from which all of ``DELAYS`` are tried [s]."""
+"""Time step from which all of ``DELAYS`` and ``LAGS`` are tried [s]."""
 GAIN, CLEAR = 0.05, 0.5
 """Shares of the unexplained power that a delay explains at least to be a candidate, and to be that
 of all candidates."""
@@ -122,10 +124,19 @@ def dynamics(
     driven, settings, notes = input_matrix is not None, [], []
     beginning = _beginning(recordings, max(EXAMINED, NODES * time_step))
     motions = _of_rotations(_motions(beginning, time_step), coordinates)
-    delays = DELAYS * min(1.0, time_step / UNHURRIED) if driven else np.zeros(1)
-    left = _unexplained(motions, coordinates, time_step, delays)
-    if (between := _lowest(left)) is not None:
-        left |= _unexplained(motions, coordinates, time_step, [between])
+    share = min(1.0, time_step / UNHURRIED)
+    delays = DELAYS * share if driven else np.zeros(1)
+    left = _best(delays, lambda delay: _unexplained(motions, coordinates, time_step, delay))
+    if driven and left:
+        slow = _best(
+            LAGS * share, lambda lag: _unexplained(_lagging(motions, lag), coordinates, time_step)
+        )
+        lag = min(slow, key=lambda each: slow[each])
+        if slow[lag] <= (1.0 - CLEAR) * min(left.values()):
+            motions, left = _lagging(motions, lag), {0.0: slow[lag]}
+            beginning = [one._replace(samples=lagging(one.samples, lag)) for one in beginning]
+            settings.append(f"data.input_lag={lag:g}")
+            notes.append(f"inputs: forces follow them with a time constant of {1e3 * lag:g} ms")
     delay, told = _delay(left)
     clear = delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
     units = _units(motions, coordinates, time_step)
@@ -380,24 +391,35 @@ def _rest_velocity(paths: Sequence[np.ndarray], h: float) -> float:
     return found if found < SLOW * USUAL_REST else USUAL_REST
 
 
+def _lagging(motions: Sequence[Sampled], lag: float) -> list[Sampled]:
+    return [(lagging(samples, lag), nodes, q) for samples, nodes, q in motions]
+
+
 def _unexplained(
-    motions: Sequence[Sampled], coordinates: Coordinates, h: float, delays: Iterable[float]
+    motions: Sequence[Sampled], coordinates: Coordinates, h: float, delay: float = 0.0
+) -> float | None:
+    """Return the share of the accelerations' power that inputs with a delay do not explain."""
+    pairs = _pairs(motions, h, delay)
+    share = explained_power(pairs, coordinates, h, driven=True) if pairs else None
+    return None if share is None else 1.0 - share
+
+
+def _best(
+    times: Iterable[float], unexplained: Callable[[float], float | None]
 ) -> dict[float, float]:
-    """Return the share of the accelerations' power that inputs with each delay do not explain."""
-    left = {}
-    for delay in map(float, delays):
-        pairs = _pairs(motions, h, delay)
-        share = explained_power(pairs, coordinates, h, driven=True) if pairs else None
-        if share is not None:
-            left[float(f"{delay:.3g}")] = 1.0 - share
+    """Return the share that is not explained with each time, and with the best one in between."""
+    found = {float(f"{each:.3g}"): unexplained(float(each)) for each in times}
+    left = {each: share for each, share in found.items() if share is not None}
+    if (between := _lowest(left)) is not None and (share := unexplained(between)) is not None:
+        left[float(f"{between:.3g}")] = share
     return left
 
 
 def _lowest(left: Mapping[float, float]) -> float | None:
     """Return where the parabola through the least unexplained share and its neighbours is lowest.
 
-    Inputs that a digital controller holds between samples act half a sample after their record, a
-    part of the distance of ``DELAYS``.
+    Times are equally distant. Inputs that a digital controller holds between samples act half a
+    sample after their record, a part of the distance of ``DELAYS``.
     """
     delays = sorted(left)
     k = min(range(len(delays)), key=lambda i: left[delays[i]], default=0)
