@@ -116,19 +116,19 @@ def structures(machine: Machine) -> list[Candidate]:
         name = f"{LINKS}, absolute angles"
         found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 1.0, starts))
     name = f"general links{relative}"
-    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts, 1.7))
+    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts, 1.5))
     if several:
         name = "general links, absolute angles"
-        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts, 1.7))
+        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts, 1.5))
     if machine.n > 2 and all(machine.angular):
         found.append(
-            _candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=1.5, growth=0.9)
+            _candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=1.8, growth=0.4)
         )
-    found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.4, starts=2))
-    found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=1.7, starts=2, growth=3.0))
+    found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.3, starts=2))
+    found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=1.7, starts=2, growth=2.9))
     if several:
         name = f"{NETWORK}, {BETWEEN}"
-        found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=1.7, starts=2, growth=3.0))
+        found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=1.7, starts=2, growth=2.9))
     return found if machine.stiffness is None else [_sprung(one, machine) for one in found]
 
 

@@ -21,9 +21,12 @@ from symo_exp.identify.recordings import Machine
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 REFERENCE = 0.25
 """Time of ``exercise`` on the machine on which the times below were measured [s]."""
-EPOCH, NODE = 8e-3, 6e-6
+EPOCH, NODE = 8e-3, 4.5e-6
 """Times of an epoch of rigid links in a plane, midpoint rule: a fixed one, and what a node and pair
 of coordinates adds: each of n residuals is differentiated, and solved with those around it [s]."""
+DRIVEN = 1.5
+"""Factor of the time of an epoch with inputs: the friction of motors bends residuals, so that more
+trials of a step are refused."""
 WARM_UP = 1.0
 """Time of Adam's steps before each start of the optimiser but the first [s]."""
 STEP, ROW = 0.75e-3, 1.4e-6
@@ -89,9 +92,10 @@ class Effort:
         """Return the epochs between validations."""
         return math.ceil(self.total(candidate) / SPARSE) if self.sparse else self.epochs
 
-    def training(self, candidate: Candidate, nodes: int, n: int) -> float:
+    def training(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time of a training on the reference machine without validations [s]."""
-        epoch = candidate.cost_of_epoch(n) * (EPOCH + NODE * n**2 * nodes)
+        epoch = candidate.cost_of_epoch(machine.n) * (EPOCH + NODE * machine.n**2 * nodes)
+        epoch *= DRIVEN if machine.driven else 1.0
         return STARTING + WARM_UP * (candidate.starts - 1) + epoch * self.total(candidate)
 
     def validation(self, candidate: Candidate, machine: Machine) -> float:
@@ -120,7 +124,7 @@ class Effort:
 
     def expected(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time of a run on the reference machine [s]."""
-        training = self.training(candidate, nodes, machine.n)
+        training = self.training(candidate, nodes, machine)
         return training + self.validation(candidate, machine)
 
 
@@ -180,9 +184,9 @@ class Plan:
         """Return the length of data that a candidate can be fitted to in its time [s]."""
         rounds = math.ceil(self.last_fits(candidate) / self.cores)
         nodes, work = machine.nodes, REFITTING * self.budget * self.speed / rounds
-        fixed = self.effort.training(candidate, 0, machine.n)  # does not depend on the nodes
+        fixed = self.effort.training(candidate, 0, machine)  # does not depend on the nodes
         while nodes > FEWEST_NODES and (
-            nodes > MOST_NODES or self.effort.training(candidate, nodes, machine.n) - fixed > work
+            nodes > MOST_NODES or self.effort.training(candidate, nodes, machine) - fixed > work
         ):
             nodes = max(FEWEST_NODES, int(nodes / 1.25))
         return machine.seconds if nodes == machine.nodes else nodes * machine.time_step
@@ -202,7 +206,7 @@ class Plan:
         """
         nodes = round(self.most_seconds(candidate, machine) / machine.time_step)
         rounds = math.ceil(self.last_fits(candidate) / self.cores)
-        last = rounds * self.effort.training(candidate, nodes, machine.n) / self.speed
+        last = rounds * self.effort.training(candidate, nodes, machine) / self.speed
         return self.cores * (self.total / pace - last)
 
     def last_fits(self, candidate: Candidate) -> int:
