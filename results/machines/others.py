@@ -1,4 +1,4 @@
-"""Write recordings of twelve simulated machines, most of them no chains of links in a plane.
+"""Write recordings of eighteen simulated machines, most of them no chains of links in a plane.
 
 Usage: ``python results/machines/others.py``. ``furuta.csv`` has a pendulum on an arm that turns
 about a vertical axis, ``wheel.csv`` a pendulum with a reaction wheel, ``ball.csv`` a ball on a
@@ -6,10 +6,15 @@ beam, ``crane.csv`` a load on a rope whose length changes, ``masses.csv`` two ma
 ``duffing.csv`` a mass on a spring that stiffens, ``crank.csv`` a slider-crank, ``segway.csv`` a
 body on two wheels that a controller balances, ``spring_pendulum.csv`` a mass on an elastic rope,
 ``scara.csv`` two horizontal links with a vertical slide, ``bistable.csv`` a magnet between two
-others, and ``coupled.csv`` two pendulums with a spring between them. Each has ten motions of 6 s,
-sampled every 5 ms with a noise of 3e-4 [rad, m]. Forces [N m, N] are sums of four sines and what a
-controller adds that keeps the machine in its range. They are held between samples, as digital
-controllers hold them. All coordinates have viscous friction, some also dry friction.
+others, and ``coupled.csv`` two pendulums with a spring between them. ``heli.csv`` has a helicopter
+on a stand whose rotors each pitch and turn it, in volts, ``magnet.csv`` a ball below a magnet with
+the current as input, ``lagged.csv`` a pendulum whose motor follows its voltage with a lag of 40 ms,
+``torsion.csv`` a torsion pendulum with quadratic drag, ``stop.csv`` a mass on a spring between two
+hard stops, and ``mems.csv`` a resonator of 2 kHz that moves by micrometres. Each has ten motions of
+6 s, sampled every 5 ms with a noise of 3e-4 [rad, m], if not stated otherwise. Inputs [N m, N] are
+sums of four sines and what a controller adds that keeps the machine in its range. They are held
+between samples, as digital controllers hold them. All coordinates have viscous friction, some also
+dry friction.
 """
 
 from __future__ import annotations
@@ -42,6 +47,13 @@ class Simulated(NamedTuple):
         speed: Standard deviation of starting velocities.
         forces: Amplitudes of the inputs.
         control: Further inputs (rows, m), from coordinates and velocities (rows, n).
+        acting: Generalised forces (rows, n), from coordinates, velocities and inputs; ``None``:
+            the inputs themselves, on the driven coordinates.
+        lag: Time constant with which inputs act [s].
+        encoder: Steps of the encoders, 0 for none [rad, m].
+        noise: Noise of the samples [rad, m].
+        sample: Distance of the samples [s].
+        seconds: Length of a motion [s].
     """
 
     names: Sequence[str]
@@ -54,6 +66,12 @@ class Simulated(NamedTuple):
     speed: float
     forces: Sequence[float]
     control: Callable[[Array, Array], Array] | None = None
+    acting: Callable[[Array, Array, Array], Array] | None = None
+    lag: float = 0.0
+    encoder: float | Sequence[float] = 0.0
+    noise: float = NOISE
+    sample: float = SAMPLE
+    seconds: float = SECONDS
 
 
 def furuta(q: Symbols, v: Symbols) -> Any:
@@ -123,6 +141,48 @@ def coupled(q: Symbols, v: Symbols) -> Any:
     return (0.03 * v[0] ** 2 + 0.05 * v[1] ** 2) / 2 + gravity - 0.4 * (q[0] - q[1]) ** 2 / 2
 
 
+def heli(q: Symbols, v: Symbols) -> Any:
+    pitching = 0.04 * v[0] ** 2 / 2 + 0.25 * sympy.cos(q[0] - 0.1)
+    return pitching + (0.012 + 0.03 * sympy.cos(q[0]) ** 2) * v[1] ** 2 / 2
+
+
+def rotors(q: Array, v: Array, u: Array) -> Array:
+    """Torques by the voltages of two rotors, each of which pitches and turns the body."""
+    return u @ np.array([[0.10, -0.03], [0.015, 0.06]])
+
+
+def magnet(q: Symbols, v: Symbols) -> Any:
+    return 0.05 * v[0] ** 2 / 2 + 0.05 * GRAVITY * q[0]
+
+
+def attraction(q: Array, v: Array, u: Array) -> Array:
+    """Force by the current of a coil, upwards, which holds a ball 1 cm below it with 1 A."""
+    return -4.905e-5 * u**2 / np.maximum(q, 3e-3) ** 2
+
+
+def lagged(q: Symbols, v: Symbols) -> Any:
+    return 0.02 * v[0] ** 2 / 2 + 0.4 * sympy.cos(q[0])
+
+
+def torsion(q: Symbols, v: Symbols) -> Any:
+    return 0.02 * v[0] ** 2 / 2 - 0.5 * q[0] ** 2 / 2
+
+
+def stop(q: Symbols, v: Symbols) -> Any:
+    return 0.5 * v[0] ** 2 / 2 - 8.0 * q[0] ** 2 / 2
+
+
+def stopped(q: Array, v: Array, u: Array) -> Array:
+    """Force by an input and by stops at 12 cm, which do not pull."""
+    beyond, side = np.maximum(np.abs(q) - 0.12, 0.0), np.sign(q)
+    return u - side * np.maximum(8e3 * beyond + 8.0 * side * v * (beyond > 0.0), 0.0)
+
+
+def mems(q: Symbols, v: Symbols) -> Any:
+    mass, stiffness = 1e-9, 1e-9 * (2 * np.pi * 2e3) ** 2
+    return mass * v[0] ** 2 / 2 - stiffness * (q[0] ** 2 / 2 + q[0] ** 4 / (4e-6) ** 2 / 4)
+
+
 MACHINES = {
     "furuta": Simulated(
         ("arm", "pendulum"), furuta, [0], (0.002, 0.0002), (0.004, 0.0),
@@ -171,6 +231,32 @@ MACHINES = {
     "coupled": Simulated(
         ("one", "two"), coupled, [], (0.002, 0.003), (0.0, 0.0), (-1.5, -1.5), (1.5, 1.5), 1.0, [],
     ),
+    "heli": Simulated(
+        ("pitch", "yaw"), heli, [0, 1], (0.008, 0.01), (0.003, 0.004),
+        (-0.3, -1.0), (0.5, 1.0), 0.2, [3.0, 3.0],
+        lambda q, v: (q - [0.1, 0.0]) * [-1.0, -0.8] + v * [-0.2, -0.4],
+        acting=rotors,
+    ),
+    "magnet": Simulated(
+        ("x",), magnet, [0], (0.01,), (0.0,), (0.009,), (0.011,), 0.01, [0.08],
+        lambda q, v: 1.0 + 260.0 * (q - 0.01) + 4.0 * v,
+        acting=attraction, noise=2e-6, sample=0.001,
+    ),
+    "lagged": Simulated(
+        ("pendulum",), lagged, [0], (0.004,), (0.01,), (-1.5,), (1.5,), 1.0, [3.0],
+        acting=lambda q, v, u: 0.2 * u, lag=0.04,
+    ),
+    "torsion": Simulated(
+        ("theta",), torsion, [], (0.0005,), (0.0,), (-2.5,), (2.5,), 4.0, [],
+        acting=lambda q, v, u: -0.004 * np.abs(v) * v,
+    ),
+    "stop": Simulated(
+        ("slide",), stop, [0], (0.3,), (0.1,), (-0.1,), (0.1,), 0.3, [3.5], acting=stopped,
+    ),
+    "mems": Simulated(
+        ("x",), mems, [0], (1e-9 * 2 * np.pi * 2e3 / 40,), (0.0,), (-2e-6,), (2e-6,), 0.01, [5e-8],
+        noise=2e-9, sample=1e-5, seconds=0.02,
+    ),
 }  # fmt: skip
 
 
@@ -189,24 +275,37 @@ def recorded(machine: Simulated) -> pd.DataFrame:
     phase = rng.uniform(0.0, 2 * np.pi, (4, COUNT, m))
     size = np.array(machine.forces) * rng.uniform(0.4, 1.0, (COUNT, 1))
     slope, table = slopes(machine), []
-    h = SAMPLE / STEPS
-    for t in np.arange(0.0, SECONDS, SAMPLE):
+    h, held = machine.sample / STEPS, np.zeros((COUNT, m))
+    frequency = frequency * SECONDS / machine.seconds
+    for t in np.arange(0.0, machine.seconds, machine.sample):
         u = size * np.sin(np.pi * frequency * t + phase).sum(0) / 2
         if machine.control is not None:
             u = u + machine.control(q, v)
-        read = q + NOISE * rng.normal(size=q.shape)
+        read = _encoded(q + machine.noise * rng.normal(size=q.shape), machine.encoder)
         table.append(np.column_stack([np.arange(COUNT), np.full(COUNT, t), read, u]))
         for _ in range(STEPS):
-            a = slope(q, v, u)
-            b = slope(q + h / 2 * v, v + h / 2 * a, u)
-            c = slope(q + h / 2 * v + h**2 / 4 * a, v + h / 2 * b, u)
-            d = slope(q + h * v + h**2 / 2 * b, v + h * c, u)
+            f, held = held, _after(held, u, h, machine.lag)
+            a = slope(q, v, _after(f, u, 0.0, machine.lag))
+            b = slope(q + h / 2 * v, v + h / 2 * a, _after(f, u, h / 2, machine.lag))
+            c = slope(q + h / 2 * v + h**2 / 4 * a, v + h / 2 * b, _after(f, u, h / 2, machine.lag))
+            d = slope(q + h * v + h**2 / 2 * b, v + h * c, held)
             q, v = q + h * v + h**2 / 6 * (a + b + c), v + h / 6 * (a + 2 * b + 2 * c + d)
     columns = ["trajectory", "t", *(f"q_{name}" for name in machine.names)]
     columns += [f"u_{i}" for i in range(m)]
     rows = np.concatenate(table)
     found = pd.DataFrame(rows, columns=columns).astype({"trajectory": int})
     return found.sort_values(["trajectory", "t"])
+
+
+def _after(held: Array, u: Array, t: float, lag: float) -> Array:
+    """Return what acts ``t`` [s] after an input ``u`` was set, ``held`` having acted before."""
+    return u + (held - u) * np.exp(-t / lag) if lag else u
+
+
+def _encoded(q: Array, step: float | Sequence[float]) -> Array:
+    """Return configurations as encoders read them."""
+    size = np.asarray(step, dtype=float)
+    return np.where(size > 0.0, np.round(q / np.where(size > 0.0, size, 1.0)) * size, q)
 
 
 def slopes(machine: Simulated) -> Callable[[Array, Array, Array], Array]:
@@ -224,7 +323,10 @@ def slopes(machine: Simulated) -> Callable[[Array, Array, Array], Array]:
     def slope(q: Array, v: Array, u: Array) -> Array:
         numbers = np.stack([np.broadcast_to(x, len(q)) for x in both(q.T, v.T)], axis=1)
         moved = numbers[:, n * n :] - viscous * v - dry * np.tanh(v / 0.02)
-        moved[:, machine.driven] += u
+        if machine.acting is None:
+            moved[:, machine.driven] += u
+        else:
+            moved += machine.acting(q, v, u)
         mass = numbers[:, : n * n].reshape(-1, n, n)
         return np.asarray(np.linalg.solve(mass, moved[..., None])[..., 0])
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from symo_exp.evaluation.verdict import verdict
 from symo_exp.identify.doubts import doubts, hopeless
 from symo_exp.identify.recordings import Machine
 from symo_exp.mechanics.units import SI
@@ -44,8 +45,22 @@ def test_a_model_without_hope_is_hardly_better_than_constant_velocity_anywhere(e
     assert hopeless(measures) is expected
 
 
-@pytest.mark.parametrize(("usable", "expected"), [(0.05, True), (0.15, True), (0.3, False)])
-def test_a_model_that_is_usable_for_a_short_time_is_one_of_an_unstable_machine(usable, expected):
-    measures = {"rmse_1s": 2.0, "constant_velocity_rmse_1s": 1.0}
-    measures |= {"usable_s": usable, "constant_velocity_usable_s": 0.1}
-    assert hopeless(measures) is expected
+@pytest.mark.parametrize(
+    ("usable", "other", "horizon", "expected"),
+    [
+        (0.05, 0.1, 2.0, True),
+        (0.15, 0.1, 2.0, True),
+        (0.3, 0.1, 2.0, False),
+        (0.08, 0.0, 2.0, True),
+        (0.08, 0.0, 0.1, False),
+    ],
+)
+def test_a_model_that_is_usable_for_a_short_time_is_one_of_an_unstable_machine(
+    usable, other, horizon, expected
+):
+    measures = {f"rmse_{t}": 2.0 for t in ("0.5s", "1s", "2s")}
+    measures |= {f"constant_velocity_{name}": 1.0 for name in measures}
+    measures |= {"usable_s": usable, "constant_velocity_usable_s": other}
+    assert hopeless(measures, horizon) is expected
+    better = f"usable to {usable:g} s" if usable >= 2.0 * other else "no better"
+    assert str(verdict(measures)).startswith(better)

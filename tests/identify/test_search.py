@@ -461,6 +461,26 @@ def test_errors_of_machines_that_a_controller_balances_count_over_shorter_times(
         np.testing.assert_allclose(json.loads(given[0]), horizons, rtol=0.1)
 
 
+@pytest.mark.parametrize(("rate", "step"), [(5.0, 0.02), (45.0, 0.005)])
+def test_errors_of_an_unstable_machine_grow_little_in_a_time_step(rate, step, workplace):
+    """A mass that a magnet pulls away and a controller holds, in units of 1 mm."""
+    h, rng = 0.001, np.random.default_rng(0)
+    x, v, rows = 1e-4, 0.0, []
+    for t in h * np.arange(20_000):
+        sines = sum(np.sin(w * t + w**2) for w in (2.3, 3.7, 5.1, 8.3, 21.0))
+        u = rate**2 * (2e-4 * sines - 2.0 * x) - rate * v
+        rows.append((t, x, u))
+        for _ in range(5):
+            v += h / 5 * (rate**2 * x + u)
+            x += h / 5 * v
+    frame = pd.DataFrame(rows, columns=["t", "q_x", "u_x"])
+    frame["q_x"] += 1e-6 * rng.normal(size=len(frame))
+    frame.to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    assert found.time_step == step
+    assert found.horizon == pytest.approx(4.0 / rate, rel=0.15)
+
+
 @pytest.mark.parametrize(("stiffness", "weight"), [(0.0, 0.5), (0.5, 0.0), (1.4, 0.0), (1.4, 0.5)])
 def test_the_stiffness_of_an_elastic_joint_is_found_and_gravity_is_no_spring(
     stiffness, weight, workplace

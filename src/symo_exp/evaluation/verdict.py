@@ -8,9 +8,22 @@ from collections.abc import Mapping
 HORIZONS = ("0.5s", "1s", "2s")
 BETTER = 0.9
 """Share of constant velocity's error below which a model is better."""
+LONGER = 2.0
+"""Ratio of the times to which a model and constant velocity are usable, from which it outlasts."""
 WHOLE, WINDOW = 0.95, 2.0
 """Share of a window for which a good model is usable, and the length of a window [s] where the
 measures do not say it."""
+
+
+def outlasts(measures: Mapping[str, float]) -> bool:
+    """Return whether a model is usable for a time, and clearly longer than constant velocity.
+
+    Over longer times the errors of an unstable machine grow beyond those of constant velocity,
+    whatever the model.
+    """
+    usable = measures.get("usable_s", 0.0)
+    other = measures.get("constant_velocity_usable_s", usable)
+    return usable > 0.0 and LONGER * other <= usable
 
 
 def verdict(measures: Mapping[str, float]) -> str | None:
@@ -19,7 +32,7 @@ def verdict(measures: Mapping[str, float]) -> str | None:
     A model is *good* if its error stays within a tenth of the motion over windows of 2 s, or of
     what a shorter recording has (median over windows), *usable* to the time until which it does,
     and *no better than constant velocity* if its error exceeds 0.9 times that baseline's over
-    0.5, 1 and 2 s.
+    0.5, 1 and 2 s and it is not usable for twice as long.
 
     Args:
         measures: Those of a run by name (docs/metrics.md).
@@ -33,7 +46,7 @@ def verdict(measures: Mapping[str, float]) -> str | None:
         for t in HORIZONS
         if f"constant_velocity_rmse_{t}" in measures
     ]
-    if pairs and all(not own < BETTER * other for own, other in pairs):
+    if pairs and all(not own < BETTER * other for own, other in pairs) and not outlasts(measures):
         return "no better than constant velocity"
     seconds, window = measures["usable_s"], measures.get("window_s", WINDOW)
     if math.isfinite(seconds) and seconds >= WHOLE * window:

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from symo_exp.evaluation.verdict import HORIZONS
+from symo_exp.evaluation.verdict import HORIZONS, WINDOW, outlasts
 from symo_exp.identify.recordings import Machine
 
 EXPLAINED = 0.5
 """Share of the accelerations' power below which something else moves the machine."""
 BETTER = 0.5
 """Ratio of the error of a model to that of constant velocity above which, over all horizons, there
-is no model; it is also that of the times to which they are usable."""
-USEFUL = 0.1
-"""Time to which a model is usable at least [s], if its errors over longer times are no better."""
+is no model."""
+USEFUL, PART = 0.1, 0.5
+"""Time to which a model is usable at least [s], if its errors over longer times are no better, and
+the share of the time over which errors are compared if that is less."""
 LITTLE = 10.0
 """Length below which recordings are short [s]."""
 
 
-def hopeless(measures: Mapping[str, float]) -> bool:
+def hopeless(measures: Mapping[str, float], horizon: float = WINDOW) -> bool:
     """Return whether a model is hardly better than constant velocity over every horizon.
 
     It is false if there is no window, or if the model is usable for a short time, but twice as
-    long, as of an unstable machine.
+    long, as of an unstable machine. ``horizon`` is the time over which errors were compared [s].
     """
     if measures.get("windows") == 0.0:
         return False
-    usable = measures.get("usable_s", 0.0)
-    if usable >= USEFUL and BETTER * usable >= measures.get("constant_velocity_usable_s", usable):
+    if measures.get("usable_s", 0.0) >= min(USEFUL, PART * horizon) and outlasts(measures):
         return False
     pairs = [
         (measures[f"rmse_{t}"], measures[f"constant_velocity_rmse_{t}"])

@@ -269,7 +269,7 @@ class Search:
 
     def _print_verdict(self, measures: Mapping[str, float], model: Path) -> None:
         label = verdict(measures) or "not judged"
-        if failed := hopeless(measures):
+        if failed := hopeless(measures, self._machine.horizon):
             bad = label.startswith("no")
             label = f"no model; {label if bad else 'hardly better than constant velocity'}"
         print(f"verdict on the test part: {label}")
