@@ -312,6 +312,13 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             '\'data.columns={t: "Time (s)", q_Arm: "Arm Angle (rad)"}\'',
         ),
         (
+            lambda t: t[["t"]].assign(
+                **dict.fromkeys("x y z vx vy vz qx qy qz qw gyro_x gyro_y gyro_z pwm1".split(), 0.0)
+            ),
+            "'data.columns={q_x: x, q_y: y, q_z: z, q_R_w: qw, q_R_x: qx, q_R_y: qy, q_R_z: qz, "
+            "u_pwm1: pwm1}'",
+        ),
+        (
             lambda t: t.rename(columns={"q_0": "arm_deg"}),
             "'data.columns={q_arm: arm_deg}' data.degrees=true",
         ),

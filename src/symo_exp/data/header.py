@@ -36,6 +36,10 @@ TRAJECTORY = ("trajectory", "traj", "traj_id", "trajectory_id", "episode", "epis
 
 POSITION = re.compile(r"^(?:pos|position|angle)[_ ]|[_ ](?:pos|position|angle)$", re.I)
 VELOCITY = re.compile(r"^(?:d|dot_|vel_|velocity_|omega_)(?=.)|_?(?:dot|vel|velocity)$")
+RATE = re.compile(
+    r"v|w|a|d|omega|gyro?|acc|accel|acceleration|vel|velocity|rates?|angular|linear|twist|imu", re.I
+)
+"""A word of the name of a velocity or an acceleration, without its axis."""
 INPUT = re.compile(
     r"(?:u|tau|torques?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?|ctrl|act"
     r"|actions?|volt|volts|voltages?|pwm|duty|throttle|thrust|rudder|heat)\d*",
@@ -197,6 +201,9 @@ def suggestion(found: Sequence[str]) -> str:
     kinds = {name: _kind(name) for name in free}
     stems = {name: UNIT.sub("", name) for name in free}
     inputs = [name for name in free if kinds[name] == "u"]
+    if pose := _pose(stems):
+        mapping = {"t": times[0]} if times and "t" not in found else {}
+        return _as_setting(mapping | pose | {f"u_{_short(name)}": name for name in inputs})
     rates = {
         stem: name
         for name in free
@@ -212,9 +219,31 @@ def suggestion(found: Sequence[str]) -> str:
     if places and set(places) <= set(rates):
         mapping |= {f"v_{_short(stem)}": rates[stem] for stem in list(places)[:4]}
     mapping |= {f"u_{_short(name)}": name for name in inputs[:4]}
-    pairs = (mapping or {"q_theta": "angle"}).items()
-    text = "'data.columns={" + ", ".join(f"{a}: {_quoted(b)}" for a, b in pairs) + "}'"
+    text = _as_setting(mapping or {"q_theta": "angle"})
     return text + " data.degrees=true" * any(map(in_degrees, places.values()))
+
+
+def _pose(stems: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns of a quaternion, and of a position if there is one; else nothing.
+
+    Four names that differ in the last letter, ``w``, ``x``, ``y`` or ``z``, are a quaternion.
+
+    Args:
+        stems: Names without units by those of the file.
+    """
+    ends = {(stem[:-1], stem[-1:].lower()): name for name, stem in stems.items()}
+    vectors = [stem for stem, end in ends if end == "x" and {(stem, "y"), (stem, "z")} <= set(ends)]
+    turns = [stem for stem in vectors if (stem, "w") in ends]
+    others = (stem for stem in vectors if stem not in turns)
+    places = [x for x in others if not any(map(RATE.fullmatch, re.split(r"[^a-zA-Z]+", x)))]
+    if not turns:
+        return {}
+    found = {f"q_{axis}": ends[places[0], axis] for axis in "xyz"} if places else {}
+    return found | {f"q_R_{part}": ends[turns[0], part] for part in "wxyz"}
+
+
+def _as_setting(mapping: Mapping[str, str]) -> str:
+    return "'data.columns={" + ", ".join(f"{a}: {_quoted(b)}" for a, b in mapping.items()) + "}'"
 
 
 def in_degrees(name: str) -> bool:
