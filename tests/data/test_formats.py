@@ -313,7 +313,9 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
         ),
         (
             lambda t: t[["t"]].assign(
-                **dict.fromkeys("x y z vx vy vz qx qy qz qw gyro_x gyro_y gyro_z pwm1".split(), 0.0)
+                **dict.fromkeys(["x", "y", "z", "vx", "vy", "vz"], 0.0),
+                **dict.fromkeys(["qx", "qy", "qz", "qw", "gyro_x", "gyro_y", "gyro_z"], 0.0),
+                pwm1=0.0,
             ),
             "'data.columns={q_x: x, q_y: y, q_z: z, q_R_w: qw, q_R_x: qx, q_R_y: qy, q_R_z: qz, "
             "u_pwm1: pwm1}'",

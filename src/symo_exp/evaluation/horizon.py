@@ -208,9 +208,9 @@ def noise(trajectories: Sequence[Trajectory]) -> Float[Tensor, " n"]:
 def tolerance(windows: PredictionWindows, turning: Sequence[bool]) -> Float[Tensor, " n"]:
     """Return the error of each coordinate up to which a prediction is usable [rad, m].
 
-    It is a tenth of the motion in a window: of its standard deviation, root mean square over windows
-    and, of a rotation, over the three components. Of an angle or a rotation that moves by more than
-    1 rad, it is 0.1 rad.
+    It is a tenth of the motion in a window: of its standard deviation, root mean square over
+    windows and, of a rotation, over the three components. Of an angle or a rotation that moves by
+    more than 1 rad, it is 0.1 rad.
     """
     space = space_of(windows.q, windows.v)
     q = space.along(windows.q[:, windows.lead :])
