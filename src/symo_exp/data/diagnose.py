@@ -315,8 +315,7 @@ def contradiction(
         acting = np.stack([f * p for f in forces for p in places], axis=1)
         return np.concatenate([acting, acceleration_terms(q, v, u[:, :0], coordinates)], axis=1)
 
-    rows = [weak_rows(q, u, h, terms)[::HALF] for q, u in motions if len(q) >= SHORTEST]
-    table = np.concatenate(rows) if rows else np.empty((0, 1))
+    table = _table(motions, motions, h, terms)
     if len(table) <= 2 * table.shape[1] or not np.isfinite(table).all():
         return None
     count = len(place_terms(motions[0][0][:1], coordinates))
@@ -386,12 +385,7 @@ def _regression(
     """
     paths = [(quasi_coordinates(q, coordinates), u) for q, u in motions]
     moves = moving(paths) if paths else np.zeros(0, dtype=bool)
-    rows = []
-    for (q, u), (path, _) in zip(motions, held_still(paths), strict=True):
-        if len(q) >= SHORTEST:
-            places = q if coordinates.rotations else path
-            rows.append(weak_rows(places, u, h, terms, path)[::HALF])
-    table = np.concatenate(rows) if rows else np.empty((0, 1))
+    table = _table(motions, paths, h, terms)
     n = len(moves)
     if len(table) < 20 or not (np.isfinite(table).all() and moves.any()):
         return None
@@ -402,6 +396,18 @@ def _regression(
     coefficients = np.zeros((given.shape[1], n))
     coefficients[:, moves] = found
     return error, coefficients * size[:n] / size[n:, None]
+
+
+def _table(
+    motions: Sequence[Motion], paths: Sequence[Motion], h: float, terms: Terms
+) -> np.ndarray:
+    """Return ``weak_rows`` of motions with ``quasi_coordinates``, without most of their overlap."""
+    rows = []
+    for (q, u), (path, _) in zip(motions, held_still(paths), strict=True):
+        if len(q) >= SHORTEST:
+            places = path if path.shape == q.shape else q  # of rotations, their entries
+            rows.append(weak_rows(places, u, h, terms, path)[::HALF])
+    return np.concatenate(rows) if rows else np.empty((0, 1))
 
 
 def _shared(sizes: np.ndarray, coordinates: Coordinates) -> np.ndarray:

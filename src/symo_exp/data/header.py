@@ -201,8 +201,8 @@ def suggestion(found: Sequence[str]) -> str:
     kinds = {name: _kind(name) for name in free}
     stems = {name: UNIT.sub("", name) for name in free}
     inputs = [name for name in free if kinds[name] == "u"]
+    mapping = {"t": times[0]} if times and "t" not in found else {}
     if pose := _pose(stems):
-        mapping = {"t": times[0]} if times and "t" not in found else {}
         return _as_setting(mapping | pose | {f"u_{_short(name)}": name for name in inputs})
     rates = {
         stem: name
@@ -214,7 +214,6 @@ def suggestion(found: Sequence[str]) -> str:
         for name in free
         if kinds[name] in ("q", "") and name not in rates.values()
     }
-    mapping = {"t": times[0]} if times and "t" not in found else {}
     mapping |= {f"q_{_short(stem)}": name for stem, name in list(places.items())[:4]}
     if places and set(places) <= set(rates):
         mapping |= {f"v_{_short(stem)}": rates[stem] for stem in list(places)[:4]}

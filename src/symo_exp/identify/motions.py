@@ -228,28 +228,34 @@ def fitting_time_step(recordings: Sequence[Recording], angular: np.ndarray, fine
 
 
 def reversed_inputs(
-    recordings: Sequence[Recording], angular: np.ndarray, h: float, input_matrix: np.ndarray
+    recordings: Sequence[Recording], coordinates: Coordinates, h: float, input_matrix: np.ndarray
 ) -> np.ndarray:
-    """Return which inputs (m,) act against the coordinates that they drive.
+    """Return which inputs (m,) act against the coordinates that they drive; none with rotations.
 
     The acceleration that an input adds along its own column ``b``, ``b · H⁻¹ b``, is positive with
     any inertia, unless the sign of the input is that of another direction.
     """
-    motions = _motions(_beginning(recordings, max(EXAMINED, NODES * h)), h)
-    pairs, coordinates = _pairs(motions, h, 0.0), _coordinates(angular)
-    free, driven = (explained_power(pairs, coordinates, h, driven=x) for x in (False, True))
     none = np.zeros(input_matrix.shape[1], dtype=bool)
+    if coordinates.rotations:
+        return none
+    pairs = _pairs(_motions(_beginning(recordings, max(EXAMINED, NODES * h)), h), h, 0.0)
+    free, driven = (explained_power(pairs, coordinates, h, driven=x) for x in (False, True))
     if free is None or driven is None or driven - free < HELP * (1.0 - free):
         return none
     gains = input_gains(pairs, coordinates, h)
     return none if gains is None else (input_matrix * gains).sum(axis=0) < 0.0
 
 
-def struck(recordings: Sequence[Recording], angular: np.ndarray, h: float) -> list[Shock]:
-    """Return when something that is not recorded moves the machine (``data.shocks``)."""
+def struck(recordings: Sequence[Recording], coordinates: Coordinates, h: float) -> list[Shock]:
+    """Return when something that is not recorded moves the machine (``data.shocks``).
+
+    Shocks of machines with rotations are not searched for.
+    """
+    if coordinates.rotations:
+        return []
     motions = [(one.label, each) for one in recordings for each in _motions([one], h)]
     pairs = _pairs([each for _, each in motions], h, 0.0)
-    found = shocks(pairs, _coordinates(angular), h)
+    found = shocks(pairs, coordinates, h)
     return [
         (label, float(nodes[first]), float(nodes[last]))
         for (label, (_, nodes, _)), runs in zip(motions, found, strict=True)
@@ -374,8 +380,6 @@ def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
 
 def _of_rotations(motions: Sequence[Sampled], coordinates: Coordinates) -> list[Sampled]:
     """Return motions whose nodes are rotations, not their entries alone."""
-    if not coordinates.rotations:
-        return list(motions)
     nearest = coordinates.space.normalised
     return [(samples, nodes, nearest(torch.tensor(q)).numpy()) for samples, nodes, q in motions]
 

@@ -142,7 +142,8 @@ def examine(
     if not rotations and (rotations := _quaternions(coordinates)):
         settings.append(f"system.rotations={override_value(list(rotations))}")
         notes.append(f"rotations: {', '.join(rotations)}, each a quaternion, by their names")
-    flat, freedoms = _freedoms(coordinates, rotations)
+    alone = Recorded(names=coordinates, rotations=rotations, angular="none", time_step=1.0)
+    flat, freedoms = alone.coordinates.flat, alone.coordinates.names
     body = len(rotations) == 1 and len(flat) in (0, 3)
     learned_inputs = 0
     if input_matrix is None:
@@ -207,8 +208,7 @@ def examine(
     _, note = uninterrupted([*used, *test], time_step)
     notes += [note] if note else []
     used, _ = uninterrupted(used, time_step)
-    searched = data.get("leave_out") is None and not rotations  # for shocks
-    if searched and (hit := struck(used, angles, time_step)):
+    if data.get("leave_out") is None and (hit := struck(used, space, time_step)):
         stretches = [_in_table(one, starts) for one in hit]
         settings.append(f"data.leave_out={override_value(stretches)}")
         notes.append(_told_shocks(stretches))
@@ -217,11 +217,7 @@ def examine(
         used, _ = uninterrupted([_in_radians(one, angles, data) for one in used], time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     matrix = system("none").input_matrix.numpy() if driven else None
-    if (
-        matrix is not None
-        and not rotations
-        and (against := reversed_inputs(used, angles, time_step, matrix)).any()
-    ):
+    if matrix is not None and (against := reversed_inputs(used, space, time_step, matrix)).any():
         matrix = np.where(against, -matrix, matrix) + 0.0
         acting = [f"u_{name}" for name, x in zip(inputs, against, strict=True) if x]
         turned = f"system.input_matrix={str(matrix.tolist()).replace(' ', '')}"
@@ -253,15 +249,6 @@ def _quaternions(names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the rotations whose quaternions are among the columns."""
     stems = [name.removesuffix("_w") for name in names if name.endswith("_w")]
     return tuple(stem for stem in stems if {f"{stem}_{part}" for part in "wxyz"} <= set(names))
-
-
-def _freedoms(
-    names: Sequence[str], rotations: Sequence[str]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of lengths and angles, and of all degrees of freedom."""
-    parts = {f"{name}_{part}" for name in rotations for part in "wxyz"}
-    flat = tuple(name for name in names if name not in parts)
-    return flat, Coordinates.of(flat, [False] * len(flat), rotations).names
 
 
 def _turned(where: str, recordings: Sequence[Recording], space: Coordinates) -> list[Recording]:
