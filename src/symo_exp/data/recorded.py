@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, final
 
 import numpy as np
@@ -176,7 +178,7 @@ class RecordedData(DataModule):
         whole_number("data.n_integration", n_integration)
         if time_unit is not None:
             one_of("data.time_unit", time_unit, tuple(UNITS))
-        where = shown(path)
+        where, space = shown(path), system.coordinates
         table = read_recordings(path, system, columns, time_unit)
         if leave_out is not None:
             kept = without(table.recordings, leave_out, system.time_step)
@@ -208,16 +210,19 @@ class RecordedData(DataModule):
         )
         parts["train"] = parts["train"][:n_traj]
         lag = real("data.input_lag", input_lag, low=0.0)
-        nodes = Nodes(
-            where, system.coordinates, system.time_step, wrapped, degrees, input_delay, lag
-        )
+        if degrees:
+            parts = {
+                name: [one._replace(samples=in_radians(one.samples, space)) for one in part]
+                for name, part in parts.items()
+            }
+        nodes = Nodes(where, space, system.time_step, wrapped, input_delay, lag)
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
         self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
         self.counts = {name: len(part) for name, part in found.items()}
         self.counts["integration"] = len(self._splits.integration.q)
-        self._sampled = [nodes.in_radians(recording.samples) for recording in parts["train"]]
+        self._sampled = [recording.samples for recording in parts["train"]]
         with np.errstate(all="ignore"):  # values that overflow
-            doubts = list(_doubts(system.coordinates, self._sampled))
+            doubts = list(_doubts(space, self._sampled))
         self._report = [*_report(where, table, parts, system.time_step), *gaps, *doubts]
         self._system, self.time_step = system, system.time_step
         if batch_size is None:
@@ -260,22 +265,16 @@ class RecordedData(DataModule):
             return diagnose(motions, raw, self._system.coordinates, h, samples=h / gap)
 
 
+@dataclass(frozen=True)
 class Nodes:
-    """Recordings as trajectories with nodes a time step ``h`` apart."""
+    """Recordings, their angles in radians, as trajectories with nodes a time step apart."""
 
-    def __init__(
-        self,
-        where: str,
-        coordinates: Coordinates,
-        h: float,
-        wrapped: bool,
-        degrees: bool,
-        input_delay: float = 0.0,
-        input_lag: float = 0.0,
-    ) -> None:
-        self._where, self._coordinates, self._h = where, coordinates, h
-        self._wrapped, self._degrees = wrapped, degrees
-        self._input_delay, self._input_lag = input_delay, input_lag
+    where: str
+    coordinates: Coordinates
+    time_step: float
+    wrapped: bool
+    input_delay: float
+    input_lag: float
 
     def of(self, recording: Recording) -> Trajectory:
         """Return one as a trajectory.
@@ -283,87 +282,94 @@ class Nodes:
         Raises:
             ConfigError: If angles are wrapped or samples too far apart.
         """
-        where, h = f"{self._where}: trajectory {recording.label}", self._h
+        where, h = f"{self.where}: trajectory {recording.label}", self.time_step
         with np.errstate(over="ignore", invalid="ignore"):
-            acting = delayed(self.in_radians(recording.samples), self._input_delay)
-            return self._of(where, lagging(acting, self._input_lag), h)
-
-    def in_radians(self, samples: Samples) -> Samples:
-        """Return samples whose angles are in radians."""
-        if not self._degrees:
-            return samples
-        flat, r = len(self._coordinates.flat), len(self._coordinates.rotations)
-        unit = np.where(self._coordinates.angular[:flat], np.pi / 180, 1.0)
-        rates = np.concatenate([unit, np.full(3 * r, np.pi / 180)])
-        unit = np.concatenate([unit, np.ones(4 * r)])
-        v = None if samples.v is None else samples.v * rates
-        return samples._replace(q=samples.q * unit, v=v)
-
-    def _of(self, where: str, samples: Samples, h: float) -> Trajectory:
-        samples = self.turned(where, self._unwrapped(where, samples))
-        if not _equal(samples.t, h):
-            _check_steps(where, samples.t, h)
-            samples = self._resampled(samples, h)
-            if len(samples.t) < 3:
-                raise ConfigError(
-                    f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; "
-                    "at least 3 are needed"
-                )
-        q, u = samples.q, samples.u
-        v = samples.v
-        if v is None:
-            v = central_differences(torch.tensor(q), h, self._coordinates.space).numpy()
-        if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
-            raise ConfigError(f"{where}: differences of numbers overflow; remove such numbers")
+            samples = lagging(delayed(recording.samples, self.input_delay), self.input_lag)
+            if self.wrapped:
+                samples = unwrapped(samples, self.coordinates)
+            else:
+                _check_turns(where, samples, self.coordinates)
+            samples = turned(where, samples, self.coordinates)
+            if not _equal(samples.t, h):
+                _check_steps(where, samples.t, h)
+                samples = self._resampled(samples)
+                if len(samples.t) < 3:
+                    raise ConfigError(
+                        f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; "
+                        "at least 3 are needed"
+                    )
+            _, q, v, u = samples
+            if v is None:
+                v = central_differences(torch.tensor(q), h, self.coordinates.space).numpy()
+            if not all(np.isfinite(np.diff(field, 2, axis=0) / h**2).all() for field in (q, v, u)):
+                raise ConfigError(f"{where}: differences of numbers overflow; remove such numbers")
         return Trajectory(*(torch.tensor(field) for field in (q, v, u)))
 
-    def _resampled(self, samples: Samples, h: float) -> Samples:
+    def _resampled(self, samples: Samples) -> Samples:
         """Resample; rotations by their nine entries, with the rotation next to them."""
-        space, found = self._coordinates.space, resample(samples, h)
+        space, found = self.coordinates.space, resample(samples, self.time_step)
         if not space.rotations:
             return found
         q, v = space.normalised(torch.tensor(found.q)), torch.tensor(found.v)
         v = space.velocity(q, v) if samples.v is None else v
         return found._replace(q=q.numpy(), v=v.numpy())
 
-    def turned(self, where: str, samples: Samples) -> Samples:
-        """Return samples with rotation matrices instead of quaternions.
 
-        Raises:
-            ConfigError: If a quaternion does not have the norm 1.
-        """
-        coordinates = self._coordinates
-        for i, name in enumerate(coordinates.rotations):
-            first = len(coordinates.flat) + 4 * i
-            size = np.linalg.norm(samples.q[:, first : first + 4], axis=1)
-            worst = int(np.abs(size - 1.0).argmax())
-            if not abs(size[worst] - 1.0) <= UNIT:
-                raise ConfigError(
-                    f"{where}: q_{name}_w, q_{name}_x, q_{name}_y, q_{name}_z have the norm "
-                    f"{size[worst]:.6g} in row {worst + 1}; expected a unit quaternion, to within "
-                    f"{UNIT:g}"
-                )
-        if not coordinates.rotations:
-            return samples
-        q = coordinates.space.of_quaternions(torch.tensor(samples.q)).numpy()
-        return samples._replace(q=q)
+def in_radians(samples: Samples, coordinates: Coordinates) -> Samples:
+    """Return samples in degrees, with quaternions, as samples in radians."""
+    flat, rotations = len(coordinates.flat), len(coordinates.rotations)
+    rates = np.where(coordinates.turning, np.pi / 180, 1.0)
+    places = np.concatenate([rates[:flat], np.ones(4 * rotations)])
+    v = None if samples.v is None else samples.v * rates
+    return samples._replace(q=samples.q * places, v=v)
 
-    def _unwrapped(self, where: str, samples: Samples) -> Samples:
-        q, flat = samples.q, len(self._coordinates.flat)
-        angular = np.array([*self._coordinates.angular[:flat], *(False,) * (q.shape[1] - flat)])
-        if self._wrapped:
-            return samples._replace(q=np.where(angular, np.unwrap(q, axis=0), q))
-        turns = np.where(angular, np.abs(np.diff(q, axis=0)).max(0), 0)
-        if turns.max() > np.pi:
-            name = self._coordinates.names[int(turns.argmax())]
-            mend = "data.wrapped=true unwraps them) and be in radians (data.degrees=true converts"
-            if 300 < turns.max() < 400:
-                mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
+
+def unwrapped(samples: Samples, coordinates: Coordinates) -> Samples:
+    """Return samples, with quaternions, whose angles go on beyond a turn."""
+    angular = _angles(samples, coordinates)
+    return samples._replace(q=np.where(angular, np.unwrap(samples.q, axis=0), samples.q))
+
+
+def turned(where: str, samples: Samples, coordinates: Coordinates) -> Samples:
+    """Return samples with rotation matrices instead of quaternions.
+
+    Raises:
+        ConfigError: If a quaternion does not have the norm 1.
+    """
+    for i, name in enumerate(coordinates.rotations):
+        first = len(coordinates.flat) + 4 * i
+        size = np.linalg.norm(samples.q[:, first : first + 4], axis=1)
+        worst = int(np.abs(size - 1.0).argmax())
+        if not abs(size[worst] - 1.0) <= UNIT:
             raise ConfigError(
-                f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
-                f"wrapped ({mend})"
+                f"{where}: q_{name}_w, q_{name}_x, q_{name}_y, q_{name}_z have the norm "
+                f"{size[worst]:.6g} in row {worst + 1}; expected a unit quaternion, to within "
+                f"{UNIT:g}"
             )
+    if not coordinates.rotations:
         return samples
+    return samples._replace(q=coordinates.space.of_quaternions(torch.tensor(samples.q)).numpy())
+
+
+def _angles(samples: Samples, coordinates: Coordinates) -> np.ndarray:
+    """Return which columns of configurations with quaternions are angles."""
+    flat = len(coordinates.flat)
+    return np.array([*coordinates.angular[:flat], *(False,) * (samples.q.shape[1] - flat)])
+
+
+def _check_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
+    """Refuse angles that jump."""
+    rises = np.abs(np.diff(samples.q, axis=0)).max(0)
+    turns = np.where(_angles(samples, coordinates), rises, 0)
+    if turns.max() > np.pi:
+        name = coordinates.names[int(turns.argmax())]
+        mend = "data.wrapped=true unwraps them) and be in radians (data.degrees=true converts"
+        if 300 < turns.max() < 400:
+            mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
+        raise ConfigError(
+            f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
+            f"wrapped ({mend})"
+        )
 
 
 def delayed(samples: Samples, seconds: float) -> Samples:
@@ -390,11 +396,9 @@ def lagging(samples: Samples, seconds: float) -> Samples:
     steps = np.diff(t)[:, None]
     behind, kept = seconds * np.diff(u, axis=0) / steps, np.exp(-steps / seconds)
     gains = u[1:] - behind - kept * (u[:-1] - behind)
-    found = np.empty_like(u)
-    found[0] = u[0]
-    for k, (share, gain) in enumerate(zip(kept, gains, strict=True)):
-        found[k + 1] = share * found[k] + gain
-    return samples._replace(u=found)
+    pairs = zip(kept, gains, strict=True)
+    found = itertools.accumulate(pairs, lambda y, pair: pair[0] * y + pair[1], initial=u[0])
+    return samples._replace(u=np.array(list(found)))
 
 
 def _equal(t: np.ndarray, h: float) -> bool:

@@ -200,16 +200,18 @@ def dynamics(
 
 
 def explained_by_angles(
-    recordings: Sequence[Recording], angular: np.ndarray
+    recordings: Sequence[Recording], coordinates: Coordinates
 ) -> tuple[float | None, float | None]:
     """Return the share of the accelerations' power that is explained, and that if in degrees."""
     step = max(STEPS[0], *(float(np.median(np.diff(r.samples.t))) for r in recordings))
     pairs = _pairs(_motions(_beginning(recordings, EXAMINED), step), step, 0.0)
-    given = pairs, _coordinates(angular), step
+    given = pairs, coordinates, step
     return explained_power(*given, driven=True), explained_in_degrees(*given)
 
 
-def fitting_time_step(recordings: Sequence[Recording], angular: np.ndarray, finest: float) -> float:
+def fitting_time_step(
+    recordings: Sequence[Recording], coordinates: Coordinates, finest: float
+) -> float:
     """Return the largest of ``STEPS`` that resolves the motion, at least ``finest``."""
     usable = [h for h in STEPS if h >= finest * (1 - 1e-3)]
     if not usable:
@@ -217,12 +219,13 @@ def fitting_time_step(recordings: Sequence[Recording], angular: np.ndarray, fine
     speeds = [
         np.abs(np.diff(r.samples.q, axis=0)) / np.diff(r.samples.t)[:, None] for r in recordings
     ]
+    angular = np.array(coordinates.angular)
     fast = np.quantile(np.concatenate(speeds)[:, angular], 0.999) if angular.any() else 0.0
     beginning = _beginning(recordings, EXAMINED)
 
     def resolves(h: float) -> bool:
         slow = fast * h <= COARSE and _phase(beginning, h) <= COARSE
-        return slow and _growth(beginning, _coordinates(angular), h) * h <= STEEP
+        return slow and _growth(beginning, coordinates, h) * h <= STEEP
 
     return next(filter(resolves, usable), usable[-1])
 
@@ -499,10 +502,6 @@ def _pairs(motions: Sequence[Sampled], h: float, delay: float) -> list[Motion]:
         (q, averaged(samples.t, delayed(samples, delay).u, nodes, h))
         for samples, nodes, q in motions
     ]
-
-
-def _coordinates(angular: np.ndarray) -> Coordinates:
-    return Coordinates(tuple(map(str, range(len(angular)))), tuple(map(bool, angular)))
 
 
 def _delay(left: Mapping[float, float]) -> tuple[float, str]:

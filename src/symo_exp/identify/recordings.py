@@ -14,7 +14,7 @@ from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown
 from symo_exp.data.header import header, in_degrees, names, omitting
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
-from symo_exp.data.recorded import Nodes
+from symo_exp.data.recorded import in_radians, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.horizon import HORIZONS
@@ -177,11 +177,10 @@ def examine(
         which = [_is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(flat)]
     else:
         which = list(system(angular).coordinates.angular)[: len(flat)]
-    angles = np.array([*which, *(False for _ in range(4 * len(rotations)))], dtype=bool)
     chosen = [name for name, angle in zip(flat, which, strict=True) if angle]
     if chosen and learned_inputs:  # the machine is more than a body
         input_matrix = None
-        system(chosen)  # asks for the matrix
+    space = system(chosen or "none").coordinates  # or asks for the matrix
     if angular is None:
         settings.append(f"system.angular={override_value(chosen) if chosen else 'none'}")
         notes += [_told(chosen, flat)] if flat else []
@@ -189,20 +188,19 @@ def examine(
         settings.append("data.degrees=true")
         notes.append("angles are in degrees, as their names say")
         data = {**data, "degrees": True}
-    if units := _jumps(used, angles, data):
+    if units := _jumps(used, space, data):
         settings += [f"data.{name}=true" for name in units]
         notes.append(f"angles jump by a turn: read with {' '.join(settings[-len(units) :])}")
         data = {**data, **dict.fromkeys(units, True)}
-    used = [_in_radians(one, angles, data) for one in used]
+    used = [_continuous(one, space, data) for one in used]
     notes += _told_still(used, flat)
     if data.get("degrees") is None and not rotations:
-        _ask_for_degrees(used, angles, coordinates)
+        _ask_for_degrees(used, space)
     finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
-    space = system(chosen or "none").coordinates
-    used = _turned(shown(path), used, space)
+    used = [_turned(shown(path), one, space) for one in used]
     if time_step is None:
         paths = [_along(one, space) for one in used]
-        time_step = fitting_time_step(paths, np.array(space.turning), finest)
+        time_step = fitting_time_step(paths, Coordinates(space.names, space.turning), finest)
         settings.append(f"system.time_step={time_step:g}")
         notes.append(f"time step: {time_step:g} s, samples every {finest:.3g} s")
     _, note = uninterrupted([*used, *test], time_step)
@@ -214,7 +212,7 @@ def examine(
         notes.append(_told_shocks(stretches))
         data = {**data, "leave_out": stretches}
         used, *_ = _parts(data, system("none"), time_step)
-        used, _ = uninterrupted([_in_radians(one, angles, data) for one in used], time_step)
+        used, _ = uninterrupted([_continuous(one, space, data) for one in used], time_step)
     driven = any(bool(one.samples.u.any()) for one in used)
     matrix = system("none").input_matrix.numpy() if driven else None
     if matrix is not None and (against := reversed_inputs(used, space, time_step, matrix)).any():
@@ -251,13 +249,10 @@ def _quaternions(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(stem for stem in stems if {f"{stem}_{part}" for part in "wxyz"} <= set(names))
 
 
-def _turned(where: str, recordings: Sequence[Recording], space: Coordinates) -> list[Recording]:
-    """Return recordings with rotation matrices instead of quaternions."""
-    nodes = Nodes(where, space, 1.0, wrapped=False, degrees=False)
-    return [
-        one._replace(samples=nodes.turned(f"{where}: trajectory {one.label}", one.samples))
-        for one in recordings
-    ]
+def _turned(where: str, recording: Recording, space: Coordinates) -> Recording:
+    """Return a recording with rotation matrices instead of quaternions."""
+    where = f"{where}: trajectory {recording.label}"
+    return recording._replace(samples=turned(where, recording.samples, space))
 
 
 def _along(recording: Recording, space: Coordinates) -> Recording:
@@ -309,21 +304,21 @@ def _told_shocks(stretches: Sequence[tuple[str, float, float]]) -> str:
     )
 
 
-def _in_radians(recording: Recording, angular: np.ndarray, data: Mapping[str, Any]) -> Recording:
+def _continuous(recording: Recording, space: Coordinates, data: Mapping[str, Any]) -> Recording:
     """Return a recording whose angles are in radians and go on beyond a turn."""
-    q = recording.samples.q
+    samples = recording.samples
     if data.get("degrees"):
-        q = q * np.where(angular, np.pi / 180, 1.0)
+        samples = in_radians(samples, space)
     if data.get("wrapped"):
-        q = np.where(angular, np.unwrap(q, axis=0), q)
-    return recording._replace(samples=recording.samples._replace(q=q))
+        samples = unwrapped(samples, space)
+    return recording._replace(samples=samples)
 
 
 def _jumps(
-    recordings: Sequence[Recording], angular: np.ndarray, data: Mapping[str, Any]
+    recordings: Sequence[Recording], space: Coordinates, data: Mapping[str, Any]
 ) -> tuple[str, ...]:
     """Return the settings of data with which angles that jump by a turn are read."""
-    columns = [r.samples.q[:, i] for r in recordings for i in np.flatnonzero(angular)]
+    columns = [r.samples.q[:, i] for r in recordings for i in np.flatnonzero(space.angular)]
     if data.get("wrapped") is not None or not columns:
         return ()
     if not data.get("degrees") and _wraps(columns, 2 * np.pi):
@@ -340,19 +335,17 @@ def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
     return bool(jumps.size and (np.abs(jumps - turn) < WHOLE * turn).all())
 
 
-def _ask_for_degrees(
-    recordings: Sequence[Recording], angular: np.ndarray, names: Sequence[str]
-) -> None:
+def _ask_for_degrees(recordings: Sequence[Recording], space: Coordinates) -> None:
     """Refuse angles whose motion is explained much better if their numbers are degrees."""
-    ranges = [max(np.ptp(r.samples.q[:, i]) for r in recordings) for i in range(len(names))]
-    wide = [i for i, angle in enumerate(angular) if angle and ranges[i] > SPAN]
+    ranges = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
+    wide = [i for i, angle in enumerate(space.angular) if angle and ranges[i] > SPAN]
     if not wide:
         return
-    plain, degrees = explained_by_angles(recordings, angular)
+    plain, degrees = explained_by_angles(recordings, space)
     if plain is None or degrees is None or plain > POOR:
         return
     if 1 - degrees < SUSPECT * (1 - plain):
-        told = ", ".join(f"q_{names[i]} moves by {ranges[i]:.3g}" for i in wide)
+        told = ", ".join(f"q_{space.names[i]} moves by {ranges[i]:.3g}" for i in wide)
         raise ConfigError(
             f"data.degrees has no value yet: {told}; {100 * degrees:.3g} % of the accelerations' "
             f"power is explained if these are degrees, {100 * plain:.3g} % if they are radians; "
