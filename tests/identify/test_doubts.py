@@ -8,12 +8,13 @@ import pytest
 from symo_exp.evaluation.verdict import verdict
 from symo_exp.identify.doubts import doubts, hopeless
 from symo_exp.identify.recordings import Machine
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
 
 SOUND = Machine(
-    settings=(), angular=(True,), driven=True, time_step=0.02, finest_step=0.01, seconds=60.0,
-    recordings=6, rest_velocity=0.1, units=SI, delay=0.0, explained=0.95, moves=True,
-    stiffness=None, notes=(),
+    settings=(), coordinates=Coordinates(("a",), (True,)), driven=True, time_step=0.02,
+    finest_step=0.01, seconds=60.0, recordings=6, rest_velocity=0.1, units=SI, delay=0.0,
+    explained=0.95, moves=True, stiffness=None, notes=(),
 )  # fmt: skip
 
 

@@ -20,25 +20,30 @@ from symo_exp.identify.candidates import (
     with_less_friction,
 )
 from symo_exp.identify.recordings import Body, Machine
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
 
 
 def machine(n=2, seconds=60.0, recordings=7, driven=True, angular=True):
+    names = tuple(map(str, range(n)))
     return Machine(
-        settings=(), angular=(angular,) * n, driven=driven, time_step=0.02, finest_step=0.002,
-        seconds=seconds, recordings=recordings, rest_velocity=0.1, units=SI, delay=-0.01 * driven,
-        explained=0.97, moves=True, stiffness=None, notes=(),
+        settings=(), coordinates=Coordinates(names, (angular,) * n), driven=driven,
+        time_step=0.02, finest_step=0.002, seconds=seconds, recordings=recordings,
+        rest_velocity=0.1, units=SI, delay=-0.01 * driven, explained=0.97, moves=True,
+        stiffness=None, notes=(),
     )  # fmt: skip
 
 
+PIVOT = Coordinates.of(rotations=("R",))
+FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",), [(0, 0)])
 TURNING = [
-    replace(machine(n, driven=driven, angular=False), rotations=n // 3, body=body)
-    for n, driven, body in (
-        (3, False, Body(free=False, radius=1.0, learned_inputs=0)),
-        (3, True, Body(free=False, radius=1.0, learned_inputs=3)),
-        (6, True, Body(free=True, radius=0.1, learned_inputs=0)),
-        (6, True, Body(free=True, radius=1.0, learned_inputs=4)),
-        (6, False, None),
+    replace(machine(driven=driven), coordinates=coordinates, body=body)
+    for coordinates, driven, body in (
+        (PIVOT, False, Body(free=False, radius=1.0, learned_inputs=0)),
+        (PIVOT, True, Body(free=False, radius=1.0, learned_inputs=3)),
+        (FREE, True, Body(free=True, radius=0.1, learned_inputs=0)),
+        (FREE, True, Body(free=True, radius=1.0, learned_inputs=4)),
+        (Coordinates.of(rotations=("R", "S")), False, None),
     )
 ]
 """Machines that turn freely."""

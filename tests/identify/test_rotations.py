@@ -49,7 +49,7 @@ def examined(table: pd.DataFrame, path: Path, **given: object) -> Machine:
 def test_a_rotation_and_what_moves_it_are_found_in_a_table(name: str, tmp_path: Path) -> None:
     system = stated(name)
     found = examined(logged(name, tmp_path), tmp_path)
-    assert found.n == system.coordinates.n
+    assert found.coordinates.n == system.coordinates.n
     assert "system.rotations=[R]" in found.settings or 'system.rotations=["R"]' in found.settings
     assert found.body is not None
     assert found.body.free == bool(system.coordinates.flat)
@@ -87,7 +87,7 @@ def test_several_bodies_need_the_matrix_of_their_inputs(tmp_path: Path) -> None:
         examined(table, tmp_path)
     table = table[[c for c in table if not c.startswith("u_")]]
     found = examined(table, tmp_path)
-    assert (found.rotations, found.body) == (2, None)
+    assert (len(found.coordinates.rotations), found.body) == (2, None)
     assert {c.settings["lagrangian"] for c in ladder(found)} == {"network"}
 
 

@@ -348,7 +348,7 @@ def test_coordinates_that_never_move_are_named(workplace):
     (note,) = [note for note in found.notes if "q_elbow never moves" in note]
     assert note.endswith("give 'data.columns={q_elbow: null}'")
     alone = examine({"path": "mine.csv", "columns": {"q_elbow": None}})
-    assert (found.n, alone.n) == (2, 1)
+    assert (found.coordinates.n, alone.coordinates.n) == (2, 1)
     assert found.explained == pytest.approx(alone.explained, abs=0.01)
 
 
@@ -385,7 +385,7 @@ def test_angles_that_jump_by_a_turn_are_unwrapped(factor, settings, workplace):
     angle = factor * ((3.0 * t + np.sin(t) + np.pi) % (2 * np.pi) - np.pi)
     pd.DataFrame({"t": t, "q_1": angle}).to_csv("mine.csv", index=False)
     found = examine({"path": "mine.csv"})
-    assert found.angular == (True,)
+    assert found.coordinates.angular == (True,)
     assert settings == {word for word in found.settings if word.startswith("data.")}
     plain = examine({"path": "mine.csv"}, angular="all")
     assert plain.time_step == found.time_step == 0.02

@@ -102,9 +102,9 @@ def structures(machine: Machine) -> list[Candidate]:
     All have springs if these explain motion that gravity does not: a fit that starts without
     their stiffness seldom finds it.
     """
-    if machine.rotations:
+    if machine.coordinates.rotations:
         return _turning(machine)
-    several = sum(machine.angular) > 1
+    several = sum(machine.coordinates.angular) > 1
     relative = ", relative angles" if several else ""
     # without inputs only the ratio to the inertia counts, and from too little friction fits hang;
     # with inputs no friction is suitable for all machines, and a second start finds the fit
@@ -120,7 +120,7 @@ def structures(machine: Machine) -> list[Candidate]:
     if several:
         name = "general links, absolute angles"
         found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts, 1.5))
-    if machine.n > 2 and all(machine.angular):
+    if machine.coordinates.n > 2 and all(machine.coordinates.angular):
         found.append(
             _candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=1.8, growth=0.4)
         )
@@ -160,7 +160,7 @@ def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
     found = structures(machine)
     first = found[0]
-    if machine.rotations:
+    if machine.coordinates.rotations:
         viscous = with_less_friction(first)
         return sorted([*found, next(viscous)], key=lambda candidate: candidate.rank)
     links = [one for one in found if one.settings["lagrangian"] == "planar"]
@@ -182,7 +182,7 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     Without motors, those with the friction of motors are the last.
     """
     settings = candidate.settings
-    if machine.rotations:
+    if machine.coordinates.rotations:
         yield from _of_turning(candidate, machine)
         return
     motors = [
@@ -204,7 +204,7 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     if "springs" not in settings and machine.stiffness is None:
         yield _sprung(candidate, machine)
     if machine.driven and "optimizer.input_weight" not in settings:
-        force = machine.units.size("N m" if any(machine.angular) else "N")
+        force = machine.units.size("N m" if any(machine.coordinates.angular) else "N")
         weight = f"{INPUT_NOISE * force:g}"
         yield candidate.changed("noisy inputs", 0.4, 1.5, optimizer__input_weight=weight)
     if not machine.driven:

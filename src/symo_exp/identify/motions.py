@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -78,10 +78,11 @@ Shock = tuple[str, float, float]
 """Label of a recording, first and last time of a shock in it [s]."""
 
 
-class Dynamics(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Dynamics:
     """Properties of a machine's dynamics that its motions show.
 
-    Attributes:
+    Args:
         rest_velocity: Below which dry friction fades at first, in ``units``: a small part of the
             speed of the slowest coordinate.
         units: Those in which parameters are learned.
@@ -93,7 +94,7 @@ class Dynamics(NamedTuple):
         horizon: Longest time over which errors are compared [s].
         radius: Radius of gyration of a body that turns freely, in ``units``.
         settings: Overrides that every candidate has.
-        notes: A line on each property.
+        notes: The inferred properties, a line each.
     """
 
     rest_velocity: float
@@ -101,8 +102,8 @@ class Dynamics(NamedTuple):
     delay: float | None
     explained: float | None
     stiffness: tuple[tuple[float, ...], ...] | None
-    horizon: float
-    radius: float
+    horizon: float = HORIZONS[-1]
+    radius: float = USUAL_RADIUS
     settings: tuple[str, ...]
     notes: tuple[str, ...]
 

@@ -94,7 +94,9 @@ class Effort:
 
     def training(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time of a training on the reference machine without validations [s]."""
-        epoch = candidate.cost_of_epoch(machine.n) * (EPOCH + NODE * machine.n**2 * nodes)
+        epoch = candidate.cost_of_epoch(machine.coordinates.n) * (
+            EPOCH + NODE * machine.coordinates.n**2 * nodes
+        )
         epoch *= DRIVEN if machine.driven else 1.0
         return STARTING + WARM_UP * (candidate.starts - 1) + epoch * self.total(candidate)
 
@@ -111,14 +113,18 @@ class Effort:
         piece = min(piece, max(VALIDATED, piece * seconds / held_out))
 
         def rolled(length: float, rows: float) -> float:
-            return length / step * (STEP + ROW * machine.n * (machine.n + 1) * rows)
+            return (
+                length
+                / step
+                * (STEP + ROW * machine.coordinates.n * (machine.coordinates.n + 1) * rows)
+            )
 
         window = min(machine.horizon, piece) + FITTED * min(RUN_IN, LEAD * piece)
         found = rolled(window, max(1.0, seconds / min(EVERY, piece)))
         if piece >= LONG and machine.horizon >= HORIZONS[-1]:
             found += rolled(piece, seconds / piece)
         slow = math.sqrt(candidate.cost * step / machine.time_step)
-        if machine.driven and machine.n > 1 and not machine.rotations:
+        if machine.driven and machine.coordinates.n > 1 and not machine.coordinates.rotations:
             slow *= STICKING
         return slow * found * self.total(candidate) / self.between(candidate)
 

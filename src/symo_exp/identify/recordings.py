@@ -17,9 +17,9 @@ from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.recorded import in_radians, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
-from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.identify.motions import (
     STEPS,
+    Dynamics,
     Shock,
     dynamics,
     explained_by_angles,
@@ -28,7 +28,6 @@ from symo_exp.identify.motions import (
     struck,
 )
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.mechanics.units import Units
 from symo_exp.shell import override_value
 from symo_exp.systems.recorded import Recorded
 
@@ -59,60 +58,37 @@ class Body:
     learned_inputs: int
 
 
-@dataclass(frozen=True)
-class Machine:
-    """A recorded machine: the settings of its system, and what its candidates depend on.
+@dataclass(frozen=True, kw_only=True)
+class Machine(Dynamics):
+    """A recorded machine: its dynamics, and what else its candidates depend on.
 
     Args:
-        settings: Overrides that every candidate has.
-        angular: Which coordinates are angles.
+        coordinates: Its coordinates.
         driven: Whether any input is not zero.
         time_step: That of the candidates [s].
         finest_step: Distance of the samples [s], the largest over recordings.
         seconds: Length of the training and validation part [s].
         recordings: How many there are in these parts that are not at rest.
-        rest_velocity: Below which dry friction fades at first, in ``units``: a small part of the
-            speed of the slowest coordinate.
-        units: Those in which parameters are learned.
-        delay: Of the inputs [s], if one explains the motion better than none; else 0; ``None`` if
-            ``settings`` have it.
-        explained: Share of the accelerations' power that is explained; ``None``: unknown.
         moves: Whether any coordinate moves by more than its noise.
-        stiffness: Of springs that explain what gravity does not, in ``units``; else
-            ``None``.
-        notes: The inferred properties, a line each.
-        horizon: Longest time over which errors are compared [s].
-        rotations: Number of rotations in space.
         body: The body, if the machine is a single one that turns freely.
+
+    The other arguments are those of ``Dynamics``; ``settings`` and ``notes`` are those of the whole
+    machine.
     """
 
-    settings: tuple[str, ...]
-    angular: tuple[bool, ...]
+    coordinates: Coordinates
     driven: bool
     time_step: float
     finest_step: float
     seconds: float
     recordings: int
-    rest_velocity: float
-    units: Units
-    delay: float | None
-    explained: float | None
     moves: bool
-    stiffness: tuple[tuple[float, ...], ...] | None
-    notes: tuple[str, ...]
-    horizon: float = HORIZONS[-1]
-    rotations: int = 0
     body: Body | None = None
 
     @property
     def nodes(self) -> int:
         """Nodes of the training and validation parts."""
         return max(1, round(self.seconds / self.time_step))
-
-    @property
-    def n(self) -> int:
-        """Number of coordinates."""
-        return len(self.angular)
 
 
 def examine(
@@ -222,24 +198,21 @@ def examine(
         settings += [turned] if given is None else []
         notes.append(f"inputs: {few(acting)} acts in the other direction; {turned}")
     shown_by = dynamics(used, space, time_step, matrix)
+    inferred = {
+        **vars(shown_by),
+        "settings": (*settings, *shown_by.settings),
+        "notes": (*notes, *shown_by.notes),
+    }
     return Machine(
-        settings=(*settings, *shown_by.settings),
-        angular=space.angular,
+        **inferred,
+        coordinates=space,
         driven=driven,
         time_step=time_step,
         finest_step=finest,
         seconds=sum(float(np.ptp(one.samples.t)) for one in used),
         recordings=recordings,
-        rest_velocity=shown_by.rest_velocity,
-        units=shown_by.units,
-        delay=shown_by.delay,
-        explained=shown_by.explained,
         moves=any_moves(used),
-        stiffness=shown_by.stiffness,
-        horizon=shown_by.horizon,
-        rotations=len(rotations),
         body=Body(bool(flat), shown_by.radius, learned_inputs) if body and not chosen else None,
-        notes=(*notes, *shown_by.notes),
     )
 
 

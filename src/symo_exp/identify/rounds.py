@@ -297,7 +297,7 @@ class Rounds:
 
     def _likelier(self, one: Trial, other: Trial, folds: Sequence[int], more: int) -> bool:
         noises = self.noises(one), self.noises(other)
-        return likelier(*noises, folds, more, self._nodes * self._machine.n)
+        return likelier(*noises, folds, more, self._nodes * self._machine.coordinates.n)
 
     def noises(self, trial: Trial) -> dict[int, float]:
         """Return the estimated noise in the folds of a trial that ended well."""
