@@ -316,7 +316,7 @@ def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):
 )
 def test_angles_are_told_by_name(name, angle, workplace):
     table(name=name).to_csv("mine.csv", index=False)
-    assert examine({"path": "mine.csv"}).angular == (angle,)
+    assert examine({"path": "mine.csv"}).coordinates.angular == (angle,)
 
 
 @pytest.mark.parametrize("name", ["0", "1e3", "arm [rad]", "joint, left", "null"])
@@ -430,7 +430,7 @@ def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, work
     for name, factor in (("radians", 1.0), ("degrees", 180.0 / np.pi)):
         frame = pd.DataFrame({"t": t, "q_theta": factor * np.array(swings)})
         frame.to_csv(f"{name}.csv", index=False)
-    assert examine({"path": "radians.csv"}).angular == (True,)
+    assert examine({"path": "radians.csv"}).coordinates.angular == (True,)
     with pytest.raises(ConfigError, match="degrees=true or false"):
         examine({"path": "degrees.csv"})
     plain = examine({"path": "radians.csv"})
