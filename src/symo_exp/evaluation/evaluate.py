@@ -94,9 +94,9 @@ def rollout(case: Case) -> dict[str, float]:
     motion = case.rollouts
     q, q_true = motion.compared()
     q, q_true = q[:, 1:], q_true[:, 1:]
-    configuration = measures.rollout_mse(q, q_true)
-    velocity = measures.rollout_mse(motion.v[:, 1:], motion.v_true[:, 1:])
-    first = measures.rollout_mse(q[:, :SHORT], q_true[:, :SHORT])
+    configuration = measures.mean_squared_error(q, q_true)
+    velocity = measures.mean_squared_error(motion.v[:, 1:], motion.v_true[:, 1:])
+    first = measures.mean_squared_error(q[:, :SHORT], q_true[:, :SHORT])
     diverged = ~torch.isfinite(q).all(-1).all(-1)
     found = measures.mean_and_std("integration", configuration) | {
         f"integration_mse_{SHORT}": first.mean().item(),
@@ -123,13 +123,13 @@ def energy(case: Case) -> dict[str, float]:
     if not isinstance(case.truth, DissipativeLagrangian):
         expected = motion.energy_true[:, :1].expand_as(expected)
     found = measures.mean_and_std(
-        "energy", measures.rollout_energy_mse(motion.energy[:, 1:], expected)
+        "energy", measures.mean_squared_error(motion.energy[:, 1:], expected)
     )
     if not case.model.reads_velocity:
         space = motion.coordinates.space
         v = measures.finite_difference_velocity(motion.q, motion.time_step, space)
         values = along(case.truth.energy, motion.q[:, 1:], v)
-        found["energy_mse_fd"] = measures.rollout_energy_mse(values, expected).mean().item()
+        found["energy_mse_fd"] = measures.mean_squared_error(values, expected).mean().item()
     return found
 
 
@@ -141,8 +141,8 @@ def inertia(case: Case) -> dict[str, float]:
     q, q_true = (x[:, 1:] for x in (case.rollouts.q, case.rollouts.q_true))
     true = along(case.truth.mass_matrix, q_true)
     predicted, aligned = (along(learned, x.to(place)).cpu() for x in (q, q_true))
-    error = measures.rollout_inertia_mse(aligned, true).mean().item()
-    return measures.mean_and_std("inertia", measures.rollout_inertia_mse(predicted, true)) | {
+    error = measures.mean_squared_error(aligned, true).mean().item()
+    return measures.mean_and_std("inertia", measures.mean_squared_error(predicted, true)) | {
         "inertia_mse_aligned": error
     }
 
@@ -156,8 +156,8 @@ def _one_step(model: DynamicsModel, samples: Windows) -> tuple[float, float, flo
     ]
     failed = 1.0 - torch.cat([part.converged for part in parts]).double().mean().item()
     q_next = torch.cat([part.q for part in parts])
-    q = measures.one_step_mse(
-        *measures.comparable(model.coordinates.space, q_next, samples.q_next)
-    ).item()
-    v = measures.one_step_mse(torch.cat([part.v for part in parts]), samples.v_next).item()
+    pair = measures.comparable(model.coordinates.space, q_next, samples.q_next)
+    q = measures.squared_error(*pair).mean().item()
+    v_next = torch.cat([part.v for part in parts])
+    v = measures.squared_error(v_next, samples.v_next).mean().item()
     return q, 0.5 * (q + v), failed

@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from symo_exp.data.diagnose import noise_of
-from symo_exp.evaluation.measures import VALID_ERROR, comparable, squared_error
+from symo_exp.evaluation.measures import VALID_ERROR, comparable, squared_error, steps_within
 from symo_exp.evaluation.rollouts import CHUNK
 from symo_exp.mechanics.roots import Sizes
 from symo_exp.mechanics.space import Space, space_of
@@ -105,24 +105,22 @@ class Predictions:
         Args:
             units: Units of the coordinates' errors [rad, m].
         """
-        return self._errors(units)[:, 1:]
+        return self._at_nodes(units)[:, 1:]
 
     def distances(self) -> Float[Tensor, "windows nodes"]:
         """Return the root mean square error over coordinates at each node, the start included."""
-        return self._errors(1.0).sqrt()
+        return self._at_nodes(1.0).sqrt()
 
     @property
     def space(self) -> Space:
         """The space of configurations."""
         return space_of(self.q, self.v)
 
-    def _errors(self, units: Tensor | float) -> Tensor:
-        """Return the mean squared error over coordinates at each node."""
-        error = (self._squares() / torch.as_tensor(units).square()).mean(2)
+    def _at_nodes(self, units: Tensor | float) -> Tensor:
+        """Return the mean squared error over coordinates at each node, the start included."""
+        squares = squared_error(*comparable(self.space, self.q, self.q_true))
+        error = (squares / torch.as_tensor(units).square()).mean(2)
         return error.where(self.q_true.isfinite().all(2), torch.nan)
-
-    def _squares(self) -> Tensor:
-        return squared_error(*comparable(self.space, self.q, self.q_true))
 
     def rmse(
         self, seconds: float, units: Float[Tensor, " n"] | float = 1.0
@@ -132,22 +130,19 @@ class Predictions:
 
     def valid_seconds(self) -> Float[Tensor, " windows"]:
         """Return the time until the error, RMS over coordinates, exceeds 0.1 [rad, m]."""
-        error = self.errors()
-        return self._before((error.sqrt() > VALID_ERROR) | error.isnan())
+        return self._within(self.errors().sqrt(), VALID_ERROR)
 
     def usable_seconds(self, tolerance: Float[Tensor, " n"]) -> Float[Tensor, " windows"]:
         """Return the time until the error over ``tolerance``, RMS over coordinates, exceeds 1."""
-        true = self.q_true[:, 1:]
-        error = (self._squares()[:, 1:] / tolerance.square()).mean(2)
-        return self._before((error > 1.0) | ~true.isfinite().all(2))
+        return self._within(self.errors(tolerance), 1.0)
 
     def measured_seconds(self) -> Float[Tensor, " windows"]:
         """Return the time that was measured in each window; less than 2 s at the end of one."""
-        return self._before(~self.q_true[:, 1:].isfinite().all(2))
+        return self._within(self.errors(), torch.inf)
 
-    def _before(self, left: Tensor) -> Tensor:
-        """Time before the first node that is ``left``."""
-        return (left.cumsum(1) == 0).sum(1).double() * self.time_step
+    def _within(self, error: Tensor, most: float) -> Tensor:
+        """Return the time until the error exceeds a number or nothing was measured any more."""
+        return steps_within(error, most) * self.time_step
 
     def measures(self) -> dict[str, float]:
         """Return ``rmse_<T>s``, ``pooled_rmse_<T>s`` [rad, m] and ``valid_s`` [s]."""
@@ -237,12 +232,17 @@ def predict(
     ``place`` is a tensor of the precision and on the device in which the model works; ``units``
     are those of the coordinates [rad, m], and ``iterations`` those of ``fitted_start``.
     """
-    q_true, v_true, inputs = (x.to(place).split(CHUNK) for x in (windows.q, windows.v, windows.u))
-    parts = [
-        _roll_out(model, *chunk, windows.lead, time_step, _sizes(units), iterations)
-        for chunk in zip(q_true, v_true, inputs, strict=True)
-    ]
-    q, v = (torch.cat(field) for field in zip(*parts, strict=True))
+    lead, space, sizes = windows.lead, space_of(windows.q, windows.v), _sizes(units)
+    measured = (x.to(place).split(CHUNK) for x in (windows.q, windows.v, windows.u))
+    paths = []
+    for q, v, u in zip(*measured, strict=True):
+        start = State(q[:, 0], v[:, 0])
+        if lead:
+            given = q[:, : lead + 1], u[:, : lead + 1]
+            start = fitted_start(model, *given, time_step, iterations, space=space, sizes=sizes)
+        path = model.rollout(*start, u)
+        paths.append([x[:, lead:].double().cpu() for x in (path.q, path.v)])
+    q, v = (torch.cat(field) for field in zip(*paths, strict=True))
     return Predictions(time_step, windows, q, v)
 
 
@@ -316,25 +316,6 @@ def _started(
     lead = min(_run_in(trajectories, time_step), min(len(one.q) for one in trajectories) - 1)
     given = q[:, : lead + 1].to(place), u[:, : lead + 1].to(place)
     return q, v, u, fitted_start(model, *given, time_step, space=space_of(q, v), sizes=sizes)
-
-
-def _roll_out(
-    model: RollsOut,
-    q: Tensor,
-    v: Tensor,
-    u: Tensor,
-    lead: int,
-    time_step: float,
-    sizes: Sizes,
-    iterations: int,
-) -> tuple[Tensor, Tensor]:
-    start = State(q[:, 0], v[:, 0])
-    if lead:
-        given = q[:, : lead + 1], u[:, : lead + 1]
-        space = space_of(q, v)
-        start = fitted_start(model, *given, time_step, iterations, space=space, sizes=sizes)
-    path = model.rollout(*start, u)
-    return path.q[:, lead:].double().cpu(), path.v[:, lead:].double().cpu()
 
 
 def _sizes(units: Tensor | float) -> Sizes:

@@ -33,21 +33,17 @@ def comparable(space: Space, predicted: Tensor, true: Tensor) -> tuple[Tensor, T
     return error, torch.zeros_like(error)
 
 
-def one_step_mse(
-    predicted: Float[Tensor, "samples n"], true: Float[Tensor, "samples n"]
-) -> Float[Tensor, ""]:
-    """Return the one-step error, ``mean (q̂_{k+1} − q_{k+1})²`` over samples and coordinates.
+def mean_squared_error(
+    predicted: Float[Tensor, "rows ..."], true: Float[Tensor, "rows ..."]
+) -> Float[Tensor, " rows"]:
+    """Return the mean squared error of each row, over all that it has: nodes, coordinates, entries.
 
-    Angles [rad] are not wrapped, lengths [m] weigh as much as angles (thesis section 6.2).
+    Rows are samples or trajectories, their errors those of configurations or velocities, ``q̂ − q``,
+    energies or inertias. Angles [rad] are not wrapped, lengths [m] weigh as much as angles (thesis
+    section 6.2).
     """
-    return squared_error(predicted, true).mean()
-
-
-def rollout_mse(
-    predicted: Float[Tensor, "trajectories steps n"], true: Float[Tensor, "trajectories steps n"]
-) -> Float[Tensor, " trajectories"]:
-    """Return ``mean_{t,i} (q̂_{t,i} − q_{t,i})²`` of each trajectory."""
-    return squared_error(predicted, true).mean((1, 2))
+    error = squared_error(predicted, true)
+    return error.mean(tuple(range(1, error.ndim)))
 
 
 def valid_steps(
@@ -57,25 +53,12 @@ def valid_steps(
 
     A rollout that stays within it counts with all its steps.
     """
-    left = squared_error(predicted, true).mean(2).sqrt() > VALID_ERROR
-    return (left.cumsum(1) == 0).sum(1).double()
+    return steps_within(squared_error(predicted, true).mean(2).sqrt(), VALID_ERROR)
 
 
-def rollout_energy_mse(
-    energy: Float[Tensor, "trajectories steps"], expected: Float[Tensor, "trajectories steps"]
-) -> Float[Tensor, " trajectories"]:
-    """Return ``mean_t (E(q̂_t, v̂_t) − E_t)²`` [J²] of each trajectory, ``E`` of the true system.
-
-    ``E_t`` is the energy at the start, which is kept, or that of the true motion under friction.
-    """
-    return squared_error(energy, expected).mean(1)
-
-
-def rollout_inertia_mse(
-    learned: Float[Tensor, "trajectories steps n n"], true: Float[Tensor, "trajectories steps n n"]
-) -> Float[Tensor, " trajectories"]:
-    """Return ``mean_{t,i,j} (Ĥ_{ij} − H_{ij})²`` of each trajectory, mean over the n² entries."""
-    return squared_error(learned, true).mean((1, 2, 3))
+def steps_within(error: Float[Tensor, "rows steps"], most: float) -> Float[Tensor, " rows"]:
+    """Return the steps before the error first exceeds a number or is not a number."""
+    return (error <= most).cumprod(1).sum(1).double()
 
 
 def finite_difference_velocity(

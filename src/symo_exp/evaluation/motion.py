@@ -92,7 +92,7 @@ class Motion:
         energy_error = measures.squared_error(columns["energy"], columns["energy_true"])
         values = {
             "energy_mse": energy_error.mean().item(),
-            "configuration_mse": measures.rollout_mse(q, q_true).mean().item(),
+            "configuration_mse": measures.mean_squared_error(q, q_true).mean().item(),
             "valid_steps": measures.valid_steps(q, q_true).median().item(),
         }
         return Finding(columns, values), motion.q, motion.v
