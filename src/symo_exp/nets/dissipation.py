@@ -125,9 +125,9 @@ class LearnedDissipation(nn.Module, Dissipation):
         self, v: Float[Tensor, "batch n"], before: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"] | None:
         """Return what chords of dry friction add where a joint's velocity changes by ``ε_v``."""
-        if self.coulomb_root is None or self.rest is None:
+        if (dry := self.dry()) is None:
             return None
-        c, rest = self._dry(self.coulomb_root, self.rest)
+        c, rest = dry
         w, w_before = v @ self.joints.T / rest, before @ self.joints.T / rest
         t, change = torch.tanh(w), w - w_before
         excess = (t - torch.tanh(w_before)) / change - (1.0 - t.square())
@@ -136,16 +136,17 @@ class LearnedDissipation(nn.Module, Dissipation):
 
     def coefficients(self) -> tuple[Tensor | None, tuple[Tensor, Tensor] | None]:
         """Return ``D`` (n, n), and ``c`` with ``ε_v`` (n), of joint velocities, where they are."""
-        matrix = dry = None
+        matrix = None
         if self.viscous_root is not None:
             unit, d = (x[0] for x in self._triangle.factors(self.viscous_root.unsqueeze(0)))
             matrix = unit * d @ unit.mT
-        if self.coulomb_root is not None and self.rest is not None:
-            dry = self._dry(self.coulomb_root, self.rest)
-        return matrix, dry
+        return matrix, self.dry()
 
-    def _dry(self, root: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
-        """Return ``c`` and ``ε_v``."""
+    def dry(self, batch: int | None = None) -> tuple[Tensor, Tensor] | None:
+        """Return ``c`` and ``ε_v``, (n,) or (batch, n), if there is dry friction."""
+        if self.coulomb_root is None or self.rest is None:
+            return None
+        root, rest = _rows(self.coulomb_root, batch), _rows(self.rest, batch)
         share = self._least_rest + (1.0 - self._least_rest) * rest.exp()
         return root.square(), self._rest_velocity * share
 
@@ -155,10 +156,8 @@ class LearnedDissipation(nn.Module, Dissipation):
         if self.viscous_root is not None:
             unit, d = self._triangle.factors(repeated(self.viscous_root, rate.shape[0]))
             found = found - matvec(unit, d * vecmat(rate, unit))
-        if self.coulomb_root is not None and self.rest is not None:
-            c, rest = self._dry(
-                *(repeated(x, rate.shape[0]) for x in (self.coulomb_root, self.rest))
-            )
+        if (dry := self.dry(rate.shape[0])) is not None:
+            c, rest = dry
             found = found - c * torch.tanh(rate / rest)
         return found
 
@@ -168,8 +167,8 @@ class LearnedDissipation(nn.Module, Dissipation):
         if self.viscous_root is not None:
             unit, d = self._triangle.factors(self.viscous_root.unsqueeze(0))
             found = found - unit * d.unsqueeze(-2) @ unit.mT
-        if self.coulomb_root is not None and self.rest is not None:
-            c, rest = self._dry(self.coulomb_root, self.rest)
+        if (dry := self.dry()) is not None:
+            c, rest = dry
             slope = 1.0 - torch.tanh(rate / rest).square()
             found = found - torch.diag_embed(c / rest * slope)
         return found
@@ -262,49 +261,43 @@ class MachineFriction(LearnedDissipation):
         found = super().force(q, v)
         return found if self.constant is None else found + repeated(self.constant, v.shape[0])
 
-    def asymmetry(self) -> tuple[Tensor, Tensor] | None:
-        """Return ``a`` and ``e``, (n,) each, if friction is asymmetric."""
+    def asymmetry(self, batch: int | None = None) -> tuple[Tensor, Tensor] | None:
+        """Return ``a`` and ``e``, (n,) or (batch, n) each, if friction is asymmetric."""
         if self.tilts is None:
             return None
-        a, e = torch.tanh(self.tilts).chunk(2)
+        a, e = torch.tanh(_rows(self.tilts, batch)).chunk(2, dim=-1)
         return a, e
 
-    def stribeck(self) -> tuple[Tensor, Tensor] | None:
-        """Return ``b`` and ``v_s``, (n,) each, if there is a Stribeck effect."""
+    def stribeck(self, batch: int | None = None) -> tuple[Tensor, Tensor] | None:
+        """Return ``b`` and ``v_s``, (n,) or (batch, n) each, if there is a Stribeck effect."""
         if self.breakaway_root is None or self.fading is None:
             return None
-        return self._stribeck(self.breakaway_root, self.fading)
-
-    def _stribeck(self, root: Tensor, fading: Tensor) -> tuple[Tensor, Tensor]:
+        root, fading = _rows(self.breakaway_root, batch), _rows(self.fading, batch)
         return root.square(), self._stribeck_velocity * fading.exp()
 
     @override
     def _joint_force(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n"]:
+        batch, both = rate.shape[0], self.dry(rate.shape[0])
         assert self.viscous_root is not None
-        assert self.coulomb_root is not None
-        assert self.rest is not None
-        batch = rate.shape[0]
+        assert both is not None
         unit, d = self._triangle.factors(repeated(self.viscous_root, batch))
-        dry, rest = self._dry(repeated(self.coulomb_root, batch), repeated(self.rest, batch))
+        dry, rest = both
         t = torch.tanh(rate / rest)
-        a = e = torch.zeros_like(t)
-        if self.tilts is not None:
-            a, e = torch.tanh(repeated(self.tilts, batch)).chunk(2, dim=1)
-        if self.breakaway_root is not None and self.fading is not None:
-            given = repeated(self.breakaway_root, batch), repeated(self.fading, batch)
-            excess, fading = self._stribeck(*given)
+        a, e = self.asymmetry(batch) or (torch.zeros_like(t),) * 2
+        if (stribeck := self.stribeck(batch)) is not None:
+            excess, fading = stribeck
             dry = dry + excess * (-(rate / fading).square()).exp()
         s = 1.0 + a * t
         return -s * matvec(unit, d * vecmat(s * rate, unit)) - dry * (1.0 + e * t) * t
 
     @override
     def _joint_slope(self, rate: Float[Tensor, "batch n"]) -> Float[Tensor, "batch n n"]:
+        both = self.dry()
         assert self.viscous_root is not None
-        assert self.coulomb_root is not None
-        assert self.rest is not None
+        assert both is not None
         unit, d = self._triangle.factors(self.viscous_root.unsqueeze(0))
         matrix = unit * d.unsqueeze(-2) @ unit.mT
-        dry, rest = self._dry(self.coulomb_root, self.rest)
+        dry, rest = both
         t = torch.tanh(rate / rest)
         by_rate = (1.0 - t.square()) / rest
         a, e = self.asymmetry() or (torch.zeros_like(rest),) * 2
@@ -318,3 +311,8 @@ class MachineFriction(LearnedDissipation):
         own = own + along * (1.0 + 2.0 * e * t) * by_rate + fall * (1.0 + e * t) * t
         mixed = s.unsqueeze(-1) * matrix * (s + bent * rate).unsqueeze(-2)
         return -(mixed + torch.diag_embed(own))
+
+
+def _rows(parameter: Tensor, batch: int | None) -> Tensor:
+    """Return a vector of parameters, repeated in each row of a batch if there is one."""
+    return parameter if batch is None else repeated(parameter, batch)
