@@ -25,7 +25,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.errors import ConfigError
+from symo_exp.checks import real
 from symo_exp.mechanics.lagrangian import (
     Curvature,
     Expansion,
@@ -120,10 +120,7 @@ class PlanarLinks(nn.Module, Lagrangian):
         self, *, coordinates: Coordinates, relative: bool = True, initial_inertia: float = 1.0
     ) -> None:
         super().__init__()
-        if not initial_inertia > 0.0:
-            raise ConfigError(
-                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number"
-            )
+        real("lagrangian.initial_inertia", initial_inertia, above=0)
         require_flat(coordinates, "lagrangian=planar", "lagrangian=network or rigid_body")
         n, angular = coordinates.n, coordinates.angular
         angles = [i for i in range(n) if angular[i]]

@@ -62,7 +62,7 @@ def _in_si(reading: Reading, coordinates: Coordinates) -> Reading:
 @readings.register
 def _(module: SprungLagrangian, coordinates: Coordinates) -> list[Reading]:
     found, stiffness = readings(module.conservative, coordinates), module.springs.matrix
-    turns = [coordinates.turning[i] for i in range(len(stiffness))]
+    turns = coordinates.turning
     for i, name in enumerate(coordinates.names[: len(stiffness)]):
         for j in range(i + 1):
             label = f"{name}.stiffness" + (f".{coordinates.names[j]}" if j < i else "")
@@ -194,7 +194,7 @@ def _(module: KnownFriction, coordinates: Coordinates) -> list[Reading]:
     n, found = coordinates.n, []
     for k in module.free:
         i, dry = k % n, k >= n
-        unit = _units(coordinates.turning[i])[dry]
+        unit = _friction_units(coordinates.turning[i])[dry]
         value = (coulomb if dry else viscous)[i]
         kind = "dry_friction" if dry else "viscous_friction"
         found.append(Reading(f"{coordinates.names[i]}.{kind}", unit, value))
@@ -206,7 +206,7 @@ def _of_coefficients(module: LearnedDissipation, coordinates: Coordinates) -> li
     matrix, dry = module.coefficients()
     names, found = coordinates.names, []
     for i, name in enumerate(names):
-        unit, force = _units(coordinates.turning[i])
+        unit, force, rate = _friction_units(coordinates.turning[i])
         if matrix is not None:
             found.append(Reading(f"{name}.viscous_friction", unit, matrix[i, i]))
             for j in range(i):
@@ -215,7 +215,6 @@ def _of_coefficients(module: LearnedDissipation, coordinates: Coordinates) -> li
                 found.append(Reading(label, mixed, matrix[i, j]))
         if dry is not None:
             found.append(Reading(f"{name}.dry_friction", force, dry[0][i]))
-            rate = "rad/s" if coordinates.turning[i] else "m/s"
             found.append(Reading(f"{name}.rest_velocity", rate, dry[1][i]))
     return found
 
@@ -225,8 +224,7 @@ def _(module: MachineFriction, coordinates: Coordinates) -> list[Reading]:
     found = _of_coefficients(module, coordinates)
     tilts, stribeck = module.asymmetry(), module.stribeck()
     for i, name in enumerate(coordinates.names):
-        _, force = _units(coordinates.turning[i])
-        rate = "rad/s" if coordinates.turning[i] else "m/s"
+        _, force, rate = _friction_units(coordinates.turning[i])
         if tilts is not None:
             for kind, tilt in zip(("viscous", "dry"), tilts, strict=True):
                 found.append(Reading(f"{name}.{kind}_friction.asymmetry", "1", tilt[i]))
@@ -250,7 +248,7 @@ def _(module: LearnedBodyDrag, coordinates: Coordinates) -> list[Reading]:
     found = []
     for power, matrices in zip(("linear", "quadratic"), module.coefficients(), strict=True):
         for turning, matrix in zip((False, True)[-len(matrices) :], matrices, strict=True):
-            name, unit = "torque" if turning else "force", _units(turning)[0]
+            name, unit = "torque" if turning else "force", _friction_units(turning)[0]
             unit = unit if power == "linear" else f"{unit.replace(' s', ' s^2')}^2"
             found += _symmetric(f"drag.{name}.{power}", unit, matrix)
     return found
@@ -277,6 +275,6 @@ def _inertia(a: Any, b: Any) -> str:
     return ("kg", "kg m", "kg m^2")[int(a) + int(b)]
 
 
-def _units(angular: bool) -> tuple[str, str]:
-    """Return the units of viscous and of dry friction."""
-    return ("N m s/rad", "N m") if angular else ("N s/m", "N")
+def _friction_units(turning: bool) -> tuple[str, str, str]:
+    """Return the units of viscous friction, of dry friction and of velocity."""
+    return ("N m s/rad", "N m", "rad/s") if turning else ("N s/m", "N", "m/s")

@@ -59,10 +59,8 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
     ) -> None:
         super().__init__()
         require_one_body(coordinates, "lagrangian=rigid_body", "another lagrangian")
-        if initial_inertia is not None and not initial_inertia > 0.0:
-            raise ConfigError(
-                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
-            )
+        if initial_inertia is not None:
+            real("lagrangian.initial_inertia", initial_inertia, above=0)
         real("lagrangian.radius", radius, above=0)
         if input_width and not learned_inputs:
             raise ConfigError(

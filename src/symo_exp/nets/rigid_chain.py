@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.checks import real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import (
     Curvature,
@@ -130,10 +131,8 @@ class RigidChain(nn.Module, Lagrangian):
         axes: Any = None,
     ) -> None:
         super().__init__()
-        if initial_inertia is not None and not initial_inertia > 0.0:
-            raise ConfigError(
-                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
-            )
+        if initial_inertia is not None:
+            real("lagrangian.initial_inertia", initial_inertia, above=0)
         require_flat(coordinates, "lagrangian=rigid", "lagrangian=network or rigid_body")
         n = coordinates.n
         self.register_buffer("turns", torch.tensor(coordinates.angular), persistent=False)

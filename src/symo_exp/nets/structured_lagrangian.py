@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from typing_extensions import override
 
-from symo_exp.errors import ConfigError
+from symo_exp.checks import real
 from symo_exp.mechanics.lagrangian import (
     Curvature,
     Expansion,
@@ -87,10 +87,8 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         rotations: int = 0,
     ) -> None:
         super().__init__()
-        if initial_inertia is not None and not initial_inertia > 0.0:
-            raise ConfigError(
-                f"lagrangian.initial_inertia={initial_inertia}: expected a positive number, or null"
-            )
+        if initial_inertia is not None:
+            real("lagrangian.initial_inertia", initial_inertia, above=0)
         self.embedding = Embedding(angular=angular, relative=relative, rotations=rotations)
         self.head = FactorHead(len(angular) + 3 * rotations, squares=squares)
         self.net = MLP(
