@@ -22,7 +22,7 @@ from omegaconf import OmegaConf
 
 import symo_exp
 from symo_exp.data.base import DataModule
-from symo_exp.evaluation.measures import mean_squared_error
+from symo_exp.evaluation.measures import mean_squared
 from symo_exp.evaluation.rollouts import roll_out
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.base import DynamicsModel
@@ -78,8 +78,8 @@ def search(log: Path, system: System, settings: list[str]) -> None:
 
 def error(model: DynamicsModel, motions: Trajectories, steps: int) -> float:
     """Return the mean squared error of rollouts along motions [rad², m²]."""
-    q, q_true = roll_out(model.for_evaluation(), None, motions).compared()
-    return mean_squared_error(q[:, 1 : steps + 1], q_true[:, 1 : steps + 1]).mean().item()
+    errors = roll_out(model.for_evaluation(), None, motions).errors()
+    return mean_squared(errors[:, 1 : steps + 1]).mean().item()
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import symo_exp
 from symo_exp.data.draws import uniform
 from symo_exp.data.simulate import generate
 from symo_exp.evaluation.evaluate import roll_out
-from symo_exp.evaluation.measures import mean_squared_error
+from symo_exp.evaluation.measures import mean_squared
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.objectives import PreconditionedResidual
@@ -46,9 +46,9 @@ def trajectories(system: System, config: dict) -> Trajectories:
 def errors(model: DynamicsModel, system: System, true: Trajectories, over: str) -> np.ndarray:
     """The integration error of each of the trajectories, over the configuration or the state."""
     motion = roll_out(model.for_evaluation(), system, true)
-    error = mean_squared_error(motion.q[:, 1:], motion.q_true[:, 1:])
+    error = mean_squared(motion.q[:, 1:] - motion.q_true[:, 1:])
     if over == "state":
-        error = 0.5 * (error + mean_squared_error(motion.v[:, 1:], motion.v_true[:, 1:]))
+        error = 0.5 * (error + mean_squared(motion.v[:, 1:] - motion.v_true[:, 1:]))
     return error.numpy()
 
 

@@ -308,10 +308,8 @@ class Nodes:
     def _resampled(self, samples: Samples) -> Samples:
         """Resample; rotations by their nine entries, with the rotation next to them."""
         space, found = self.coordinates.space, resample(samples, self.time_step)
-        if not space.rotations:
-            return found
-        q, v = space.normalised(torch.tensor(found.q)), torch.tensor(found.v)
-        v = space.velocity(q, v) if samples.v is None else v
+        q, rate = space.normalised(torch.tensor(found.q)), torch.tensor(found.v)
+        v = space.velocity(q, rate) if samples.v is None else rate
         return found._replace(q=q.numpy(), v=v.numpy())
 
 

@@ -92,15 +92,14 @@ def one_step(case: Case) -> dict[str, float]:
 def rollout(case: Case) -> dict[str, float]:
     """Return errors along the rollouts, means over the predicted nodes."""
     motion = case.rollouts
-    q, q_true = motion.compared()
-    q, q_true = q[:, 1:], q_true[:, 1:]
-    configuration = measures.mean_squared_error(q, q_true)
-    velocity = measures.mean_squared_error(motion.v[:, 1:], motion.v_true[:, 1:])
-    first = measures.mean_squared_error(q[:, :SHORT], q_true[:, :SHORT])
-    diverged = ~torch.isfinite(q).all(-1).all(-1)
+    error = motion.errors()[:, 1:]
+    configuration = measures.mean_squared(error)
+    velocity = measures.mean_squared(motion.v[:, 1:] - motion.v_true[:, 1:])
+    first = measures.mean_squared(error[:, :SHORT])
+    diverged = ~error.isfinite().all(-1).all(-1)
     found = measures.mean_and_std("integration", configuration) | {
         f"integration_mse_{SHORT}": first.mean().item(),
-        "valid_steps": measures.valid_steps(q, q_true).median().item(),
+        "valid_steps": measures.valid_steps(error).median().item(),
         "integration_mse_state": (0.5 * (configuration + velocity)).mean().item(),
         "integration_diverged": diverged.double().mean().item(),
     }
@@ -122,14 +121,12 @@ def energy(case: Case) -> dict[str, float]:
     expected = motion.energy_true[:, 1:]
     if not isinstance(case.truth, DissipativeLagrangian):
         expected = motion.energy_true[:, :1].expand_as(expected)
-    found = measures.mean_and_std(
-        "energy", measures.mean_squared_error(motion.energy[:, 1:], expected)
-    )
+    found = measures.mean_and_std("energy", measures.mean_squared(motion.energy[:, 1:] - expected))
     if not case.model.reads_velocity:
         space = motion.coordinates.space
         v = measures.finite_difference_velocity(motion.q, motion.time_step, space)
         values = along(case.truth.energy, motion.q[:, 1:], v)
-        found["energy_mse_fd"] = measures.mean_squared_error(values, expected).mean().item()
+        found["energy_mse_fd"] = measures.mean_squared(values - expected).mean().item()
     return found
 
 
@@ -141,8 +138,8 @@ def inertia(case: Case) -> dict[str, float]:
     q, q_true = (x[:, 1:] for x in (case.rollouts.q, case.rollouts.q_true))
     true = along(case.truth.mass_matrix, q_true)
     predicted, aligned = (along(learned, x.to(place)).cpu() for x in (q, q_true))
-    error = measures.mean_squared_error(aligned, true).mean().item()
-    return measures.mean_and_std("inertia", measures.mean_squared_error(predicted, true)) | {
+    error = measures.mean_squared(aligned - true).mean().item()
+    return measures.mean_and_std("inertia", measures.mean_squared(predicted - true)) | {
         "inertia_mse_aligned": error
     }
 
@@ -155,9 +152,8 @@ def _one_step(model: DynamicsModel, samples: Windows) -> tuple[float, float, flo
         for start in range(0, len(samples.q), CHUNK)
     ]
     failed = 1.0 - torch.cat([part.converged for part in parts]).double().mean().item()
-    q_next = torch.cat([part.q for part in parts])
-    pair = measures.comparable(model.coordinates.space, q_next, samples.q_next)
-    q = measures.squared_error(*pair).mean().item()
-    v_next = torch.cat([part.v for part in parts])
-    v = measures.squared_error(v_next, samples.v_next).mean().item()
+    q_next, v_next = (torch.cat(x) for x in ([p.q for p in parts], [p.v for p in parts]))
+    off = model.coordinates.space.difference(samples.q_next, q_next)
+    q = measures.squared(off).mean().item()
+    v = measures.squared(v_next - samples.v_next).mean().item()
     return q, 0.5 * (q + v), failed

@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from symo_exp.data.diagnose import noise_of
-from symo_exp.evaluation.measures import VALID_ERROR, comparable, squared_error, steps_within
+from symo_exp.evaluation.measures import VALID_ERROR, squared, steps_within
 from symo_exp.evaluation.rollouts import CHUNK
 from symo_exp.mechanics.roots import Sizes
 from symo_exp.mechanics.space import Space, space_of
@@ -118,7 +118,7 @@ class Predictions:
 
     def _at_nodes(self, units: Tensor | float) -> Tensor:
         """Return the mean squared error over coordinates at each node, the start included."""
-        squares = squared_error(*comparable(self.space, self.q, self.q_true))
+        squares = squared(self.space.difference(self.q_true, self.q))
         error = (squares / torch.as_tensor(units).square()).mean(2)
         return error.where(self.q_true.isfinite().all(2), torch.nan)
 
@@ -210,10 +210,9 @@ def tolerance(windows: PredictionWindows, turning: Sequence[bool]) -> Float[Tens
     space = space_of(windows.q, windows.v)
     q = space.along(windows.q[:, windows.lead :])
     motion = (q - q.nanmean(1, keepdim=True)).square().nanmean((0, 1)).sqrt()
-    if space.rotations:
-        flat, turns = motion.split((len(motion) - 3 * space.rotations, 3 * space.rotations))
-        whole = turns.view(-1, 3).square().mean(1, keepdim=True).sqrt()
-        motion = torch.cat((flat, whole.expand(-1, 3).flatten()))
+    flat, turns = motion.split((len(motion) - 3 * space.rotations, 3 * space.rotations))
+    whole = turns.view(-1, 3).square().mean(1, keepdim=True).sqrt()
+    motion = torch.cat((flat, whole.expand(-1, 3).flatten()))
     motion = torch.where(torch.tensor(turning), motion.clamp(max=TURNS), motion)
     return TOLERANCE * motion.where(motion > 0, motion.max())
 
@@ -293,7 +292,7 @@ def whole_error(
         path = model.rollout(*state, u[rows, k : k + segment + 1])
         true = q[rows, k + 1 : k + segment + 1]
         found = path.q[:, 1:].double().cpu()
-        squares = squared_error(*comparable(space, found, true))
+        squares = squared(space.difference(true, found))
         error = (squares / torch.as_tensor(units).square()).mean(2)
         total[rows] += error.where(there[rows, k + 1 : k + segment + 1], 0.0).sum(1)
         left = (total < most * count)[rows] & there[rows, min(k + segment, q.shape[1] - 1)]

@@ -76,7 +76,7 @@ def beside_true(
         "inertia": (along(found.mass_matrix, q).cpu(), along(system.mass_matrix, q_true)),
     }
     values = {
-        f"{key}_mse": measures.squared_error(learned, true).mean().item()
+        f"{key}_mse": measures.squared(learned - true).mean().item()
         for key, (learned, true) in pairs.items()
     }
     mass = pairs.pop("inertia")

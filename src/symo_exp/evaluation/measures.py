@@ -16,44 +16,31 @@ VALID_ERROR = 0.1
 """Error of a configuration [rad, m] up to which a prediction counts as valid."""
 
 
-def squared_error(predicted: Tensor, true: Tensor) -> Tensor:
-    """Return ``(x̂ − x)²`` by elements, infinite where the prediction is not finite."""
-    return (predicted - true).square().nan_to_num(nan=math.inf, posinf=math.inf)
+def squared(error: Tensor) -> Tensor:
+    """Return the squares of errors, infinite where an error is not finite.
 
-
-def comparable(space: Space, predicted: Tensor, true: Tensor) -> tuple[Tensor, Tensor]:
-    """Return predicted and true configurations as they are compared, n numbers each.
-
-    With rotations these are the difference and zero, so that the error of a rotation is the angle
-    [rad] by which the prediction is turned.
+    Those of configurations are ``Space.difference(q, q̂)``: ``q̂ − q``, and of a rotation the vector
+    by which the prediction is turned [rad]. Angles [rad] are not wrapped, lengths [m] weigh as much
+    as angles (thesis section 6.2).
     """
-    if not space.rotations:
-        return predicted, true
-    error = space.difference(true, predicted)
-    return error, torch.zeros_like(error)
+    return error.square().nan_to_num(nan=math.inf, posinf=math.inf)
 
 
-def mean_squared_error(
-    predicted: Float[Tensor, "rows ..."], true: Float[Tensor, "rows ..."]
-) -> Float[Tensor, " rows"]:
-    """Return the mean squared error of each row, over all that it has: nodes, coordinates, entries.
+def mean_squared(error: Float[Tensor, "rows ..."]) -> Float[Tensor, " rows"]:
+    """Return the mean square of each row, over all that it has: nodes, coordinates, entries.
 
-    Rows are samples or trajectories, their errors those of configurations or velocities, ``q̂ − q``,
-    energies or inertias. Angles [rad] are not wrapped, lengths [m] weigh as much as angles (thesis
-    section 6.2).
+    Rows are samples or trajectories, errors those of configurations, velocities, energies or
+    inertias.
     """
-    error = squared_error(predicted, true)
-    return error.mean(tuple(range(1, error.ndim)))
+    return squared(error).mean(tuple(range(1, error.ndim)))
 
 
-def valid_steps(
-    predicted: Float[Tensor, "trajectories steps n"], true: Float[Tensor, "trajectories steps n"]
-) -> Float[Tensor, " trajectories"]:
+def valid_steps(error: Float[Tensor, "trajectories steps n"]) -> Float[Tensor, " trajectories"]:
     """Return the steps until the error, RMS over coordinates, first exceeds 0.1 [rad, m].
 
     A rollout that stays within it counts with all its steps.
     """
-    return steps_within(squared_error(predicted, true).mean(2).sqrt(), VALID_ERROR)
+    return steps_within(squared(error).mean(2).sqrt(), VALID_ERROR)
 
 
 def steps_within(error: Float[Tensor, "rows steps"], most: float) -> Float[Tensor, " rows"]:
@@ -69,8 +56,6 @@ def finite_difference_velocity(
     It is the velocity at ``k + ½``: paired with ``q_{k+1}`` it belongs to a time half a step
     earlier, and the energy error it gives is almost wholly that mismatch.
     """
-    if not space.rotations:
-        return q.diff(dim=1) / time_step
     return space.difference(q[:, :-1], q[:, 1:]) / time_step
 
 

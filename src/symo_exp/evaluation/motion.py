@@ -88,12 +88,12 @@ class Motion:
     ) -> tuple[Finding, Tensor, Tensor]:
         motion = roll_out(model, system, self._true(system, remember))
         columns = motion.columns()
-        q, q_true = (x[:, 1:] for x in motion.compared())
-        energy_error = measures.squared_error(columns["energy"], columns["energy_true"])
+        error = motion.errors()[:, 1:]
+        energy_error = measures.squared(columns["energy"] - columns["energy_true"])
         values = {
             "energy_mse": energy_error.mean().item(),
-            "configuration_mse": measures.mean_squared_error(q, q_true).mean().item(),
-            "valid_steps": measures.valid_steps(q, q_true).median().item(),
+            "configuration_mse": measures.mean_squared(error).mean().item(),
+            "valid_steps": measures.valid_steps(error).median().item(),
         }
         return Finding(columns, values), motion.q, motion.v
 
@@ -134,5 +134,5 @@ class Motion:
             energy = along(truth.energy, q, v)
             initial = truth.energy(q0, v0)[:, None].expand_as(energy)
             found.columns.update(energy=energy.flatten(), energy_true=initial.flatten())
-            found.measures["energy_mse"] = measures.squared_error(energy, initial).mean().item()
+            found.measures["energy_mse"] = measures.squared(energy - initial).mean().item()
         return found, q, v

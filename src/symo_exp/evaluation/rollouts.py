@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from symo_exp.evaluation.measures import comparable
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
 from symo_exp.models.base import DynamicsModel
@@ -37,9 +36,9 @@ class Rollouts:
     energy_true: Float[Tensor, "trajectories nodes"] | None
     converged: Bool[Tensor, "trajectories steps"]
 
-    def compared(self) -> tuple[Tensor, Tensor]:
-        """Return predicted and true configurations as measures compare them."""
-        return comparable(self.coordinates.space, self.q, self.q_true)
+    def errors(self) -> Float[Tensor, "trajectories nodes n"]:
+        """Return the errors of the configurations."""
+        return self.coordinates.space.difference(self.q_true, self.q)
 
     def columns(self) -> dict[str, Tensor]:
         """Return a table with a row for each node.

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from symo_exp.evaluation.evaluate import Evaluation
 from symo_exp.evaluation.learned import beside_true
-from symo_exp.evaluation.measures import squared_error
+from symo_exp.evaluation.measures import mean_squared
 from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report import recordings
@@ -179,7 +179,7 @@ def learned_quantities(
 
 def _errors(rollouts: Rollouts) -> Tensor:
     """Return the mean squared error of each trajectory, infinite for a lost one."""
-    return squared_error(*(x[:, 1:] for x in rollouts.compared())).mean((1, 2))
+    return mean_squared(rollouts.errors()[:, 1:])
 
 
 def _table(rollouts: Rollouts) -> pd.DataFrame:
@@ -188,8 +188,7 @@ def _table(rollouts: Rollouts) -> pd.DataFrame:
     ``error`` is the mean squared error of a node.
     """
     columns = {name: column.numpy() for name, column in rollouts.columns().items()}
-    predicted, true = rollouts.compared()
-    columns["error"] = (predicted - true).square().mean(2).flatten().numpy()
+    columns["error"] = rollouts.errors().square().mean(2).flatten().numpy()
     table = kept(pd.DataFrame(columns))
     lost = table[f"q_{rollouts.coordinates.names[0]}"].isna()
     return table.assign(error=table.error.mask(lost))
