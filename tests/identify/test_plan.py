@@ -24,10 +24,13 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
 
 
+def named(angular):
+    return Coordinates(tuple(map(str, range(len(angular)))), tuple(angular))
+
+
 def machine(n=2, seconds=60.0, recordings=7, driven=True, angular=True):
-    names = tuple(map(str, range(n)))
     return Machine(
-        settings=(), coordinates=Coordinates(names, (angular,) * n), driven=driven,
+        settings=(), coordinates=named((angular,) * n), driven=driven,
         time_step=0.02, finest_step=0.002, seconds=seconds, recordings=recordings,
         rest_velocity=0.1, units=SI, delay=-0.01 * driven, explained=0.97, moves=True,
         stiffness=None, notes=(),
@@ -111,7 +114,7 @@ def test_plans_count_the_steps_that_validations_take(n):
         return effort.validation(base, replace(one, **changed))
 
     assert validation(time_step=0.002) == pytest.approx(10 * validation())
-    assert validation(angular=(True,) * (n + 1)) > validation()
+    assert validation(coordinates=named((True,) * (n + 1))) > validation()
     thrifty = [replace(effort, sparse=True, measured=x) for x in plans.MEASURED]
     each = [validation(x, seconds=600.0) for x in (effort, *thrifty)]
     assert all(more > less for more, less in itertools.pairwise(each))
@@ -202,7 +205,7 @@ def test_given_settings_leave_no_two_candidates_equal(n, given):
 @pytest.mark.parametrize("angular", [(True, True), (False, True, True), (True, False, True)])
 def test_absolute_angles_have_friction_between_neighbours(angular):
     """On a cart as well: a hinge rubs with the difference of two angles."""
-    one = replace(machine(), angular=angular)
+    one = replace(machine(), coordinates=named(angular))
     found = [c for c in ladder(one) if "absolute angles" in c.name and "viscous" not in c.name]
     assert {c.settings["lagrangian"] for c in found} == {"planar", "absolute"}
     assert all(c.settings["dissipation.joints"] == "neighbours" for c in found)
