@@ -161,8 +161,8 @@ def ladder(machine: Machine) -> list[Candidate]:
     found = structures(machine)
     first = found[0]
     if machine.coordinates.rotations:
-        viscous = with_less_friction(first)
-        return sorted([*found, next(viscous)], key=lambda candidate: candidate.rank)
+        found.append(next(with_less_friction(first)))
+        return sorted(found, key=lambda candidate: candidate.rank)
     links = [one for one in found if one.settings["lagrangian"] == "planar"]
     network = next(one for one in found if one.name.split(", ")[0] == NETWORK)
     plain = list(without_springs(first))
@@ -171,7 +171,7 @@ def ladder(machine: Machine) -> list[Candidate]:
     if machine.driven:  # motors, screws and belts
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     else:  # bearings: dry friction may be too little to be found
-        found += [_viscous(candidate) for candidate in links]
+        found += [next(with_less_friction(candidate)) for candidate in links]
     found.append(_with_learned_friction(network))
     return sorted(found, key=lambda candidate: candidate.rank)
 
@@ -430,11 +430,6 @@ def _friction_rank(settings: Mapping[str, str]) -> float:
 
 def _friction_cost(settings: Mapping[str, str]) -> float:
     return FRICTION_COST.get(settings["dissipation"], 1.0)
-
-
-def _viscous(candidate: Candidate) -> Candidate:
-    more = FRICTION_RANK["viscous"] - _friction_rank(candidate.settings)
-    return candidate.changed("viscous friction", more, dissipation="viscous")
 
 
 def _with_learned_friction(candidate: Candidate) -> Candidate:
