@@ -203,7 +203,7 @@ def suggestion(found: Sequence[str]) -> str:
     inputs = [name for name in free if kinds[name] == "u"]
     mapping = {"t": times[0]} if times and "t" not in found else {}
     if pose := _pose(stems):
-        return _as_setting(mapping | pose | {f"u_{_short(name)}": name for name in inputs})
+        return as_setting(mapping | pose | {f"u_{_short(name)}": name for name in inputs})
     rates = {
         stem: name
         for name in free
@@ -218,7 +218,7 @@ def suggestion(found: Sequence[str]) -> str:
     if places and set(places) <= set(rates):
         mapping |= {f"v_{_short(stem)}": rates[stem] for stem in list(places)[:4]}
     mapping |= {f"u_{_short(name)}": name for name in inputs[:4]}
-    text = _as_setting(mapping or {"q_theta": "angle"})
+    text = as_setting(mapping or {"q_theta": "angle"})
     return text + " data.degrees=true" * any(map(in_degrees, places.values()))
 
 
@@ -241,7 +241,8 @@ def _pose(stems: Mapping[str, str]) -> dict[str, str]:
     return found | {f"q_R_{part}": ends[turns[0], part] for part in "wxyz"}
 
 
-def _as_setting(mapping: Mapping[str, str]) -> str:
+def as_setting(mapping: Mapping[str, str]) -> str:
+    """Return the setting that renames columns."""
     return "'data.columns={" + ", ".join(f"{a}: {_quoted(b)}" for a, b in mapping.items()) + "}'"
 
 

@@ -13,7 +13,16 @@ import numpy as np
 import pandas as pd
 
 from symo_exp.data.formats import Location, few, readable, shown, table_of
-from symo_exp.data.header import KINDS, OTHERS, UNITS, Columns, headers, omitting, suggestion
+from symo_exp.data.header import (
+    KINDS,
+    OTHERS,
+    UNITS,
+    Columns,
+    as_setting,
+    headers,
+    omitting,
+    suggestion,
+)
 from symo_exp.data.resample import Samples
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories
@@ -133,10 +142,10 @@ def _read(
     numbers = ["t", *wanted["q"], *wanted["v"], *wanted["u"]]
     if missing := [column for column in numbers if column not in found]:
         plain = {c: c[2:] for c in missing if c[2:] in found}
-        mend = "'data.columns={" + ", ".join(f"{a}: {b}" for a, b in plain.items()) + "}'"
+        mend = as_setting(plain) if plain else suggestion(found)
         raise ConfigError(
             f"{where}: no column {', '.join(missing)}; it has {few(found)}"
-            + (f"; map it: {mend if plain else suggestion(found)}" if missing != ["t"] else "")
+            + (f"; map it: {mend}" if missing != ["t"] else "")
         )
     with readable(file):
         table = table_of(file)
