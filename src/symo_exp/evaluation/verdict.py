@@ -26,6 +26,13 @@ def outlasts(measures: Mapping[str, float]) -> bool:
     return usable > 0.0 and LONGER * other <= usable
 
 
+def beside_baseline(measures: Mapping[str, float]) -> list[tuple[float, float]]:
+    """Return the error of a model and that of constant velocity up to each time."""
+    names = [f"rmse_{time}" for time in HORIZONS]
+    pairs = [(name, f"constant_velocity_{name}") for name in names]
+    return [(measures[a], measures[b]) for a, b in pairs if {a, b} <= measures.keys()]
+
+
 def verdict(measures: Mapping[str, float]) -> str | None:
     """Return the verdict on a model of recordings, ``None`` if its measures do not decide.
 
@@ -41,11 +48,7 @@ def verdict(measures: Mapping[str, float]) -> str | None:
         return "not judged: in 2 s of the test recordings nothing moves, or they are too short"
     if "usable_s" not in measures:
         return None
-    pairs = [
-        (measures[f"rmse_{t}"], measures[f"constant_velocity_rmse_{t}"])
-        for t in HORIZONS
-        if f"constant_velocity_rmse_{t}" in measures
-    ]
+    pairs = beside_baseline(measures)
     if pairs and all(not own < BETTER * other for own, other in pairs) and not outlasts(measures):
         return "no better than constant velocity"
     seconds, window = measures["usable_s"], measures.get("window_s", WINDOW)

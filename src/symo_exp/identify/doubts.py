@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from symo_exp.evaluation.verdict import HORIZONS, WINDOW, outlasts
+from symo_exp.evaluation.verdict import WINDOW, beside_baseline, outlasts
 from symo_exp.identify.recordings import Machine
 
 EXPLAINED = 0.5
@@ -29,12 +29,7 @@ def hopeless(measures: Mapping[str, float], horizon: float = WINDOW) -> bool:
         return False
     if measures.get("usable_s", 0.0) >= min(USEFUL, PART * horizon) and outlasts(measures):
         return False
-    pairs = [
-        (measures[f"rmse_{t}"], measures[f"constant_velocity_rmse_{t}"])
-        for t in HORIZONS
-        if f"rmse_{t}" in measures and f"constant_velocity_rmse_{t}" in measures
-    ]
-    return all(not own <= BETTER * other for own, other in pairs)
+    return all(not own <= BETTER * other for own, other in beside_baseline(measures))
 
 
 def doubts(machine: Machine) -> Iterator[str]:
