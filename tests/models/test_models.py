@@ -229,7 +229,7 @@ def test_the_gradient_does_not_vanish_below_the_tolerance_of_the_root():
 
 
 def test_an_unknown_guess_is_refused():
-    with pytest.raises(ValueError, match="guess must be datum or inertial, got nearest"):
+    with pytest.raises(ValueError, match="guess='nearest': expected one of datum, inertial"):
         make("e2e_symo", "midpoint", 2, guess="nearest")
 
 

@@ -8,10 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.checks import whole_number
 from symo_exp.data.base import DataModule
 from symo_exp.evaluation import measures
 from symo_exp.evaluation.rollouts import along, state_columns
-from symo_exp.evaluation.study import Finding, Remember, afresh, check_size
+from symo_exp.evaluation.study import Finding, Remember, afresh
 from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver, simulate
@@ -37,7 +38,8 @@ class LearnedQuantities:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        check_size(self.name, self.steps, self.count)
+        whole_number(f"study.{self.name}.steps", self.steps)
+        whole_number(f"study.{self.name}.count", self.count)
 
     @torch.no_grad()
     def __call__(
@@ -49,8 +51,7 @@ class LearnedQuantities:
             return Finding()
         q0, v0, u = system.points(self.count, self.seed)
         q, v, _ = simulate(system, q0, v0, torch.zeros_like(u), self.steps, Solver())
-        found = beside_true(model, system, q, v)
-        return Finding(found.columns, {f"{self.name}_{k}": x for k, x in found.measures.items()})
+        return beside_true(model, system, q, v).named(self.name)
 
 
 @torch.no_grad()

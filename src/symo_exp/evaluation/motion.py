@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from symo_exp.checks import real, whole_number
 from symo_exp.data.base import DataModule
-from symo_exp.errors import ConfigError
 from symo_exp.evaluation import measures
 from symo_exp.evaluation.phase_space import log_volume
 from symo_exp.evaluation.rollouts import along, roll_out, state_columns
-from symo_exp.evaluation.study import Finding, Remember, afresh, check_size
+from symo_exp.evaluation.study import Finding, Remember, afresh
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import LagrangianSystem, System
@@ -48,12 +48,10 @@ class Motion:
     truth: bool = True
 
     def __post_init__(self) -> None:
-        check_size(self.name, self.steps, self.count)
-        if not self.period > 0 or not math.isfinite(self.amplitude):
-            raise ConfigError(
-                f"study.{self.name}: period={self.period} must be positive, "
-                f"amplitude={self.amplitude} finite"
-            )
+        whole_number(f"study.{self.name}.steps", self.steps)
+        whole_number(f"study.{self.name}.count", self.count)
+        real(f"study.{self.name}.period", self.period, above=0)
+        real(f"study.{self.name}.amplitude", self.amplitude)
 
     @torch.no_grad()
     def __call__(
@@ -75,9 +73,7 @@ class Motion:
             volume = log_volume(model, lagrangian, q, v, u)
             found.columns["log_volume"] = volume.flatten()
             found.measures["volume"] = volume[:, -1].exp().nanmedian().item()
-        return Finding(
-            found.columns, {f"{self.name}_{key}": x for key, x in found.measures.items()}
-        )
+        return found.named(self.name)
 
     def _input(self, t: Tensor, system: System) -> Tensor:
         wave = self.amplitude * torch.sin(2 * math.pi * t / self.period)

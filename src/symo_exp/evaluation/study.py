@@ -23,8 +23,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from torch import Tensor
 
-from symo_exp.errors import ConfigError
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -38,6 +36,10 @@ class Finding:
     columns: dict[str, Tensor] = field(default_factory=dict)
     measures: dict[str, float] = field(default_factory=dict)
 
+    def named(self, name: str) -> Finding:
+        """Return the same with a prefix of the measures."""
+        return Finding(self.columns, {f"{name}_{key}": x for key, x in self.measures.items()})
+
 
 Arrays = Mapping[str, np.ndarray]
 Make = Callable[[], Arrays]
@@ -49,9 +51,3 @@ or by an earlier run."""
 def afresh(name: str, recipe: Mapping[str, Any], make: Make) -> Arrays:
     """Return the arrays made now."""
     return make()
-
-
-def check_size(name: str, steps: int, count: int) -> None:
-    """Raise ``ConfigError`` for a study without motions or without steps."""
-    if steps < 1 or count < 1:
-        raise ConfigError(f"study.{name}: steps={steps} and count={count} must be at least 1")

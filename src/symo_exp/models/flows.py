@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.checks import one_of
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.chart import Controlled
 from symo_exp.mechanics.explicit import RungeKutta
@@ -241,8 +242,7 @@ class ExplicitFlow(Flow):
         rollout_integrator: RungeKutta | None = None,
     ) -> None:
         super().__init__(time_step)
-        if sensitivity not in ("direct", "adjoint"):
-            raise ValueError(f"sensitivity must be direct or adjoint, got {sensitivity}")
+        one_of("model.sensitivity", sensitivity, ("direct", "adjoint"))
         if sensitivity == "adjoint" and field.space.rotations:
             raise ConfigError(
                 "model.sensitivity=adjoint integrates lengths and angles only, and the system has "

@@ -26,6 +26,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.checks import one_of
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.roots import relative
 from symo_exp.mechanics.types import TrainingSamples, Trajectory, Windows
@@ -180,8 +181,7 @@ class RootError(Objective):
     def __init__(
         self, *, guess: Literal["datum", "inertial"] = "datum", fallback: bool = True
     ) -> None:
-        if guess not in ("datum", "inertial"):
-            raise ValueError(f"guess must be datum or inertial, got {guess}")
+        one_of("model.guess", guess, ("datum", "inertial"))
         self.guess, self.fallback = guess, fallback
 
     @override

@@ -4,6 +4,7 @@ from typing import Literal
 
 from torch import Tensor
 
+from symo_exp.checks import one_of
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.types import Coordinates
@@ -69,8 +70,7 @@ class SyMo(DynamicsModel):
                 "objective=horizon: SyMo is trained without predictions; with the error of "
                 "predictions it is E2E-SyMo by definition: choose model=e2e_symo"
             )
-        if inputs not in ("given", "learned"):
-            raise ConfigError(f"model.inputs={inputs}: expected given or learned")
+        one_of("model.inputs", inputs, ("given", "learned"))
         flow = VariationalFlow(
             learned_lagrangian(coordinates, lagrangian, dissipation, springs),
             in_units(integrator, coordinates),

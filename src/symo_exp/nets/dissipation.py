@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.checks import real
+from symo_exp.checks import one_of, real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
@@ -57,8 +57,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         start: float = 0.01,
     ) -> None:
         super().__init__()
-        if joints not in ("own", "neighbours"):
-            raise ConfigError(f"dissipation.joints={joints}: expected own or neighbours")
+        one_of("dissipation.joints", joints, ("own", "neighbours"))
         real("dissipation.rest_velocity", rest_velocity, above=0)
         real("dissipation.start", start, above=0)
         n = coordinates.n

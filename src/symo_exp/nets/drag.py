@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.checks import real
-from symo_exp.errors import ConfigError
+from symo_exp.checks import real, whole_number
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.rigid_body import in_body, in_world
@@ -43,9 +42,7 @@ class LearnedDrag(nn.Module, Dissipation):
         super().__init__()
         require_flat(coordinates, "dissipation=drag", "dissipation=viscous")
         n = coordinates.n
-        count = 2 * n if speeds is None else speeds
-        if count < 1:
-            raise ConfigError(f"dissipation.speeds={count}: expected at least 1, or null")
+        count = 2 * n if speeds is None else whole_number("dissipation.speeds", speeds)
         self.harmonics = Harmonics(angular=coordinates.angular, order=2, relative=relative)
         self.weight = nn.Parameter(0.1 * torch.randn(count * n, self.harmonics.size))
         self.bias = nn.Parameter(0.3 * torch.randn(count * n))

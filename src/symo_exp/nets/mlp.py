@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.checks import whole_number
 from symo_exp.nets.affine import linear
 
 
@@ -28,9 +29,8 @@ class MLP(nn.Module):
         self, *, inputs: int, outputs: int, width: int, depth: int, affine: bool = False
     ) -> None:
         super().__init__()
-        for name, value in (("width", width), ("depth", depth)):
-            if value < 1:
-                raise ValueError(f"{name} must be at least 1, got {value}")
+        whole_number("width", width)
+        whole_number("depth", depth)
         sizes = [inputs, *([] if affine else [width] * depth), outputs]
         pairs = list(pairwise(sizes))
         self.weights = nn.ParameterList([torch.empty(out, into) for into, out in pairs])
