@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import comb
 
 import numpy as np
@@ -243,11 +244,10 @@ def explained_power(
     Each row is predicted from the others; coordinates that never move are not. ``None`` with fewer
     than 20 rows or without motion.
     """
-
-    def terms(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return acceleration_terms(q, v, u if driven else u[:, :0], coordinates)
-
-    found = _regression(motions, coordinates, h, terms)
+    chosen = motions if driven else [(q, u[:, :0]) for q, u in motions]
+    found = _regression(
+        chosen, coordinates, h, partial(acceleration_terms, coordinates=coordinates)
+    )
     return None if found is None else max(0.0, 1.0 - found[0])
 
 
@@ -280,15 +280,12 @@ def spring_slopes(
         turned = q[:, angular]
         return np.concatenate([np.cos(turned), np.sin(turned), _forces(q, v, u)], axis=1)
 
+    def both(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return np.concatenate([q, gravity(q, v, u)], axis=1)
+
     hanging = _regression(motions, coordinates, h, gravity)
-    for beside, most in (_forces, SPRUNG), (gravity, SPRUNG_TOO):
-
-        def springs(
-            q: np.ndarray, v: np.ndarray, u: np.ndarray, beside: Terms = beside
-        ) -> np.ndarray:
-            return np.concatenate([q, beside(q, v, u)], axis=1)
-
-        sprung = _regression(motions, coordinates, h, springs)
+    for terms, most in (_linear, SPRUNG), (both, SPRUNG_TOO):
+        sprung = _regression(motions, coordinates, h, terms)
         if sprung is not None and hanging is not None and sprung[0] <= most * hanging[0]:
             moves = moving(motions)  # a place that is always the same shows no slope
             return np.where(np.outer(moves, moves), sprung[1][:n].T, 0.0)
@@ -353,11 +350,7 @@ def growth_rate(motions: Sequence[Motion], coordinates: Coordinates, h: float) -
     if coordinates.rotations:
         return None
     n = coordinates.n
-
-    def linear(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return np.concatenate([q, _forces(q, v, u)], axis=1)
-
-    found = _regression(motions, coordinates, h, linear)
+    found = _regression(motions, coordinates, h, _linear)
     if found is None or found[0] > LINEAR:
         return None
     zero, one = np.zeros((n, n)), np.eye(n)
@@ -368,6 +361,11 @@ def growth_rate(motions: Sequence[Motion], coordinates: Coordinates, h: float) -
 def _forces(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return terms that do not depend on places: a constant force, friction and inputs."""
     return np.concatenate([np.ones((len(q), 1)), v, signs_of(v), u], axis=1)
+
+
+def _linear(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the terms of linear equations of motion, and dry friction."""
+    return np.concatenate([q, _forces(q, v, u)], axis=1)
 
 
 def _regression(

@@ -194,9 +194,9 @@ def examine(
     if matrix is not None and (against := reversed_inputs(used, space, time_step, matrix)).any():
         matrix = np.where(against, -matrix, matrix) + 0.0
         acting = [f"u_{name}" for name, x in zip(inputs, against, strict=True) if x]
-        turned = f"system.input_matrix={str(matrix.tolist()).replace(' ', '')}"
-        settings += [turned] if given is None else []
-        notes.append(f"inputs: {few(acting)} acts in the other direction; {turned}")
+        mended = f"system.input_matrix={str(matrix.tolist()).replace(' ', '')}"
+        settings += [mended] if given is None else []
+        notes.append(f"inputs: {few(acting)} acts in the other direction; {mended}")
     shown_by = dynamics(used, space, time_step, matrix)
     inferred = {
         **vars(shown_by),
