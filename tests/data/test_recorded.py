@@ -11,8 +11,9 @@ import pytest
 import torch
 
 from symo_exp.data.draws import uniform
-from symo_exp.data.recorded import RecordedData, write_recordings
+from symo_exp.data.recorded import RecordedData
 from symo_exp.data.simulate import generate
+from symo_exp.data.table import write_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from symo_exp.data.noise import add_noise
-from symo_exp.data.recorded import RecordedData, write_recordings
+from symo_exp.data.recorded import RecordedData
+from symo_exp.data.table import write_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import angle
 from symo_exp.mechanics.types import Trajectories

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from symo_exp.data.draws import uniform
-from symo_exp.data.recorded import RecordedData, write_recordings
+from symo_exp.data.recorded import RecordedData
 from symo_exp.data.simulate import generate
+from symo_exp.data.table import write_recordings
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.learned import LearnedQuantities
 from symo_exp.evaluation.motion import Motion

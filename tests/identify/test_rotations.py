@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from symo_exp.data.diagnose import quasi_coordinates
-from symo_exp.data.recorded import write_recordings
+from symo_exp.data.table import write_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.identify.candidates import ladder, variations
 from symo_exp.identify.recordings import Machine, examine

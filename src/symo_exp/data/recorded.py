@@ -22,13 +22,11 @@ from symo_exp.data.formats import Location, few, shown
 from symo_exp.data.header import UNITS, Columns, header, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.resample import Samples, resample
-from symo_exp.data.table import Recording, RecordingTable, read_recordings, write_recordings
+from symo_exp.data.table import Recording, RecordingTable, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
-
-__all__ = ["RecordedData", "central_differences", "recorded_system", "write_recordings"]
 
 log = logging.getLogger(__name__)
 

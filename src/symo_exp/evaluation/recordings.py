@@ -31,7 +31,7 @@ from symo_exp.evaluation.rollouts import along
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.starts import ITERATIONS, RollsOut
-from symo_exp.models.uncertainty import Interval, ModelPosterior
+from symo_exp.models.uncertainty import Interval
 
 log = logging.getLogger(__name__)
 
@@ -179,9 +179,8 @@ def on_recordings(
             measures |= {f"{prefix}{key}{suffix}": x for key, x in one.measures().items()}
         if run_in:
             interval = None
-            posterior: ModelPosterior | None = getattr(model, "posterior", None)
-            if posterior is not None and not model.coordinates.space.rotations:
-                interval = interval_of(model, posterior, found[""])
+            if model.posterior is not None and not model.coordinates.space.rotations:
+                interval = interval_of(model, model.posterior, found[""])
                 measures |= coverage(found[""], interval)
             recorded = RecordedPredictions(
                 model.coordinates, found[""], found.get("reference_"), interval,
@@ -204,10 +203,9 @@ def on_recordings(
 
 def _dissipation(model: DynamicsModel, found: Predictions) -> Tensor | None:
     """Return the force of a learned dissipation, NaN where the prediction is lost."""
-    learned = getattr(model, "dissipation", None)
-    if learned is None:
+    if model.dissipation is None:
         return None
     finite = torch.cat((found.q, found.v), dim=2).isfinite().all(2, keepdim=True)
     states = (x.where(finite, 0.0).to(model.input_matrix) for x in (found.q, found.v))
     with torch.no_grad():
-        return along(learned.force, *states).cpu().where(finite, torch.nan)
+        return along(model.dissipation.force, *states).cpu().where(finite, torch.nan)
