@@ -122,20 +122,11 @@ def examine(
     flat, freedoms = alone.coordinates.flat, alone.coordinates.names
     body = len(rotations) == 1 and len(flat) in (0, 3)
     learned_inputs = 0
-    if input_matrix is None:
-        input_matrix = _input_matrix(freedoms, inputs)
-        if input_matrix is not None:
-            pairs = ", ".join(f"u_{name} drives q_{name}" for name in inputs)
-            notes.append(f"inputs: {pairs}, by their names")
-        elif body and inputs and inputs != freedoms:
-            learned_inputs = len(inputs)
-            input_matrix = [[0] * learned_inputs for _ in freedoms]
-            notes.append(
-                "inputs: the forces and torques that they cause are learned, in body axes, so that "
-                "the inertia is known up to a factor (system.input_matrix=... gives them)"
-            )
-        if input_matrix is not None:
-            settings.append(f"system.input_matrix={str(input_matrix).replace(' ', '')}")
+    if given is None and (inferred := _inferred_matrix(freedoms, inputs, body)) is not None:
+        input_matrix, line = inferred
+        learned_inputs = 0 if np.any(input_matrix) else len(inputs)
+        settings.append(f"system.input_matrix={str(input_matrix).replace(' ', '')}")
+        notes.append(line)
 
     def system(which: Any) -> Recorded:
         return Recorded(
@@ -198,13 +189,12 @@ def examine(
         settings += [mended] if given is None else []
         notes.append(f"inputs: {few(acting)} acts in the other direction; {mended}")
     shown_by = dynamics(used, space, time_step, matrix)
-    inferred = {
-        **vars(shown_by),
+    lists = {
         "settings": (*settings, *shown_by.settings),
         "notes": (*notes, *shown_by.notes),
     }
     return Machine(
-        **inferred,
+        **vars(shown_by) | lists,
         coordinates=space,
         driven=driven,
         time_step=time_step,
@@ -336,11 +326,25 @@ def _told_still(recordings: Sequence[Recording], names: Sequence[str]) -> list[s
     return [f"{few(still)} {told}; for a model without such a coordinate, give {omitting(still)}"]
 
 
-def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
-    """Return the matrix of inputs that have the names of coordinates, else ``None``."""
-    if not inputs or not set(inputs) <= set(coordinates) or tuple(inputs) == tuple(coordinates):
+def _inferred_matrix(
+    coordinates: tuple[str, ...], inputs: tuple[str, ...], body: bool
+) -> tuple[list[list[int]], str] | None:
+    """Return the matrix of inputs and a line on it, ``None`` where nothing tells it.
+
+    Inputs with the names of coordinates drive these. The matrix of a ``body`` that turns freely is
+    zero, and is to be learned. No inputs, or one for each coordinate, need no matrix.
+    """
+    if not inputs or inputs == coordinates:
         return None
-    return [[int(name == other) for other in inputs] for name in coordinates]
+    if set(inputs) <= set(coordinates):
+        pairs = ", ".join(f"u_{name} drives q_{name}" for name in inputs)
+        matrix = [[int(name == other) for other in inputs] for name in coordinates]
+        return matrix, f"inputs: {pairs}, by their names"
+    learned = (
+        "inputs: the forces and torques that they cause are learned, in body axes, so that the "
+        "inertia is known up to a factor (system.input_matrix=... gives them)"
+    )
+    return ([[0] * len(inputs) for _ in coordinates], learned) if body else None
 
 
 def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
