@@ -44,7 +44,7 @@ def folded(parts: Parts, fold: Sequence[int] | str) -> Parts:
     rests = at_rest(pool)
     moving, still = ([one for one, x in zip(pool, rests, strict=True) if x == y] for y in (0, 1))
     pieces = moving if len(moving) >= count else _blocks(moving, count)
-    dealt = deal([_duration(piece) for piece in pieces], count)
+    dealt = deal([piece.samples.seconds for piece in pieces], count)
     held_out = [pieces[i] for i in dealt[index]]
     train = [pieces[i] for k, group in enumerate(dealt) if k != index for i in group]
     return {"train": [*train, *still], "val": held_out, "test": held_out}
@@ -94,19 +94,19 @@ def thinned(
     pieces would be shorter than ``shortest`` [s], or than the recordings if these are shorter, only
     every so many recordings have one.
     """
-    total = sum(map(_duration, recordings))
+    total = sum(one.samples.seconds for one in recordings)
     if seconds >= total:
         return list(recordings)
-    shortest = min(shortest, max(map(_duration, recordings)))
+    shortest = min(shortest, max(one.samples.seconds for one in recordings))
     most = max(1, int(seconds / shortest))
     if len(recordings) > most:
         chosen = np.linspace(0, len(recordings), most, endpoint=False).astype(int)
         recordings = [recordings[i] for i in chosen]
-    share = min(1.0, seconds / sum(map(_duration, recordings)))
+    share = min(1.0, seconds / sum(one.samples.seconds for one in recordings))
     pieces = []
     for i, one in enumerate(recordings):
-        length = share * _duration(one)
-        low = (GOLDEN * i) % 1.0 * (_duration(one) - length)
+        length = share * one.samples.seconds
+        low = (GOLDEN * i) % 1.0 * (one.samples.seconds - length)
         pieces.append(one._replace(samples=one.samples.between(low, low + length)))
     return pieces
 
@@ -121,20 +121,16 @@ def _checked(fold: object) -> tuple[int, int]:
 
 def _blocks(recordings: Sequence[Recording], count: int) -> list[Recording]:
     """Return at least ``count`` pieces of the recordings, all of them about equally long."""
-    size = sum(map(_duration, recordings)) / count
-    cuts = [max(1, round(_duration(one) / size)) for one in recordings]
+    size = sum(one.samples.seconds for one in recordings) / count
+    cuts = [max(1, round(one.samples.seconds / size)) for one in recordings]
     while sum(cuts) < count:
-        longest = max(range(len(cuts)), key=lambda i: _duration(recordings[i]) / cuts[i])
+        longest = max(range(len(cuts)), key=lambda i: recordings[i].samples.seconds / cuts[i])
         cuts[longest] += 1
     pieces = []
     for one, blocks in zip(recordings, cuts, strict=True):
-        edges = np.linspace(0.0, _duration(one), blocks + 1)
+        edges = np.linspace(0.0, one.samples.seconds, blocks + 1)
         gap = min(GAP, 0.1 * edges[1])
         for k, (low, high) in enumerate(itertools.pairwise(edges)):
             samples = one.samples.between(low + gap * (k > 0), high)
             pieces.append(one._replace(label=f"{one.label}/{k}", samples=samples))
     return pieces
-
-
-def _duration(recording: Recording) -> float:
-    return float(recording.samples.t[-1] - recording.samples.t[0])

@@ -267,7 +267,7 @@ def _in_blocks(
             samples = one.samples.between(low, high)
             name = f"{low:.4g} to {high:.4g} s"
             blocks.append(Recording(f"{one.label}/{name}" if one.label else name, part, samples))
-        rest = float(np.ptp(one.samples.t)) - span
+        rest = one.samples.seconds - span
         left = f" ({rest:.3g} s at rest are left out)" if rest > 0 else ""
         told.append(f"{span:.4g} s{left} in {rounds * len(PATTERN)} blocks of {size:.3g} s")
     order = ", ".join(pattern)

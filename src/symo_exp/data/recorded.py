@@ -289,7 +289,7 @@ class Nodes:
                 _check_turns(where, samples, self.coordinates)
             samples = turned(where, samples, self.coordinates)
             if not _equal(samples.t, h):
-                _check_steps(where, samples.t, h)
+                _check_steps(where, samples, h)
                 samples = self._resampled(samples)
                 if len(samples.t) < 3:
                     raise ConfigError(
@@ -401,8 +401,8 @@ def _equal(t: np.ndarray, h: float) -> bool:
     return bool((np.abs(np.diff(t) - h) <= TIME_TOLERANCE * h).all())
 
 
-def _check_steps(where: str, t: np.ndarray, h: float) -> None:
-    usual = float(np.median(np.diff(t)))
+def _check_steps(where: str, samples: Samples, h: float) -> None:
+    usual = samples.step
     if usual > h * (1 + TIME_TOLERANCE):
         raise ConfigError(
             f"{where} has a sample every {usual:.6g} s, and system.time_step={h:g} may not be "
@@ -428,14 +428,14 @@ def _report(
     yield from table.notes
     if table.unread:
         yield f"columns that are not read: {few(table.unread)}"
-    gaps = [np.diff(r.samples.t) for r in used if not _equal(r.samples.t, h)]
-    if gaps:
-        usual = sorted(float(np.median(g)) for g in gaps)
+    resampled = [r.samples for r in used if not _equal(r.samples.t, h)]
+    if resampled:
+        usual = sorted(samples.step for samples in resampled)
         rate = f"{usual[0]:.3g}" + (f" to {usual[-1]:.3g}" if usual[-1] > 1.01 * usual[0] else "")
-        largest = max(float(g.max()) for g in gaps)
+        largest = max(float(np.diff(samples.t).max()) for samples in resampled)
         yield (
-            f"resampled: {len(gaps)} of {len(used)} trajectories from {rate} s (the longest gap "
-            f"{largest:.3g} s) to {h:g} s, by local cubics; inputs averaged over a step"
+            f"resampled: {len(resampled)} of {len(used)} trajectories from {rate} s (the longest "
+            f"gap {largest:.3g} s) to {h:g} s, by local cubics; inputs averaged over a step"
         )
 
 

@@ -21,6 +21,16 @@ class Samples(NamedTuple):
     v: np.ndarray | None
     u: np.ndarray
 
+    @property
+    def seconds(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def step(self) -> float:
+        """Usual time between samples, their median [s]."""
+        return float(np.median(np.diff(self.t)))
+
     def rows(self, which: slice | np.ndarray) -> Samples:
         """Return some of the samples."""
         v = None if self.v is None else self.v[which]
@@ -43,7 +53,7 @@ def resample(samples: Samples, h: float) -> Samples:
     on both sides, unless they are sparse.
     """
     t, q, v, u = samples
-    lead = h / 2 if np.median(np.diff(t)) <= DENSE * h * (1 + 1e-3) else 0.0
+    lead = h / 2 if samples.step <= DENSE * h * (1 + 1e-3) else 0.0
     count = int(np.floor((t[-1] - t[0] - 2 * lead) / h + 1e-6)) + 1
     nodes = t[0] + lead + h * np.arange(count)
     place, slope = fitted(t, q, nodes, h)

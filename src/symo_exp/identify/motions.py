@@ -204,7 +204,7 @@ def explained_by_angles(
     recordings: Sequence[Recording], coordinates: Coordinates
 ) -> tuple[float | None, float | None]:
     """Return the share of the accelerations' power that is explained, and that if in degrees."""
-    step = max(STEPS[0], *(float(np.median(np.diff(r.samples.t))) for r in recordings))
+    step = max(STEPS[0], *(one.samples.step for one in recordings))
     pairs = _pairs(_motions(_beginning(recordings, EXAMINED), step), step, 0.0)
     given = pairs, coordinates, step
     return explained_power(*given, driven=True), explained_in_degrees(*given)
@@ -364,7 +364,7 @@ def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recordin
             break
         t = one.samples.t
         inside = t - t[0] <= seconds - total
-        total += float(np.ptp(t))
+        total += one.samples.seconds
         found.append(one._replace(samples=one.samples.rows(inside)))
     return [one for one in found if len(one.samples.t) > 20]
 

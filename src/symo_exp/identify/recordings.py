@@ -163,7 +163,7 @@ def examine(
     notes += _told_still(used, flat)
     if data.get("degrees") is None and not rotations:
         _ask_for_degrees(used, space)
-    finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
+    finest = max(one.samples.step for one in (*used, *test))
     used = [_turned(shown(path), one, space) for one in used]
     if time_step is None:
         paths = [_along(one, space) for one in used]
@@ -199,7 +199,7 @@ def examine(
         driven=driven,
         time_step=time_step,
         finest_step=finest,
-        seconds=sum(float(np.ptp(one.samples.t)) for one in used),
+        seconds=sum(one.samples.seconds for one in used),
         recordings=recordings,
         moves=any_moves(used),
         body=Body(bool(flat), shown_by.radius, learned_inputs) if body and not chosen else None,
@@ -240,7 +240,7 @@ def _parts(
     if data.get("leave_out") is not None:
         recordings = list(without(recordings, data["leave_out"], time_step or STEPS[0]))
     if all(given is None for given in (*named.values(), *counts)):
-        finest = min(float(np.median(np.diff(one.samples.t))) for one in recordings)
+        finest = min(one.samples.step for one in recordings)
         recordings, note = with_every_part(recordings, time_step or min(STEPS[0], finest))
         notes += [note] if note else []
     parts = divided(shown(path), recordings, named, *counts)
