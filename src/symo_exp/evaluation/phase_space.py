@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.evaluation.rollouts import CHUNK
+from symo_exp.evaluation.rollouts import along
 from symo_exp.mechanics.lagrangian import Lagrangian, jacobian
 from symo_exp.models.base import DynamicsModel
 
@@ -24,12 +26,10 @@ def log_volume(
     start, an area for one degree of freedom, has grown until node ``k``: the sum over the steps of
     ``log |det|`` of their derivatives.
     """
-    place = model.input_matrix
-    rows = [x.to(place) for x in (q[:, :-1], v[:, :-1], u[:, :-1], u[:, 1:])]
-    parts = [torch.split(x.flatten(0, 1), CHUNK) for x in rows]
-    grown = torch.cat([_one_step(model, *chunk) for chunk in zip(*parts, strict=True)])
+    ends = (x.to(model.input_matrix) for x in (q[:, :-1], v[:, :-1], u[:, :-1], u[:, 1:]))
+    grown = along(partial(_one_step, model), *ends)
     log_mass = torch.logdet(lagrangian.mass_matrix(q.flatten(0, 1))).view(q.shape[:2])
-    steps = grown.cpu().view(len(q), -1) + log_mass.diff(dim=1)
+    steps = grown.cpu() + log_mass.diff(dim=1)
     return torch.cat((torch.zeros_like(log_mass[:, :1]), steps.cumsum(1)), dim=1)
 
 
