@@ -158,9 +158,8 @@ def diagnose(
     second = [np.diff(path, 2, axis=0) for path in paths]
     noise = np.array([noise_of(columns) for columns in _columns(sampled)])
     blur = blur_of(noise, samples)
-    power = (
-        np.mean(np.concatenate(second) ** 2, axis=0) - 6 * blur**2
-    )  # second differences of noise
+    of_noise = 6 * blur**2  # the power of its second differences
+    power = np.mean(np.concatenate(second) ** 2, axis=0) - of_noise
     curvature = np.sqrt(np.maximum(power, 0.01 * blur**2))
     springs = spring_slopes(motions, coordinates, time_step)
     return Diagnosis(

@@ -42,7 +42,8 @@ def folded(parts: Parts, fold: Sequence[int] | str) -> Parts:
         return {"train": pool, "val": list(parts["val"]), "test": list(parts["test"])}
     index, count = _checked(fold)
     rests = at_rest(pool)
-    moving, still = ([one for one, x in zip(pool, rests, strict=True) if x == y] for y in (0, 1))
+    moving = [one for one, x in zip(pool, rests, strict=True) if not x]
+    still = [one for one, x in zip(pool, rests, strict=True) if x]
     pieces = moving if len(moving) >= count else _blocks(moving, count)
     dealt = deal([piece.samples.seconds for piece in pieces], count)
     held_out = [pieces[i] for i in dealt[index]]

@@ -152,7 +152,8 @@ def _one_step(model: DynamicsModel, samples: Windows) -> tuple[float, float, flo
         for start in range(0, len(samples.q), CHUNK)
     ]
     failed = 1.0 - torch.cat([part.converged for part in parts]).double().mean().item()
-    q_next, v_next = (torch.cat(x) for x in ([p.q for p in parts], [p.v for p in parts]))
+    q_next = torch.cat([part.q for part in parts])
+    v_next = torch.cat([part.v for part in parts])
     off = model.coordinates.space.difference(samples.q_next, q_next)
     q = measures.squared(off).mean().item()
     v = measures.squared(v_next - samples.v_next).mean().item()
