@@ -19,7 +19,7 @@ from symo_exp.identify.candidates import (
     with_friction_of,
     with_less_friction,
 )
-from symo_exp.identify.recordings import Body, Machine
+from symo_exp.identify.recordings import Machine
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
 
@@ -40,13 +40,13 @@ def machine(n=2, seconds=60.0, recordings=7, driven=True, angular=True):
 PIVOT = Coordinates.of(rotations=("R",))
 FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",), [(0, 0)])
 TURNING = [
-    replace(machine(driven=driven), coordinates=coordinates, body=body)
+    replace(machine(driven=driven), coordinates=coordinates, **body)
     for coordinates, driven, body in (
-        (PIVOT, False, Body(free=False, radius=1.0, learned_inputs=0)),
-        (PIVOT, True, Body(free=False, radius=1.0, learned_inputs=3)),
-        (FREE, True, Body(free=True, radius=0.1, learned_inputs=0)),
-        (FREE, True, Body(free=True, radius=1.0, learned_inputs=4)),
-        (Coordinates.of(rotations=("R", "S")), False, None),
+        (PIVOT, False, {"body": True}),
+        (PIVOT, True, {"body": True, "learned_inputs": 3}),
+        (FREE, True, {"body": True, "radius": 0.1}),
+        (FREE, True, {"body": True, "learned_inputs": 4}),
+        (Coordinates.of(rotations=("R", "S")), False, {}),
     )
 ]
 """Machines that turn freely."""

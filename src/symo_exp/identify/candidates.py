@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from symo_exp.identify.recordings import Body, Machine
+from symo_exp.identify.recordings import Machine
 from symo_exp.shell import override_value
 
 FREE_DAMPING = 1.0
@@ -134,26 +134,26 @@ def structures(machine: Machine) -> list[Candidate]:
 
 def _turning(machine: Machine) -> list[Candidate]:
     """Return a candidate of every structure of a machine that turns freely, the simplest first."""
-    body, found = machine.body, []
-    if body is not None:
-        learned = {"lagrangian.learned_inputs": str(body.learned_inputs)}
-        given = {"lagrangian.radius": f"{body.radius:g}", **learned, **_drag(body)}
+    found = []
+    if machine.body:
+        learned = {"lagrangian.learned_inputs": str(machine.learned_inputs)}
+        given = {"lagrangian.radius": f"{machine.radius:g}", **learned, **_drag(machine)}
         first = _candidate(BODY, 1.0, "body", given, 1.6)
         found.append(first)
-        if body.learned_inputs:
+        if machine.learned_inputs:
             width = {"lagrangian__input_width": "4"}
             found.append(first.changed("inputs that depend on the attitude", 0.8, 1.3, **width))
         width = {"lagrangian__potential_width": "8"}
         found.append(first.changed("learned potential", 1.2, 1.3, **width))
-    if body is None or not body.learned_inputs:
-        friction = {"dissipation": "viscous"} if body is None else _drag(body)
+    if not machine.learned_inputs:
+        friction = _drag(machine) if machine.body else {"dissipation": "viscous"}
         found.append(_candidate(NETWORK, 4.0, "turning network", friction, 2.5, 2, 3.0))
     return found
 
 
-def _drag(body: Body) -> dict[str, str]:
+def _drag(machine: Machine) -> dict[str, str]:
     """Return the settings of the drag of a body."""
-    return {"dissipation": "body_drag", "dissipation.radius": f"{body.radius:g}"}
+    return {"dissipation": "body_drag", "dissipation.radius": f"{machine.radius:g}"}
 
 
 def ladder(machine: Machine) -> list[Candidate]:
@@ -214,8 +214,8 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
 def _of_turning(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     """Yield variations of a candidate with rotations, the most promising first."""
     settings = candidate.settings
-    if settings["dissipation"] == "viscous" and machine.body is not None:
-        yield _with_friction(candidate, _drag(machine.body), PLACE_AND_START, FRICTION_NAMES, "")
+    if settings["dissipation"] == "viscous" and machine.body:
+        yield _with_friction(candidate, _drag(machine), PLACE_AND_START, FRICTION_NAMES, "")
     yield from finer(candidate, machine)
     if machine.driven:
         yield from _delayed(candidate, machine)

@@ -43,21 +43,6 @@ SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke
 """Words in the names of angles and of positions."""
 
 
-@dataclass(frozen=True)
-class Body:
-    """One rigid body that turns freely, as its recordings show it.
-
-    Args:
-        free: Whether it moves as well; else it turns about a pivot.
-        radius: Radius of gyration near which training starts, in units of length.
-        learned_inputs: Number of inputs whose matrix is learned; 0: it is given, or there are none.
-    """
-
-    free: bool
-    radius: float
-    learned_inputs: int
-
-
 @dataclass(frozen=True, kw_only=True)
 class Machine(Dynamics):
     """A recorded machine: its dynamics, and what else its candidates depend on.
@@ -70,7 +55,9 @@ class Machine(Dynamics):
         seconds: Length of the training and validation part [s].
         recordings: How many there are in these parts that are not at rest.
         moves: Whether any coordinate moves by more than its noise.
-        body: The body, if the machine is a single one that turns freely.
+        body: Whether it is a single rigid body that turns freely, and may move.
+        learned_inputs: Number of inputs of a body whose matrix is learned; 0: it is given, or there
+            are none.
 
     The other arguments are those of ``Dynamics``; ``settings`` and ``notes`` are those of the whole
     machine.
@@ -83,7 +70,8 @@ class Machine(Dynamics):
     seconds: float
     recordings: int
     moves: bool
-    body: Body | None = None
+    body: bool = False
+    learned_inputs: int = 0
 
     @property
     def nodes(self) -> int:
@@ -202,7 +190,8 @@ def examine(
         seconds=sum(one.samples.seconds for one in used),
         recordings=recordings,
         moves=any_moves(used),
-        body=Body(bool(flat), shown_by.radius, learned_inputs) if body and not chosen else None,
+        body=body and not chosen,
+        learned_inputs=learned_inputs,
     )
 
 
