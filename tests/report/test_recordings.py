@@ -42,7 +42,8 @@ def recorded(n: int, lost: bool = False, **more: object):
     trajectories = [Trajectory(q, v, 0.0 * q), Trajectory(q[:60], v[:60], 0.0 * q[:60])]
     model = SimpleNamespace(
         coordinates=Coordinates(tuple(f"theta_{i + 1}" for i in range(n)), (True,) * n),
-        time_step=H, input_matrix=torch.eye(n, dtype=torch.float64), rollout=rollout, **more,
+        time_step=H, input_matrix=torch.eye(n, dtype=torch.float64), rollout=rollout,
+        posterior=None, **({"dissipation": None} | more),
     )  # fmt: skip
     reference = SimpleNamespace(acceleration=lambda q, v, u: -q)
     return model, *on_recordings(model, trajectories, reference)
