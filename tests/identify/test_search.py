@@ -45,6 +45,10 @@ def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, 
     path = model.rollout(torch.tensor([[0.3]]), torch.tensor([[0.0]]), steps=10)
     assert bool(path.q.isfinite().all())
     assert OmegaConf.load(folder / "best" / "config.yaml").trainer.time_limit is None
+    folds = RunFolder(folder / "best").folds()
+    names = [tuple(OmegaConf.load(fold / "config.yaml").data.fold) for fold in folds]
+    assert len(names) > 1
+    assert sorted(names) == [(k, len(names)) for k in range(len(names))]
     measures = RunFolder(folder / "best").measures()
     assert measures["rmse_1s"] < 0.01 * measures["constant_velocity_rmse_1s"]
     candidates = pd.read_csv(folder / "candidates.csv")
