@@ -64,7 +64,7 @@ def planned(*words: str) -> Iterator[tuple[Sweep, list[Job]]]:
     hydras = [word for word in command.overrides if word.lstrip("+~").startswith("hydra")]
     settings = [word for word in command.overrides if word not in hydras]
     options = [word for word in command.options if word not in ("-m", "--multirun")]
-    key = (*options, command.folder, *hydras)
+    key = (*options, *command.folders, *hydras)
     try:
         if key not in _kept:
             _kept[key] = _compose(Command([*options, *hydras]))
