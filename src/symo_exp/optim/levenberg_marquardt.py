@@ -84,11 +84,8 @@ class LevenbergMarquardt(EpochOptimizer):
         for name, value in (("trials", trials), ("chunk", chunk)):
             whole_number(f"optimizer.{name}", value)
         super().__init__(params, patience=patience)
+        self.require_double()
         self.shortest, self.huber = shortest, huber
-        if any(p.dtype != torch.float64 for p in self.parameters):
-            raise ConfigError(
-                "Levenberg-Marquardt squares the condition number: it needs dtype=float64"
-            )
         self.trials, self.chunk, self.initial_damping = trials, chunk, damping
         self.memory |= {"damping": damping, "loss": math.inf, "asked": math.inf}
         self.memory["forces"] = force_epochs
