@@ -47,6 +47,11 @@ def settings_of(*words: str) -> list[Any]:
     return [OmegaConf.create(job.values) for job in jobs_of(*words)]
 
 
+def params_of(sweep: str) -> dict[str, Any]:
+    """What a sweep varies, by its file and those that it changes."""
+    return dict(_compose(Command(["-cn", sweep])).params)
+
+
 def refusal(*words: str) -> str:
     """Return the error of a command that must not start."""
     try:
