@@ -136,7 +136,6 @@ class Figure:
         caption: Text below the panels.
         panels: The panels, row by row.
         columns: Largest number of panels in a row.
-        system: The system that all panels show, for a page that selects one.
     """
 
     key: str
@@ -144,7 +143,6 @@ class Figure:
     caption: str
     panels: list[Panel]
     columns: int = 3
-    system: str = ""
 
     def __post_init__(self) -> None:
         shown = [panel for panel in self.panels if panel.rows.y.notna().any()]
@@ -153,7 +151,7 @@ class Figure:
     @property
     def systems(self) -> list[str]:
         """The systems of its panels, each once."""
-        return list(dict.fromkeys(panel.system or self.system for panel in self.panels))
+        return list(dict.fromkeys(panel.system for panel in self.panels))
 
 
 def _near(truth: np.ndarray, values: np.ndarray) -> Range | None:
