@@ -70,8 +70,7 @@ class Sweep:
         for folders in _watching:
             folders += [job.folder for job in jobs]
         finished = [job for job in jobs if job.values["resume"] and is_done(job.values, job.folder)]
-        done = {job.folder.path for job in finished}
-        todo = [job for job in jobs if job.folder.path not in done]
+        todo = [job for job in jobs if job not in finished]
         self.check(todo, labelled=len(jobs) > 1)
         if check_only:
             return 0
