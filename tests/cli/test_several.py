@@ -33,7 +33,7 @@ def started(monkeypatch):
     """The jobs that would be launched, sweep by sweep; they leave no outcome, so they fail."""
     found = []
     monkeypatch.setattr(Sweep, "check", lambda *_, **__: None)
-    monkeypatch.setattr(Sweep, "launch_all", lambda _, jobs: found.append(len(jobs)))
+    monkeypatch.setattr(Sweep, "launch_all", lambda _, jobs: found.append(len(jobs)) or [])
     return found
 
 
