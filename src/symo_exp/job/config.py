@@ -10,9 +10,6 @@ from omegaconf import DictConfig, OmegaConf
 from symo_exp.errors import ConfigError
 from symo_exp.runs.digest import digest
 
-MISSING = "???"
-"""The value of a setting that has none yet."""
-
 
 class Settings(NamedTuple):
     """The settings of a run, resolved once."""
@@ -35,7 +32,7 @@ class Settings(NamedTuple):
 
 
 def resolve(config: DictConfig) -> Settings:
-    """Resolve all but Hydra's own part; a setting without a value is ``MISSING``."""
+    """Resolve all but Hydra's own part; a setting without a value is OmegaConf's ``MISSING``."""
     ours = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
     values: Any = OmegaConf.to_container(ours, resolve=True)
     return Settings(values, dict(references(unresolved(ours))))
