@@ -11,7 +11,7 @@ A panel is a tidy table. Three of its columns determine the look of a row:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -152,6 +152,10 @@ class Figure:
     def systems(self) -> list[str]:
         """The systems of its panels, each once."""
         return list(dict.fromkeys(panel.system for panel in self.panels))
+
+    def of(self, system: str) -> Figure:
+        """Return the figure with panels that all show one system."""
+        return replace(self, panels=[replace(panel, system=system) for panel in self.panels])
 
 
 def _near(truth: np.ndarray, values: np.ndarray) -> Range | None:
