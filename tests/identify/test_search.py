@@ -358,6 +358,23 @@ def test_coordinates_that_never_move_are_named(workplace):
     assert found.explained == pytest.approx(alone.explained, abs=0.01)
 
 
+@pytest.mark.parametrize(("bent", "told"), [(0.0, True), (1e-3, True), (0.1, False)])
+def test_coordinates_that_a_gear_joins_are_named(bent, told, workplace):
+    """An elastic one, whose parts move against each other, is a machine of two coordinates."""
+    frame = table(name="motor")
+    noise = np.random.default_rng(0).normal(size=(len(frame), 2))
+    bending = bent * np.sin(20.0 * frame.t)
+    frame["q_joint"] = frame.q_motor / 50 + bending / 50 + 1e-4 * noise[:, 0]
+    frame["q_motor"] += 1e-3 * noise[:, 1]
+    frame = frame.rename(columns={"q_motor": "motor [rad]"})
+    frame.to_csv("mine.csv", index=False)
+    columns = {"q_motor": "motor [rad]", "q_arm": "q_joint"}
+    notes = examine({"path": "mine.csv", "columns": columns}).notes
+    found = [note for note in notes if "q_arm is 0.02 times q_motor" in note]
+    assert len(found) == told
+    assert all(note.endswith("give 'data.columns={q_motor: \"motor [rad]\"}'") for note in found)
+
+
 @pytest.mark.parametrize("place", [0.1, 0.3, 123.456])
 @pytest.mark.parametrize("step", [0.005, 0.0013])
 def test_coordinates_that_never_move_set_neither_the_time_step_nor_units(place, step, workplace):

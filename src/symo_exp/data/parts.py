@@ -62,6 +62,13 @@ def divided(
         parts = _by_name(where, recordings, listed)
     elif not counted and any(r.part for r in recordings):
         parts = {part: [r for r in recordings if r.part == part] for part in PARTS}
+    elif not counted and len(recordings) < len(PARTS):
+        spans = " and ".join(f"{np.ptp(one.samples.t):.3g} s" for one in recordings) or "none"
+        raise ConfigError(
+            f"{where} has {len(recordings)} trajectories, too few for train, val and test, and too "
+            f"short to be split in time ({spans}); record longer ones, or more, and number "
+            "trajectories apart in a column trajectory"
+        )
     else:
         n_val = whole_number("data.n_val", 1 if n_val is None else n_val)
         n_test = whole_number("data.n_test", 1 if n_test is None else n_test)
@@ -109,15 +116,9 @@ def _by_name(
 def _last(where: str, recordings: Sequence[Recording], n_val: int, n_test: int) -> Parts:
     available = len(recordings) - n_val - n_test
     if available < 1:
-        lone = len(recordings) == 1 and not recordings[0].label
-        hint = (
-            " (and too short to be split in time); number trajectories apart in a column trajectory"
-            if lone
-            else ""
-        )
         raise ConfigError(
             f"{where} has {len(recordings)} trajectories, too few for data.n_val={n_val}, "
-            f"data.n_test={n_test} and at least one to train on{hint}"
+            f"data.n_test={n_test} and at least one to train on"
         )
     val = available + n_val
     bounds = {"train": (0, available), "val": (available, val), "test": (val, None)}

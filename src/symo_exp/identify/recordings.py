@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import POOR, SUSPECT, quasi_coordinates
+from symo_exp.data.diagnose import POOR, ROUNDING, SUSPECT, noise_of, quasi_coordinates
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown
-from symo_exp.data.header import header, in_degrees, names, omitting
+from symo_exp.data.header import ANGLE, SLIDE, Columns, header, in_degrees, names, omitting
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
-from symo_exp.data.recorded import Nodes
+from symo_exp.data.recorded import Nodes, refuse_counts
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.horizon import HORIZONS
@@ -36,12 +38,9 @@ SPAN = 2 * np.pi
 """Range of a coordinate beyond which it is an angle."""
 WHOLE = 0.3
 """Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
-ANGLE = (
-    "theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link"
-    "|pendulum|upper|lower|roll|pitch|yaw|motor|wheel"
-)
-SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
-"""Words in the names of angles and of positions."""
+TOGETHER, SMALL = 3.0, 0.1
+"""Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
+which they are one."""
 
 
 @dataclass(frozen=True)
@@ -189,16 +188,18 @@ def examine(
         settings.append("data.degrees=true")
         notes.append("angles are in degrees, as their names say")
         data = {**data, "degrees": True}
+    space = system(chosen or "none").coordinates
+    refuse_counts(shown(path), space, used, data.get("degrees"))
     if units := _jumps(used, angles, data):
         settings += [f"data.{name}=true" for name in units]
         notes.append(f"angles jump by a turn: read with {' '.join(settings[-len(units) :])}")
         data = {**data, **dict.fromkeys(units, True)}
     used = [_in_radians(one, angles, data) for one in used]
-    notes += _told_still(used, flat)
+    notes += _told_still(used, flat, columns)
+    notes += _told_together(used, flat, columns)
     if data.get("degrees") is None and not rotations:
         _ask_for_degrees(used, angles, coordinates)
     finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
-    space = system(chosen or "none").coordinates
     used = _turned(shown(path), used, space)
     if time_step is None:
         paths = [_along(one, space) for one in used]
@@ -334,8 +335,8 @@ def _jumps(
 
 
 def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
-    """Return whether all steps of more than half a turn are nearly of a whole one."""
-    steps = np.concatenate([np.abs(np.diff(x)) for x in columns])
+    """Return whether steps that change by more than half a turn do by nearly a whole one."""
+    steps = np.concatenate([np.abs(np.diff(x, 2)) for x in columns])
     jumps = steps[steps > 0.5 * turn]
     return bool(jumps.size and (np.abs(jumps - turn) < WHOLE * turn).all())
 
@@ -360,14 +361,42 @@ def _ask_for_degrees(
         )
 
 
-def _told_still(recordings: Sequence[Recording], names: Sequence[str]) -> list[str]:
+def _told_still(
+    recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
+) -> list[str]:
     """Return a line on the lengths and angles that never move, if others or a rotation do."""
     motion = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
     still = [f"q_{name}" for name, size in zip(names, motion, strict=False) if size == 0.0]
     if not 0 < len(still) < len(motion):
         return []
     told = "never moves" if len(still) == 1 else "never move"
-    return [f"{few(still)} {told}; for a model without such a coordinate, give {omitting(still)}"]
+    mend = omitting(still, columns)
+    return [f"{few(still)} {told}; for a model without such a coordinate, give {mend}"]
+
+
+def _told_together(
+    recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
+) -> list[str]:
+    """Return a line on the lengths and angles that are in a constant ratio to an earlier one."""
+    noise = [noise_of([one.samples.q[:, i] for one in recordings]) for i in range(len(names))]
+    about = np.concatenate([one.samples.q - one.samples.q.mean(axis=0) for one in recordings])
+    found = {}
+    for i, j in itertools.combinations(range(len(names)), 2):
+        x, y = about[:, i], about[:, j]
+        if names[j] in found or not (x.any() and y.any()):
+            continue
+        ratio = float(x @ y / (x @ x))
+        apart = float(np.std(y - ratio * x))
+        most = TOGETHER * math.hypot(noise[j], ratio * noise[i]) + ROUNDING * float(np.ptp(y))
+        if apart <= most and apart <= SMALL * float(np.std(y)):
+            found[names[j]] = f"q_{names[j]} is {ratio:.3g} times q_{names[i]}"
+    if not found:
+        return []
+    mend = omitting([f"q_{name}" for name in found], columns)
+    return [
+        f"{few(list(found.values()))}, but for noise: a gear joins them, or one is what the other "
+        f"should be; for a model without such a coordinate, give {mend}"
+    ]
 
 
 def _input_matrix(coordinates: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
@@ -389,7 +418,7 @@ def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
         return True
     raise ConfigError(
         f"system.angular has no value yet: is q_{name}, which goes from {low:.3g} to {high:.3g}, "
-        "an angle [rad] or a position [m]? Give all, none or a list of names"
+        f"an angle [rad] or a position [m]? Give system.angular=all, none or a list, as [{name}]"
     )
 
 

@@ -1,0 +1,228 @@
+"""Refusals of recordings: the settings that they name, as they are printed, read the motion."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from symo_exp.data.header import headers
+from symo_exp.data.recorded import RecordedData, recorded_system
+from symo_exp.data.table import read_recordings
+from symo_exp.errors import ConfigError
+from symo_exp.systems.recorded import Recorded
+
+H = 0.02
+T = H / 2 * np.arange(1500)
+Q = np.sin(2 * T) + 0.3 * np.sin(T)
+U = np.cos(3 * T)
+WORDS = ["idle" if t < 3 else "it's on" for t in T]
+
+
+def settings_of(message: str) -> dict[str, Any]:
+    """Return the settings of a message, read as those of a command line."""
+    quoted = message[message.index("'data.columns") :] if "'data.columns" in message else ""
+    words = [word.rstrip(",;") for word in shlex.split(quoted)]
+    parsed = OverridesParser.create().parse_overrides([x for x in words if x.startswith("data.")])
+    return {one.key_or_group.removeprefix("data."): one.value() for one in parsed}
+
+
+def advised(path: Path) -> dict[str, Any]:
+    with pytest.raises(ConfigError) as error:
+        headers(path, None)
+    assert "\n" not in str(error.value)
+    return settings_of(str(error.value))
+
+
+TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
+    "joint states of ROS": (
+        {"%time": (T * 1e9).astype(int), "field.header.seq": range(len(T)), "field.name0": WORDS,
+         "field.position0": Q, "field.position1": 2 * U, "field.velocity0": U,
+         "field.velocity1": U, "field.effort0": U, "field.effort1": Q},
+        {"t": "time", "q": "field.position0 field.position1", "u": "field.effort0 field.effort1",
+         "v": "field.velocity0 field.velocity1"},
+    ),
+    "topics of ROS": (
+        {"__time": T, "/j/arm/position": Q, "/j/arm/velocity": U, "/j/arm/effort": U},
+        {"t": "__time", "q": "/j/arm/position", "v": "/j/arm/velocity", "u": "/j/arm/effort"},
+    ),
+    "arrays of ROS": (
+        {"time": T, ".position[0]": Q, ".effort[0]": U},
+        {"t": "time", "q": ".position[0]", "u": ".effort[0]"},
+    ),
+    "units of another language": (
+        {"Zeit [s]": T, "Größe [rad]": Q, "Moment [Nm]": U},
+        {"t": "Zeit [s]", "q": "Größe [rad]", "u": "Moment [Nm]"},
+    ),
+    "units in words": (
+        {"Zeit in s": T, "x in mm": Q, "F in N": U},
+        {"t": "Zeit in s", "q": "x in mm", "u": "F in N"},
+    ),
+    "names without a letter of ASCII": (
+        {"时间": T, "角度": Q, "角": Q * Q}, {"t": "时间", "q": "角度 角"},
+    ),
+    "quotes in names": (
+        {"time": T, "arm's \"angle\"": Q, "torque": U},
+        {"t": "time", "q": "arm's \"angle\"", "u": "torque"},
+    ),
+    "dates with another name": (
+        {"date": [f"2024-05-01T10:00:{t:09.6f}+02:00" for t in T], "theta": Q},
+        {"t": "date", "q": "theta"},
+    ),
+    "a counter of milliseconds": (
+        {"row": range(len(T)), "millis": T * 1e3, "theta": Q, "pwm": U},
+        {"t": "millis", "q": "theta", "u": "pwm"},
+    ),
+    "words and recordings": (
+        {"run": np.arange(len(T)) // 300, "time": T, "mode": WORDS, "angle": Q, "torque": U,
+         "comment": WORDS},
+        {"t": "time", "q": "angle", "u": "torque"},
+    ),
+    "what a controller wants": (
+        {"time": T, "desired q": Q, "angle_ref": Q, "angle": Q, "torque_cmd": U, "torque_meas": U},
+        {"t": "time", "q": "angle", "u": "torque_meas"},
+    ),
+    "the wanted input alone": (
+        {"time": T, "target_pos": Q, "actual_pos": Q, "cmd": U},
+        {"t": "time", "q": "actual_pos", "u": "cmd"},
+    ),
+    "a motor and its joint": (
+        {"time": T, "motor_pos": 50 * Q, "joint_pos": Q + U, "motor_current": U, "motor_temp": Q,
+         "battery [V]": U},
+        {"t": "time", "q": "motor_pos joint_pos", "u": "motor_current"},
+    ),
+    "a distance, which is no derivative": (
+        {"time": T, "distance": Q, "dtheta": U, "theta": U, "thetad": Q},
+        {"t": "time", "q": "theta", "v": "thetad"},
+    ),
+    "seven joints": (
+        {"t": T, **{f"{x}{k}": np.roll(Q, 99 * k) for x in ("q", "dq", "tau") for k in range(7)}},
+        {"q": " ".join(f"q{k}" for k in range(7)), "v": " ".join(f"dq{k}" for k in range(7)),
+         "u": " ".join(f"tau{k}" for k in range(7))},
+    ),
+}  # fmt: skip
+UNITS = {"a counter of milliseconds": "ms", "joint states of ROS": "ns"}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_the_suggested_columns_are_those_of_the_machine(kind: str, tmp_path: Path) -> None:
+    columns, expected = TABLES[kind]
+    path = tmp_path / "mine.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    given = advised(path)
+    theirs: dict[str, str] = {}
+    for ours, name in given["columns"].items():
+        theirs[ours[0]] = f"{theirs[ours[0]]} {name}" if ours[0] in theirs else name
+    assert theirs == expected
+    places = {ours[2:]: name for ours, name in given["columns"].items() if ours[0] == "q"}
+    inputs = [ours[2:] for ours in given["columns"] if ours[0] == "u"]
+    matrix = np.zeros((len(places), len(inputs))).tolist()
+    system = Recorded(
+        names=list(places), inputs=inputs, angular="none", input_matrix=matrix, time_step=H
+    )
+    unit = UNITS.get(kind)
+    samples = read_recordings(path, system, given["columns"], unit).recordings[0].samples
+    for found, name in zip(samples.q.T, places.values(), strict=True):
+        np.testing.assert_allclose(found, columns[name][: len(found)], atol=1e-9)
+    np.testing.assert_allclose(samples.t - samples.t[0], T[: len(samples.t)], atol=1e-6)
+
+
+def test_a_missing_clock_is_suggested_beside_what_is_given(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"stamp of row": T, "theta": Q, "u_arm": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="no column t with times") as error:
+        headers(path, {"q_arm": "theta"})
+    given = settings_of(str(error.value))["columns"]
+    assert given == {"q_arm": "theta", "t": "stamp of row"}
+    assert headers(path, given)[0][1].names == ("t", "q_arm", "u_arm")
+
+
+def test_names_of_inputs_are_not_passed_over(tmp_path: Path) -> None:
+    """A machine with the columns t, q_arm and torque is not free."""
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_arm": Q, "torque (Nm)": U, "note": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="no column u_<name> with an input") as error:
+        headers(path, None)
+    mapped, left_out = str(error.value).split("or leave them out")
+    assert settings_of(mapped)["columns"] == {"u_torque_Nm": "torque (Nm)"}
+    for given in (settings_of(mapped), settings_of(left_out)):
+        system = recorded_system(path, time_step=H, angular="all", **given)
+        table = read_recordings(path, system, given["columns"])
+        assert len(system.inputs) == (None not in given["columns"].values())
+        assert any("not read: " in line and "note" in line for line in table.notes)
+
+
+def test_an_empty_column_is_left_out_by_the_setting_that_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"time": T, "pos": Q, "q_lock": np.nan}).to_csv(path, index=False)
+    columns: dict[str, str | None] = {"t": "time", "q_arm": "pos"}
+    with pytest.raises(ConfigError, match="column q_lock") as error:
+        read_recordings(
+            path, recorded_system(path, time_step=H, angular="all", columns=columns), columns
+        )
+    columns = settings_of(str(error.value))["columns"]
+    assert columns == {"t": "time", "q_arm": "pos", "q_lock": None}
+    system = recorded_system(path, time_step=H, angular="all", columns=columns)
+    assert len(read_recordings(path, system, columns).recordings) == 1
+
+
+@pytest.mark.parametrize(
+    ("q", "refused"),
+    [
+        (np.round(Q / (2 * np.pi) * 4096), True),
+        (np.round(Q / (2 * np.pi) * 4096) % 4096, True),
+        (np.round(2 * Q), False),  # few places, such as those of a switch
+        (Q, False),
+    ],
+)
+def test_counts_of_an_encoder_are_no_radians(q: np.ndarray, refused: bool, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_arm": q}).to_csv(path, index=False)
+    for angular in ("all", "none"):
+        system = recorded_system(path, time_step=H, angular=angular)
+        if refused and angular == "all":
+            with pytest.raises(ConfigError, match="convert counts of an encoder"):
+                RecordedData(system=system, path=path)
+            RecordedData(system=system, path=path, degrees=True, wrapped=True)
+        else:
+            RecordedData(system=system, path=path)
+
+
+def test_a_motor_that_turns_by_more_than_half_a_turn_in_a_sample_is_not_wrapped(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_motor": 300 * Q}).to_csv(path, index=False)
+    system = recorded_system(path, time_step=H / 2, angular="all")
+    data = RecordedData(system=system, path=path, dtype="float64")
+    data.setup()
+    assert np.abs(np.diff(data.trajectories("train")[0].q[:, 0])).max() > np.pi
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("Test 12 bench 4\nt,q_arm\n0,1\n1,2\n", r"no column has numbers.*Test, 12, bench, 4"),
+        ("Operator:,Smith\n\nt,q_arm,u_arm\n0,1,2\n1,2,3\n", r"3 cells.* 2, Operator:, Smith"),
+        ("// by hand\nt,q_arm\n0,1\n1,2\n", r"no column has numbers.*//, by, hand"),
+        ("t;q_arm\n0,0;1.024,5\n0,1;1.025,5\n", r"'1.024,5' .* write numbers as 1234.5"),
+    ],
+)
+def test_what_is_before_the_names_is_told(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text(text)
+    system = Recorded(names=["arm"], angular="all", time_step=H)
+    with pytest.raises(ConfigError, match=said):
+        read_recordings(path, system)
+
+
+def test_text_of_two_bytes_without_a_mark_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text("t,q_arm\n0,1\n1,2\n", encoding="utf-16-le")
+    with pytest.raises(ConfigError, match="save it as UTF-8"):
+        headers(path, None)
