@@ -15,6 +15,7 @@ from symo_exp.data.header import headers
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
+from symo_exp.identify.recordings import examine
 from symo_exp.systems.recorded import Recorded
 
 H = 0.02
@@ -36,6 +37,7 @@ def advised(path: Path) -> dict[str, Any]:
     with pytest.raises(ConfigError) as error:
         headers(path, None)
     assert "\n" not in str(error.value)
+    assert ("leaves out F_N" in str(error.value)) == ("F_N" in path.read_text())
     return settings_of(str(error.value))
 
 
@@ -100,6 +102,9 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
         {"time": T, "distance": Q, "dtheta": U, "theta": U, "thetad": Q},
         {"t": "time", "q": "theta", "v": "thetad"},
     ),
+    "a force that is named by its unit alone": (
+        {"t": T, "x_mm": Q, "F_N": U, "serial": 7.0}, {"q": "x_mm"},
+    ),
     "seven joints": (
         {"t": T, **{f"{x}{k}": np.roll(Q, 99 * k) for x in ("q", "dq", "tau") for k in range(7)}},
         {"q": " ".join(f"q{k}" for k in range(7)), "v": " ".join(f"dq{k}" for k in range(7)),
@@ -140,6 +145,35 @@ def test_a_missing_clock_is_suggested_beside_what_is_given(tmp_path: Path) -> No
     given = settings_of(str(error.value))["columns"]
     assert given == {"q_arm": "theta", "t": "stamp of row"}
     assert headers(path, given)[0][1].names == ("t", "q_arm", "u_arm")
+
+
+def test_what_a_controller_wants_is_no_coordinate(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_arm": Q, "q_arm_des": Q, "u_cmd": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="what a controller wants") as error:
+        headers(path, None)
+    columns = settings_of(str(error.value))["columns"]
+    assert recorded_system(path, time_step=H, angular="all", columns=columns).names == ("arm",)
+    named = {"q_arm_des": "q_arm_des"}  # the user says that it is one
+    assert "q_arm_des" in headers(path, named)[0][1].names
+
+
+def test_degrees_are_not_suggested_for_radians(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "hip [deg]": Q, "knee [rad]": Q}).to_csv(path, index=False)
+    given = advised(path)
+    assert given == {"columns": {"q_hip_deg": "hip [deg]", "q_knee": "knee [rad]"}}
+    with pytest.raises(ConfigError, match="hip_deg is in degrees by its name, but not every one"):
+        examine({"path": path, **given})
+    pd.DataFrame({"t": T, "hip [deg]": Q, "x [m]": Q}).to_csv(path, index=False)
+    assert advised(path)["degrees"] is True
+
+
+def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
+    pd.DataFrame({"t": T, "q_arm": Q}).to_csv(tmp_path / "1.csv", index=False)
+    pd.DataFrame({"mass": [1.0, 2.0], "row": [1, 2]}).to_csv(tmp_path / "2.csv", index=False)
+    with pytest.raises(ConfigError, match=r"2.csv: no column q_.*name the other files only"):
+        headers(tmp_path, None)
 
 
 def test_names_of_inputs_are_not_passed_over(tmp_path: Path) -> None:

@@ -157,9 +157,17 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
                 "the first line that is no comment (#)"
             )
         mend = suggestion(found, new, table, columns)
+        other = "" if where == shown(path) else ", or name the other files only, by data.path"
         raise ConfigError(
             f"{where}: {lacking or 'no column t with times'}; it has {few(found)}; "
-            + (f"map them: {mend}" if mend else "add it to the file")
+            + (f"map them: {mend}" if mend else f"add it to the file{other}")
+        )
+    read = [ours for ours in new if ours[:2] == "q_" and ours not in (columns or {})]
+    wanted = [name for name in read if _is_wanted(name)]
+    if wanted and len(wanted) < len(names("q", new)):
+        raise ConfigError(
+            f"{where}: {few(wanted)}: what a controller wants, as such names say, is no "
+            f"coordinate; rename them, or leave them out, {omitting(wanted, columns)}"
         )
     if inputs:
         raise ConfigError(
@@ -274,10 +282,12 @@ def suggestion(
     if not names("q", new):
         inputs = [] if names("u", new) else [name for name in free if _kind(name) == "u"]
         mapping |= _places(free, table, inputs)
-    if mapping == dict(columns or {}):
-        return ""
     mapped = [theirs for ours, theirs in mapping.items() if ours[:2] == "q_" and theirs]
-    return as_setting(mapping) + " data.degrees=true" * any(map(in_degrees, mapped))
+    if mapping == dict(columns or {}) or not (mapped or names("q", new)):
+        return ""
+    text = as_setting(mapping) + " data.degrees=true" * (_angles_in(mapped) == {"deg"})
+    silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
+    return text + f", which leaves out {few(silent)}" * bool(silent)
 
 
 def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> dict[str, str]:
@@ -287,11 +297,10 @@ def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> 
         return pose | {f"u_{key}": x for key, x in zip(_keys(inputs), inputs, strict=True)}
     kinds = {name: _kind(name) for name in free}
     speeds = {name: stem for name in free if (stem := _slope_of(stems[name], stems.values()))}
-    places = [x for x in free if kinds[x] == "q" and x not in speeds] or [
-        x for x in free if not kinds[x] and x not in speeds and not _is_clock(table[x])
-        and table[x].nunique() > 1
-    ][:GUESSES]  # fmt: skip
-    keys = _keys([stems[x] for x in places], PLACE)
+    places = [x for x in free if kinds[x] == "q" and x not in speeds]
+    places = places or [x for x in free if x not in speeds and _may_move(x, table[x])][:GUESSES]
+    mixed = len(_angles_in(places)) > 1  # names keep what the setting of all cannot say
+    keys = _keys([x if mixed and in_degrees(x) else stems[x] for x in places], PLACE)
     found = {f"q_{key}": x for key, x in zip(keys, places, strict=True)}
     rates = {_key(stem, PLACE): name for name, stem in speeds.items()}
     rates |= {_key(stems[name], SPEED): name for name in free if kinds[name] == "v"}
@@ -302,7 +311,7 @@ def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> 
 
 def _inputs(given: Sequence[str], coordinates: Sequence[str]) -> dict[str, str]:
     """Return columns of inputs, measured ones if there are, named as coordinates where they can."""
-    every = [x for x in given if not any(map(WANTED.fullmatch, _words(x)))] or given
+    every = [x for x in given if not _is_wanted(x)] or given
     keys = _keys([UNIT.sub("", name) for name in every], INPUT)
     if not set(keys) <= set(coordinates):
         keys = _keys(every)
@@ -344,6 +353,21 @@ def _is_clock(values: pd.Series) -> bool:
         warnings.simplefilter("ignore")  # words that are no dates
         dates = pd.to_datetime(values.iloc[:9], errors="coerce", utc=True, format="mixed")
     return bool(dates.notna().all() and dates.nunique() > 1)
+
+
+def _may_move(name: str, values: pd.Series) -> bool:
+    """Return whether a column may be of the machine though its name does not say so."""
+    return not _kind(name) and not _is_clock(values) and values.nunique() > 1
+
+
+def _angles_in(names: Sequence[str]) -> set[str]:
+    """Return the units of angles at the ends of names, ``rad`` and ``deg``."""
+    units = [unit[2].lower().replace("°", "deg") for x in names if (unit := UNIT.search(x))]
+    return {unit for unit in units if unit in ("rad", "deg")}
+
+
+def _is_wanted(name: str) -> bool:
+    return any(map(WANTED.fullmatch, _words(name)))
 
 
 def _slope_of(stem: str, stems: Collection[str]) -> str | None:
@@ -391,7 +415,7 @@ def _kind(name: str) -> str:
     Nothing if the name does not tell.
     """
     unit, words = UNIT.search(name), _words(UNIT.sub("", name))
-    wanted = any(map(WANTED.fullmatch, words))
+    wanted = _is_wanted(name)
     if any(map(OTHER.fullmatch, words)):
         return "-"
     if unit and (unit[1] != "_" or len(unit[2]) > 1):  # _a may be a name

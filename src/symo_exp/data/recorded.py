@@ -392,7 +392,7 @@ class Nodes:
                 mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
             raise ConfigError(
                 f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
-                f"wrapped ({mend})"
+                f"wrapped ({mend}); remove rows in which a sensor fails"
             )
         return samples
 

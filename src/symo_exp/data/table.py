@@ -171,11 +171,14 @@ def _divided(
     """Yield the trajectories of a table; ``inputs`` counts inputs, recorded or not."""
     for column in {"trajectory", "split"} & set(table.columns):
         if table[column].isna().any():
-            raise ConfigError(f"{where}: rows without a {column}; give each row one")
+            raise ConfigError(
+                f"{where}: rows without a {column}; give each row one, or leave out the column "
+                f"that is read as {column}"
+            )
     groups = [("", table)] if "trajectory" not in table else _groups(table)
     for label, rows in groups:
         _check_times(f"{where}: trajectory {label}", rows["t"].to_numpy())
-        parts = list(rows["split"].astype(str).unique()) if "split" in rows else [""]
+        parts = list(rows["split"].astype(str).str.lower().unique()) if "split" in rows else [""]
         if len(parts) > 1:
             raise ConfigError(
                 f"{where}: trajectory {label} is in the splits {few(parts)}; a trajectory "

@@ -184,7 +184,14 @@ def examine(
     if angular is None:
         settings.append(f"system.angular={override_value(chosen) if chosen else 'none'}")
         notes += [_told(chosen, flat)] if flat else []
-    if data.get("degrees") is None and chosen and all(map(in_degrees, chosen)):
+    stated = [name for name in chosen if in_degrees(name)]
+    if data.get("degrees") is None and 0 < len(stated) < len(chosen):
+        raise ConfigError(
+            f"data.degrees has no value yet: {few(stated)} is in degrees by its name, but not "
+            f"every one of {few(chosen)}; give data.degrees=true if all are, else convert it in "
+            "the file"
+        )
+    if data.get("degrees") is None and stated:
         settings.append("data.degrees=true")
         notes.append("angles are in degrees, as their names say")
         data = {**data, "degrees": True}
