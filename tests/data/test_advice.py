@@ -105,6 +105,18 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
     "a force that is named by its unit alone": (
         {"t": T, "x_mm": Q, "F_N": U, "serial": 7.0}, {"q": "x_mm"},
     ),
+    "accelerations": (
+        {"t": T, "q1": Q, "q1_dot": U, "q1_ddot": Q, "tau1": U},
+        {"q": "q1", "v": "q1_dot", "u": "tau1"},
+    ),
+    "names without blanks": (
+        {"timeStamp": T, "jointAngle": Q, "jointVelocity": U, "motorTorque": U},
+        {"t": "timeStamp", "q": "jointAngle", "v": "jointVelocity", "u": "motorTorque"},
+    ),
+    "a rate that no name tells": (
+        {"t": T, "w": np.gradient(Q, T), "th": Q, "other": Q * U},
+        {"q": "th other"},
+    ),
     "seven joints": (
         {"t": T, **{f"{x}{k}": np.roll(Q, 99 * k) for x in ("q", "dq", "tau") for k in range(7)}},
         {"q": " ".join(f"q{k}" for k in range(7)), "v": " ".join(f"dq{k}" for k in range(7)),
@@ -156,6 +168,20 @@ def test_what_a_controller_wants_is_no_coordinate(tmp_path: Path) -> None:
     assert recorded_system(path, time_step=H, angular="all", columns=columns).names == ("arm",)
     named = {"q_arm_des": "q_arm_des"}  # the user says that it is one
     assert "q_arm_des" in headers(path, named)[0][1].names
+
+
+def test_coordinates_of_other_names_are_not_passed_over(tmp_path: Path) -> None:
+    """As of an arm whose wanted angles are in q_d."""
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q[0]": Q, "q[1]": U, "q_d[0]": Q, "q_d[1]": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="would be coordinates by their names") as error:
+        headers(path, None)
+    columns = settings_of(str(error.value))["columns"]
+    assert recorded_system(path, time_step=H, angular="all", columns=columns).names == ("0", "1")
+    assert columns["q_0"] == "q[0]"
+    pd.DataFrame({"t": T, "q0": Q, "q_0": U}).to_csv(path, index=False)
+    assert advised(path)["columns"] == {"q_0": "q0"}
+    assert headers(path, {"q_arm": "q_0"})[0][1].names == ("t", "q0", "q_arm")
 
 
 def test_degrees_are_not_suggested_for_radians(tmp_path: Path) -> None:

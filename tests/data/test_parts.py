@@ -196,7 +196,11 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({"v_leg": 0.0}, {}, "column v_leg belongs to no coordinate of the system (arm0, arm1)"),
         ({}, {"angular": None}, "system.angular=null"),
         ({}, {"angular": ["leg"]}, "which of arm0, arm1 are angles?"),
-        ({"u_motor2": 0.0}, {}, "such as system.input_matrix=[[1,0,0],[0,1,0]]; of the voltage"),
+        (
+            {"u_motor2": 0.0},
+            {},
+            "keep one, by data.columns; a row for each coordinate, such as system.input_matrix=[[1",
+        ),
         ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
         ({}, {"columns": {"q_arm2": "gone"}}, "q_arm2=gone, but"),
         ({}, {"columns": {"leg": "note"}}, "leg=note is not allowed"),

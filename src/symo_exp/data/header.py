@@ -73,12 +73,18 @@ WANTED = re.compile(
     re.I,
 )
 """A word of the name of what a controller wants, which the machine need not do."""
-OTHER = re.compile(r"(?:acc|accel|acceleration|jerk|bat|battery|supply|temp|temperature)\d*", re.I)
+OTHER = re.compile(
+    r"(?:acc|accel|acceleration|ddot|ddq|qdd|jerk|bat|battery|supply|temp|temperature)\d*", re.I
+)
 """A word of the name of what is no coordinate, velocity or input."""
 GUESSES = 4
 """Columns that are suggested as coordinates without a word that says so, at most."""
 RISES = 0.99
 """Share of the rows in which a clock rises."""
+STRIDE, ALIKE = 10, 0.95
+"""Rows over which a column is compared with the sum of its rate, and their correlation at least."""
+PLAIN = re.compile(r"q\W?\d*\W?")
+"""Names of coordinates in other tables, which are no names of this project."""
 UNIT = re.compile(r"(_| in | *[\[(])((?:m|mm|cm|rad|deg|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I)
 """A unit at the end of a name, after an underscore or "in", or in brackets."""
 
@@ -145,38 +151,62 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
     if twice := sorted({name for name in found if name and found.count(name) > 1}):
         raise ConfigError(f"{where}: column {', '.join(twice)} occurs twice; rename one of the two")
     new, unit, notes = renamed(where, found, columns)
-    inputs = [name for name, ours in zip(found, new, strict=True) if ours == name]
-    inputs = [name for name in inputs if _kind(name) == "u"] if not names("u", new) else []
-    lacking = "no column q_<name> with a coordinate" if not names("q", new) else ""
-    if lacking or "t" not in new:
-        with readable(file):
-            table = table_of(file).set_axis(found, axis=1)
-        if not any(map(_is_number, (table[name] for name in found))):
-            raise ConfigError(
-                f"{where}: no column has numbers; the line of names is {few(found)}; names are in "
-                "the first line that is no comment (#)"
-            )
-        mend = suggestion(found, new, table, columns)
+    if not names("q", new) or "t" not in new:
         other = "" if where == shown(path) else ", or name the other files only, by data.path"
-        raise ConfigError(
-            f"{where}: {lacking or 'no column t with times'}; it has {few(found)}; "
-            + (f"map them: {mend}" if mend else f"add it to the file{other}")
-        )
-    read = [ours for ours in new if ours[:2] == "q_" and ours not in (columns or {})]
-    wanted = [name for name in read if _is_wanted(name)]
-    if wanted and len(wanted) < len(names("q", new)):
-        raise ConfigError(
-            f"{where}: {few(wanted)}: what a controller wants, as such names say, is no "
-            f"coordinate; rename them, or leave them out, {omitting(wanted, columns)}"
-        )
-    if inputs:
-        raise ConfigError(
-            f"{where}: no column u_<name> with an input, but {few(inputs)}; map them, "
-            f"{as_setting({**(columns or {}), **_inputs(inputs, names('q', new))})}, or leave them "
-            f"out, {omitting(inputs, columns)}"
-        )
+        raise ConfigError(f"{where}: {_lacking(file, found, new, columns, other)}")
+    if doubt := _doubtful(found, new, columns):
+        raise ConfigError(f"{where}: {doubt}")
     given = tuple((columns or {}).items())
     return Header(tuple(new), unit, tuple(filter(None, (note, *notes))), given)
+
+
+def _lacking(
+    file: Path, found: Sequence[str], new: Sequence[str], columns: Columns | None, other: str
+) -> str:
+    """Return a line on a table without coordinates or times, with settings that map them.
+
+    ``other`` is what else to do if no setting can be suggested.
+    """
+    with readable(file):
+        table = table_of(file).set_axis(pd.Index(found), axis=1)
+    if not any(_is_number(table[name]) for name in found):
+        return (
+            f"no column has numbers; the line of names is {few(found)}; names are in the first "
+            "line that is no comment (#)"
+        )
+    lacking = "t with times" if names("q", new) else "q_<name> with a coordinate"
+    mend = suggestion(found, new, table, columns)
+    return f"no column {lacking}; it has {few(found)}; " + (
+        f"map them: {mend}" if mend else f"add it to the file{other}"
+    )
+
+
+def _doubtful(found: Sequence[str], new: Sequence[str], columns: Columns | None) -> str:
+    """Return a line on columns whose names contradict what they are read as; else nothing."""
+    given = dict(columns or {})
+    read = [name for name in new if name.startswith("q_") and name not in given]
+    wanted = [name for name in read if _is_wanted(name)]
+    if wanted and len(wanted) < len(names("q", new)):
+        return (
+            f"{few(wanted)}: what a controller wants, as such names say, is no coordinate; rename "
+            f"them, or leave them out, {omitting(wanted, columns)}"
+        )
+    unread = [name for name, ours in zip(found, new, strict=True) if name == ours]
+    plain = [name for name in unread if PLAIN.fullmatch(name)]
+    if read and plain:
+        mapped = {f"q_{key}": x for key, x in zip(_keys(plain, PLACE), plain, strict=True)}
+        return (
+            f"{few(read)} would be coordinates by their names, and {few(plain)} would not; if the "
+            f"latter are, map them: {as_setting({**given, **dict.fromkeys(read), **mapped})}"
+        )
+    inputs = [name for name in unread if _kind(name) == "u"]
+    if inputs and not names("u", new):
+        mend = as_setting({**given, **_inputs(inputs, names("q", new))})
+        return (
+            f"no column u_<name> with an input, but {few(inputs)}; map them, {mend}, or leave them "
+            f"out, {omitting(inputs, columns)}"
+        )
+    return ""
 
 
 def names(kind: str, columns: Sequence[str]) -> tuple[str, ...]:
@@ -286,6 +316,9 @@ def suggestion(
     if mapping == dict(columns or {}) or not (mapped or names("q", new)):
         return ""
     text = as_setting(mapping) + " data.degrees=true" * (_angles_in(mapped) == {"deg"})
+    text += ", a guess, since no name says coordinate" * (
+        bool(mapped) and not any(map(_kind, mapped))
+    )
     silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
     return text + f", which leaves out {few(silent)}" * bool(silent)
 
@@ -298,7 +331,7 @@ def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> 
     kinds = {name: _kind(name) for name in free}
     speeds = {name: stem for name in free if (stem := _slope_of(stems[name], stems.values()))}
     places = [x for x in free if kinds[x] == "q" and x not in speeds]
-    places = places or [x for x in free if x not in speeds and _may_move(x, table[x])][:GUESSES]
+    places = places or _movements([x for x in free if x not in speeds], table)[:GUESSES]
     mixed = len(_angles_in(places)) > 1  # names keep what the setting of all cannot say
     keys = _keys([x if mixed and in_degrees(x) else stems[x] for x in places], PLACE)
     found = {f"q_{key}": x for key, x in zip(keys, places, strict=True)}
@@ -353,6 +386,17 @@ def _is_clock(values: pd.Series) -> bool:
         warnings.simplefilter("ignore")  # words that are no dates
         dates = pd.to_datetime(values.iloc[:9], errors="coerce", utc=True, format="mixed")
     return bool(dates.notna().all() and dates.nunique() > 1)
+
+
+def _movements(names: Sequence[str], table: pd.DataFrame) -> list[str]:
+    """Return columns that may be coordinates by their values, without the rates of others."""
+    found = [name for name in names if _may_move(name, table[name])]
+    rises = {x: _numbers(table[x]).ffill().diff(STRIDE) for x in found}
+    sums = {x: _numbers(table[x]).ffill().rolling(STRIDE).sum() for x in found}
+    return [
+        rate for rate in found
+        if not any(rises[x].corr(sums[rate]) > ALIKE for x in found if x != rate)
+    ]  # fmt: skip
 
 
 def _may_move(name: str, values: pd.Series) -> bool:
@@ -429,7 +473,8 @@ def _kind(name: str) -> str:
 
 
 def _words(name: str) -> list[str]:
-    return [word for word in re.split(r"[^a-zA-Z0-9]+", name) if word]
+    """Return the words of a name, also of one such as ``jointAngle``."""
+    return re.findall(r"[A-Z]+\d*(?![a-z])|[A-Z]?[a-z]+\d*|\d+", name)
 
 
 def _keys(stems: Sequence[str], kind: re.Pattern[str] | None = None) -> list[str]:

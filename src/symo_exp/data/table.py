@@ -301,8 +301,8 @@ def _without_gaps(
         mend = "" if column in needed[:2] else f" or the column, {omitting([column], given)}"
         raise ConfigError(
             f"{where}: {told} have a number that is empty or not finite, most of them in column "
-            f"{column}, first data row {first}; at most {100 * DROPPED:g} % are left out: remove "
-            f"them{mend}"
+            f"{column}, first data row {first}; at most {100 * DROPPED:g} % are left out: fill "
+            f"them in the file, as by interpolation, or remove them{mend}"
         )
     notes.append(f"{told} are left out: a number is missing or not finite, first data row {first}")
     return table[~rows].reset_index(drop=True)
