@@ -442,6 +442,26 @@ def test_the_time_step_resolves_a_vibration_that_was_recorded_for_a_short_time(
     assert 0.2 < 2 * np.pi * hertz * step < 0.75
 
 
+@pytest.mark.parametrize(("gravity", "asked"), [(40.0, True), (0.0, False)])
+def test_turns_of_a_coordinate_named_position_are_asked_for(gravity, asked, workplace):
+    """Of a pendulum that turns over, not of a carriage that goes as far."""
+    t, q, v, motion = 0.01 * np.arange(3000), 0.0, 9.0, []
+    u = 25.0 * np.sin(1.3 * t) + 15.0 * np.sin(2.9 * t + 1)
+    for force in u:
+        for _ in range(10):
+            v += 1e-3 * (force - gravity * np.sin(q) - 0.5 * v)
+            q += 1e-3 * v
+        motion.append(q)
+    pd.DataFrame({"t": t, "q_position": motion, "u_motor": u}).to_csv("mine.csv", index=False)
+    assert np.ptp(motion) > 7.0
+    if asked:
+        with pytest.raises(ConfigError, match=r"system.angular has no .*q_position moves by"):
+            examine({"path": "mine.csv"})
+        assert examine({"path": "mine.csv"}, angular="all").explained > 0.9
+    else:
+        assert examine({"path": "mine.csv"}).angular == (False,)
+
+
 @pytest.mark.parametrize("amplitude", [0.5, 2.5])
 def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, workplace):
     """Swings of a pendulum."""

@@ -206,6 +206,8 @@ def examine(
     notes += _told_together(used, flat, columns)
     if data.get("degrees") is None and not rotations:
         _ask_for_degrees(used, angles, coordinates)
+    if angular is None and not rotations:
+        _ask_for_angles(used, angles, coordinates)
     finest = max(float(np.median(np.diff(one.samples.t))) for one in (*used, *test))
     used = _turned(shown(path), used, space)
     if time_step is None:
@@ -365,6 +367,27 @@ def _ask_for_degrees(
             f"data.degrees has no value yet: {told}; {100 * degrees:.3g} % of the accelerations' "
             f"power is explained if these are degrees, {100 * plain:.3g} % if they are radians; "
             "give data.degrees=true or false"
+        )
+
+
+def _ask_for_angles(
+    recordings: Sequence[Recording], angular: np.ndarray, names: Sequence[str]
+) -> None:
+    """Refuse lengths, by their names, whose motion is explained much better if they are angles."""
+    ranges = [max(np.ptp(r.samples.q[:, i]) for r in recordings) for i in range(len(names))]
+    wide = [i for i, angle in enumerate(angular) if not angle and ranges[i] > SPAN]
+    if not wide:
+        return
+    plain, _ = explained_by_angles(recordings, angular)
+    turned, _ = explained_by_angles(recordings, angular | np.isin(range(len(names)), wide))
+    if plain is None or turned is None or plain > POOR:
+        return
+    if 1 - turned < SUSPECT * (1 - plain):
+        told = ", ".join(f"q_{names[i]} moves by {ranges[i]:.3g}" for i in wide)
+        raise ConfigError(
+            f"system.angular has no value yet: {told}; {100 * turned:.3g} % of the accelerations' "
+            f"power is explained if these are angles [rad], {100 * plain:.3g} % if they are "
+            "lengths; give system.angular=all, none or a list of names"
         )
 
 
