@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from symo_exp.data.header import headers
+from symo_exp.data.header import headers, omitting
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
@@ -104,6 +104,10 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
     ),
     "a force that is named by its unit alone": (
         {"t": T, "x_mm": Q, "F_N": U, "serial": 7.0}, {"q": "x_mm"},
+    ),
+    "names of MuJoCo": (
+        {"time": T, "qpos_0": Q, "qvel_0": U, "ctrl_0": U, "vbus_voltage": Q},
+        {"t": "time", "q": "qpos_0", "v": "qvel_0", "u": "ctrl_0"},
     ),
     "accelerations": (
         {"t": T, "q1": Q, "q1_dot": U, "q1_ddot": Q, "tau1": U},
@@ -229,6 +233,17 @@ def test_an_empty_column_is_left_out_by_the_setting_that_is_named(tmp_path: Path
     assert columns == {"t": "time", "q_arm": "pos", "q_lock": None}
     system = recorded_system(path, time_step=H, angular="all", columns=columns)
     assert len(read_recordings(path, system, columns).recordings) == 1
+
+
+@pytest.mark.parametrize("name", ["a b", "a [rad]", "a(1)", "a/b", "a:{1},=2", "a\\b", "7 %"])
+def test_any_name_can_be_left_out(name: str) -> None:
+    setting = omitting([f"q_{name}", name])
+    assert settings_of(setting)["columns"] == {f"q_{name}": None, name: None}
+
+
+def test_names_that_no_setting_can_have_are_to_be_renamed() -> None:
+    assert omitting(["q_Größe"]).endswith("with an ASCII name in the file instead of q_Größe")
+    assert omitting(["q_Größe"], {"q_Größe": "x", "t": "s"}) == "'data.columns={t: s}'"
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ ANGLE = (
 )
 SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
 """Words in the names of angles and of positions."""
-PLACE = re.compile(r"(?:q|pos|positions?|angles?)(\d*)", re.I)
+PLACE = re.compile(r"(?:q|qpos|pos|positions?|angles?)(\d*)", re.I)
 """A word that says that a column is a coordinate, and the number of the coordinate."""
 PLACES = re.compile(rf"(?:{ANGLE}|{SLIDE})\d*", re.I)
 """A word of a coordinate's name."""
@@ -59,7 +59,9 @@ RATE = re.compile(
     r"v|w|a|d|omega|gyro?|acc|accel|acceleration|vel|velocity|rates?|angular|linear|twist|imu", re.I
 )
 """A word of the name of a velocity or an acceleration, without its axis."""
-SPEED = re.compile(r"(?:d?dq|qd?d|dot|vel|velocity|velocities|speeds?|omega|rates?|rpm)(\d*)", re.I)
+SPEED = re.compile(
+    r"(?:d?dq|qd?d|dot|qvel|vel|velocity|velocities|speeds?|omega|rates?|rpm)(\d*)", re.I
+)
 """A word that says that a column is a velocity, and the number of the coordinate."""
 INPUT = re.compile(
     r"(?:u|tau|torques?|moments?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?"
@@ -74,7 +76,8 @@ WANTED = re.compile(
 )
 """A word of the name of what a controller wants, which the machine need not do."""
 OTHER = re.compile(
-    r"(?:acc|accel|acceleration|ddot|ddq|qdd|jerk|bat|battery|supply|temp|temperature)\d*", re.I
+    r"(?:acc|accel|acceleration|ddot|ddq|qdd|jerk|bat|battery|vbus|supply|temp|temperature)\d*",
+    re.I,
 )
 """A word of the name of what is no coordinate, velocity or input."""
 GUESSES = 4
@@ -83,6 +86,8 @@ RISES = 0.99
 """Share of the rows in which a clock rises."""
 STRIDE, ALIKE = 10, 0.95
 """Rows over which a column is compared with the sum of its rate, and their correlation at least."""
+KEY = re.compile(r"[\w/+.$%*@?| ()\[\]{}:=,\\-]+", re.ASCII)
+"""Names of columns that can be typed as keys of a setting."""
 PLAIN = re.compile(r"q\W?\d*\W?")
 """Names of coordinates in other tables, which are no names of this project."""
 UNIT = re.compile(r"(_| in | *[\[(])((?:m|mm|cm|rad|deg|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I)
@@ -501,6 +506,8 @@ def omitting(left_out: Sequence[str], columns: Columns | None = None) -> str:
     """Return the setting that leaves columns out, beside those that are given."""
     kept = {ours: theirs for ours, theirs in (columns or {}).items() if ours not in left_out}
     others = {name: None for name in left_out if name not in (columns or {})}
+    if odd := [name for name in others if not KEY.fullmatch(name)]:
+        return f"data.columns={{NAME: null}}, with an ASCII name in the file instead of {few(odd)}"
     return as_setting({**kept, **others})
 
 
