@@ -32,7 +32,7 @@ RULES = {
         {"mechanics", "nets", "optim", "systems", "data", "models"},
         {"torch", "jaxtyping", "numpy"},
     ),
-    "runs": ({"models"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
+    "runs": ({"models", "data"}, {"torch", "yaml", "hydra", "pyarrow", "filelock"}),
     "process": (set(), set()),
     "training": (
         {"mechanics", "nets", "models", "optim", "process", "runs", "compile"},

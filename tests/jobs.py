@@ -47,6 +47,11 @@ def settings_of(*words: str) -> list[Any]:
     return [OmegaConf.create(job.values) for job in jobs_of(*words)]
 
 
+def params_of(sweep: str) -> dict[str, Any]:
+    """What a sweep varies, by its file and those that it changes."""
+    return dict(_compose(Command(["-cn", sweep])).params)
+
+
 def refusal(*words: str) -> str:
     """Return the error of a command that must not start."""
     try:
@@ -64,7 +69,7 @@ def planned(*words: str) -> Iterator[tuple[Sweep, list[Job]]]:
     hydras = [word for word in command.overrides if word.lstrip("+~").startswith("hydra")]
     settings = [word for word in command.overrides if word not in hydras]
     options = [word for word in command.options if word not in ("-m", "--multirun")]
-    key = (*options, command.folder, *hydras)
+    key = (*options, *command.folders, *hydras)
     try:
         if key not in _kept:
             _kept[key] = _compose(Command([*options, *hydras]))

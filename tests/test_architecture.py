@@ -22,7 +22,7 @@ from tests.architecture import (
 TESTS = Path(__file__).parent
 EVERYBODYS = {"checks", "errors", "files", "imports", "shell", "shipped", "code"}
 CONFIG_HOMES = {"cli", "job", "sweep", "identify", "runs"}
-"""Packages in which objects of Hydra and OmegaConf may occur; `runs` builds models from files."""
+"""Packages in which objects of Hydra and OmegaConf may occur; `runs` builds what files say."""
 
 
 @pytest.mark.parametrize("package", RULES)

@@ -50,11 +50,11 @@ def _execute(argv: list[str]) -> int:
         return record(argv[1:])
     from symo_exp.cli.command import CHECK_ONLY, Command
 
-    command = Command([word for word in argv if word not in ("-h", "--help")])
-    if len(command.options) + len(command.overrides) < len(argv):
+    command = Command(argv)
+    if command.help:
         from symo_exp.cli.help import help_text
 
-        print(help_text([command.folder] if command.folder else []), end="")
+        print(help_text(command.folders), end="")
         return 0
     several = command.several()
     for one in several:  # a word that one of them cannot take is found before anything runs

@@ -204,7 +204,8 @@ def test_every_method_has_a_baseline():
     assert set(CLASSES) == set(METHODS)
 
 
-@pytest.mark.parametrize("method", ["symo", pytest.param("l_node", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["symo", "l_node"])
 def test_the_time_of_a_fit_is_split_into_its_steps_and_the_rest(method):
     """By a clock that ticks once whenever it is read: twice around each epoch and around all."""
     case, clock = CASES["pendulum"], itertools.count()

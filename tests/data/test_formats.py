@@ -79,6 +79,7 @@ WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
     "semicolons": (csv("x.csv", sep=";"), {}),
     "decimal commas": (csv("x.csv", sep=";", decimal=","), {}),
     "tabs": (csv("x.csv", sep="\t"), {}),
+    "vertical bars": (csv("x.csv", sep="|"), {}),
     "blanks": (csv("x.csv", sep=" "), {}),
     "a text file": (csv("x.txt", sep="\t"), {}),
     "comments": (text(lambda lines: ["# a log, by hand", "% 2024", *lines]), {}),
@@ -159,6 +160,15 @@ WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
     "days in the name": (
         csv("x.csv", lambda t: t.assign(t=t.t / 86400).rename(columns={"t": "time (days)"})),
         {},
+    ),
+    "hours in the name": (
+        csv("x.csv", lambda t: t.assign(t=t.t / 3600).rename(columns={"t": "time_h"})),
+        {},
+    ),
+    "minutes": (csv("x.csv", lambda t: t.assign(t=t.t / 60)), {"time_unit": "min"}),
+    "a unit in the name of a column that is given": (
+        csv("x.csv", lambda t: t.assign(t=1e3 * t.t).rename(columns={"t": "Zeit [ms]"})),
+        {"columns": {"t": "Zeit [ms]"}},
     ),
     "degrees": (csv("x.csv", lambda t: t.assign(q_0=np.degrees(t.q_0))), {"degrees": True}),
     "npz": (lambda folder: arrays(folder, "x.npz"), {}),
@@ -292,7 +302,7 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
         ),
         (
             lambda t: t.rename(columns={"q_0": "q1", "u_0": "tau1"}).assign(dq1=0.0),
-            "'data.columns={q_1: q1, v_1: dq1, u_tau1: tau1}'",
+            "'data.columns={q_1: q1, v_1: dq1, u_1: tau1}'",
         ),
         (
             lambda t: t.rename(columns={"q_0": "arm_pos", "u_0": "motor1"}),
@@ -345,6 +355,7 @@ def test_a_refused_table_names_the_setting_that_reads_it(change, said: str, tmp_
         (lambda t: t.assign(q_0=np.degrees(t.q_0)), "data.degrees=true"),
         (lambda t: t.assign(v_0=1e-3 * np.gradient(t.q_0, t.t)), "v_0 is 0.001 times the slope"),
         (lambda t: t.assign(v_0=np.gradient(t.q_0, t.t)), None),
+        (lambda t: t.assign(v_0=-np.gradient(t.q_0, t.t)), "v_0 is -1 times the slope"),
         (lambda t: t.assign(q_0=t.q_0 + 9 * t.t), None),
     ],
 )
@@ -417,13 +428,36 @@ def test_a_clock_that_starts_anew_begins_a_recording(tmp_path: Path) -> None:
         np.testing.assert_allclose(one.samples.q[:, 0], table.q_0.iloc[rows], rtol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["run", "Trial_ID", "episode", "experiment no"])
+def test_a_column_of_recordings_needs_no_setting(name: str, tmp_path: Path) -> None:
+    """The clock goes on from one to the next, so that nothing else tells them apart."""
+    table = motion(6.0)
+    number = np.arange(len(table)) // 200
+    table.assign(**{name: number}).to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    found = read_recordings(tmp_path / "x.csv", system)
+    assert [one.label for one in found.recordings] == ["0", "1", "2"]
+    assert f"column {name} is read as trajectory" in found.notes
+
+
+@pytest.mark.filterwarnings("error")
+def test_times_of_day_are_read_without_a_warning(tmp_path: Path) -> None:
+    table = motion(6.0)
+    clock = pd.Timestamp("2024-05-01 23:00") + pd.to_timedelta(table.t, "s")
+    words = clock.dt.strftime("%H:%M:%S.%f")
+    table.assign(t=words).to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    (found,) = read_recordings(tmp_path / "x.csv", system).recordings
+    np.testing.assert_allclose(found.samples.t, table.t, rtol=0.0, atol=1e-6)
+
+
 def test_arrays_may_hold_many_trajectories() -> None:
     q = np.arange(24.0).reshape(2, 4, 3)
     found = from_arrays({"t": np.arange(4.0), "q": q, "mass": np.array([1.0, 2.0]), "note": "x"})
     assert list(found) == ["trajectory", "t", "q_0", "q_1", "q_2", "mass"]
     np.testing.assert_array_equal(found[["q_0", "q_1", "q_2"]], q.reshape(8, 3))
     assert found.trajectory.tolist() == [0] * 4 + [1] * 4
-    with pytest.raises(ConfigError, match="no array of times"):
+    with pytest.raises(ValueError, match="no array of times"):
         from_arrays({"q": q})
 
 
@@ -467,6 +501,7 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
         (".", None, "the folder has no"),
         ("x*.csv", None, "no file matches"),
         ("absent.csv", None, "No such file"),
+        ("absent.mat", None, "No such file"),
         ("x.xlsx", b"", r"expected a file that ends in \.csv, .*save the sheet as CSV"),
         ("x.txt", b"", "it is empty"),
         ("bare.csv", b"0.0,1.0,2.0\n0.1,1.0,2.0\n", r"first line has numbers \(0.0, 1.0, 2.0\)"),

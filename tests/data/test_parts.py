@@ -128,6 +128,27 @@ def test_every_part_of_a_recording_that_is_split_in_time_moves(
     assert ("at rest are left out" in told[0]) == (before + after > 0.0)
 
 
+@pytest.mark.parametrize("pause", [0.0, 0.7, 25.0, 1e4])
+def test_a_recording_with_a_pause_is_split_by_its_samples(pause: float) -> None:
+    """However long the pause is, the parts have the samples that they have without it."""
+    t = 0.01 * np.arange(4000)
+    q = np.sin(2 * t) + 0.3 * np.sin(t)
+    later = t + pause * (t > 17.005)
+    whole = Recording("", "", Samples(later, q[:, None], None, np.zeros((4000, 0))))
+    plain = whole._replace(samples=whole.samples._replace(t=t))
+    blocks, note = with_every_part([whole], 0.02)
+    expected, _ = with_every_part([plain], 0.02)
+    assert note is not None
+    assert "40 s" in note or "39.99 s" in note
+    for block, other in zip(blocks, expected, strict=True):
+        assert block.part == other.part
+        assert len(block.samples.t) == pytest.approx(len(other.samples.t), abs=3)
+        np.testing.assert_allclose(block.samples.q[5:-5, 0], np.interp(
+            block.samples.t[5:-5], later, q), atol=1e-12)  # fmt: skip
+        start = float(block.label.split(" to ")[0])
+        assert block.samples.t[0] == pytest.approx(start, abs=0.02 + 1e-3 * start)
+
+
 def test_a_rest_in_which_an_input_acts_is_a_motion(tmp_path: Path) -> None:
     t = H * np.arange(1000)
     parts = [Recording("", "", Samples(t, np.sin(t.clip(0.0, 6.3))[:, None], None, u[:, None]))
@@ -175,7 +196,11 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({"v_leg": 0.0}, {}, "column v_leg belongs to no coordinate of the system (arm0, arm1)"),
         ({}, {"angular": None}, "system.angular=null"),
         ({}, {"angular": ["leg"]}, "which of arm0, arm1 are angles?"),
-        ({"u_motor2": 0.0}, {}, "such as system.input_matrix=[[0,1,0],[0,0,1]]"),
+        (
+            {"u_motor2": 0.0},
+            {},
+            "keep one, by data.columns; a row for each coordinate, such as system.input_matrix=[[1",
+        ),
         ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
         ({}, {"columns": {"q_arm2": "gone"}}, "q_arm2=gone, but"),
         ({}, {"columns": {"leg": "note"}}, "leg=note is not allowed"),

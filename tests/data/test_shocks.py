@@ -61,7 +61,7 @@ def found(frames: list[pd.DataFrame], n: int) -> list[list[tuple[int, int]]]:
     return shocks(pairs, ChainPendulum(n, time_step=H).coordinates, H)
 
 
-@pytest.mark.parametrize("blow", [0.0, 60.0])
+@pytest.mark.parametrize("blow", [pytest.param(0.0, marks=pytest.mark.slow), 60.0])
 def test_a_blow_is_found_and_nothing_else(blow: float) -> None:
     runs = found(motions(1, blow), 1)
     assert [k for k, each in enumerate(runs) if each] == [STRUCK] * bool(blow)

@@ -6,10 +6,20 @@ import pytest
 import torch
 
 from symo_exp.evaluation.horizon import cut, predict
-from symo_exp.evaluation.intervals import LEVEL, SCALES, coverage, relative_error
+from symo_exp.evaluation.intervals import (
+    LEVEL,
+    SCALES,
+    Predicted,
+    coverage,
+    relative_error,
+    widened,
+)
 from symo_exp.evaluation.references import ConstantVelocity
+from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.uncertainty import Interval, quantile
+from symo_exp.optim.posterior import Posterior
 from tests.evaluation.test_horizon import PLACE, H, steady
+from tests.models.methods import make
 
 NODES, N = 3, 2
 
@@ -104,3 +114,33 @@ def test_coverage_is_the_share_of_measured_nodes_inside_and_width_the_median():
     for seconds, measured in ((0.5, 0.5), (1, 1.0), (2, 1.6)):  # which ends after 1.6 s
         assert measures[f"coverage_90_{seconds}s"] == pytest.approx(1 - 5 * H / measured)
         assert measures[f"width_90_{seconds}s"] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("held_out", [0, 1])
+def test_errors_of_models_that_were_not_trained_on_recordings_widen_intervals(held_out):
+    """Each recording counts with the error of its own model, in whatever group it comes."""
+    model, other = (make("symo", "midpoint", 1).for_evaluation() for _ in range(2))
+    mean = torch.cat([p.detach().flatten() for p in model.parameters()])
+    none = torch.zeros(len(mean), 0, dtype=torch.float64)
+    posterior = Posterior(mean, none, none, 1e-3, 1e-4, 100)
+    swings = [swing(model, start) for start in (0.3, 0.5)]
+
+    def kappa(*groups):
+        return widened(model, posterior, [Predicted(*group) for group in groups]).relative_error
+
+    with torch.no_grad():
+        for p in other.parameters():
+            p *= 1.5
+    own, strange = swings[1 - held_out], swings[held_out]
+    mixed = kappa((model, [own]), (other, [strange]))
+    assert mixed[-1] > 2.0 * kappa((model, swings))[-1]
+    torch.testing.assert_close(mixed, kappa((other, [strange]), (model, [own])))
+
+
+def swing(model, start):
+    """A motion of the model itself from rest, measured with an error."""
+    q, v = torch.tensor([[start]]).double(), torch.zeros(1, 1).double()
+    path = model.rollout(q, v, steps=round(3.0 / model.time_step))
+    nodes = path.q.shape[1]
+    error = 1e-3 * torch.sin(torch.arange(nodes).double()).unsqueeze(1)
+    return Trajectory(path.q[0] + error, path.v[0], torch.zeros(nodes, 1, dtype=torch.float64))

@@ -103,8 +103,7 @@ def test_a_quaternion_that_is_none_is_refused(tmp_path: Path) -> None:
         examined(table, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["rigid_body", "quadrotor"])
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(("name", "known"), [("rigid_body", False), ("quadrotor", True)])
 def test_every_candidate_and_variation_can_be_built(
     name: str, known: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

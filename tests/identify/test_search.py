@@ -45,6 +45,10 @@ def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, 
     path = model.rollout(torch.tensor([[0.3]]), torch.tensor([[0.0]]), steps=10)
     assert bool(path.q.isfinite().all())
     assert OmegaConf.load(folder / "best" / "config.yaml").trainer.time_limit is None
+    folds = RunFolder(folder / "best").folds()
+    names = [tuple(OmegaConf.load(fold / "config.yaml").data.fold) for fold in folds]
+    assert len(names) > 1
+    assert sorted(names) == [(k, len(names)) for k in range(len(names))]
     measures = RunFolder(folder / "best").measures()
     assert measures["rmse_1s"] < 0.01 * measures["constant_velocity_rmse_1s"]
     candidates = pd.read_csv(folder / "candidates.csv")
@@ -133,7 +137,9 @@ def test_a_search_whose_candidates_all_fail_ends_with_their_reasons(workplace, c
     assert "has a search of other recordings" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("word", ["optimizer.start=-1", "trainer=gpu"])
+@pytest.mark.parametrize(
+    "word", ["optimizer.start=-1", pytest.param("trainer=gpu", marks=pytest.mark.slow)]
+)
 def test_a_setting_that_all_candidates_refuse_is_one_error(word, workplace, capsys):
     table().to_csv("mine.csv", index=False)
     assert main(["-cn", "machine", "data.path=mine.csv", "hydra/launcher=basic", word]) == 2
@@ -352,6 +358,23 @@ def test_coordinates_that_never_move_are_named(workplace):
     assert found.explained == pytest.approx(alone.explained, abs=0.01)
 
 
+@pytest.mark.parametrize(("bent", "told"), [(0.0, True), (1e-3, True), (0.1, False)])
+def test_coordinates_that_a_gear_joins_are_named(bent, told, workplace):
+    """An elastic one, whose parts move against each other, is a machine of two coordinates."""
+    frame = table(name="motor")
+    noise = np.random.default_rng(0).normal(size=(len(frame), 2))
+    bending = bent * np.sin(20.0 * frame.t)
+    frame["q_joint"] = frame.q_motor / 50 + bending / 50 + 1e-4 * noise[:, 0]
+    frame["q_motor"] += 1e-3 * noise[:, 1]
+    frame = frame.rename(columns={"q_motor": "motor [rad]"})
+    frame.to_csv("mine.csv", index=False)
+    columns = {"q_motor": "motor [rad]", "q_arm": "q_joint"}
+    notes = examine({"path": "mine.csv", "columns": columns}).notes
+    found = [note for note in notes if "q_arm is 0.02 times q_motor" in note]
+    assert len(found) == told
+    assert all(note.endswith("give 'data.columns={q_motor: \"motor [rad]\"}'") for note in found)
+
+
 @pytest.mark.parametrize("place", [0.1, 0.3, 123.456])
 @pytest.mark.parametrize("step", [0.005, 0.0013])
 def test_coordinates_that_never_move_set_neither_the_time_step_nor_units(place, step, workplace):
@@ -391,8 +414,9 @@ def test_angles_that_jump_by_a_turn_are_unwrapped(factor, settings, workplace):
     assert plain.time_step == found.time_step == 0.02
 
 
-@pytest.mark.parametrize("hertz", [1.0, 5.0, 20.0, 300.0])
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize(
+    ("hertz", "noise"), [(1.0, 1e-3), (5.0, 0.0), (20.0, 1e-3), (300.0, 0.0), (300.0, 1e-3)]
+)
 def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
     t = np.arange(0.0, max(2.0, 40.0 / hertz), min(0.01, 0.01 / hertz))
     random = np.random.default_rng(0)
@@ -403,8 +427,7 @@ def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
     assert step == 0.02 or 2 * np.pi * hertz * step > 0.2
 
 
-@pytest.mark.parametrize("pieces", [1, 10])
-@pytest.mark.parametrize("hertz", [300.0, 2e4])
+@pytest.mark.parametrize(("hertz", "pieces"), [(300.0, 10), (2e4, 1)])
 def test_the_time_step_resolves_a_vibration_that_was_recorded_for_a_short_time(
     hertz, pieces, workplace
 ):
@@ -417,6 +440,26 @@ def test_the_time_step_resolves_a_vibration_that_was_recorded_for_a_short_time(
     frame.to_csv("mine.csv", index=False)
     step = examine({"path": "mine.csv", "time_unit": "s"}).time_step
     assert 0.2 < 2 * np.pi * hertz * step < 0.75
+
+
+@pytest.mark.parametrize(("gravity", "asked"), [(40.0, True), (0.0, False)])
+def test_turns_of_a_coordinate_named_position_are_asked_for(gravity, asked, workplace):
+    """Of a pendulum that turns over, not of a carriage that goes as far."""
+    t, q, v, motion = 0.01 * np.arange(3000), 0.0, 9.0, []
+    u = 25.0 * np.sin(1.3 * t) + 15.0 * np.sin(2.9 * t + 1)
+    for force in u:
+        for _ in range(10):
+            v += 1e-3 * (force - gravity * np.sin(q) - 0.5 * v)
+            q += 1e-3 * v
+        motion.append(q)
+    pd.DataFrame({"t": t, "q_position": motion, "u_motor": u}).to_csv("mine.csv", index=False)
+    assert np.ptp(motion) > 7.0
+    if asked:
+        with pytest.raises(ConfigError, match=r"system.angular has no .*q_position moves by"):
+            examine({"path": "mine.csv"})
+        assert examine({"path": "mine.csv"}, angular="all").explained > 0.9
+    else:
+        assert examine({"path": "mine.csv"}).coordinates.angular == (False,)
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 2.5])

@@ -78,7 +78,9 @@ def test_another_reference_measures_a_finished_run_again_and_does_not_train_it(
         assert after[f"{who}pooled_rmse_2s"] == pytest.approx(math.sqrt(error.mean()))
 
 
-@pytest.mark.parametrize("status", ["finished", "interrupted"])
+@pytest.mark.parametrize(
+    "status", [pytest.param("finished", marks=pytest.mark.slow), "interrupted"]
+)
 def test_results_of_other_recordings_are_refused_and_kept(status, recordings, capsys):
     words = [*WORDS, "measures=false", "pictures=false"]
     assert main(words) == 0

@@ -47,7 +47,7 @@ class Products:
 
 
 @pytest.mark.parametrize("wide", [False, True], ids=["parameters", "residuals"])
-def test_a_step_solves_the_damped_normal_equations(wide):
+def test_a_step_solves_the_damped_normal_equations(wide, monkeypatch):
     """In both spaces, to second order, against dense derivatives."""
     torch.manual_seed(0)
     model, data, damping = Products(3), windows(3, 4 if wide else 20), 3.0
@@ -66,7 +66,8 @@ def test_a_step_solves_the_damped_normal_equations(wide):
     straight = -torch.linalg.solve(matrix, jacobian.T @ residuals(start))
     bend = 0.5 * along(along(residuals, straight), straight)(start)
     aside = -torch.linalg.solve(matrix, jacobian.T @ bend)
-    optimizer = LevenbergMarquardt([model.weight], damping=damping, chunk=3)
+    monkeypatch.setattr(levenberg_marquardt, "CHUNK", 3)
+    optimizer = LevenbergMarquardt([model.weight], damping=damping)
     optimizer.epoch(model, [data.rows(slice(2)), data.rows(slice(2, None))])
     torch.testing.assert_close(optimizer.flat() - start, straight + aside, rtol=1e-9, atol=1e-12)
     assert (

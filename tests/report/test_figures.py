@@ -250,6 +250,7 @@ def test_a_symplectic_integrator_keeps_the_volume_small_steps_first():
     explicit, variational = figure.panels[-1].traces()
     assert explicit.rows.y.iloc[-1] < 1e-4
     assert set(variational.rows.y) == {1.0}
+    assert figure.systems == ["chain"]
 
 
 def test_names_become_symbols():

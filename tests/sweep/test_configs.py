@@ -2,7 +2,6 @@
 
 import pytest
 import torch
-import yaml
 
 from symo_exp.cli.help import summary
 from symo_exp.errors import ConfigError
@@ -11,7 +10,7 @@ from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.compose import expand
 from symo_exp.thesis.published import published
-from tests.jobs import job_of, jobs_of, settings_of
+from tests.jobs import job_of, jobs_of, params_of, settings_of
 from tests.systems.models import PENDULUMS
 from tests.tables import choices, known_systems, systems, variational_integrators
 
@@ -82,7 +81,7 @@ ONE_SWEEP = sorted({f.stem for f in SWEEPS.glob("*.yaml")} - {"thesis", "search"
 @pytest.mark.parametrize("sweep", ONE_SWEEP)
 def test_every_sweep_has_jobs_that_pass(sweep, workplace):
     """That of the last values of all that it varies."""
-    params = yaml.safe_load((SWEEPS / f"{sweep}.yaml").read_text())["hydra"]["sweeper"]["params"]
+    params = params_of(sweep)
     rows = params.pop("model,integrator", [])
     last = [f"{key}={str(values).rpartition(',')[2]}" for key, values in params.items()]
     last += [f"model={model}" for model, _ in rows[-1:]]

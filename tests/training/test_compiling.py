@@ -20,10 +20,6 @@ def test_validation_is_compiled_where_it_sees_as_many_samples_as_training(watche
     assert watches_much(SimpleNamespace(datamodule=data, check_val_every_n_epoch=every)) == much
 
 
-def test_validation_of_a_foreign_datamodule_is_not_compiled():
-    assert not watches_much(SimpleNamespace(check_val_every_n_epoch=1))
-
-
 @pytest.fixture
 def trained(monkeypatch, tmp_path):
     """``(steps, mode, state) → whether it is compiled``, and the state of its checkpoint; after an

@@ -15,7 +15,9 @@ from symo_exp.errors import ConfigError, Refused
 from symo_exp.process import phases
 from symo_exp.shipped import CONF, SWEEPS
 
-SWITCHES = "-m --multirun", "-r --run", "--hydra-help", "--resolve", "-sc --shell-completion"
+SWITCHES = (
+    "-m --multirun", "-r --run", "--hydra-help", "--resolve", "-sc --shell-completion", "-h --help",
+)  # fmt: skip
 WITH_A_VALUE = "-cn --config-name", "-cd --config-dir", "-cp --config-path", "-p --package"
 CFG = "job", "hydra", "all"
 INFO = "all", "config", "defaults", "defaults-tree", "plugins", "searchpath"
@@ -52,8 +54,9 @@ class Command:
         self.options = [word for word in argv if word not in self.overrides]
         self.multirun: bool = self._given.multirun
         self.name: str | None = self._given.config_name
+        self.help: bool = self._given.help
         folder = self._given.config_dir
-        self.folder: Path | None = None if folder is None else Path(folder).absolute()
+        self.folders = [] if folder is None else [Path(folder).absolute()]
         """The user's own configuration, which is added to ours."""
         for override in self.overrides:
             if "=" not in override and not override.startswith("~"):
@@ -67,12 +70,13 @@ class Command:
     def runs(self) -> bool:
         """Return whether the command asks for runs, not for information."""
         given = self._given
-        return not (given.cfg or given.info or given.hydra_help or given.shell_completion)
+        others = given.cfg, given.info, given.hydra_help, given.shell_completion, given.help
+        return not any(others)
 
     def several(self) -> list[Command]:
         """Return one command per sweep if ``-cn NAME`` is a file that lists sweeps."""
-        folders = [SWEEPS] if self.folder is None else [SWEEPS, self.folder]
-        files = [f for folder in folders if (f := folder / f"{self.name}.yaml").is_file()]
+        places = [folder / f"{self.name}.yaml" for folder in (SWEEPS, *self.folders)]
+        files = [place for place in places if place.is_file()]
         if len(files) > 1:
             raise ConfigError(f"{files[1]} has the name of a sweep of symo_exp; rename it")
         if not files or not self.runs:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 import yaml
@@ -72,10 +73,6 @@ def _choices(folders: Sequence[Path]) -> str:
 
 def summary(file: Path) -> str:
     """Return the first comment of a configuration file, ``# @package`` directives left out."""
-    for line in file.read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            break
-        text = line.lstrip("# ").strip()
-        if text and not text.startswith("@package"):
-            return text
-    return ""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    comments = (line.lstrip("# ").strip() for line in takewhile(lambda x: x.startswith("#"), lines))
+    return next((text for text in comments if text and not text.startswith("@package")), "")

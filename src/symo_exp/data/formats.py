@@ -29,13 +29,17 @@ TABLES = (".parquet", ".csv", ".npz", ".mat")
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 """Text files; in a folder only the first kind is taken for a recording."""
 BAGS = (".db3", ".mcap", ".bag")
-TIME = re.compile(
-    r"_*(?:t|time|timestamp|stamp)(?:_(UNIT)| *[\[(](UNIT)[\])])?".replace(
-        "UNIT", "s|sec|ms|us|ns|d|days?"
-    ),
-    re.IGNORECASE,
-)
+TIME_UNITS = {
+    "d": "d", "day": "d", "days": "d", "h": "h", "hour": "h", "hours": "h", "min": "min",
+    "minutes": "min", "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us",
+    "\u00b5s": "us", "\u03bcs": "us", "ns": "ns",
+}  # fmt: skip
+"""Units of time as names state them, by their spelling."""
+IN_UNIT = r"(?:_(UNIT)|(?: *[\[(]| in )(UNIT)[\])]?)".replace("UNIT", "|".join(TIME_UNITS))
+TIME = re.compile(rf"_*(?:t|times?|timestamps?|stamps?)(?:{IN_UNIT})?", re.IGNORECASE)
 """Names of a time column, with the unit that they state."""
+IN_TIME = re.compile(rf".+{IN_UNIT}", re.IGNORECASE)
+"""Names that state a unit of time."""
 UNREADABLE = (
     OSError, ValueError, TypeError, IndexError, EOFError, csv.Error, zipfile.BadZipFile, zlib.error,
     scipy.io.matlab.MatReadError,
@@ -222,7 +226,7 @@ class Dialect(NamedTuple):
         if comments and re.match(NUMBER.pattern + r"(?:[,;\s]|$)", first):
             skipped, others = len(before), [first, *others]
             first = COMMENT.sub("", comments[-1], count=1)
-        counts = Counter({sign: first.count(sign) for sign in (",", ";", "\t")})
+        counts = Counter({sign: first.count(sign) for sign in (",", ";", "\t", "|")})
         separator, count = counts.most_common(1)[0]
         if count == 0 and len(first.split()) > 1:
             separator = " "
@@ -255,13 +259,16 @@ class Dialect(NamedTuple):
         except pd.errors.EmptyDataError:
             return pd.DataFrame(columns=self.names)
         if table.iloc[:, count:].notna().any(axis=None):
-            raise ValueError(f"a row has {self.cells} cells, the line of names {count}")
+            raise ValueError(
+                f"a row has {self.cells} cells, the line of names {count}, {few(self.names)}; "
+                "names are in the first line that is no comment (#)"
+            )
         return table.iloc[:, :count].dropna(how="all").reset_index(drop=True)
 
     @property
     def note(self) -> str | None:
         """A line for the log on differences from a plain CSV file."""
-        names = {";": "semicolons", "\t": "tabs", " ": "blanks"}
+        names = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
         if self.separator not in names:
             return None
         decimal = " and decimal commas" if self.decimal == "," else ""
@@ -272,11 +279,16 @@ def _encoding(file: Path) -> str:
     """Return the encoding that the beginning of a text file shows.
 
     Spreadsheets also write UTF-16 and the encoding of Windows, in which a degree sign is one byte.
+
+    Raises:
+        ValueError: If the first line holds zero bytes, which no text does.
     """
     with file.open("rb") as handle:
         beginning = handle.read(2**16)
     if beginning.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
+    if b"\0" in beginning.partition(b"\n")[0]:
+        raise ValueError("it is no text in a known encoding; save it as UTF-8")
     try:
         codecs.getincrementaldecoder("utf-8")().decode(beginning)
     except UnicodeDecodeError:
@@ -299,13 +311,13 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
     array of times, which is named ``t`` or ``time``, perhaps with its unit.
 
     Raises:
-        ConfigError: If there is no array of times.
+        ValueError: If there is no array of times.
     """
     found = {name: np.asarray(x) for name, x in arrays.items()}
     found = {name: x for name, x in found.items() if x.dtype.kind in "biufUS" and x.size > 1}
     times = [name for name in found if TIME.fullmatch(name)]
     if not times:
-        raise ConfigError(
+        raise ValueError(
             f"there is no array of times named t among {few(sorted(arrays)) or 'none'}: save t, q "
             "and u as arrays with a row for each sample"
         )
@@ -347,7 +359,7 @@ def _matlab(file: Path) -> dict[str, Any]:
     Where different arrays have the same name, it begins with those of the structures.
     """
     try:
-        found = scipy.io.loadmat(file, simplify_cells=True)
+        found = scipy.io.loadmat(str(file), simplify_cells=True)
     except NotImplementedError:
         raise ConfigError(
             f"data.path={file}: MATLAB 7.3 files are not read; save with save('{file.name}', '-v7')"

@@ -62,6 +62,13 @@ def divided(
         parts = _by_name(where, recordings, listed)
     elif not counted and any(r.part for r in recordings):
         parts = {part: [r for r in recordings if r.part == part] for part in PARTS}
+    elif not counted and len(recordings) < len(PARTS):
+        spans = " and ".join(f"{np.ptp(one.samples.t):.3g} s" for one in recordings) or "none"
+        raise ConfigError(
+            f"{where} has {len(recordings)} trajectories, too few for train, val and test, and too "
+            f"short to be split in time ({spans}); record longer ones, or more, and number "
+            "trajectories apart in a column trajectory"
+        )
     else:
         n_val = whole_number("data.n_val", 1 if n_val is None else n_val)
         n_test = whole_number("data.n_test", 1 if n_test is None else n_test)
@@ -70,8 +77,9 @@ def divided(
         if not chosen:
             given = few(sorted({r.part for r in recordings} - {""})) or "none"
             raise ConfigError(
-                f"{where}: no trajectory for {part}; its column split has {given}; name some by "
-                f"data.{part}=[...] of {few([r.label for r in recordings])}"
+                f"{where}: no trajectory for {part}; its column split has {given}, expected "
+                f"{', '.join(PARTS)}; name some by data.{part}=[...] of "
+                f"{few([r.label for r in recordings])}"
             )
     return parts
 
@@ -109,15 +117,9 @@ def _by_name(
 def _last(where: str, recordings: Sequence[Recording], n_val: int, n_test: int) -> Parts:
     available = len(recordings) - n_val - n_test
     if available < 1:
-        lone = len(recordings) == 1 and not recordings[0].label
-        hint = (
-            " (and too short to be split in time); number trajectories apart in a column trajectory"
-            if lone
-            else ""
-        )
         raise ConfigError(
             f"{where} has {len(recordings)} trajectories, too few for data.n_val={n_val}, "
-            f"data.n_test={n_test} and at least one to train on{hint}"
+            f"data.n_test={n_test} and at least one to train on"
         )
     val = available + n_val
     bounds = {"train": (0, available), "val": (available, val), "test": (val, None)}
@@ -135,10 +137,11 @@ def with_every_part(
     are for the parts that have none or, where these are fewer than three, all of them are split in
     time.
 
-    In time, a recording is cut into equal blocks, which belong to train, train, val, train and
-    test, in turn. Neighbours of one part stay together; between others a gap is left out. So is
-    what it is at rest before it first moves and after it last does, since no block could be
-    predicted there. Recordings too short for this are returned as they are.
+    In time, a recording is cut into blocks with equal times of samples, gaps not counted, which
+    belong to train, train, val, train and test, in turn. Neighbours of one part stay together;
+    between others a gap is left out. So is what it is at rest before it first moves and after it
+    last does, since no block could be predicted there. Recordings too short for this are returned
+    as they are.
     """
     given = {one.part for one in recordings} & set(PARTS)
     lacking = [part for part in PARTS if part not in given]
@@ -252,28 +255,41 @@ def _in_blocks(
     recordings: Sequence[Recording], time_step: float, lacking: Sequence[str]
 ) -> tuple[list[Recording], str | None]:
     """Split recordings in time; blocks of parts that are not lacking are for training."""
-    ends = [_moving(one.samples) for one in recordings]
+    clocks = [_recorded_time(one.samples.t, time_step) for one in recordings]
+    ends = [
+        _moving(one.samples._replace(t=clock))
+        for one, clock in zip(recordings, clocks, strict=True)
+    ]
     spans = [end - start for start, end in ends]
     if any(span < FEWEST * time_step * len(PATTERN) / 0.9 for span in spans):
         return list(recordings), None
     pattern = tuple(part if part in lacking else "train" for part in PATTERN)
     blocks, told = [], []
-    for one, (start, _), span in zip(recordings, ends, spans, strict=True):
+    for one, clock, (start, _), span in zip(recordings, clocks, ends, spans, strict=True):
         rounds = int(min(max(span // (BLOCK * len(PATTERN)), 1), ROUNDS))
         size = span / (rounds * len(PATTERN))
         gap = min(GAP, size / 10)
         for part, first, last in _stretches(pattern * rounds):
             low, high = start + first * size + gap * (first > 0), start + last * size
-            samples = one.samples.between(low, high)
+            samples = one.samples.rows((clock >= low) & (clock <= high))
+            low, high = np.interp([low, high], clock, one.samples.t - one.samples.t[0])
             name = f"{low:.4g} to {high:.4g} s"
             blocks.append(Recording(f"{one.label}/{name}" if one.label else name, part, samples))
-        rest = one.samples.seconds - span
+        rest = float(clock[-1]) - span
         left = f" ({rest:.3g} s at rest are left out)" if rest > 0 else ""
         told.append(f"{span:.4g} s{left} in {rounds * len(PATTERN)} blocks of {size:.3g} s")
     order = ", ".join(pattern)
     return blocks, (
         f"split in time: {' and '.join(told)}, in turn {order}; {gap:.2g} s left out between parts"
     )
+
+
+def _recorded_time(t: np.ndarray, time_step: float) -> np.ndarray:
+    """Return the times after the first sample, without those of gaps."""
+    steps = np.diff(t)
+    gaps = steps > LONGEST_GAP * max(time_step, float(np.median(steps))) * (1 + 1e-3)
+    lost = np.where(gaps, steps - time_step, 0.0)
+    return np.asarray(t - t[0] - np.concatenate([[0.0], np.cumsum(lost)]))
 
 
 def _moving(samples: Samples) -> tuple[float, float]:

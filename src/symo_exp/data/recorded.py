@@ -18,7 +18,7 @@ from symo_exp.checks import one_of, real, whole_number
 from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
-from symo_exp.data.formats import Location, few, shown
+from symo_exp.data.formats import Location, shown
 from symo_exp.data.header import UNITS, Columns, header, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.resample import Samples, resample
@@ -32,6 +32,8 @@ log = logging.getLogger(__name__)
 
 TIME_TOLERANCE = 1e-3
 """Largest relative difference of a recorded step that equals ``system.time_step``."""
+FEW_NUMBERS = 8
+"""Values of an angle up to which whole numbers are no sign of counts."""
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
 UNIT = 1e-3
@@ -108,8 +110,8 @@ class RecordedData(DataModule):
             leaves the column out.
         wrapped: Whether angles jump by a turn; they are unwrapped then.
         degrees: Whether angles and their velocities are in degrees.
-        time_unit: ``d``, ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's name or
-            values say (``t_ms``), else seconds.
+        time_unit: ``d``, ``h``, ``min``, ``s``, ``ms``, ``us`` or ``ns``; ``None``: as the column's
+            name or values say (``t_ms``), else seconds.
         train: Names of the training trajectories. ``None``: the column ``split`` says.
         val: Those for validation.
         test: Those for testing.
@@ -208,6 +210,8 @@ class RecordedData(DataModule):
         )
         parts["train"] = parts["train"][:n_traj]
         lag = real("data.input_lag", input_lag, low=0.0)
+        used = [recording for part in parts.values() for recording in part]
+        refuse_counts(where, space, used, degrees)
         if degrees:
             parts = {
                 name: [one._replace(samples=in_radians(one.samples, space)) for one in part]
@@ -261,6 +265,32 @@ class RecordedData(DataModule):
         with np.errstate(all="ignore"):  # values that overflow
             raw = [samples.q for samples in sampled]
             return diagnose(motions, raw, self._system.coordinates, h, samples=h / gap)
+
+
+def refuse_counts(
+    where: str, coordinates: Coordinates, recordings: Sequence[Recording], degrees: bool | None
+) -> None:
+    """Refuse angles in whole numbers: they are counts of an encoder, or degrees.
+
+    Args:
+        where: The beginning of the message.
+        coordinates: Those of the machine.
+        recordings: All that are used.
+        degrees: Whether angles are known to be in degrees.
+
+    Raises:
+        ConfigError: If any angle has more than ``FEW_NUMBERS`` values, all of them whole.
+    """
+    for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
+        values = np.unique(np.concatenate([one.samples.q[:, i] for one in recordings]))
+        if not angular or degrees or len(values) <= FEW_NUMBERS or (values % 1 != 0).any():
+            continue
+        raise ConfigError(
+            f"{where}: q_{name} has whole numbers only, from {values[0]:g} to {values[-1]:g}, and "
+            "is an angle: convert counts of an encoder to radians in the file (counts times 2 pi "
+            "over the counts of a turn), without jumps where counts start anew; for degrees, give "
+            "data.degrees=true"
+        )
 
 
 @dataclass(frozen=True)
@@ -355,16 +385,17 @@ def _angles(samples: Samples, coordinates: Coordinates) -> np.ndarray:
 
 def _check_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
     """Refuse angles that jump."""
-    rises = np.abs(np.diff(samples.q, axis=0)).max(0)
-    turns = np.where(_angles(samples, coordinates), rises, 0)
-    if turns.max() > np.pi:
+    bends = np.abs(np.diff(samples.q, 2, axis=0)).max(0, initial=0.0)
+    jumps = _angles(samples, coordinates) & (bends > np.pi)
+    if jumps.any():
+        turns = np.where(jumps, np.abs(np.diff(samples.q, axis=0)).max(0), 0.0)
         name = coordinates.names[int(turns.argmax())]
         mend = "data.wrapped=true unwraps them) and be in radians (data.degrees=true converts"
         if 300 < turns.max() < 400:
             mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
         raise ConfigError(
             f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
-            f"wrapped ({mend})"
+            f"wrapped ({mend}); remove rows in which a sensor fails"
         )
 
 
@@ -426,8 +457,6 @@ def _report(
     hint = ", ".join(f"{count} {part}".rstrip() for part, count in others.items())
     yield f"{where}: {text}" + (f"; not used: {hint}" if hint else "")
     yield from table.notes
-    if table.unread:
-        yield f"columns that are not read: {few(table.unread)}"
     resampled = [r.samples for r in used if not _equal(r.samples.t, h)]
     if resampled:
         usual = sorted(samples.step for samples in resampled)
@@ -452,8 +481,8 @@ def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[st
         ratio = float(np.median(ratios)) if ratios else 1.0
         if not 0.2 < ratio < 5.0:
             yield (
-                f"v_{name} is {ratio:.2g} times the slope of q_{name}: check the units of times "
-                "and velocities, or leave velocities out (data.velocities=estimated)"
+                f"v_{name} is {ratio:.2g} times the slope of q_{name}: check the signs and units "
+                "of times and velocities, or leave velocities out (data.velocities=estimated)"
             )
 
 
@@ -464,11 +493,13 @@ def _sweeps(x: np.ndarray) -> np.ndarray:
 
 
 def _ratio(samples: Samples, i: int) -> float:
-    """Return the motion of the integrated velocity relative to that of the configuration."""
+    """Return the motion of the integrated velocity relative to that of the configuration.
+
+    It is negative if they go in opposite directions.
+    """
     assert samples.v is not None
     t, v = samples.t - samples.t[0], samples.v[:, i]
     moved = np.concatenate([[0.0], np.cumsum(np.diff(t) * (v[1:] + v[:-1]) / 2)])
-    sizes = [
-        float(np.std(x - np.polyval(np.polyfit(t, x, 1), t))) for x in (moved, samples.q[:, i])
-    ]
-    return sizes[0] / sizes[1] if min(sizes) > 0 and math.isfinite(sum(sizes)) else 1.0
+    moved, q = (x - np.polyval(np.polyfit(t, x, 1), t) for x in (moved, samples.q[:, i]))
+    ratio = math.copysign(float(np.std(moved) / (np.std(q) or np.nan)), float(moved @ q))
+    return ratio if ratio and math.isfinite(ratio) else 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -18,10 +19,10 @@ from symo_exp.data.header import (
     OTHERS,
     UNITS,
     Columns,
+    Header,
     as_setting,
     headers,
     omitting,
-    suggestion,
 )
 from symo_exp.data.resample import Samples
 from symo_exp.errors import ConfigError
@@ -36,8 +37,8 @@ SLOW, FAST = 1.0, 5e-6
 """Times between samples from which, and up to which, the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
 """Seconds since 1970 of the years 2001 to 2099."""
-ORIGINS = {"d": (25569.0, 719529.0)}
-"""1970 in serial days of spreadsheets and of MATLAB; times in other units are counted from it."""
+ORIGINS = {"d": (25569.0, 719529.0), "ms": (0.0,), "us": (0.0,), "ns": (0.0,)}
+"""1970 in the units in which dates are: serial days of spreadsheets and of MATLAB, and counts."""
 
 
 class Recording(NamedTuple):
@@ -59,12 +60,10 @@ class RecordingTable(NamedTuple):
 
     Attributes:
         recordings: The trajectories.
-        unread: Columns that were not read.
-        notes: Differences of the table from the files, a line each.
+        notes: Differences of the table from the files and columns that were not read, a line each.
     """
 
     recordings: tuple[Recording, ...]
-    unread: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -84,8 +83,8 @@ def read_recordings(
         system: Whose coordinates and inputs are read.
         columns: A mapping of this project's column names to those of the files; ``None`` instead of
             a name leaves the column out.
-        time_unit: ``d``, ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of the column's
-            name or of its values.
+        time_unit: ``d``, ``h``, ``min``, ``s``, ``ms``, ``us`` or ``ns``; ``None`` takes that of
+            the column's name or of its values.
 
     Raises:
         ConfigError: If a file cannot be read or is not sound.
@@ -99,14 +98,13 @@ def read_recordings(
         seconds = head.seconds if time_unit is None else UNITS[time_unit]
         where = shown(path if len(found) == 1 else file)
         names = system.coordinates, tuple(system.inputs)
-        one = _read(where, file, version, head.names, seconds, *names)
+        one = _read(where, file, version, head, seconds, *names)
         if len(found) > 1:
             one = one._replace(recordings=tuple(_within(label, one.recordings)))
         tables.append(one._replace(notes=(*head.notes, *one.notes)))
     recordings = [recording for one in tables for recording in one.recordings]
-    unread = dict.fromkeys(name for one in tables for name in one.unread)
     notes = dict.fromkeys(note for one in tables for note in one.notes)
-    return RecordingTable(tuple(recordings), tuple(unread), tuple(notes))
+    return RecordingTable(tuple(recordings), tuple(notes))
 
 
 def _labels(files: Sequence[Path]) -> list[str]:
@@ -127,7 +125,7 @@ def _within(label: str, recordings: Sequence[Recording]) -> Iterator[Recording]:
 
 @lru_cache(maxsize=64)  # shared by the jobs of a sweep
 def _read(
-    where: str, file: Path, version: int, found: tuple[str, ...], seconds: float | None,
+    where: str, file: Path, version: int, head: Header, seconds: float | None,
     coordinates: Coordinates, inputs: tuple[str, ...],
 ) -> RecordingTable:  # fmt: skip
     wanted = {
@@ -135,17 +133,17 @@ def _read(
         "v": [f"v_{name}" for name in coordinates.names],
     }
     wanted["u"] = [f"u_{name}" for name in inputs]
-    _check_places(where, found, wanted)
+    found, given = head.names, dict(head.given)
+    _check_places(where, found, wanted, given)
     for kind in "vu":  # these may be absent, all of them
         if not set(wanted[kind]) & set(found):
             wanted[kind] = []
     numbers = ["t", *wanted["q"], *wanted["v"], *wanted["u"]]
     if missing := [column for column in numbers if column not in found]:
-        plain = {c: c[2:] for c in missing if c[2:] in found}
-        mend = as_setting(plain) if plain else suggestion(found)
+        mapping = {column: column[2:] if column[2:] in found else "NAME" for column in missing}
         raise ConfigError(
-            f"{where}: no column {', '.join(missing)}; it has {few(found)}"
-            + (f"; map it: {mend}" if missing != ["t"] else "")
+            f"{where}: no column {', '.join(missing)}; it has {few(found)}; map it: "
+            f"{as_setting({**given, **mapping})}"
         )
     with readable(file):
         table = table_of(file)
@@ -154,7 +152,7 @@ def _read(
     table["t"], seconds = _from_dates(table["t"], seconds, notes)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
-    table = _without_gaps(where, table, numbers, notes)
+    table = _without_gaps(where, table, numbers, notes, given)
     if seconds is None:
         _check_seconds(where, table["t"].to_numpy())
     else:
@@ -163,7 +161,8 @@ def _read(
     recordings = tuple(_divided(where, table, wanted, len(inputs)))
     known = {*numbers, *OTHERS}
     unread = [c.lstrip(".") for c in found if c and c not in known and c[:8] != "__index_"]
-    return RecordingTable(recordings, tuple(unread), tuple(notes))
+    notes += [f"columns that are not read: {few(unread)}"] if unread else []
+    return RecordingTable(recordings, tuple(notes))
 
 
 def _divided(
@@ -172,11 +171,14 @@ def _divided(
     """Yield the trajectories of a table; ``inputs`` counts inputs, recorded or not."""
     for column in {"trajectory", "split"} & set(table.columns):
         if table[column].isna().any():
-            raise ConfigError(f"{where}: rows without a {column}; give each row one")
+            raise ConfigError(
+                f"{where}: rows without a {column}; give each row one, or leave out the column "
+                f"that is read as {column}"
+            )
     groups = [("", table)] if "trajectory" not in table else _groups(table)
     for label, rows in groups:
         _check_times(f"{where}: trajectory {label}", rows["t"].to_numpy())
-        parts = list(rows["split"].astype(str).unique()) if "split" in rows else [""]
+        parts = list(rows["split"].astype(str).str.lower().unique()) if "split" in rows else [""]
         if len(parts) > 1:
             raise ConfigError(
                 f"{where}: trajectory {label} is in the splits {few(parts)}; a trajectory "
@@ -200,7 +202,9 @@ def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
         ]
 
 
-def _check_places(where: str, found: Sequence[str], wanted: Mapping[str, Sequence[str]]) -> None:
+def _check_places(
+    where: str, found: Sequence[str], wanted: Mapping[str, Sequence[str]], given: Columns
+) -> None:
     """Refuse columns that look like a coordinate or an input and are not one of the system's."""
     for column in found:
         kind = column[0] if column[1:2] == "_" else ""
@@ -208,7 +212,8 @@ def _check_places(where: str, found: Sequence[str], wanted: Mapping[str, Sequenc
             there = few([name[2:] for name in wanted[kind]]) or "none"
             raise ConfigError(
                 f"{where}: column {column} belongs to no {KINDS[kind]} of the system ({there}); "
-                f"rename it by data.columns or in the file, or leave it out, {omitting([column])}"
+                "rename it by data.columns or in the file, or leave it out, "
+                + omitting([column], given)
             )
 
 
@@ -223,7 +228,7 @@ def _from_dates(
         if name is None:
             return times, seconds
         if seconds is None:
-            origin = " since 1970" * (name not in ORIGINS)
+            origin = " since 1970" * (0.0 in ORIGINS[name])
             notes.append(f"times are in {name}{origin}, as their size says")
         exact = pd.to_numeric(times[numbers.notna()])  # integers have more digits
         return (exact - exact.min()).reindex(times.index), UNITS[name]
@@ -231,7 +236,9 @@ def _from_dates(
     forms = [("ISO8601", "coerce"), (None, "raise")]  # a fraction of ISO may have any digits
     for form, errors in forms:
         try:
-            dates = pd.to_datetime(times, utc=True, format=form, errors=errors)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # no format is common to times of day
+                dates = pd.to_datetime(times, utc=True, format=form, errors=errors)
         except (ValueError, TypeError):
             continue
         if (dates.isna() & times.notna()).mean() <= DROPPED:
@@ -246,11 +253,11 @@ def _unit_of_dates(t: np.ndarray, seconds: float | None) -> str | None:
     """
     middle = float(np.median(t))
     for name, unit in UNITS.items():
-        if unit == 1.0 or seconds not in (None, unit):
+        if seconds not in (None, unit):
             continue
         if unit > 1.0 and seconds is None and not _gap(t) <= FAST:
             continue
-        for origin in ORIGINS.get(name, (0.0,)):
+        for origin in ORIGINS.get(name, ()):
             if EPOCH[0] <= (middle - origin) * unit <= EPOCH[1]:
                 return name
     return None
@@ -272,14 +279,15 @@ def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
             row = int(np.argmax(words))
             raise ConfigError(
                 f"{where}: column {column} holds values that are not numbers, "
-                f"{repr(given.iloc[row])[:40]} in data row {row + 1}"
+                f"{repr(given.iloc[row])[:40]} in data row {row + 1}: write numbers as 1234.5, "
+                "without units and separators of thousands"
             )
         given = values
     return np.asarray(given.to_numpy(dtype=np.float64, na_value=np.nan))
 
 
 def _without_gaps(
-    where: str, table: pd.DataFrame, numbers: Sequence[str], notes: list[str]
+    where: str, table: pd.DataFrame, numbers: Sequence[str], notes: list[str], given: Columns
 ) -> pd.DataFrame:
     """Return the rows whose numbers are all finite; refuse a table with few of them."""
     bad = ~np.isfinite(table[list(numbers)])
@@ -289,10 +297,12 @@ def _without_gaps(
     column, first = bad.sum().idxmax(), int(np.argmax(rows)) + 1
     told = f"{int(rows.sum())} of {len(rows)} rows"
     if rows.mean() > DROPPED:
+        needed = ["t", *(x for x in numbers if x.startswith("q_"))]
+        mend = "" if column in needed[:2] else f" or the column, {omitting([column], given)}"
         raise ConfigError(
             f"{where}: {told} have a number that is empty or not finite, most of them in column "
-            f"{column}, first data row {first}; at most {100 * DROPPED:g} % are left out: remove "
-            "them or the column"
+            f"{column}, first data row {first}; at most {100 * DROPPED:g} % are left out: fill "
+            f"them in the file, as by interpolation, or remove them{mend}"
         )
     notes.append(f"{told} are left out: a number is missing or not finite, first data row {first}")
     return table[~rows].reset_index(drop=True)
@@ -310,7 +320,8 @@ def _check_seconds(where: str, t: np.ndarray) -> None:
     told = "days" if unit == "d" else unit
     raise ConfigError(
         f"{where}: times are {step:.6g} apart, and nothing says their unit; if they are in {told}, "
-        f"give data.time_unit={unit}, if in seconds, data.time_unit=s"
+        f"give data.time_unit={unit}, if in seconds, data.time_unit=s; if they count samples, "
+        "multiply them by the time between two"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -33,8 +34,21 @@ SCALES = 11
 SMALLEST = 1e-300
 
 
+class Predicted(NamedTuple):
+    """Recordings and the model that predicts them.
+
+    Attributes:
+        model: The model, in float64. It is the one whose intervals are widened, or, in a
+            cross-validation, one with the same settings that was not trained on the recordings.
+        trajectories: The recordings.
+    """
+
+    model: DynamicsModel
+    trajectories: Sequence[Trajectory]
+
+
 def widened(
-    model: DynamicsModel, posterior: Posterior, trajectories: Sequence[Trajectory]
+    model: DynamicsModel, posterior: Posterior, recordings: Sequence[Predicted]
 ) -> ModelPosterior:
     """Return the posterior with the error beyond it that windows of recordings show.
 
@@ -45,19 +59,25 @@ def widened(
     Args:
         model: The model, in float64.
         posterior: Posterior of its parameters.
-        trajectories: Recordings, those of training too: few are held out, and how much recordings
-            differ shows in many.
+        recordings: Recordings and the models that predict them.
     """
-    windows = cut(trajectories, model.time_step, run_in=True) if trajectories else None
+    groups = [one.trajectories for one in recordings]
+    every = [trajectory for group in groups for trajectory in group]
+    windows = cut(every, model.time_step, run_in=True) if every else None
     if windows is None:
         return ModelPosterior(posterior)
-    h, place, units = model.time_step, model.input_matrix, model.coordinates.sizes
-    found = predict(model, _some(windows, WINDOWS), h, place, units)
-    rolled = _rolled(model, found)
+    windows = _some(windows, WINDOWS)
+    rolled = _rolled(model, _predicted(model, windows))
     by_parameters = spread(model.flow, posterior, *rolled, ROLLOUTS).double().cpu()
     by_start = sensitivity(model.flow, *rolled).double().cpu()
-    error = (found.q - found.q_true).where(found.q.isfinite(), torch.nan)
-    kappa = relative_error(error, by_parameters, by_start, found.windows.trajectory)
+    group = torch.arange(len(groups)).repeat_interleave(torch.tensor([len(x) for x in groups]))
+    error = torch.full_like(by_start, torch.nan)
+    for k, one in enumerate(recordings):
+        rows = group[windows.trajectory] == k
+        if bool(rows.any()):
+            found = _predicted(one.model, _rows(windows, rows))
+            error[rows] = (found.q - found.q_true).where(found.q.isfinite(), torch.nan)
+    kappa = relative_error(error, by_parameters, by_start, windows.trajectory)
     return ModelPosterior(posterior, kappa if bool((kappa > 0.0).any()) else None)
 
 
@@ -116,9 +136,17 @@ def _some(windows: PredictionWindows, most: int) -> PredictionWindows:
     count = len(windows.q)
     if count <= most:
         return windows
-    rows = torch.linspace(0, count - 1, most).round().long()
+    return _rows(windows, torch.linspace(0, count - 1, most).round().long())
+
+
+def _rows(windows: PredictionWindows, rows: Tensor) -> PredictionWindows:
     trajectory, first, lead, *fields = windows
     return PredictionWindows(trajectory[rows], first[rows], lead, *(x[rows] for x in fields))
+
+
+def _predicted(model: DynamicsModel, windows: PredictionWindows) -> Predictions:
+    units = model.coordinates.sizes
+    return predict(model, windows, model.time_step, model.input_matrix, units)
 
 
 def interval_of(model: DynamicsModel, posterior: ModelPosterior, found: Predictions) -> Interval:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from symo_exp.evaluation.intervals import widened
+from symo_exp.evaluation.intervals import Predicted, widened
 from symo_exp.mechanics.types import Trajectory, Windows
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.uncertainty import ModelPosterior
@@ -26,7 +26,7 @@ def posterior_of(
     residuals: Callable[[Windows], Tensor],
     estimate: Mapping[str, Any] | None,
     train: Sequence[Trajectory],
-    held_out: Sequence[Trajectory],
+    recordings: Sequence[Predicted],
 ) -> ModelPosterior | None:
     """Return the posterior of a model's parameters; ``None`` where it was not estimated so.
 
@@ -35,8 +35,7 @@ def posterior_of(
         residuals: Residuals that training made small.
         estimate: How: ``EpochOptimizer.estimate()``.
         train: Trajectories that it was trained on.
-        held_out: Recordings that it was not trained on. Where there are any, errors of all
-            recordings widen intervals.
+        recordings: Recordings whose errors widen intervals, and the models that predict them.
     """
     parameters = list(model.parameters())
     if estimate is None or any(p.dtype != torch.float64 for p in parameters):
@@ -57,8 +56,7 @@ def posterior_of(
             log.info("no posterior: the derivatives of the residuals are not finite")
             return None
         flat = not model.coordinates.space.rotations  # intervals are of lengths and angles
-        recordings = [*train, *held_out] if flat and held_out else ()
-        whole = widened(model.for_evaluation(), found, recordings)
+        whole = widened(model.for_evaluation(), found, recordings if flat else ())
     if whole.relative_error is not None:
         log.info(
             "intervals are widened by %.2g times the sensitivity to the start, after %.2g s (root "

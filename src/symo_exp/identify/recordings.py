@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import POOR, SUSPECT, quasi_coordinates
+from symo_exp.data.diagnose import POOR, ROUNDING, SUSPECT, noise_of, quasi_coordinates
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown
-from symo_exp.data.header import header, in_degrees, names, omitting
+from symo_exp.data.header import ANGLE, SLIDE, Columns, header, in_degrees, names, omitting
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
-from symo_exp.data.recorded import in_radians, turned, unwrapped
+from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.identify.motions import (
@@ -35,12 +37,9 @@ SPAN = 2 * np.pi
 """Range of a coordinate beyond which it is an angle."""
 WHOLE = 0.3
 """Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
-ANGLE = (
-    "theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link"
-    "|pendulum|upper|lower|roll|pitch|yaw|motor|wheel"
-)
-SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
-"""Words in the names of angles and of positions."""
+TOGETHER, SMALL = 3.0, 0.1
+"""Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
+which they are one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,18 +138,29 @@ def examine(
     if angular is None:
         settings.append(f"system.angular={override_value(chosen) if chosen else 'none'}")
         notes += [_told(chosen, flat)] if flat else []
-    if data.get("degrees") is None and chosen and all(map(in_degrees, chosen)):
+    stated = [name for name in chosen if in_degrees(name)]
+    if data.get("degrees") is None and 0 < len(stated) < len(chosen):
+        raise ConfigError(
+            f"data.degrees has no value yet: {few(stated)} is in degrees by its name, but not "
+            f"every one of {few(chosen)}; give data.degrees=true if all are, else convert it in "
+            "the file"
+        )
+    if data.get("degrees") is None and stated:
         settings.append("data.degrees=true")
         notes.append("angles are in degrees, as their names say")
         data = {**data, "degrees": True}
+    refuse_counts(shown(path), space, used, data.get("degrees"))
     if units := _jumps(used, space, data):
         settings += [f"data.{name}=true" for name in units]
         notes.append(f"angles jump by a turn: read with {' '.join(settings[-len(units) :])}")
         data = {**data, **dict.fromkeys(units, True)}
     used = [_continuous(one, space, data) for one in used]
-    notes += _told_still(used, flat)
+    notes += _told_still(used, flat, columns)
+    notes += _told_together(used, flat, columns)
     if data.get("degrees") is None and not rotations:
         _ask_for_degrees(used, space)
+    if angular is None and not rotations:
+        _ask_for_angles(used, space)
     finest = max(one.samples.step for one in (*used, *test))
     used = [_turned(shown(path), one, space) for one in used]
     if time_step is None:
@@ -281,8 +291,8 @@ def _jumps(
 
 
 def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
-    """Return whether all steps of more than half a turn are nearly of a whole one."""
-    steps = np.concatenate([np.abs(np.diff(x)) for x in columns])
+    """Return whether steps that change by more than half a turn do by nearly a whole one."""
+    steps = np.concatenate([np.abs(np.diff(x, 2)) for x in columns])
     jumps = steps[steps > 0.5 * turn]
     return bool(jumps.size and (np.abs(jumps - turn) < WHOLE * turn).all())
 
@@ -305,14 +315,62 @@ def _ask_for_degrees(recordings: Sequence[Recording], space: Coordinates) -> Non
         )
 
 
-def _told_still(recordings: Sequence[Recording], names: Sequence[str]) -> list[str]:
+def _ask_for_angles(recordings: Sequence[Recording], space: Coordinates) -> None:
+    """Refuse lengths, by their names, whose motion is explained much better if they are angles."""
+    ranges = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
+    wide = [i for i, angle in enumerate(space.angular) if not angle and ranges[i] > SPAN]
+    if not wide:
+        return
+    angular = tuple(angle or i in wide for i, angle in enumerate(space.angular))
+    plain, _ = explained_by_angles(recordings, space)
+    as_angles, _ = explained_by_angles(recordings, space._replace(angular=angular))
+    if plain is None or as_angles is None or plain > POOR:
+        return
+    if 1 - as_angles < SUSPECT * (1 - plain):
+        told = ", ".join(f"q_{space.names[i]} moves by {ranges[i]:.3g}" for i in wide)
+        raise ConfigError(
+            f"system.angular has no value yet: {told}; {100 * as_angles:.3g} % of the "
+            f"accelerations' power is explained if these are angles [rad], {100 * plain:.3g} % if "
+            "they are lengths; give system.angular=all, none or a list of names"
+        )
+
+
+def _told_still(
+    recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
+) -> list[str]:
     """Return a line on the lengths and angles that never move, if others or a rotation do."""
     motion = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
     still = [f"q_{name}" for name, size in zip(names, motion, strict=False) if size == 0.0]
     if not 0 < len(still) < len(motion):
         return []
     told = "never moves" if len(still) == 1 else "never move"
-    return [f"{few(still)} {told}; for a model without such a coordinate, give {omitting(still)}"]
+    mend = omitting(still, columns)
+    return [f"{few(still)} {told}; for a model without such a coordinate, give {mend}"]
+
+
+def _told_together(
+    recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
+) -> list[str]:
+    """Return a line on the lengths and angles that are in a constant ratio to an earlier one."""
+    noise = [noise_of([one.samples.q[:, i] for one in recordings]) for i in range(len(names))]
+    about = np.concatenate([one.samples.q - one.samples.q.mean(axis=0) for one in recordings])
+    found = {}
+    for i, j in itertools.combinations(range(len(names)), 2):
+        x, y = about[:, i], about[:, j]
+        if names[j] in found or not (x.any() and y.any()):
+            continue
+        ratio = float(x @ y / (x @ x))
+        apart = float(np.std(y - ratio * x))
+        most = TOGETHER * math.hypot(noise[j], ratio * noise[i]) + ROUNDING * float(np.ptp(y))
+        if apart <= most and apart <= SMALL * float(np.std(y)):
+            found[names[j]] = f"q_{names[j]} is {ratio:.3g} times q_{names[i]}"
+    if not found:
+        return []
+    mend = omitting([f"q_{name}" for name in found], columns)
+    return [
+        f"{few(list(found.values()))}, but for noise: a gear joins them, or one is what the other "
+        f"should be; for a model without such a coordinate, give {mend}"
+    ]
 
 
 def _inferred_matrix(
@@ -348,7 +406,7 @@ def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
         return True
     raise ConfigError(
         f"system.angular has no value yet: is q_{name}, which goes from {low:.3g} to {high:.3g}, "
-        "an angle [rad] or a position [m]? Give all, none or a list of names"
+        f"an angle [rad] or a position [m]? Give system.angular=all, none or a list, as [{name}]"
     )
 
 

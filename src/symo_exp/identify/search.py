@@ -143,6 +143,7 @@ class Search:
         last = self._last_fits(fits, best.candidate, epochs, min(rounds.noises(best).values()))
         folder = with_least_noise(list(last.values()))
         if folder.outcome().status == "finished":  # it alone is tested
+            folder.write_folds(rounds.folders(best))  # their errors widen its intervals
             attempt = next(k for k, fit in last.items() if fit is folder)
             fits.test(best.candidate, epochs, attempt)
         self._summary(rounds.trials, best)

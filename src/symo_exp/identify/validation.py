@@ -18,6 +18,7 @@ from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.identify.candidates import Candidate
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
 from symo_exp.runs.load import from_folder
+from symo_exp.runs.recordings import divided_recordings
 from symo_exp.runs.series import read
 
 NOISY = 4.0
@@ -107,10 +108,9 @@ def baseline_error(folder: RunFolder) -> float:
     """Return the same error of constant velocity on the held-out part of a training."""
     config = OmegaConf.load(folder / CONFIG)
     system = instantiate(config.system)
-    data = instantiate(config.data, _partial_=True)(system=system)
     h, place = system.time_step, torch.zeros((), dtype=torch.float64)
     return held_out_error(
-        ConstantVelocity(h, system.coordinates.space), data.load().val, h, place,
+        ConstantVelocity(h, system.coordinates.space), divided_recordings(folder).val, h, place,
         system.coordinates.sizes,
         horizons=OmegaConf.select(config, "learner.validation.horizons", default=HORIZONS),
     )  # fmt: skip

@@ -12,12 +12,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from omegaconf import MISSING
 from pydantic import ConfigDict, PydanticUserError, TypeAdapter, ValidationError
 from pydantic_core import SchemaError
 
 from symo_exp import code
 from symo_exp.errors import ConfigError
-from symo_exp.job.config import MISSING, Settings
+from symo_exp.job.config import Settings
 from symo_exp.job.moved import MOVED
 from symo_exp.shell import override_value
 

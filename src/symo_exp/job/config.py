@@ -10,9 +10,6 @@ from omegaconf import DictConfig, OmegaConf
 from symo_exp.errors import ConfigError
 from symo_exp.runs.digest import digest
 
-MISSING = "???"
-"""The value of a setting that has none yet."""
-
 
 class Settings(NamedTuple):
     """The settings of a run, resolved once."""
@@ -24,8 +21,7 @@ class Settings(NamedTuple):
 
     def is_reference(self, name: str) -> bool:
         """Return whether a setting, or a node above it, only refers to another."""
-        parts = name.split(".")
-        return any(".".join(parts[:n]) in self.references for n in range(1, len(parts) + 1))
+        return any(f"{name}.".startswith(f"{one}.") for one in self.references)
 
     def value(self, name: str) -> Any:
         """Return the value of a dotted name, ``None`` where there is none."""
@@ -36,13 +32,10 @@ class Settings(NamedTuple):
 
 
 def resolve(config: DictConfig) -> Settings:
-    """Resolve all but Hydra's own part; a setting without a value is ``MISSING``."""
+    """Resolve all but Hydra's own part; a setting without a value is OmegaConf's ``MISSING``."""
     ours = OmegaConf.masked_copy(config, [key for key in map(str, config) if key != "hydra"])
-    values = OmegaConf.to_container(ours, resolve=True)
-    assert isinstance(values, dict)
-    return Settings(
-        {str(key): value for key, value in values.items()}, dict(references(unresolved(ours)))
-    )
+    values: Any = OmegaConf.to_container(ours, resolve=True)
+    return Settings(values, dict(references(unresolved(ours))))
 
 
 def unresolved(config: DictConfig) -> Any:
@@ -62,10 +55,10 @@ def references(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
 def run_folder(*, _root_: DictConfig) -> str:
     """Return the name of a run's folder: method, system and a digest of its settings."""
     choices = _root_.hydra.runtime.choices
-    nodes = {str(key): value for key, value in _root_.items() if key != "hydra"}
     values: Any = {
         key: OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
-        for key, value in nodes.items()
+        for key, value in _root_.items()
+        if key != "hydra"
     }
     return f"{choices.model}-{choices.system}-{digest(values)}"
 

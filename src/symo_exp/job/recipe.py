@@ -17,6 +17,7 @@ from symo_exp import code
 from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
+from symo_exp.evaluation.intervals import Predicted
 from symo_exp.evaluation.parameters import physical_parameters
 from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.references import check_fit
@@ -35,6 +36,8 @@ from symo_exp.runs.folder import (
     About,
     RunFolder,
 )
+from symo_exp.runs.load import from_folder
+from symo_exp.runs.recordings import divided_recordings
 from symo_exp.runs.series import Series
 from symo_exp.training import resuming
 from symo_exp.training.recording import SeriesRecorder
@@ -240,10 +243,13 @@ def _keep_parameters(parts: Parts, folder: RunFolder) -> None:
     saved = resuming.latest(folder / CHECKPOINTS, parts.run, learner)
     if isinstance(optimizer, EpochOptimizer) and saved is not None:
         optimizer.load_state_dict(saved.state["optimizer_states"][0])
-        held_out = data.trajectories("val") if data.recorded else []
         estimate = optimizer.estimate() if learner.objective.consecutive else None
         model.posterior = posterior_of(
-            model, learner.residuals, estimate, data.trajectories("train"), held_out
+            model,
+            learner.residuals,
+            estimate,
+            data.trajectories("train"),
+            _predicted(parts, folder),
         )
     found = model.posterior
     if found is not None:
@@ -257,6 +263,23 @@ def _keep_parameters(parts: Parts, folder: RunFolder) -> None:
         inputs=getattr(model.flow, "inputs", None),
     )
     folder.write_parameters([row._asdict() for row in rows])
+
+
+def _predicted(parts: Parts, folder: RunFolder) -> list[Predicted]:
+    """Return the recordings whose errors widen intervals, and the models that predict them.
+
+    Those of a cross-validation are each predicted by the model that was not trained on it. Else
+    they are the training and the validation recordings: few are held out, and how much recordings
+    differ shows in many.
+    """
+    if folds := folder.folds():
+        return [
+            Predicted(from_folder(fold.path).for_evaluation(), divided_recordings(fold).test)
+            for fold in folds
+        ]
+    held_out = parts.data.trajectories("val") if parts.data.recorded else []
+    every = [*parts.data.trajectories("train"), *held_out] if held_out else []
+    return [Predicted(parts.model.for_evaluation(), every)]
 
 
 def _tell(folder: RunFolder, name: str, found: Rollouts | RecordedPredictions) -> None:

@@ -15,6 +15,7 @@ from torch.optim import Optimizer
 from typing_extensions import override
 
 from symo_exp.checks import real, whole_number
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.nets.affine import Linearised
 from symo_exp.optim.direct import direct_step
@@ -97,6 +98,17 @@ class EpochOptimizer(Optimizer, ABC):
         self.patience, self.tolerance = patience, tolerance
         self.finished = False
         self.memory: dict[str, Any] = {"best": math.inf, "waited": 0, "weights": None}
+
+    def require_double(self) -> None:
+        """Refuse parameters in single precision, for normal equations.
+
+        Raises:
+            ConfigError: If there are some.
+        """
+        if any(p.dtype != torch.float64 for p in self.parameters):
+            raise ConfigError(
+                f"{type(self).__name__} squares the condition number: it needs dtype=float64"
+            )
 
     @abstractmethod
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:

@@ -22,6 +22,10 @@ from symo_exp.optim.robust import weights_beyond
 
 FALLS = 0.9
 """Ratio of training losses between two held-out losses below which the loss counts as falling."""
+TRIALS = 8
+"""Trials of one step."""
+CHUNK = 1024
+"""Samples in a piece of ``J``."""
 LIMIT = 1e12
 """The damping at which a refused step ends the training."""
 EQUATIONS = 8
@@ -37,7 +41,7 @@ class LevenbergMarquardt(EpochOptimizer):
     far from data that they could fit to rounding.) The step is accelerated (see ``descent``). ``λ``
     is multiplied by ``max(⅓, 1 − (2ρ − 1)³)`` after a step that lowers
     ``‖r‖²`` by ``ρ`` of what was foreseen, and by 2, 4, 8, … after those that do not (Nielsen
-    1999); after ``trials`` of these the epoch ends. It is ``finished`` if no step lowers the loss
+    1999); after eight of these the epoch ends. It is ``finished`` if no step lowers the loss
     and ``λ`` passes 1e12.
 
     The first ``force_epochs`` minimise the residuals as forces, where the problem has them, each on
@@ -59,9 +63,7 @@ class LevenbergMarquardt(EpochOptimizer):
         huber: Samples whose residuals are longer than this many times the median length count
             linearly (Huber 1964), so that a few that no model fits, such as motions too fast for
             the time step, do not decide; null: all count quadratically.
-        trials: Trials of one step.
         patience: Number of held-out losses without improvement.
-        chunk: Samples in a piece of ``J``.
     """
 
     def __init__(
@@ -72,24 +74,17 @@ class LevenbergMarquardt(EpochOptimizer):
         force_epochs: int = 0,
         shortest: float = 1.0,
         huber: float | None = None,
-        trials: int = 8,
         patience: int = 20,
-        chunk: int = 1024,
     ) -> None:
         real("optimizer.damping", damping, above=0)
         whole_number("optimizer.force_epochs", force_epochs, low=0)
         real("optimizer.shortest", shortest, above=0, high=1)
         if huber is not None:
             real("optimizer.huber", huber, above=0)
-        for name, value in (("trials", trials), ("chunk", chunk)):
-            whole_number(f"optimizer.{name}", value)
         super().__init__(params, patience=patience)
+        self.require_double()
         self.shortest, self.huber = shortest, huber
-        if any(p.dtype != torch.float64 for p in self.parameters):
-            raise ConfigError(
-                "Levenberg-Marquardt squares the condition number: it needs dtype=float64"
-            )
-        self.trials, self.chunk, self.initial_damping = trials, chunk, damping
+        self.initial_damping = damping
         self.memory |= {"damping": damping, "loss": math.inf, "asked": math.inf}
         self.memory["forces"] = force_epochs
 
@@ -105,7 +100,7 @@ class LevenbergMarquardt(EpochOptimizer):
         if forces is not None:
             samples = self._few(forces, samples)
         descent = _Trials(self, forces or model, samples)
-        stuck = not descent.run(self.trials)
+        stuck = not descent.run(TRIALS)
         if stuck:
             self.place(descent.start)
             self.finished = forces is None and self.damping >= LIMIT
@@ -147,7 +142,7 @@ class LevenbergMarquardt(EpochOptimizer):
         with torch.no_grad():
             per_sample = model.residuals(samples.rows(slice(1))).shape[1]
         self._require(size, len(samples.q) * per_sample)
-        pieces = [model.linearised(rows, self.parameters) for rows in _chunks(samples, self.chunk)]
+        pieces = [model.linearised(rows, self.parameters) for rows in _chunks(samples)]
         residuals = torch.cat([piece.residuals.flatten() for piece in pieces])
         jacobians = [piece.parameters.flatten(0, 1) for piece in pieces]
         if self.huber is None:
@@ -210,7 +205,7 @@ class _Trials(Descent):
     def residuals(self, step: Tensor) -> Float[Tensor, " equations"]:
         """Return the residuals after a step, which is left in place."""
         self._owner.place(self.start + step)
-        pieces = [self._model.residuals(w).flatten() for w in _chunks(self._samples, 1024)]
+        pieces = [self._model.residuals(w).flatten() for w in _chunks(self._samples)]
         residuals = torch.cat(pieces)
         return residuals if self._factors is None else self._factors * residuals
 
@@ -245,9 +240,9 @@ class _Equations(DampedEquations):
         return -float(self._linear @ (2.0 * self._system.r + self._linear))
 
 
-def _chunks(samples: TrainingSamples, size: int) -> Iterator[TrainingSamples]:
-    for start in range(0, len(samples.q), size):
-        yield samples.rows(slice(start, start + size))
+def _chunks(samples: TrainingSamples) -> Iterator[TrainingSamples]:
+    for start in range(0, len(samples.q), CHUNK):
+        yield samples.rows(slice(start, start + CHUNK))
 
 
 def available_bytes() -> int | None:

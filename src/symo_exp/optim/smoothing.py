@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -31,7 +31,7 @@ from typing_extensions import override
 
 from symo_exp.nets.roles import are_squares, is_coefficient, is_late
 from symo_exp.optim.banded import BandFactor, Chain
-from symo_exp.optim.base import Problem
+from symo_exp.optim.base import EpochOptimizer, Problem
 from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
 from symo_exp.optim.evidence import evidence
 
@@ -41,25 +41,6 @@ TRIALS = 14
 """Trials of a step; the damping grows by twelve powers of ten in them."""
 LIMIT, SETTLED = 1e12, 1e-6
 """The largest damping, and the relative change of noise and priors that counts as none."""
-
-
-class Owner(Protocol):
-    """The optimiser that takes a step."""
-
-    parameters: list[Tensor]
-    memory: dict[str, Any]
-
-    def weight(self, chain: Chain, sizes: Float[Tensor, " n"]) -> Float[Tensor, " d"]:
-        """Return the noise of each column of the nodes, relative to ``σ``."""
-        ...
-
-    def flat(self) -> Tensor:
-        """Return all parameters as one vector."""
-        ...
-
-    def place(self, flat: Tensor) -> None:
-        """Put a vector of all parameters in place."""
-        ...
 
 
 class Found(NamedTuple):
@@ -78,15 +59,23 @@ class SmoothingObjective:
         owner: The optimiser.
         model: Its problem.
         chain: The measured nodes.
+        weight: The noise of each column of the nodes, relative to ``σ``.
         epsilon: ``ε``; ``None`` holds the nodes.
         late: Whether late parameters move.
     """
 
     def __init__(
-        self, owner: Owner, model: Problem, chain: Chain, epsilon: float | None, *, late: bool
+        self,
+        owner: EpochOptimizer,
+        model: Problem,
+        chain: Chain,
+        weight: Float[Tensor, " d"],
+        epsilon: float | None,
+        *,
+        late: bool,
     ) -> None:
         self.owner, self.memory, self.chain, self.epsilon = owner, owner.memory, chain, epsilon
-        self._model, self.weight = model, owner.weight(chain, model.sizes)
+        self._model, self.weight = model, weight
         sizes = torch.tensor([p.numel() for p in owner.parameters])
         self._group = torch.repeat_interleave(torch.arange(len(sizes)), sizes)
         self._flat = torch.tensor([is_coefficient(p) for p in owner.parameters])

@@ -11,7 +11,6 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.checks import real, whole_number
-from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.nets.roles import is_coefficient, is_late, start
 from symo_exp.optim.banded import Chain
@@ -95,16 +94,13 @@ class TotalLeastSquares(EpochOptimizer):
         seed: int = 0,
     ) -> None:
         super().__init__(params, patience=10**9, tolerance=tolerance)
+        self.require_double()
         for name, value in (("starts", starts), ("start", start), ("epochs", epochs)):
             whole_number(f"optimizer.{name}", value)
         sizes = ("damping", damping), ("velocity_weight", velocity_weight)
         for name, size in (*sizes, *(("epsilons", e) for e in epsilons)):
             real(f"optimizer.{name}", size, above=0)
         real("optimizer.input_weight", input_weight, low=0)
-        if any(p.dtype != torch.float64 for p in self.parameters):
-            raise ConfigError(
-                "total least squares squares the condition number: it needs dtype=float64"
-            )
         self.start, self.epochs, self.damping = start, epochs, damping
         self.warm_up, self.seed = warm_up, seed
         self.velocity_weight, self.input_weight = velocity_weight, input_weight
@@ -140,10 +136,6 @@ class TotalLeastSquares(EpochOptimizer):
             epoch // self.start if beyond < 0 else self._starts + beyond // self.epochs
         ]
 
-    def weight(self, chain: Chain, sizes: Tensor) -> Tensor:
-        """Return the noise of each column of the nodes, relative to ``σ``."""
-        return chain.weights(sizes, self.velocity_weight, self.input_weight)
-
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:
         """Take one accepted step; ``batches`` are whole trajectories."""
         trajectories: Sequence[Trajectory] = batches
@@ -172,8 +164,10 @@ class TotalLeastSquares(EpochOptimizer):
             memory["ended"] = None
         memory["epoch"] = epoch + 1
         if memory["ended"] is None:
-            objective = SmoothingObjective(self, model, chain, stage.epsilon, late=stage.late)
-            found = smoothing_step(objective)
+            weight = chain.weights(model.sizes, self.velocity_weight, self.input_weight)
+            found = smoothing_step(
+                SmoothingObjective(self, model, chain, weight, stage.epsilon, late=stage.late)
+            )
             memory["loss"], metrics = found.metrics["train_loss"], found.metrics
             if found.ended:
                 memory["ended"] = metrics

@@ -11,7 +11,7 @@ A panel is a tidy table. Three of its columns determine the look of a row:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -136,7 +136,6 @@ class Figure:
         caption: Text below the panels.
         panels: The panels, row by row.
         columns: Largest number of panels in a row.
-        system: The system that all panels show, for a page that selects one.
     """
 
     key: str
@@ -144,7 +143,6 @@ class Figure:
     caption: str
     panels: list[Panel]
     columns: int = 3
-    system: str = ""
 
     def __post_init__(self) -> None:
         shown = [panel for panel in self.panels if panel.rows.y.notna().any()]
@@ -153,7 +151,11 @@ class Figure:
     @property
     def systems(self) -> list[str]:
         """The systems of its panels, each once."""
-        return list(dict.fromkeys(panel.system or self.system for panel in self.panels))
+        return list(dict.fromkeys(panel.system for panel in self.panels))
+
+    def of(self, system: str) -> Figure:
+        """Return the figure with panels that all show one system."""
+        return replace(self, panels=[replace(panel, system=system) for panel in self.panels])
 
 
 def _near(truth: np.ndarray, values: np.ndarray) -> Range | None:

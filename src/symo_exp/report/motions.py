@@ -61,18 +61,15 @@ def motion_figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | No
         key, tables = f"{one.study}_{one.system}", first(one.tables)
         long = max(table.t.max() for table in tables.values())
         if one.study == LEARNED:
-            made.append(
-                learned_figure(key, f"{one.system}: what was learned, along a true motion", tables)
-            )
+            title = f"{one.system}: what was learned, along a true motion"
+            made.append(learned_figure(key, title, tables).of(one.system))
         else:
-            made.append(
-                motion_figure(
-                    key, f"{one.system}: {TITLES[one.study]}, the first {long:g} s", tables
-                )
-            )
+            title = f"{one.system}: {TITLES[one.study]}, the first {long:g} s"
+            made.append(motion_figure(key, title, tables).of(one.system))
         if one.study == "long_term":
             title = f"{one.system}: phase space of a long motion"
-            made.append(phase_space_figure(f"{key}_phase_space", title, first(one.tables, np.inf)))
+            whole = phase_space_figure(f"{key}_phase_space", title, first(one.tables, np.inf))
+            made.append(whole.of(one.system))
     return [*made, *drift_figures(studied(drifting, ["drift"], store))]
 
 
@@ -183,7 +180,8 @@ def drift_figures(found: Iterable[Studied]) -> Iterable[Figure]:
             above.append(over_time(rows, "lost", None, "energy error [J]", step, log=True))
             below.append(over_time(rows, "volume", None, "phase-space volume, relative", step))
         title = f"{system}: the true system in integrators, small steps and large"
-        yield Figure(f"drift_{system}", title, caption, above + below, columns=len(above))
+        whole = Figure(f"drift_{system}", title, caption, above + below, columns=len(above))
+        yield whole.of(system)
 
 
 def over_time(

@@ -23,13 +23,8 @@ if TYPE_CHECKING:
     from symo_exp.report.document import Report
 
 WEB = Path(__file__).parent / "web"
-SOURCES = {
-    "ours": "ours",
-    "published": "published",
-    "floor": "true system",
-    "truth": "truth",
-    "measured": "measured",
-}
+SOURCES = {"floor": "true system"}
+"""Sources whose names are not for a reader."""
 
 
 def html(report: Report) -> str:
@@ -62,7 +57,7 @@ def toggles(figures: Sequence[Figure]) -> dict[str, dict[str, str]]:
     groups = {
         "method": {trace.label: trace.label for trace in traces if trace.method},
         "integrator": {t.stroke.label: t.stroke.label for t in traces if t.stroke.label},
-        "source": {trace.source: SOURCES[trace.source] for trace in traces},
+        "source": {trace.source: SOURCES.get(trace.source, trace.source) for trace in traces},
     }
     return {group: names for group, names in groups.items() if len(names) > 1}
 
@@ -76,7 +71,7 @@ def _held(figures: Sequence[Figure]) -> str:
 
 
 def _spec(figure: Figure) -> dict[str, Any]:
-    systems = [panel.system or figure.system for panel in figure.panels]
+    systems = [panel.system for panel in figure.panels]
     return declare(figure, interactive=True) | {"usermeta": {"systems": systems}}
 
 

@@ -31,7 +31,7 @@ from symo_exp.runs.folder import ABOUT, DIED, SERIES, RunFolder
 from symo_exp.runs.series import EPOCH, TIME
 from symo_exp.runs.series import read as read_series
 from symo_exp.tracking.publish import PARENT, REASON, STATUS
-from symo_exp.tracking.store import Store, check, connect
+from symo_exp.tracking.store import Store, connect_existing
 
 PAGE = 1000
 """Number of runs in one request."""
@@ -148,12 +148,7 @@ def _finished(about: Mapping[str, Any], measures: Mapping[str, float]) -> Mappin
 
 
 def _in_store(store: Store, experiments: Sequence[str]) -> Iterator[Row]:
-    if store.database is not None and not store.database.exists():
-        raise ConfigError(
-            f"no tracking store at {store.database}: choose one with --tracking-uri or --directory"
-        )
-    check(store, timeout=5.0)
-    client = connect(store)
+    client = connect_existing(store, "choose one with --tracking-uri or --directory")
     there = {found.name: found.experiment_id for found in client.search_experiments()}
     _check_names("experiment", experiments, set(there) - {"Default"}, str(store))
     for name in experiments or sorted(there):

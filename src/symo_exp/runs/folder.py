@@ -10,6 +10,7 @@
 | ``metrics.json`` | the measures | at the end |
 | ``parameters.csv`` | physical parameters: values, standard deviations, units | at the end |
 | ``posterior.pt`` | the posterior of all parameters of the model | at the end |
+| ``folds.json`` | the runs of a cross-validation with the same settings | by a search |
 | ``*.parquet``, ``pictures/``, ``studies/`` | the numbers behind them | at the end |
 | ``published.json`` | a cache: the store that has all of this | by the tracker |
 
@@ -49,7 +50,7 @@ FILES = (
 """Files of a run that a store keeps."""
 CANDIDATES = "candidates.csv"
 """Of a search, beside the folders of its runs."""
-ABOUT, OUTCOME, PUBLISHED = "run.json", "outcome.json", "published.json"
+ABOUT, OUTCOME, PUBLISHED, FOLDS = "run.json", "outcome.json", "published.json", "folds.json"
 
 DIED = "its process was killed, perhaps for want of memory"
 
@@ -192,6 +193,15 @@ class RunFolder:
 
         write_whole(self / POSTERIOR, lambda file: torch.save(dict(state), file))
 
+    def folds(self) -> list[RunFolder]:
+        """Return the runs of a cross-validation with the same settings, those that exist."""
+        paths = [self.path / name for name in self._read(FOLDS).get("runs", [])]
+        return [RunFolder(os.path.normpath(path)) for path in paths if (path / CONFIG).exists()]
+
+    def write_folds(self, runs: Sequence[RunFolder]) -> None:
+        """Write which runs are those of a cross-validation with the same settings."""
+        self._write(FOLDS, {"runs": [os.path.relpath(run.path, self.path) for run in runs]})
+
     def write_config(self, config: Mapping[str, Any]) -> None:
         """Write the resolved settings."""
         import yaml
@@ -199,15 +209,18 @@ class RunFolder:
         text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
         write_whole(self / CONFIG, lambda file: file.write_text(text, encoding="utf-8"))
 
-    def is_measured(self, reference: Any) -> bool:
-        """Return whether the measures were computed, with these settings of a reference model."""
+    def config(self) -> dict[str, Any]:
+        """Return the resolved settings; none before the run starts."""
         import yaml
 
-        if not (self / MEASURES).exists():
-            return False
         there = (self / CONFIG).exists()
         config = yaml.safe_load((self / CONFIG).read_text(encoding="utf-8")) if there else None
-        return bool((config or {}).get("reference") == reference)
+        return dict(config or {})
+
+    def is_measured(self, reference: Any) -> bool:
+        """Return whether the measures were computed, with these settings of a reference model."""
+        there = (self / MEASURES).exists()
+        return there and bool(self.config().get("reference") == reference)
 
     def write_table(self, name: str, columns: Mapping[str, Any]) -> None:
         """Write columns of equal length as a Parquet file."""

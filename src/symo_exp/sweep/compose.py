@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -96,9 +97,11 @@ class Composer:
     """
 
     def __init__(self, loader: ConfigLoader, master: DictConfig) -> None:
-        self.loader, self.master = loader, master
-        self._options: dict[str, list[str]] = {}
-        self._merged: dict[tuple[str, ...], DictConfig] = {}
+        self._loader, self._master = loader, master
+        self.options = functools.cache(loader.get_group_options)
+        """Returns the files of a group, none if the name is a setting."""
+        self.files = functools.cache(self._composed)
+        """Returns the configuration with choices of files, given as overrides."""
 
     def job(self, overrides: list[str], label: str) -> Job:
         """Return the job of these overrides."""
@@ -112,12 +115,6 @@ class Composer:
         chosen = dict(config.hydra.runtime.choices)
         folder = RunFolder(f"{config.hydra.sweep.dir}/{config.hydra.sweep.subdir}")
         return Job(label, overrides, resolve(config), unresolved(files), chosen, folder)
-
-    def options(self, group: str) -> list[str]:
-        """Return the files of a group, none if the name is a setting."""
-        if group not in self._options:
-            self._options[group] = self.loader.get_group_options(group)
-        return self._options[group]
 
     def choices_with(self, group: str, name: str) -> list[str]:
         """Return the choices of a group that give a setting a value, as overrides."""
@@ -137,16 +134,11 @@ class Composer:
                     f"possible: {', '.join(fits)}"
                 )
 
-    def files(self, *overrides: str) -> DictConfig:
-        """Return the configuration with these choices of files.
-
-        Of Hydra's own part only what names a folder is kept.
-        """
-        if overrides not in self._merged:
-            own = self.loader.load_sweep_config(self.master, list(overrides))
-            with open_dict(own):
-                hydra = unresolved(own.pop("hydra"))
-                choices = {"choices": hydra["runtime"]["choices"]}
-                own["hydra"] = {"sweep": hydra["sweep"], "runtime": choices}
-            self._merged[overrides] = own
-        return self._merged[overrides]
+    def _composed(self, *overrides: str) -> DictConfig:
+        """Return a configuration; of Hydra's own part only what names a folder is kept."""
+        own = self._loader.load_sweep_config(self._master, list(overrides))
+        with open_dict(own):
+            hydra = unresolved(own.pop("hydra"))
+            choices = {"choices": hydra["runtime"]["choices"]}
+            own["hydra"] = {"sweep": hydra["sweep"], "runtime": choices}
+        return own

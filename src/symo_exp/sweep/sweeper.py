@@ -70,8 +70,7 @@ class Sweep:
         for folders in _watching:
             folders += [job.folder for job in jobs]
         finished = [job for job in jobs if job.values["resume"] and is_done(job.values, job.folder)]
-        done = {job.folder.path for job in finished}
-        todo = [job for job in jobs if job.folder.path not in done]
+        todo = [job for job in jobs if job not in finished]
         self.check(todo, labelled=len(jobs) > 1)
         if check_only:
             return 0
@@ -117,9 +116,6 @@ class Sweep:
         if todo:
             with stopping.command():
                 self.launch_all(list(todo.values()))
-                for job in todo.values():
-                    if job.folder.died():
-                        job.folder.record("failed", DIED)
                 stopping.raise_if_requested()
         return found
 
@@ -212,21 +208,18 @@ class Sweep:
                 stack.enter_context(parent(jobs, " ".join(typed), tracker))
             apart = "basic_launcher" not in self._master.hydra.launcher._target_
             stack.enter_context(Watch([job.folder for job in jobs], on_stop, apart=apart))
-            self.launch_all(todo)
-            for job in todo:
-                if job.folder.died():
-                    if stopping.requested() is None:
-                        job.folder.record("failed", DIED)
-                    else:
-                        job.folder.record("interrupted", "its process was ended")
-                    publish(tracker, job.folder)
+            for job in self.launch_all(todo):
+                publish(tracker, job.folder)
 
-    def launch_all(self, jobs: Sequence[Job]) -> None:
+    def launch_all(self, jobs: Sequence[Job]) -> list[Job]:
         """Launch jobs, and launch again those that a broken launcher left.
 
         When a process of joblib is killed, its neighbours are killed too and the rest is not
         started. The rest is started again, then those that died, each alone: a job whose process
         is killed twice has failed.
+
+        Returns:
+            The jobs whose processes were killed, which is recorded as their outcome.
         """
         died: list[Job] = []
         todo = list(jobs)
@@ -242,6 +235,13 @@ class Sweep:
         for job in died:
             if stopping.requested() is None:
                 self._launch([job])
+        died = [job for job in jobs if job.folder.died()]
+        for job in died:
+            if stopping.requested() is None:
+                job.folder.record("failed", DIED)
+            else:
+                job.folder.record("interrupted", "its process was ended")
+        return died
 
     def _launch(self, jobs: Sequence[Job]) -> None:
         """Launch jobs and wait for those that the launcher left running."""

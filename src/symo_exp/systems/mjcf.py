@@ -27,7 +27,7 @@ def mjcf(
     *,
     name: str = "learned",
     damping: Sequence[Sequence[float]] | None = None,
-    friction: Sequence[tuple[float, Sequence[float]]] | None = None,
+    friction: Sequence[tuple[float, Sequence[float]]] = (),
     comments: Sequence[str] = (),
 ) -> str:
     """Return a mechanism as the text of an MJCF file.
@@ -37,7 +37,8 @@ def mjcf(
         name: Name of the model.
         damping: Viscous friction (n, n), symmetric and positive semidefinite, in the place of the
             joints' own. Damping between joints is written as damped fixed tendons.
-        friction: Dry friction ``c`` along directions ``a``, of ``-c sign(a . v) a``, likewise.
+        friction: Dry friction ``c`` along directions ``a``, of ``-c sign(a . v) a``; that along one
+            coordinate alone is the joint's own, and not written again.
         comments: Lines for the head of the file.
     """
     joints = [Joint(**joint) for joint in mechanism["joints"]]
@@ -54,12 +55,6 @@ def mjcf(
     if damping is not None:
         matrix = np.array(damping, dtype=float)
     own, coupled = _uncoupled(matrix)
-    if friction is not None:
-        alone = {int(np.flatnonzero(a)[0]): c for c, a in friction if np.count_nonzero(a) == 1}
-        joints = [
-            joint._replace(friction=alone.get(k, 0.0))
-            for joint, k in zip(joints, first, strict=True)
-        ]
     free = _free(joints, mechanism, own)
     bodies: list[_Frame] = []
     for i, joint in enumerate(joints):
@@ -86,7 +81,7 @@ def mjcf(
     for k, (weight, direction) in enumerate(coupled):
         tendon = ET.SubElement(tendons, "fixed", name=f"damper_{k}", damping=_number(weight))
         _coefficients(tendon, joints, direction)
-    for k, (loss, a) in enumerate(friction or ()):
+    for k, (loss, a) in enumerate(friction):
         if np.count_nonzero(a) > 1:
             tendon = ET.SubElement(tendons, "fixed", name=f"brake_{k}", frictionloss=_number(loss))
             _coefficients(tendon, joints, a)

@@ -114,9 +114,10 @@ def _matrix(given: object, names: tuple[str, ...], inputs: tuple[str, ...]) -> t
         matrix = torch.empty(0, 0)
     if tuple(matrix.shape) == (n, m) and matrix.isfinite().all():
         return matrix
-    example = [[int(i == n - m + j) for j in range(m)] for i in range(n)]
+    example = [[int(i == j) for j in range(m)] for i in range(n)]
+    hint = "; of the voltage, the current and the torque of a motor, keep one, by data.columns"
     raise ConfigError(
         f"system.input_matrix={'null' if given is None else given}: say how the {m} input(s) "
-        f"({', '.join(inputs)}) drive the {n} coordinate(s) ({', '.join(names)}), a row for each "
-        f"coordinate, such as system.input_matrix={str(example).replace(' ', '')}"
+        f"({', '.join(inputs)}) drive the {n} coordinate(s) ({', '.join(names)}){hint * (m > n)}; "
+        f"a row for each coordinate, such as system.input_matrix={str(example).replace(' ', '')}"
     )

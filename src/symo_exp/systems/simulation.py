@@ -72,7 +72,7 @@ class Solver:
 
     def _advance(
         self, slope: Slope, k: int, x: np.ndarray, h: float, first_step: float | None
-    ) -> tuple[np.ndarray, float]:
+    ) -> tuple[np.ndarray, float | None]:
         """Return the states at node ``k + 1`` and the step size to begin the next with."""
         scale = 1 / math.sqrt(max(len(x), 1))
         stepper = METHODS[self.method](

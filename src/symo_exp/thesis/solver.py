@@ -12,7 +12,7 @@ from scipy.integrate import RK45
 from typing_extensions import override
 
 from symo_exp.checks import one_of
-from symo_exp.systems.simulation import Settle, Slope, Solver
+from symo_exp.systems.simulation import Slope, Solver
 
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0
 """Constants of SciPy's control of the step size."""
@@ -44,17 +44,13 @@ class SolveIvp(Solver):
         one_of("data.solver.method", self.method, ("RK45",))
 
     @override
-    def integrate(
-        self, slope: Slope, start: States, nodes: int, h: float, settle: Settle | None = None
-    ) -> Float[np.ndarray, "nodes batch states"]:
-        states = np.empty((nodes, *start.shape))
-        states[0] = start
-        for k in range(nodes - 1):
-            found = self._to_next(partial(slope, k, 0.0), states[k], h)
-            if not np.isfinite(found).all():
-                raise self.failed(k, "not finite")
-            states[k + 1] = found if settle is None else settle(found)
-        return states
+    def _advance(
+        self, slope: Slope, k: int, x: States, h: float, first_step: float | None
+    ) -> tuple[States, None]:
+        found = self._to_next(partial(slope, k, 0.0), x, h)
+        if not np.isfinite(found).all():
+            raise self.failed(k, "not finite")
+        return found, None
 
     def _to_next(self, rate: Rate, x: States, h: float) -> States:
         """Return the states ``h`` later, ``nan`` if steps become too small."""

@@ -16,7 +16,7 @@ from symo_exp.errors import ConfigError, first_line
 from symo_exp.models.base import DynamicsModel
 from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR, RunFolder
 from symo_exp.runs.load import from_folder
-from symo_exp.tracking.store import check, connect, find
+from symo_exp.tracking.store import connect_existing, find
 
 log = logging.getLogger(__name__)
 
@@ -76,10 +76,7 @@ def load(
 
 def _download(run_id: str, tracking_uri: str | None, directory: str | Path, target: str) -> None:
     store = find(tracking_uri, directory)
-    if store.database is not None and not store.database.exists():
-        raise ConfigError(f"no tracking store at {store.database}: give tracking_uri or directory")
-    check(store, timeout=5.0)
-    client = connect(store)
+    client = connect_existing(store, "give tracking_uri or directory")
     try:
         client.get_run(run_id)
         trained = client.list_artifacts(run_id, str(Path(CHECKPOINT).parent))

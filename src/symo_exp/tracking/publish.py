@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from symo_exp.checks import real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.runs.folder import DIED, SERIES, About, Outcome, RunFolder
 from symo_exp.runs.series import EPOCH, TIME, read
@@ -57,12 +58,10 @@ class MlflowView:
         flush_seconds: float = 10.0,
         timeout: float = 5.0,
     ) -> None:
-        if every_n_epochs < 1:
-            raise ConfigError(f"logger.every_n_epochs={every_n_epochs} must be at least 1")
+        whole_number("logger.every_n_epochs", every_n_epochs)
+        real("logger.timeout", timeout, above=0)
         if not flush_seconds >= 0.0:
             raise ConfigError(f"logger.flush_seconds={flush_seconds} must be 0 or more seconds")
-        if not timeout > 0.0:
-            raise ConfigError(f"logger.timeout={timeout} must be above 0 seconds")
         self.store = find(tracking_uri, directory)
         self.flush_seconds = flush_seconds
         self._experiment, self._every, self._timeout = experiment, every_n_epochs, timeout

@@ -177,6 +177,14 @@ def connect(store: Store) -> MlflowClient:
     return client
 
 
+def connect_existing(store: Store, mend: str) -> MlflowClient:
+    """Return a client of a store that has to be there; an error says ``mend`` for another one."""
+    if store.database is not None and not store.database.exists():
+        raise ConfigError(f"no tracking store at {store.database}: {mend}")
+    check(store, timeout=5.0)
+    return connect(store)
+
+
 def _create(store: Store) -> None:
     """Create a new SQLite database atomically.
 

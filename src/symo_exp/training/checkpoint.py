@@ -6,6 +6,7 @@ import logging
 import os
 import random
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,8 @@ class Checkpoint(callbacks.Checkpoint):
     the epoch has been logged. The file also contains the state of the random generators, which
     Lightning leaves out, the ``run`` it belongs to and whether the training is ``complete``.
 
-    A requested stop takes effect here, after writing.
+    A first signal during an epoch waits for its end; a requested stop takes effect here, after
+    writing.
 
     Args:
         folder: Folder of the checkpoints.
@@ -64,9 +66,12 @@ class Checkpoint(callbacks.Checkpoint):
         self._complete, self._resumable = False, True
         self._written = 0.0
         self._random: dict[str, Any] | None = None
+        self._patience = ExitStack()
 
     @override
     def on_train_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        stopping.install()  # Lightning has installed a handler of its own
+        self._patience.enter_context(stopping.urgent(False))
         self._written = time.monotonic()
         if self._random is not None:
             torch.set_rng_state(self._random["torch"])
@@ -89,6 +94,14 @@ class Checkpoint(callbacks.Checkpoint):
             self._written = time.monotonic()
         if signum is not None:
             raise stopping.Interrupted(signum)
+
+    @override
+    def on_train_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
+        self._patience.close()
+
+    @override
+    def on_exception(self, trainer: lightning.Trainer, pl_module: Any, exception: Any) -> None:
+        self._patience.close()
 
     @override
     def on_fit_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:

@@ -39,6 +39,7 @@ class CompileTraining(lightning.Callback):
         self.mode, self._settings = mode, settings
         self._compiled: bool | None = None
         self._kernels: Path | None = None
+        """The file that marks the kernels of this training as present, until it is made."""
 
     @override
     def on_fit_start(self, trainer: lightning.Trainer, pl_module: Any) -> None:
@@ -48,7 +49,7 @@ class CompileTraining(lightning.Callback):
             log.warning("this training is not compiled: %s", reason)
         if not (self.mode and possible and available):
             return
-        self._kernels = self._made(trainer)
+        self._kernels = kernel_cache() / "made" / f"{self._settings}-{torch.__version__}"
         if self._compiled is None:
             self._compiled = self.mode is True or self._worthwhile(trainer, pl_module)
         if self._compiled:
@@ -76,25 +77,16 @@ class CompileTraining(lightning.Callback):
         self._compiled = state_dict["compiled"]
 
     def _worthwhile(self, trainer: lightning.Trainer, pl_module: Any) -> bool:
-        if self._kernels is None or trainer.max_epochs is None:
-            return False
+        assert self._kernels is not None
         datamodule: Any = trainer.datamodule  # type: ignore[attr-defined]
-        steps = trainer.max_epochs * len(datamodule.batches(0))
+        steps = (trainer.max_epochs or 0) * len(datamodule.batches(0))
         enough = WARM if self._kernels.exists() else COLD
         return pl_module.device.type == "cpu" and steps >= enough
-
-    def _made(self, trainer: lightning.Trainer) -> Path | None:
-        """Return the file that marks the kernels of this training as present."""
-        if getattr(trainer, "datamodule", None) is None:
-            return None
-        return kernel_cache() / "made" / f"{self._settings}-{torch.__version__}"
 
 
 def watches_much(trainer: lightning.Trainer) -> bool:
     """Return whether validation evaluates as many samples as training, as in the thesis."""
-    datamodule: Any = getattr(trainer, "datamodule", None)
-    if datamodule is None:
-        return False
+    datamodule: Any = trainer.datamodule  # type: ignore[attr-defined]
     watched = sum(len(windows.q) for windows in datamodule.val_dataloader())
     trained = sum(len(windows.q) for windows in datamodule.batches(0))
     return watched >= trained * (trainer.check_val_every_n_epoch or 1)

@@ -12,13 +12,13 @@ import lightning
 import torch
 from lightning.pytorch.plugins.environments import LightningEnvironment
 
+from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.training.allocator import keep_freed_memory
 from symo_exp.training.checkpoint import Checkpoint, WholeFiles
 from symo_exp.training.compiling import CompileTraining
 from symo_exp.training.divergence import StopOnDivergence
 from symo_exp.training.overrun import StopOverrun
-from symo_exp.training.patience import FinishEpochs
 from symo_exp.training.progress import ProgressBar
 
 
@@ -59,8 +59,7 @@ def make_trainer(
     """
     counts = {"max_epochs": max_epochs, "validate_every": validate_every, "threads": threads}
     for name, value in counts.items():
-        if value < 1:
-            raise ConfigError(f"trainer.{name}={value} must be at least 1")
+        whole_number(f"trainer.{name}", value)
     if not checkpoint_every >= 0:
         raise ConfigError(f"trainer.checkpoint_every={checkpoint_every} must be 0 or more seconds")
     if compile not in (True, False, "auto"):
@@ -70,7 +69,7 @@ def make_trainer(
     bar: list[lightning.Callback] = [ProgressBar()] if progress else []
     if time_limit is not None:
         bar.append(StopOverrun(time_limit))
-    ours = [StopOnDivergence(checkpoint), checkpoint, FinishEpochs()]
+    ours = [StopOnDivergence(checkpoint), checkpoint]
     return lightning.Trainer(
         accelerator=accelerator,
         devices=1,

@@ -158,9 +158,7 @@ def _(lagrangian: RigidChain, coordinates: Coordinates) -> Linkage:
     return Linkage(joints, _three(lagrangian.gravity), torch.eye(len(joints)).double())
 
 
-@linkage.register
-def _(lagrangian: PlanarLinks, coordinates: Coordinates) -> Linkage:
-    return planar_bodies(lagrangian, coordinates)
+linkage.register(PlanarLinks, planar_bodies)
 
 
 @linkage.register
@@ -176,20 +174,15 @@ def _(lagrangian: LearnedRigidBody, coordinates: Coordinates) -> Linkage:
 
 @linkage.register
 def _(lagrangian: KnownLagrangian, coordinates: Coordinates) -> Linkage:
-    twin = lagrangian.system.with_constants(lagrangian.constants())
-    found: Linkage | None = twin.linkage
-    if found is None:
-        raise ConfigError(
-            f"{type(lagrangian.system).__name__} is not described by rigid bodies: give it a "
-            "`linkage`"
-        )
-    return found
+    return linkage(lagrangian.system.with_constants(lagrangian.constants()), coordinates)
 
 
 @linkage.register
 def _(lagrangian: LagrangianSystem, coordinates: Coordinates) -> Linkage:
     if lagrangian.linkage is None:
-        raise ConfigError(f"{type(lagrangian).__name__} is not described by rigid bodies")
+        raise ConfigError(
+            f"{type(lagrangian).__name__} is not described by rigid bodies: give it a `linkage`"
+        )
     return lagrangian.linkage
 
 

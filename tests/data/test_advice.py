@@ -1,0 +1,303 @@
+"""Refusals of recordings: the settings that they name, as they are printed, read the motion."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from symo_exp.data.header import headers, omitting
+from symo_exp.data.recorded import RecordedData, recorded_system
+from symo_exp.data.table import read_recordings
+from symo_exp.errors import ConfigError
+from symo_exp.identify.recordings import examine
+from symo_exp.systems.recorded import Recorded
+
+H = 0.02
+T = H / 2 * np.arange(1500)
+Q = np.sin(2 * T) + 0.3 * np.sin(T)
+U = np.cos(3 * T)
+WORDS = ["idle" if t < 3 else "it's on" for t in T]
+
+
+def settings_of(message: str) -> dict[str, Any]:
+    """Return the settings of a message, read as those of a command line."""
+    quoted = message[message.index("'data.columns") :] if "'data.columns" in message else ""
+    words = [word.rstrip(",;") for word in shlex.split(quoted)]
+    parsed = OverridesParser.create().parse_overrides([x for x in words if x.startswith("data.")])
+    return {one.key_or_group.removeprefix("data."): one.value() for one in parsed}
+
+
+def advised(path: Path) -> dict[str, Any]:
+    with pytest.raises(ConfigError) as error:
+        headers(path, None)
+    assert "\n" not in str(error.value)
+    assert ("leaves out F_N" in str(error.value)) == ("F_N" in path.read_text())
+    return settings_of(str(error.value))
+
+
+TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
+    "joint states of ROS": (
+        {"%time": (T * 1e9).astype(int), "field.header.seq": range(len(T)), "field.name0": WORDS,
+         "field.position0": Q, "field.position1": 2 * U, "field.velocity0": U,
+         "field.velocity1": U, "field.effort0": U, "field.effort1": Q},
+        {"t": "time", "q": "field.position0 field.position1", "u": "field.effort0 field.effort1",
+         "v": "field.velocity0 field.velocity1"},
+    ),
+    "topics of ROS": (
+        {"__time": T, "/j/arm/position": Q, "/j/arm/velocity": U, "/j/arm/effort": U},
+        {"t": "__time", "q": "/j/arm/position", "v": "/j/arm/velocity", "u": "/j/arm/effort"},
+    ),
+    "arrays of ROS": (
+        {"time": T, ".position[0]": Q, ".effort[0]": U},
+        {"t": "time", "q": ".position[0]", "u": ".effort[0]"},
+    ),
+    "units of another language": (
+        {"Zeit [s]": T, "Größe [rad]": Q, "Moment [Nm]": U},
+        {"t": "Zeit [s]", "q": "Größe [rad]", "u": "Moment [Nm]"},
+    ),
+    "units in words": (
+        {"Zeit in s": T, "x in mm": Q, "F in N": U},
+        {"t": "Zeit in s", "q": "x in mm", "u": "F in N"},
+    ),
+    "names without a letter of ASCII": (
+        {"时间": T, "角度": Q, "角": Q * Q}, {"t": "时间", "q": "角度 角"},
+    ),
+    "quotes in names": (
+        {"time": T, "arm's \"angle\"": Q, "torque": U},
+        {"t": "time", "q": "arm's \"angle\"", "u": "torque"},
+    ),
+    "dates with another name": (
+        {"date": [f"2024-05-01T10:00:{t:09.6f}+02:00" for t in T], "theta": Q},
+        {"t": "date", "q": "theta"},
+    ),
+    "a counter of milliseconds": (
+        {"row": range(len(T)), "millis": T * 1e3, "theta": Q, "pwm": U},
+        {"t": "millis", "q": "theta", "u": "pwm"},
+    ),
+    "words and recordings": (
+        {"run": np.arange(len(T)) // 300, "time": T, "mode": WORDS, "angle": Q, "torque": U,
+         "comment": WORDS},
+        {"t": "time", "q": "angle", "u": "torque"},
+    ),
+    "what a controller wants": (
+        {"time": T, "desired q": Q, "angle_ref": Q, "angle": Q, "torque_cmd": U, "torque_meas": U},
+        {"t": "time", "q": "angle", "u": "torque_meas"},
+    ),
+    "the wanted input alone": (
+        {"time": T, "target_pos": Q, "actual_pos": Q, "cmd": U},
+        {"t": "time", "q": "actual_pos", "u": "cmd"},
+    ),
+    "a motor and its joint": (
+        {"time": T, "motor_pos": 50 * Q, "joint_pos": Q + U, "motor_current": U, "motor_temp": Q,
+         "battery [V]": U},
+        {"t": "time", "q": "motor_pos joint_pos", "u": "motor_current"},
+    ),
+    "a distance, which is no derivative": (
+        {"time": T, "distance": Q, "dtheta": U, "theta": U, "thetad": Q},
+        {"t": "time", "q": "theta", "v": "thetad"},
+    ),
+    "a force that is named by its unit alone": (
+        {"t": T, "x_mm": Q, "F_N": U, "serial": 7.0}, {"q": "x_mm"},
+    ),
+    "names of MuJoCo": (
+        {"time": T, "qpos_0": Q, "qvel_0": U, "ctrl_0": U, "vbus_voltage": Q},
+        {"t": "time", "q": "qpos_0", "v": "qvel_0", "u": "ctrl_0"},
+    ),
+    "accelerations": (
+        {"t": T, "q1": Q, "q1_dot": U, "q1_ddot": Q, "tau1": U},
+        {"q": "q1", "v": "q1_dot", "u": "tau1"},
+    ),
+    "names without blanks": (
+        {"timeStamp": T, "jointAngle": Q, "jointVelocity": U, "motorTorque": U},
+        {"t": "timeStamp", "q": "jointAngle", "v": "jointVelocity", "u": "motorTorque"},
+    ),
+    "a rate that no name tells": (
+        {"t": T, "w": np.gradient(Q, T), "th": Q, "other": Q * U},
+        {"q": "th other"},
+    ),
+    "seven joints": (
+        {"t": T, **{f"{x}{k}": np.roll(Q, 99 * k) for x in ("q", "dq", "tau") for k in range(7)}},
+        {"q": " ".join(f"q{k}" for k in range(7)), "v": " ".join(f"dq{k}" for k in range(7)),
+         "u": " ".join(f"tau{k}" for k in range(7))},
+    ),
+}  # fmt: skip
+UNITS = {"a counter of milliseconds": "ms", "joint states of ROS": "ns"}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_the_suggested_columns_are_those_of_the_machine(kind: str, tmp_path: Path) -> None:
+    columns, expected = TABLES[kind]
+    path = tmp_path / "mine.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    given = advised(path)
+    theirs: dict[str, str] = {}
+    for ours, name in given["columns"].items():
+        theirs[ours[0]] = f"{theirs[ours[0]]} {name}" if ours[0] in theirs else name
+    assert theirs == expected
+    places = {ours[2:]: name for ours, name in given["columns"].items() if ours[0] == "q"}
+    inputs = [ours[2:] for ours in given["columns"] if ours[0] == "u"]
+    matrix = np.zeros((len(places), len(inputs))).tolist()
+    system = Recorded(
+        names=list(places), inputs=inputs, angular="none", input_matrix=matrix, time_step=H
+    )
+    unit = UNITS.get(kind)
+    samples = read_recordings(path, system, given["columns"], unit).recordings[0].samples
+    for found, name in zip(samples.q.T, places.values(), strict=True):
+        np.testing.assert_allclose(found, columns[name][: len(found)], atol=1e-9)
+    np.testing.assert_allclose(samples.t - samples.t[0], T[: len(samples.t)], atol=1e-6)
+
+
+def test_a_missing_clock_is_suggested_beside_what_is_given(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"stamp of row": T, "theta": Q, "u_arm": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="no column t with times") as error:
+        headers(path, {"q_arm": "theta"})
+    given = settings_of(str(error.value))["columns"]
+    assert given == {"q_arm": "theta", "t": "stamp of row"}
+    assert headers(path, given)[0][1].names == ("t", "q_arm", "u_arm")
+
+
+def test_what_a_controller_wants_is_no_coordinate(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_arm": Q, "q_arm_des": Q, "u_cmd": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="what a controller wants") as error:
+        headers(path, None)
+    columns = settings_of(str(error.value))["columns"]
+    assert recorded_system(path, time_step=H, angular="all", columns=columns).names == ("arm",)
+    named = {"q_arm_des": "q_arm_des"}  # the user says that it is one
+    assert "q_arm_des" in headers(path, named)[0][1].names
+
+
+def test_coordinates_of_other_names_are_not_passed_over(tmp_path: Path) -> None:
+    """As of an arm whose wanted angles are in q_d."""
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q[0]": Q, "q[1]": U, "q_d[0]": Q, "q_d[1]": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="would be coordinates by their names") as error:
+        headers(path, None)
+    columns = settings_of(str(error.value))["columns"]
+    assert recorded_system(path, time_step=H, angular="all", columns=columns).names == ("0", "1")
+    assert columns["q_0"] == "q[0]"
+    pd.DataFrame({"t": T, "q0": Q, "q_0": U}).to_csv(path, index=False)
+    assert advised(path)["columns"] == {"q_0": "q0"}
+    assert headers(path, {"q_arm": "q_0"})[0][1].names == ("t", "q0", "q_arm")
+
+
+def test_degrees_are_not_suggested_for_radians(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "hip [deg]": Q, "knee [rad]": Q}).to_csv(path, index=False)
+    given = advised(path)
+    assert given == {"columns": {"q_hip_deg": "hip [deg]", "q_knee": "knee [rad]"}}
+    with pytest.raises(ConfigError, match="hip_deg is in degrees by its name, but not every one"):
+        examine({"path": path, **given})
+    pd.DataFrame({"t": T, "hip [deg]": Q, "x [m]": Q}).to_csv(path, index=False)
+    assert advised(path)["degrees"] is True
+
+
+def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
+    pd.DataFrame({"t": T, "q_arm": Q}).to_csv(tmp_path / "1.csv", index=False)
+    pd.DataFrame({"mass": [1.0, 2.0], "row": [1, 2]}).to_csv(tmp_path / "2.csv", index=False)
+    with pytest.raises(ConfigError, match=r"2.csv: no column q_.*name the other files only"):
+        headers(tmp_path, None)
+
+
+def test_names_of_inputs_are_not_passed_over(tmp_path: Path) -> None:
+    """A machine with the columns t, q_arm and torque is not free."""
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_arm": Q, "torque (Nm)": U, "note": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match="no column u_<name> with an input") as error:
+        headers(path, None)
+    mapped, left_out = str(error.value).split("or leave them out")
+    assert settings_of(mapped)["columns"] == {"u_torque_Nm": "torque (Nm)"}
+    for given in (settings_of(mapped), settings_of(left_out)):
+        system = recorded_system(path, time_step=H, angular="all", **given)
+        table = read_recordings(path, system, given["columns"])
+        assert len(system.inputs) == (None not in given["columns"].values())
+        assert any("not read: " in line and "note" in line for line in table.notes)
+
+
+def test_an_empty_column_is_left_out_by_the_setting_that_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"time": T, "pos": Q, "q_lock": np.nan}).to_csv(path, index=False)
+    columns: dict[str, str | None] = {"t": "time", "q_arm": "pos"}
+    with pytest.raises(ConfigError, match="column q_lock") as error:
+        read_recordings(
+            path, recorded_system(path, time_step=H, angular="all", columns=columns), columns
+        )
+    columns = settings_of(str(error.value))["columns"]
+    assert columns == {"t": "time", "q_arm": "pos", "q_lock": None}
+    system = recorded_system(path, time_step=H, angular="all", columns=columns)
+    assert len(read_recordings(path, system, columns).recordings) == 1
+
+
+@pytest.mark.parametrize("name", ["a b", "a [rad]", "a(1)", "a/b", "a:{1},=2", "a\\b", "7 %"])
+def test_any_name_can_be_left_out(name: str) -> None:
+    setting = omitting([f"q_{name}", name])
+    assert settings_of(setting)["columns"] == {f"q_{name}": None, name: None}
+
+
+def test_names_that_no_setting_can_have_are_to_be_renamed() -> None:
+    assert omitting(["q_Größe"]).endswith("with an ASCII name in the file instead of q_Größe")
+    assert omitting(["q_Größe"], {"q_Größe": "x", "t": "s"}) == "'data.columns={t: s}'"
+
+
+@pytest.mark.parametrize(
+    ("q", "refused"),
+    [
+        (np.round(Q / (2 * np.pi) * 4096), True),
+        (np.round(Q / (2 * np.pi) * 4096) % 4096, True),
+        (np.round(2 * Q), False),  # few places, such as those of a switch
+        (Q, False),
+    ],
+)
+def test_counts_of_an_encoder_are_no_radians(q: np.ndarray, refused: bool, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_arm": q}).to_csv(path, index=False)
+    for angular in ("all", "none"):
+        system = recorded_system(path, time_step=H, angular=angular)
+        if refused and angular == "all":
+            with pytest.raises(ConfigError, match="convert counts of an encoder"):
+                RecordedData(system=system, path=path)
+            RecordedData(system=system, path=path, degrees=True, wrapped=True)
+        else:
+            RecordedData(system=system, path=path)
+
+
+def test_a_motor_that_turns_by_more_than_half_a_turn_in_a_sample_is_not_wrapped(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_motor": 300 * Q}).to_csv(path, index=False)
+    system = recorded_system(path, time_step=H / 2, angular="all")
+    data = RecordedData(system=system, path=path, dtype="float64")
+    data.setup()
+    assert np.abs(np.diff(data.trajectories("train")[0].q[:, 0])).max() > np.pi
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("Test 12 bench 4\nt,q_arm\n0,1\n1,2\n", r"no column has numbers.*Test, 12, bench, 4"),
+        ("Operator:,Smith\n\nt,q_arm,u_arm\n0,1,2\n1,2,3\n", r"3 cells.* 2, Operator:, Smith"),
+        ("// by hand\nt,q_arm\n0,1\n1,2\n", r"no column has numbers.*//, by, hand"),
+        ("t;q_arm\n0,0;1.024,5\n0,1;1.025,5\n", r"'1.024,5' .* write numbers as 1234.5"),
+    ],
+)
+def test_what_is_before_the_names_is_told(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text(text)
+    system = Recorded(names=["arm"], angular="all", time_step=H)
+    with pytest.raises(ConfigError, match=said):
+        read_recordings(path, system)
+
+
+def test_text_of_two_bytes_without_a_mark_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text("t,q_arm\n0,1\n1,2\n", encoding="utf-16-le")
+    with pytest.raises(ConfigError, match="save it as UTF-8"):
+        headers(path, None)
