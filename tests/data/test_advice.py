@@ -11,7 +11,8 @@ import pandas as pd
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from symo_exp.data.header import headers, omitting
+from symo_exp.data.advice import omitting
+from symo_exp.data.header import headers
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from symo_exp.data.header import header, names
+from symo_exp.data.header import header
+from symo_exp.data.naming import names
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.errors import ConfigError
 from symo_exp.systems.base import System

@@ -15,11 +15,13 @@ import torch
 from typing_extensions import override
 
 from symo_exp.checks import one_of, real, whole_number
+from symo_exp.data.advice import Columns
 from symo_exp.data.base import DataModule, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, shown
-from symo_exp.data.header import UNITS, Columns, header, names
+from symo_exp.data.header import UNITS, header
+from symo_exp.data.naming import names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, RecordingTable, read_recordings

@@ -13,17 +13,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 import pandas as pd
 
+from symo_exp.data.advice import OTHERS, Columns, as_setting, omitting
 from symo_exp.data.formats import Location, few, readable, shown, table_of
-from symo_exp.data.header import (
-    KINDS,
-    OTHERS,
-    UNITS,
-    Columns,
-    Header,
-    as_setting,
-    headers,
-    omitting,
-)
+from symo_exp.data.header import KINDS, UNITS, Header, headers
 from symo_exp.data.resample import Samples
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories

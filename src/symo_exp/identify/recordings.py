@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from symo_exp.data.advice import Columns, omitting
 from symo_exp.data.diagnose import POOR, ROUNDING, SUSPECT, noise_of, quasi_coordinates
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown
-from symo_exp.data.header import ANGLE, SLIDE, Columns, header, in_degrees, names, omitting
+from symo_exp.data.header import header
+from symo_exp.data.naming import ANGLE, SLIDE, in_degrees, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings

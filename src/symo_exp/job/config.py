@@ -68,7 +68,8 @@ def recorded_columns(kind: str, *, _root_: DictConfig) -> list[str]:
 
     They are part of the configuration, so that a trained model is loaded without its data.
     """
-    from symo_exp.data.header import header, names
+    from symo_exp.data.header import header
+    from symo_exp.data.naming import names
 
     data = _root_.data
     if "path" not in data:

@@ -1,0 +1,205 @@
+"""Settings that map the columns of a table which is not read as it is."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import warnings
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+
+from symo_exp.data.formats import few
+from symo_exp.data.naming import (
+    INPUT,
+    PLACE,
+    SPEED,
+    UNIT,
+    in_degrees,
+    is_wanted,
+    kind_of_column,
+    names,
+    says_time,
+    short_name,
+    short_names,
+    slope_of,
+    units_of_angles,
+)
+from symo_exp.shell import override_value
+
+Columns = Mapping[str, str | None]
+"""This project's names of columns to those of the file; the name of one that is left out to null.
+"""
+OTHERS = ("trajectory", "split", "t")
+"""Columns that belong to no coordinate or input."""
+RATE = re.compile(
+    r"v|w|a|d|omega|gyro?|acc|accel|acceleration|vel|velocity|rates?|angular|linear|twist|imu", re.I
+)
+"""A word of the name of a velocity or an acceleration, without its axis."""
+GUESSES = 4
+"""Columns that are suggested as coordinates without a word that says so, at most."""
+RISES = 0.99
+"""Share of the rows in which a clock rises."""
+STRIDE, ALIKE = 10, 0.95
+"""Rows over which a column is compared with the sum of its rate, and their correlation at least."""
+KEY = re.compile(r"[\w/+.$%*@?| ()\[\]{}:=,\\-]+", re.ASCII)
+"""Names of columns that can be typed as keys of a setting."""
+
+
+def suggestion(
+    found: Sequence[str], new: Sequence[str], table: pd.DataFrame, columns: Columns | None
+) -> str:
+    """Return settings that guess what the columns hold, beside those given; ``""`` without a guess.
+
+    Names say it first. Columns whose names say nothing are taken for times if they rise like those
+    of a clock, and for coordinates if no name says so.
+
+    Args:
+        found: Names of the file.
+        new: Names of this project.
+        table: The rows.
+        columns: The setting so far.
+    """
+    free = [
+        theirs
+        for theirs, ours in zip(found, new, strict=True)
+        if theirs == ours and theirs not in OTHERS and re.search(r"\w", theirs)
+        and not re.match(r"[qvu]_.|__index_", theirs)
+    ]  # fmt: skip
+    mapping = dict(columns or {})
+    times = [x for x, ours in zip(found, new, strict=True) if ours == "t"] or _times(free, table)
+    if times and times[0] != "t":
+        mapping["t"] = times[0]
+    free = [name for name in free if not says_time(name) and is_number(table[name])]
+    if not names("q", new):
+        inputs = [] if names("u", new) else [name for name in free if kind_of_column(name) == "u"]
+        mapping |= _places(free, table, inputs)
+    mapped = [theirs for ours, theirs in mapping.items() if ours[:2] == "q_" and theirs]
+    if mapping == dict(columns or {}) or not (mapped or names("q", new)):
+        return ""
+    text = as_setting(mapping) + " data.degrees=true" * (units_of_angles(mapped) == {"deg"})
+    text += ", a guess, since no name says coordinate" * (
+        bool(mapped) and not any(map(kind_of_column, mapped))
+    )
+    silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
+    return text + f", which leaves out {few(silent)}" * bool(silent)
+
+
+def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> dict[str, str]:
+    """Return columns of coordinates, their velocities and the inputs."""
+    stems = {name: UNIT.sub("", name) for name in free}
+    if pose := _pose(stems):
+        return pose | {f"u_{key}": x for key, x in zip(short_names(inputs), inputs, strict=True)}
+    kinds = {name: kind_of_column(name) for name in free}
+    speeds = {name: stem for name in free if (stem := slope_of(stems[name], stems.values()))}
+    places = [x for x in free if kinds[x] == "q" and x not in speeds]
+    places = places or _movements([x for x in free if x not in speeds], table)[:GUESSES]
+    mixed = len(units_of_angles(places)) > 1  # names keep what the setting of all cannot say
+    keys = short_names([x if mixed and in_degrees(x) else stems[x] for x in places], PLACE)
+    found = {f"q_{key}": x for key, x in zip(keys, places, strict=True)}
+    rates = {short_name(stem, PLACE): name for name, stem in speeds.items()}
+    rates |= {short_name(stems[name], SPEED): name for name in free if kinds[name] == "v"}
+    if keys and set(keys) <= set(rates):
+        found |= {f"v_{key}": rates[key] for key in keys}
+    return found | suggested_inputs(inputs, keys)
+
+
+def suggested_inputs(given: Sequence[str], coordinates: Sequence[str]) -> dict[str, str]:
+    """Return columns of inputs, measured ones if there are, named as coordinates where they can."""
+    every = [x for x in given if not is_wanted(x)] or given
+    keys = short_names([UNIT.sub("", name) for name in every], INPUT)
+    if not set(keys) <= set(coordinates):
+        keys = short_names(every)
+    return {f"u_{key}": name for key, name in zip(keys, every, strict=True)}
+
+
+def _times(free: Sequence[str], table: pd.DataFrame) -> list[str]:
+    """Return columns of times, by their names or else by their values, likely ones first.
+
+    Of clocks, those that count rows are last.
+    """
+    if named := [name for name in free if says_time(name)]:
+        return sorted(named, key=lambda name: not _is_clock(table[name]))
+    clocks = [name for name in free if not kind_of_column(name) and _is_clock(table[name])]
+    counts = [x for x in clocks if (_numbers(table[x]).diff().iloc[1:] == 1).all()]
+    return [x for x in clocks if x not in counts] + counts
+
+
+def is_number(values: pd.Series) -> bool:
+    """Return whether most values are numbers."""
+    return bool(_numbers(values).notna().mean() > 0.5)
+
+
+def _numbers(values: pd.Series) -> pd.Series:
+    return pd.to_numeric(values, errors="coerce")
+
+
+def _is_clock(values: pd.Series) -> bool:
+    """Return whether values rise from row to row, but for restarts, or are dates."""
+    if is_number(values):
+        rises = _numbers(values).dropna().diff().iloc[1:]
+        return bool((rises > 0).mean() > RISES)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # words that are no dates
+        dates = pd.to_datetime(values.iloc[:9], errors="coerce", utc=True, format="mixed")
+    return bool(dates.notna().all() and dates.nunique() > 1)
+
+
+def _movements(names: Sequence[str], table: pd.DataFrame) -> list[str]:
+    """Return columns that may be coordinates by their values, without the rates of others."""
+    found = [name for name in names if _may_move(name, table[name])]
+    rises = {x: _numbers(table[x]).ffill().diff(STRIDE) for x in found}
+    sums = {x: _numbers(table[x]).ffill().rolling(STRIDE).sum() for x in found}
+    return [
+        rate for rate in found
+        if not any(rises[x].corr(sums[rate]) > ALIKE for x in found if x != rate)
+    ]  # fmt: skip
+
+
+def _may_move(name: str, values: pd.Series) -> bool:
+    """Return whether a column may be of the machine though its name does not say so."""
+    return not kind_of_column(name) and not _is_clock(values) and values.nunique() > 1
+
+
+def _pose(stems: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns of a quaternion, and of a position if there is one; else nothing.
+
+    Four names that differ in the last letter, ``w``, ``x``, ``y`` or ``z``, are a quaternion.
+
+    Args:
+        stems: Names without units by those of the file.
+    """
+    ends = {(stem[:-1], stem[-1:].lower()): name for name, stem in stems.items()}
+    vectors = [stem for stem, end in ends if end == "x" and {(stem, "y"), (stem, "z")} <= set(ends)]
+    turns = [stem for stem in vectors if (stem, "w") in ends]
+    others = (stem for stem in vectors if stem not in turns)
+    places = [x for x in others if not any(map(RATE.fullmatch, re.split(r"[^a-zA-Z]+", x)))]
+    if not turns:
+        return {}
+    found = {f"q_{axis}": ends[places[0], axis] for axis in "xyz"} if places else {}
+    return found | {f"q_R_{part}": ends[turns[0], part] for part in "wxyz"}
+
+
+def as_setting(mapping: Columns) -> str:
+    """Return ``data.columns`` as it can be typed."""
+    pairs = (f"{_escaped(ours)}: {_value(theirs)}" for ours, theirs in mapping.items())
+    return shlex.quote("data.columns={" + ", ".join(pairs) + "}")
+
+
+def omitting(left_out: Sequence[str], columns: Columns | None = None) -> str:
+    """Return the setting that leaves columns out, beside those that are given."""
+    kept = {ours: theirs for ours, theirs in (columns or {}).items() if ours not in left_out}
+    others = {name: None for name in left_out if name not in (columns or {})}
+    if odd := [name for name in others if not KEY.fullmatch(name)]:
+        return f"data.columns={{NAME: null}}, with an ASCII name in the file instead of {few(odd)}"
+    return as_setting({**kept, **others})
+
+
+def _value(theirs: str | None) -> str:
+    plain = re.fullmatch(r"(?!(?:null|true|false)$)[a-z_.][\w.-]*", theirs or "", re.A | re.I)
+    return str(theirs) if plain else override_value(theirs, nested=True)
+
+
+def _escaped(key: str) -> str:
+    """Return a key as Hydra reads it, where it can."""
+    return re.sub(r"([\\()\[\]{}:=,])", r"\\\1", key)

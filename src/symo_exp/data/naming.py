@@ -1,0 +1,121 @@
+"""Names of columns: the kind of a column, its unit and its coordinate, as the words say."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+
+from symo_exp.data.formats import IN_TIME, TIME
+
+ANGLE = (
+    "theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link"
+    "|pendulum|upper|lower|roll|pitch|yaw|motor|wheel"
+)
+SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
+"""Words in the names of angles and of positions."""
+PLACE = re.compile(r"(?:q|qpos|pos|positions?|angles?)(\d*)", re.I)
+"""A word that says that a column is a coordinate, and the number of the coordinate."""
+PLACES = re.compile(rf"(?:{ANGLE}|{SLIDE})\d*", re.I)
+"""A word of a coordinate's name."""
+SPEED = re.compile(
+    r"(?:d?dq|qd?d|dot|qvel|vel|velocity|velocities|speeds?|omega|rates?|rpm)(\d*)", re.I
+)
+"""A word that says that a column is a velocity, and the number of the coordinate."""
+INPUT = re.compile(
+    r"(?:u|tau|torques?|moments?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?"
+    r"|ctrl|act|actions?|volt|volts|voltages?|pwm|duty|throttle|thrust|rudder|heat)(\d*)",
+    re.I,
+)
+"""A word of an input's name, and the number of the coordinate."""
+WANTED = re.compile(
+    r"(?:ref|reference|des|desired|set|setpoint|sp|target|goal|cmd|command|commanded|demand|error"
+    r"|err)\d*",
+    re.I,
+)
+"""A word of the name of what a controller wants, which the machine need not do."""
+OTHER = re.compile(
+    r"(?:acc|accel|acceleration|ddot|ddq|qdd|jerk|bat|battery|vbus|supply|temp|temperature)\d*",
+    re.I,
+)
+"""A word of the name of what is no coordinate, velocity or input."""
+UNIT = re.compile(r"(_| in | *[\[(])((?:m|mm|cm|rad|deg|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I)
+"""A unit at the end of a name, after an underscore or "in", or in brackets."""
+
+
+def names(kind: str, columns: Sequence[str]) -> tuple[str, ...]:
+    """Return the names that follow ``q_``, ``v_`` or ``u_``."""
+    return tuple(name[2:] for name in columns if name.startswith(f"{kind}_"))
+
+
+def kind_of_column(name: str) -> str:
+    """Return ``q``, ``v`` or ``u``, as the unit or a word of a name says, ``-`` for none of them.
+
+    Nothing if the name does not tell.
+    """
+    unit, words = UNIT.search(name), _words(UNIT.sub("", name))
+    wanted = is_wanted(name)
+    if any(map(OTHER.fullmatch, words)):
+        return "-"
+    if unit and (unit[1] != "_" or len(unit[2]) > 1):  # _a may be a name
+        if unit[2].lower().startswith(("n", "v", "a")):
+            return "u"
+        return "-" if wanted else "v" if unit[2].endswith("/s") else "q"
+    for kind, word in (("v", SPEED), ("q", PLACE), ("u", INPUT), ("q", PLACES)):
+        if any(map(word.fullmatch, words)):
+            return "-" if wanted and kind != "u" else kind
+    return ""
+
+
+def is_wanted(name: str) -> bool:
+    """Return whether a name says what a controller wants."""
+    return any(map(WANTED.fullmatch, _words(name)))
+
+
+def _words(name: str) -> list[str]:
+    """Return the words of a name, also of one such as ``jointAngle``."""
+    return re.findall(r"[A-Z]+\d*(?![a-z])|[A-Z]?[a-z]+\d*|\d+", name)
+
+
+def short_names(stems: Sequence[str], kind: re.Pattern[str] | None = None) -> list[str]:
+    """Return different names for columns, short ones if these differ."""
+    short = [short_name(stem, kind) for stem in stems] if kind else []
+    every = (short, [_short(stem) for stem in stems])
+    numbered = [f"{_short(stem)}_{i}" for i, stem in enumerate(stems)]
+    return next((x for x in every if len(set(x)) == len(stems)), numbered)
+
+
+def short_name(stem: str, kind: re.Pattern[str]) -> str:
+    """Return a name without the word that says of which kind it is: ``1`` of ``q1``."""
+    words = _words(stem)
+    kept = [match[1] if (match := kind.fullmatch(word)) else word for word in words]
+    return "_".join(filter(None, kept)) or _short(stem)
+
+
+def _short(stem: str) -> str:
+    """Return a name without blanks, brackets and letters that keys of settings cannot have."""
+    return re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "x"
+
+
+def in_degrees(name: str) -> bool:
+    """Return whether a name ends with degrees as its unit."""
+    unit = UNIT.search(name)
+    return unit is not None and unit[2].lower() in ("deg", "°")
+
+
+def units_of_angles(columns: Sequence[str]) -> set[str]:
+    """Return the units of angles at the ends of names, ``rad`` and ``deg``."""
+    units = [unit[2].lower().replace("°", "deg") for x in columns if (unit := UNIT.search(x))]
+    return {unit for unit in units if unit in ("rad", "deg")}
+
+
+def slope_of(stem: str, stems: Collection[str]) -> str | None:
+    """Return the name of which a name is the derivative, such as ``x`` of ``dx`` or ``xdot``."""
+    for pattern in (r"d_?(.+)", r"(.+?)_?(?:dot|d|p)"):
+        if (match := re.fullmatch(pattern, stem)) and match[1] in stems:
+            return match[1]
+    return None
+
+
+def says_time(name: str) -> bool:
+    """Return whether a name is one of times, or ends with a unit of time, but for ``_s``."""
+    return bool(TIME.fullmatch(name) or ((match := IN_TIME.fullmatch(name)) and match[2]))
