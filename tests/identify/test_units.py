@@ -94,6 +94,16 @@ def test_a_log_in_any_unit_is_of_order_one_in_the_units_of_its_parameters(length
     assert stiffness == pytest.approx(15.0 * force / length, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("name", "unit"), [("x_mm", "mm"), ("x [cm]", "cm"), ("x_m", "m"), ("x", "m")]
+)
+def test_lengths_in_another_unit_by_their_names_are_told(name, unit, workplace):
+    sprung(1.0, 1.0).rename(columns={"q_x": f"q_{name}", "u_x": f"u_{name}"}).to_csv("mine.csv")
+    notes = examine({"path": "mine.csv"}).notes
+    assert any(f"positions [{unit}]: {name} (by names" in note for note in notes)
+    assert any(f"they are in {unit}; convert them" in note for note in notes) == (unit != "m")
+
+
 @pytest.mark.parametrize("scale", [{"length": 0.0}, {"length": "mm"}, {"size": 1.0}, 1e-3])
 def test_a_scale_that_is_none_is_refused(scale):
     with pytest.raises(ConfigError, match=r"system\.scale.*expected"):

@@ -102,6 +102,12 @@ def in_degrees(name: str) -> bool:
     return unit is not None and unit[2].lower() in ("deg", "°")
 
 
+def length_unit(name: str) -> str:
+    """Return the unit of length that a name ends with, ``m`` where it ends with none."""
+    unit = UNIT.search(name)
+    return unit[2].lower() if unit and unit[2].lower() in ("mm", "cm") else "m"
+
+
 def units_of_angles(columns: Sequence[str]) -> set[str]:
     """Return the units of angles at the ends of names, ``rad`` and ``deg``."""
     units = [unit[2].lower().replace("°", "deg") for x in columns if (unit := UNIT.search(x))]

@@ -65,9 +65,9 @@ def divided(
     elif not counted and len(recordings) < len(PARTS):
         spans = " and ".join(f"{np.ptp(one.samples.t):.3g} s" for one in recordings) or "none"
         raise ConfigError(
-            f"{where} has {len(recordings)} trajectories, too few for train, val and test, and too "
-            f"short to be split in time ({spans}); record longer ones, or more, and number "
-            "trajectories apart in a column trajectory"
+            f"{where} has {_counted(recordings)}, too few for train, val and test, and too short "
+            f"to be split in time ({spans}); record longer ones, or more, and number trajectories "
+            "apart in a column trajectory"
         )
     else:
         n_val = whole_number("data.n_val", 1 if n_val is None else n_val)
@@ -114,11 +114,15 @@ def _by_name(
     return parts
 
 
+def _counted(recordings: Sequence[Recording]) -> str:
+    return f"{len(recordings)} trajector{'y' if len(recordings) == 1 else 'ies'}"
+
+
 def _last(where: str, recordings: Sequence[Recording], n_val: int, n_test: int) -> Parts:
     available = len(recordings) - n_val - n_test
     if available < 1:
         raise ConfigError(
-            f"{where} has {len(recordings)} trajectories, too few for data.n_val={n_val}, "
+            f"{where} has {_counted(recordings)}, too few for data.n_val={n_val}, "
             f"data.n_test={n_test} and at least one to train on"
         )
     val = available + n_val

@@ -16,7 +16,7 @@ from symo_exp.data.diagnose import POOR, ROUNDING, SUSPECT, noise_of, quasi_coor
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown
 from symo_exp.data.header import header
-from symo_exp.data.naming import ANGLE, SLIDE, in_degrees, names
+from symo_exp.data.naming import ANGLE, SLIDE, in_degrees, length_unit, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
@@ -139,7 +139,7 @@ def examine(
     space = system(chosen or "none").coordinates  # or asks for the matrix
     if angular is None:
         settings.append(f"system.angular={override_value(chosen) if chosen else 'none'}")
-        notes += [_told(chosen, flat)] if flat else []
+        notes += _told(chosen, flat) if flat else []
     stated = [name for name in chosen if in_degrees(name)]
     if data.get("degrees") is None and 0 < len(stated) < len(chosen):
         raise ConfigError(
@@ -412,8 +412,17 @@ def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
     )
 
 
-def _told(chosen: Sequence[str], all_names: Sequence[str]) -> str:
+def _told(chosen: Sequence[str], all_names: Sequence[str]) -> list[str]:
+    """Return a line on which coordinates are angles, and one on lengths in other units than m."""
+    kinds = dict.fromkeys(chosen, "angles [rad]")
     positions = [name for name in all_names if name not in chosen]
-    parts = [f"angles [rad]: {', '.join(chosen)}" * bool(chosen)]
-    parts += [f"positions [m]: {', '.join(positions)}" * bool(positions)]
-    return "; ".join(filter(None, parts)) + " (by names and ranges; system.angular says otherwise)"
+    kinds |= {name: f"positions [{length_unit(name)}]" for name in positions}
+    groups = {kind: [x for x in kinds if kinds[x] == kind] for kind in kinds.values()}
+    parts = "; ".join(f"{kind}: {', '.join(group)}" for kind, group in groups.items())
+    lines = [f"{parts} (by names and ranges; system.angular says otherwise)"]
+    if odd := [name for name in positions if length_unit(name) != "m"]:
+        lines.append(
+            f"lengths of {few(odd)} are used as they are: where results say m, they are in "
+            f"{length_unit(odd[0])}; convert them in the file for results in SI units"
+        )
+    return lines
