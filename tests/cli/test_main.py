@@ -95,6 +95,7 @@ BAD = [
     ("system=recorded system.time_step=0.1", "system=recorded", "data=recorded data.path=FILE"),
     ("system=recorded system.time_step=0.1 data=recorded data.path=no.csv", "no.csv", "No such"),
     ("data=recorded data.path=nowhere.csv data.columns=t", "data.columns=t", "a mapping"),
+    ("data.dtype=float64", "data.dtype=float64", "give dtype=float64"),
     # places
     ("output_dir=/dev/null/here", "/dev/null", "choose another output_dir"),
     ("logger.tracking_uri=http://127.0.0.1:9", "127.0.0.1:9", "correct logger.tracking_uri"),

@@ -117,7 +117,10 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     lightning.seed_everything(seed, verbose=False)
     system = make(settings, "system")
     data = make(settings, "data", system=system)
-    with default_dtype(settings["dtype"]):
+    dtype = settings["dtype"]
+    if (given := settings["data"].get("dtype", dtype)) != dtype:
+        raise ConfigError(f"data.dtype={given}: training has dtype={dtype}; give dtype={given}")
+    with default_dtype(dtype):
         model = make(
             settings,
             "model",
