@@ -134,6 +134,7 @@ def test_errors_of_models_that_were_not_trained_on_recordings_widen_intervals(he
     own, strange = swings[1 - held_out], swings[held_out]
     mixed = kappa((model, [own]), (other, [strange]))
     assert mixed[-1] > 2.0 * kappa((model, swings))[-1]
+    torch.testing.assert_close(kappa((None, swings)), kappa((model, swings)))
     torch.testing.assert_close(mixed, kappa((other, [strange]), (model, [own])))
 
 

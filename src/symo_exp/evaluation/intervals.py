@@ -38,12 +38,12 @@ class Predicted(NamedTuple):
     """Recordings and the model that predicts them.
 
     Attributes:
-        model: The model, in float64. It is the one whose intervals are widened, or, in a
-            cross-validation, one with the same settings that was not trained on the recordings.
+        model: A model, in float64, with the same settings that was not trained on the recordings,
+            as in a cross-validation; ``None``: the one whose intervals are widened.
         trajectories: The recordings.
     """
 
-    model: DynamicsModel
+    model: DynamicsModel | None
     trajectories: Sequence[Trajectory]
 
 
@@ -67,16 +67,17 @@ def widened(
     if windows is None:
         return ModelPosterior(posterior)
     windows = _some(windows, WINDOWS)
-    rolled = _rolled(model, _predicted(model, windows))
+    own = _predicted(model, windows)
+    rolled = _rolled(model, own)
     by_parameters = spread(model.flow, posterior, *rolled, ROLLOUTS).double().cpu()
     by_start = sensitivity(model.flow, *rolled).double().cpu()
     group = torch.arange(len(groups)).repeat_interleave(torch.tensor([len(x) for x in groups]))
-    error = torch.full_like(by_start, torch.nan)
+    q = own.q.clone()
     for k, one in enumerate(recordings):
         rows = group[windows.trajectory] == k
-        if bool(rows.any()):
-            found = _predicted(one.model, _rows(windows, rows))
-            error[rows] = (found.q - found.q_true).where(found.q.isfinite(), torch.nan)
+        if one.model is not None and bool(rows.any()):
+            q[rows] = _predicted(one.model, _rows(windows, rows)).q
+    error = (q - own.q_true).where(q.isfinite(), torch.nan)
     kappa = relative_error(error, by_parameters, by_start, windows.trajectory)
     return ModelPosterior(posterior, kappa if bool((kappa > 0.0).any()) else None)
 

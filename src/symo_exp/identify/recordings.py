@@ -301,40 +301,51 @@ def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
 
 def _ask_for_degrees(recordings: Sequence[Recording], space: Coordinates) -> None:
     """Refuse angles whose motion is explained much better if their numbers are degrees."""
-    ranges = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
-    wide = [i for i, angle in enumerate(space.angular) if angle and ranges[i] > SPAN]
-    if not wide:
-        return
-    plain, degrees = explained_by_angles(recordings, space)
-    if plain is None or degrees is None or plain > POOR:
-        return
-    if 1 - degrees < SUSPECT * (1 - plain):
-        told = ", ".join(f"q_{space.names[i]} moves by {ranges[i]:.3g}" for i in wide)
-        raise ConfigError(
-            f"data.degrees has no value yet: {told}; {100 * degrees:.3g} % of the accelerations' "
-            f"power is explained if these are degrees, {100 * plain:.3g} % if they are radians; "
-            "give data.degrees=true or false"
-        )
+    if wide := _beyond_a_turn(recordings, space, angular=True):
+        plain, degrees = explained_by_angles(recordings, space)
+        readings = {"degrees": degrees, "radians": plain}
+        _ask("data.degrees", "true or false", wide, readings)
 
 
 def _ask_for_angles(recordings: Sequence[Recording], space: Coordinates) -> None:
     """Refuse lengths, by their names, whose motion is explained much better if they are angles."""
+    if wide := _beyond_a_turn(recordings, space, angular=False):
+        every = zip(space.names, space.angular, strict=True)
+        other = space._replace(angular=tuple(angle or name in wide for name, angle in every))
+        shares = (explained_by_angles(recordings, x)[0] for x in (other, space))
+        readings = dict(zip(("angles [rad]", "lengths"), shares, strict=True))
+        _ask("system.angular", "all, none or a list of names", wide, readings)
+
+
+def _beyond_a_turn(
+    recordings: Sequence[Recording], space: Coordinates, *, angular: bool
+) -> dict[str, float]:
+    """Return the ranges of the angles, or the lengths, that are larger than ``SPAN``."""
     ranges = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
-    wide = [i for i, angle in enumerate(space.angular) if not angle and ranges[i] > SPAN]
-    if not wide:
+    every = zip(space.names, space.angular, ranges, strict=True)
+    return {name: size for name, angle, size in every if angle == angular and size > SPAN}
+
+
+def _ask(
+    setting: str, choices: str, ranges: Mapping[str, float], readings: Mapping[str, float | None]
+) -> None:
+    """Refuse a setting that is left open if another reading explains a motion much better.
+
+    Args:
+        setting: Its name.
+        choices: Its values.
+        ranges: Ranges of the coordinates in question.
+        readings: Explained share of the accelerations' power by another reading and the present.
+    """
+    (reading, other), (present, plain) = readings.items()
+    if plain is None or other is None or plain > POOR or not 1 - other < SUSPECT * (1 - plain):
         return
-    angular = tuple(angle or i in wide for i, angle in enumerate(space.angular))
-    plain, _ = explained_by_angles(recordings, space)
-    as_angles, _ = explained_by_angles(recordings, space._replace(angular=angular))
-    if plain is None or as_angles is None or plain > POOR:
-        return
-    if 1 - as_angles < SUSPECT * (1 - plain):
-        told = ", ".join(f"q_{space.names[i]} moves by {ranges[i]:.3g}" for i in wide)
-        raise ConfigError(
-            f"system.angular has no value yet: {told}; {100 * as_angles:.3g} % of the "
-            f"accelerations' power is explained if these are angles [rad], {100 * plain:.3g} % if "
-            "they are lengths; give system.angular=all, none or a list of names"
-        )
+    told = ", ".join(f"q_{name} moves by {size:.3g}" for name, size in ranges.items())
+    raise ConfigError(
+        f"{setting} has no value yet: {told}; {100 * other:.3g} % of the accelerations' power is "
+        f"explained if these are {reading}, {100 * plain:.3g} % if they are {present}; give "
+        f"{setting}={choices}"
+    )
 
 
 def _told_still(

@@ -282,7 +282,7 @@ def _predicted(parts: Parts, folder: RunFolder) -> list[Predicted]:
         ]
     held_out = parts.data.trajectories("val") if parts.data.recorded else []
     every = [*parts.data.trajectories("train"), *held_out] if held_out else []
-    return [Predicted(parts.model.for_evaluation(), every)]
+    return [Predicted(None, every)]
 
 
 def _tell(folder: RunFolder, name: str, found: Rollouts | RecordedPredictions) -> None:
