@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import torch
@@ -16,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.mechanics.composites import Branches
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.space import cross
 
@@ -194,6 +196,18 @@ class Tree:
         if key not in self._converted:
             self._converted[key] = tuple(x.to(q) for x in self._constants)
         return self._converted[key]
+
+    @cached_property
+    def branches(self) -> Branches:
+        """Which bodies each hinge or slide carries; there are no ball joints."""
+        return Branches(self._constants[-1])
+
+    def twists(self, at: Poses) -> Float[Tensor, "batch n 3 4"]:
+        """Return ``Ξᵢ`` of hinges and slides, where there are no ball joints."""
+        *_, axis, anchor, hinge, _ = self._as(at.shift)
+        about = (at.turn @ axis.unsqueeze(-1)).squeeze(-1)
+        moved = hinge * torch.linalg.cross(at.of(anchor), about) + (1 - hinge) * about
+        return torch.cat((cross(hinge * about), moved.unsqueeze(-1)), dim=-1)
 
     def poses(self, q: Float[Tensor, "batch N"]) -> Poses:
         """Return the poses of all bodies."""

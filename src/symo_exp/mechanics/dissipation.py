@@ -55,6 +55,24 @@ class Dissipation(ABC):
         return None
 
 
+def chord_excess(
+    v: Float[Tensor, "batch n"], before: Float[Tensor, "batch n"], rest: Tensor | float
+) -> Float[Tensor, "batch n"]:
+    """Return the slope of the chord of ``tanh(v / ε_v)`` less its derivative, times ``ε_v``.
+
+    It is at least 0, and 0 where ``v`` changes by less than ``ε_v``.
+
+    Args:
+        v: Velocities.
+        before: Those from which the chord extends.
+        rest: ``ε_v``.
+    """
+    w, w_before = v / rest, before / rest
+    t, change = torch.tanh(w), w - w_before
+    excess = (t - torch.tanh(w_before)) / change - (1.0 - t.square())
+    return torch.where(change.abs() > 1.0, excess.clamp(min=0.0), 0.0)
+
+
 class Friction(Dissipation):
     """``F_d = −D v − c ∘ tanh(v / ε_v)``: viscous friction, and dry friction smoothed at rest.
 

@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from symo_exp.checks import one_of, real
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.dissipation import Dissipation
+from symo_exp.mechanics.dissipation import Dissipation, chord_excess
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import repeated
@@ -127,10 +127,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         if (dry := self.dry()) is None:
             return None
         c, rest = dry
-        w, w_before = v @ self.joints.T / rest, before @ self.joints.T / rest
-        t, change = torch.tanh(w), w - w_before
-        excess = (t - torch.tanh(w_before)) / change - (1.0 - t.square())
-        excess = torch.where(change.abs() > 1.0, excess.clamp(min=0.0), 0.0)
+        excess = chord_excess(v @ self.joints.T, before @ self.joints.T, rest)
         return -self.joints.T @ torch.diag_embed(c / rest * excess) @ self.joints
 
     def coefficients(self) -> tuple[Tensor | None, tuple[Tensor, Tensor] | None]:

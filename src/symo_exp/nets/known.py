@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -12,8 +12,15 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError, shortened
-from symo_exp.mechanics.dissipation import Dissipation
-from symo_exp.mechanics.lagrangian import Gradients, Lagrangian, Rates, matvec
+from symo_exp.mechanics.dissipation import Dissipation, chord_excess
+from symo_exp.mechanics.lagrangian import (
+    Curvature,
+    Expansion,
+    Gradients,
+    Lagrangian,
+    Rates,
+    matvec,
+)
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.affine import by_sample, repeated
@@ -74,6 +81,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
                 f"lagrangian.fixed={unknown}: no such constant; there are {', '.join(known)}"
             )
         self.system = system
+        self._closed_form: bool = system.closed_form
         self.numbers = [k for k, c in known.items() if k not in fixed and c.value.ndim == 0]
         self.bodies = [k for k, c in known.items() if k not in fixed and c.value.ndim == 2]
         if not self.numbers and not self.bodies:
@@ -122,18 +130,45 @@ class KnownLagrangian(nn.Module, Lagrangian):
 
     @override
     def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
+        if self._closed_form:
+            return Gradients(*self._in_closed_form(lambda at, q, v: at.gradients(q, v), q, v))
         tracked = torch.is_grad_enabled()
         _, _, p, dq = self._around(q, v, tracked)
         return Gradients(dq, p) if tracked else Gradients(dq.detach(), p.detach())
 
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
+        if self._closed_form:
+            return Rates(*self._in_closed_form(lambda at, q, v: at.rates(q, v), q, v))
         tracked = torch.is_grad_enabled()
         q_, mass, p, dq = self._around(q, v, tracked)
         with torch.enable_grad():
             turned = _derivative_along(p, q_, self.space.push(q_, v), tracked)
         found = Rates(mass, turned, dq)
         return found if tracked else Rates(*(x.detach() for x in found))
+
+    @override
+    @torch.no_grad()
+    def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
+        if not self._closed_form:
+            return super().expand(q, v)
+        twin = self.system.with_constants(self.constants())
+        return KnownExpansion(self, twin.expand(q.detach(), v.detach()))
+
+    def _in_closed_form(
+        self, function: Callable[[Any, Tensor, Tensor], tuple[Tensor, ...]], q: Tensor, v: Tensor
+    ) -> tuple[Tensor, ...]:
+        """Return what the system's own derivatives are with the present constants."""
+        if not by_sample():
+            return function(self.system.with_constants(self.constants()), q, v)
+
+        def of_one(logarithms: Tensor, factors: Tensor, q: Tensor, v: Tensor) -> tuple[Tensor, ...]:
+            twin = self.system.with_constants(self._values(logarithms, factors))
+            return tuple(x.squeeze(0) for x in function(twin, q.unsqueeze(0), v.unsqueeze(0)))
+
+        parameters = repeated(self.logarithms, q.shape[0]), repeated(self.factors, q.shape[0])
+        found: tuple[Tensor, ...] = torch.func.vmap(of_one)(*parameters, q, v)
+        return found
 
     @torch.enable_grad()
     def _around(self, q: Tensor, v: Tensor, tracked: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -199,6 +234,33 @@ class KnownLagrangian(nn.Module, Lagrangian):
         )
 
 
+class KnownExpansion(Expansion):
+    """Known equations around ``(q, v)``, by the closed forms of their system.
+
+    Args:
+        lagrangian: The known equations.
+        at: Those with the present constants, expanded.
+    """
+
+    parts = ("_lagrangian", "_at")
+
+    def __init__(self, lagrangian: KnownLagrangian, at: Expansion) -> None:
+        self._lagrangian, self._at = lagrangian, at
+        self.values = at.values
+
+    @override
+    def mass(self) -> Tensor:
+        return self._at.mass()
+
+    @override
+    def curvature(self, before: Expansion | None = None) -> Curvature:
+        return self._at.curvature()
+
+    @override
+    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
+        return self._lagrangian.gradients(q, v)
+
+
 class KnownFriction(nn.Module, Dissipation):
     """A system's own friction, its coefficients as parameters, beside its fixed drag.
 
@@ -240,6 +302,35 @@ class KnownFriction(nn.Module, Dissipation):
         found = self.given * padded[:, self.index].exp()
         viscous, coulomb = found.chunk(2, dim=1)
         return viscous, coulomb
+
+    @override
+    def derivatives(
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
+    ) -> tuple[Float[Tensor, "batch n N"], Float[Tensor, "batch n n"]]:
+        if self.drag is not None:
+            return super().derivatives(q, v)
+        by_v = self.damping(q, v)
+        return torch.zeros(*v.shape, q.shape[1]).to(v), by_v
+
+    @override
+    @torch.no_grad()
+    def damping(
+        self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n n"]:
+        """Return ``∂F_d/∂v`` of the coefficients: the drag is not stiff."""
+        viscous, coulomb = self.coefficients()
+        bent = 1.0 - torch.tanh(v / self.rest_velocity).square()
+        return -torch.diag_embed(viscous + coulomb / self.rest_velocity * bent)
+
+    @override
+    @torch.no_grad()
+    def chord(
+        self, v: Float[Tensor, "batch n"], before: Float[Tensor, "batch n"]
+    ) -> Float[Tensor, "batch n n"]:
+        _, coulomb = self.coefficients()
+        return -torch.diag_embed(
+            coulomb / self.rest_velocity * chord_excess(v, before, self.rest_velocity)
+        )
 
     @override
     def force(

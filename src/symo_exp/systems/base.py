@@ -205,6 +205,11 @@ class LagrangianSystem(System, Lagrangian):
         vars(self)["rest_velocity"] = real("system.rest_velocity", self.rest_velocity, above=0)
 
     @property
+    def closed_form(self) -> bool:
+        """Whether ``gradients`` and ``rates`` need no automatic differentiation."""
+        return False
+
+    @property
     @override
     def space(self) -> Space:
         return self.coordinates.space

@@ -28,8 +28,9 @@ from symo_exp.mechanics.bodies import (
     of_pseudo_inertia,
     pseudo_inertia,
 )
+from symo_exp.mechanics.composites import BodiesExpansion, Composites
 from symo_exp.mechanics.dissipation import Dissipation
-from symo_exp.mechanics.lagrangian import Rates, matvec
+from symo_exp.mechanics.lagrangian import Expansion, Gradients, Rates, matvec
 from symo_exp.mechanics.space import quaternion
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
@@ -183,7 +184,8 @@ class Multibody(LagrangianSystem):
             for column_of, value in zip(rows, own, strict=True):
                 column_of.append(value)
         numbers = *(torch.stack(row) for row in rows), *self._numbers[5:]
-        vars(twin).update(_numbers=numbers, _tree=self._tree, joints=self.joints)
+        kept = {name: getattr(self, name) for name in ("_tree", "joints", "coordinates", "_flat")}
+        vars(twin).update(kept, _numbers=numbers)
         return twin
 
     @override
@@ -199,20 +201,49 @@ class Multibody(LagrangianSystem):
         at = self._tree.poses(q)
         return self._mass_matrix(self._jacobians(at)), self._potential(q, at)
 
+    @property
+    @override
+    def closed_form(self) -> bool:
+        return not self.space.rotations
+
+    @override
+    def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
+        if not self.closed_form:
+            return super().gradients(q, v)
+        at = self._composites(q)
+        found = at.gradients(v, at.motion(v))
+        return found._replace(q=found.q + self._spring_force(q))
+
+    @override
+    @torch.no_grad()
+    def expand(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Expansion:
+        if not self.closed_form:
+            return super().expand(q, v)
+        at = self._composites(q)
+        stiffness = self._numbers[4].to(q)
+        springs = self._spring_force(q), stiffness.expand_as(v)
+        return BodiesExpansion(self, at, at.motion(v), v, springs if stiffness.any() else None)
+
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
-        """Return the terms of the equations of motion by one complex step, along ``v``.
+        """Return the terms of the equations of motion.
 
-        For the columns ``J_i`` and ``W_i`` of the Jacobians of a body, and its body rates ω::
+        With ball joints they are found by one complex step, along ``v``. For the columns ``J_i``
+        and ``W_i`` of the Jacobians of a body, and its body rates ω::
 
             ∂ċ/∂q_i = d/dt J_i + J (e_i × v),    ∂ω/∂q_i = d/dt W_i + ω × W_i + W (e_i × v)
 
         with ``e_i × v`` among the rates of the same ball joint. The complex step of any system
         takes n + 1 directions instead.
         """
+        if self.closed_form:
+            at = self._composites(q)
+            motion = at.motion(v)
+            dq = at.gradients(v, motion).q + self._spring_force(q)
+            return Rates(at.mass(), at.mass_rate(v, motion), dq)
         if torch.is_grad_enabled() and (q.requires_grad or v.requires_grad):
             return super().rates(q, v)
-        mass, _, inertia, _, stiffness, rest, gravity = (x.to(q) for x in self._numbers)
+        mass, _, inertia, *_, gravity = (x.to(q) for x in self._numbers)
         along_v = torch.complex(q, STEP * self.space.push(q, v))
         moving = self._jacobians(self._tree.poses(along_v))
         columns, rate = moving.real.contiguous(), moving.imag / STEP
@@ -225,11 +256,31 @@ class Multibody(LagrangianSystem):
         moment = torch.linalg.cross(spin, w)
         dq = pushed + _onto(columns, (mass[:, None] * gravity).expand_as(c), moment)
         dq = dq + self.space.coadjoint(v, matvec(matrix, v))
-        flat = self._flat
-        spring = stiffness[flat] * (q[:, : len(flat)] - rest[flat])
-        dq = dq - functional.pad(spring, (0, v.shape[1] - len(flat)))
+        dq = dq + functional.pad(self._spring_force(q), (0, v.shape[1] - len(self._flat)))
         bias = _onto(columns, mass[:, None] * c_bias, matvec(inertia, w_bias))
         return Rates(matrix, pushed + bias, dq)
+
+    def _composites(self, q: Float[Tensor, "batch n"]) -> Composites:
+        """Return the bodies at a configuration, where there are no ball joints."""
+        mass, centre, inertia, armature, *_, gravity = (x.to(q) for x in self._numbers)
+        at, batch = self._tree.poses(q), q.shape[0]
+        own = torch.diag_embed(0.5 * inertia.diagonal(dim1=1, dim2=2).sum(1, keepdim=True)
+                               .expand(-1, 3)) - inertia  # fmt: skip
+        moment = mass[:, None] * centre
+        second = own + moment[:, :, None] * centre[:, None]
+        edge = torch.cat((moment, mass[:, None]), dim=1)[:, None]
+        bodies = torch.cat((torch.cat((second, moment[:, :, None]), dim=2), edge), dim=1)
+        pose = torch.cat((at.turn, at.shift.unsqueeze(-1)), dim=-1)
+        pose = torch.cat((pose, torch.eye(4).to(q)[3:].expand(batch, len(mass), 1, 4)), dim=-2)
+        return Composites(
+            self._tree.branches, self._tree.twists(at), pose @ bodies @ pose.mT,
+            armature.expand(batch, -1), gravity.expand(batch, -1),
+        )  # fmt: skip
+
+    def _spring_force(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch flat"]:
+        """Return the forces of the springs of lengths and angles."""
+        stiffness, rest = (x.to(q)[self._flat] for x in self._numbers[4:6])
+        return -stiffness * (q[:, : len(self._flat)] - rest)
 
     def _jacobians(self, at: Poses) -> Float[Tensor, "batch bodies n 6"]:
         """Return ``∂ċ/∂v`` of the centres in world axes and ``∂ω/∂v`` in body axes."""
