@@ -200,7 +200,6 @@ def test_searches_that_cannot_be_made_are_refused_in_one_line(words, wanted, wor
         ("model=node", "possible: model=e2e_symo, model=l_node, model=symo"),
         ("model=true_ode", "possible: model=e2e_symo, model=l_node, model=symo"),
         ("data=simulated", "possible: data=recorded"),
-        ("system=pendulum", "possible: system=recorded"),
         ("preset=fast", "leave it out"),
         ("preset=fast objective=smoothing optimizer=total_least_squares", "leave it out"),
         ("learner.validation=null", "leave it out"),

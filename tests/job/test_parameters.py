@@ -72,6 +72,22 @@ def test_known_equations_are_identified_from_recordings(recordings, capsys):
     assert found.dof_damping[0] == pytest.approx(float(rows["theta.viscous_friction"]["value"]))
 
 
+def test_friction_that_a_system_does_not_have_is_learned(recordings):
+    """From a start ten times too large, with forces as residuals at first."""
+    replaced = "objective", "optimizer", "trainer.max", "system"
+    words = [word for word in LEARNED if not word.startswith(replaced)]
+    words += ["system=pendulum", "system.time_step=0.05", "system.mass=1.3", "objective=smoothing",
+              "optimizer=total_least_squares", "optimizer.force_epochs=8", "optimizer.starts=1",
+              "optimizer.start=10", "optimizer.epochs=5", "trainer.validate_every=5",
+              "dissipation.missing=1.0"]  # fmt: skip
+    assert main(words) == 0
+    (path,) = (recordings / "outputs" / "default").glob("*-*")
+    rows = {row["name"]: float(row["value"]) for row in RunFolder(path).parameters()}
+    assert rows["mass"] == pytest.approx(1.0, rel=0.05)
+    assert rows["theta.viscous_friction"] == pytest.approx(0.1, rel=0.05)
+    assert rows["theta.dry_friction"] < 0.01
+
+
 def test_a_system_without_equations_has_none_to_learn(recordings):
     words = [w for w in LEARNED if not w.startswith(("system", "lagrangian.fixed"))]
     words += ["system=recorded", "system.time_step=0.05", "system.angular=all"]

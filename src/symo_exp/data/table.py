@@ -198,14 +198,22 @@ def _check_places(
     where: str, found: Sequence[str], wanted: Mapping[str, Sequence[str]], given: Columns
 ) -> None:
     """Refuse columns that look like a coordinate or an input and are not one of the system's."""
+    in_order: dict[str, str] = {}  # of kinds none of whose names differ in number
+    for kind, names in wanted.items():
+        others = [x for x in found if x[:2] == f"{kind}_" and x not in names]
+        missing = [name for name in names if name not in found]
+        if len(others) == len(missing):
+            in_order |= dict(zip(missing, others, strict=True))
     for column in found:
         kind = column[0] if column[1:2] == "_" else ""
         if kind in KINDS and column not in wanted[kind]:
             there = few([name[2:] for name in wanted[kind]]) or "none"
+            mend = f"or leave it out, {omitting([column], given)}"
+            if column in in_order.values():
+                mend = f"if the order is the same by {as_setting({**given, **in_order})}"
             raise ConfigError(
                 f"{where}: column {column} belongs to no {KINDS[kind]} of the system ({there}); "
-                "rename it by data.columns or in the file, or leave it out, "
-                + omitting([column], given)
+                f"rename it by data.columns or in the file, {mend}"
             )
 
 

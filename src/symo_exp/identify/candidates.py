@@ -10,7 +10,7 @@ from symo_exp.shell import override_value
 
 FREE_DAMPING = 1.0
 """Friction at the start of training over the inertia, of machines without inputs."""
-LINKS, BODY, NETWORK = "rigid links", "rigid body", "network"
+LINKS, BODY, NETWORK, KNOWN = "rigid links", "rigid body", "network", "known equations"
 FRICTION = {"dissipation": "friction"}
 NEIGHBOURS = {"dissipation": "friction", "dissipation.joints": "neighbours"}
 BETWEEN = "friction between neighbours"
@@ -22,7 +22,9 @@ KINDS = {"asymmetric friction": 0.2, "constant force": 0.1, "Stribeck friction":
 """Kinds of friction of machines, with what each adds to the rank."""
 FRICTION_NAMES = {*KINDS, "dry friction", "learned friction", "viscous friction"}
 """Parts of names that say which friction a candidate has."""
-FRICTION_RANK = {"none": -0.6, "viscous": -0.3, "friction": 0.0, "body_drag": 0.0, "learned": 0.6}
+FRICTION_RANK = {
+    "none": -0.6, "viscous": -0.3, "friction": 0.0, "body_drag": 0.0, "known": 0.0, "learned": 0.6,
+}  # fmt: skip
 """Share of the choice of friction in the rank; that of machines is the sum of its kinds."""
 FRICTION_COST = {"learned": 1.7, "machine": 1.2}
 """Cost of an epoch with a choice of friction, relative to the others."""
@@ -30,6 +32,10 @@ SPRINGS, SPRINGS_RANK = "springs", 0.05
 """Name of springs and what they add to the rank."""
 STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
+SHARP = 0.2
+"""Width of dry friction where equations are known and it is not learned, over the usual one."""
+FORCE_EPOCHS = 8
+"""Epochs in which residuals are forces, where equations are known."""
 INPUT_NOISE = 100.0
 """Noise of inputs over that of configurations where it is estimated, in units of the machine."""
 THE_STEP = "the time step"
@@ -49,6 +55,7 @@ STRUCTURES: Mapping[str, Mapping[str, str]] = {
     "network": {"lagrangian": "network", "net.width": "8", "lagrangian.harmonics": "2"},
     "rigid": {"lagrangian": "rigid"},
     "body": {"lagrangian": "rigid_body"},
+    "known": {"lagrangian": "known"},
     "turning network": {"lagrangian": "network", "net.width": "8", "lagrangian.harmonics": "0"},
 }  # fmt: skip
 """Settings of the Lagrangians, the only place that names them."""
@@ -102,6 +109,13 @@ def structures(machine: Machine) -> list[Candidate]:
     All have springs if these explain motion that gravity does not: a fit that starts without
     their stiffness seldom finds it.
     """
+    if machine.known:
+        missing = {"dissipation.missing": override_value(list(machine.friction))}
+        width = {"dissipation.rest_velocity": f"{SHARP * machine.rest_velocity:g}"}
+        friction = {"dissipation": "known", **missing, **width}
+        known = _candidate(KNOWN, 1.0, "known", friction, growth=0.4)
+        forces = {"optimizer.force_epochs": str(FORCE_EPOCHS)} if machine.driven else {}
+        return [replace(known, settings={**known.settings, **forces})]
     if machine.coordinates.rotations:
         return _turning(machine)
     several = sum(machine.coordinates.angular) > 1
@@ -160,6 +174,9 @@ def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
     found = structures(machine)
     first = found[0]
+    if machine.known:
+        kinds = ("asymmetric friction", "constant force")
+        return [*found, _with_kinds(first, kinds, 0.2, machine)] if machine.driven else found
     if machine.coordinates.rotations:
         found.append(next(with_less_friction(first)))
         return sorted(found, key=lambda candidate: candidate.rank)
@@ -172,7 +189,7 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     else:  # bearings: dry friction may be too little to be found
         found += [next(with_less_friction(candidate)) for candidate in links]
-    found.append(_with_learned_friction(network))
+    found.append(_with_learned_friction(network, machine))
     return sorted(found, key=lambda candidate: candidate.rank)
 
 
@@ -188,20 +205,20 @@ def variations(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     motors = [
         _with_kinds(candidate, (kind,), more, machine)
         for kind, more in KINDS.items()
-        if settings["dissipation"] in ("friction", "machine")
+        if settings["dissipation"] in ("friction", "machine", "known")
         and settings.get(_switch(kind)) != "true"
     ]
     if settings["dissipation"] == "viscous":
         yield candidate.changed("dry friction", 0.3, dissipation="friction")
-    if "springs" not in settings and machine.stiffness is not None:
+    if "springs" not in settings and machine.stiffness is not None and not machine.known:
         yield _sprung(candidate, machine)
     yield from finer(candidate, machine)
     if machine.driven:
         yield from _delayed(candidate, machine)
         yield from motors
-    if settings["dissipation"] in ("friction", "viscous"):
-        yield _with_learned_friction(candidate)
-    if "springs" not in settings and machine.stiffness is None:
+    if settings["dissipation"] in ("friction", "viscous", "known"):
+        yield _with_learned_friction(candidate, machine)
+    if "springs" not in settings and machine.stiffness is None and not machine.known:
         yield _sprung(candidate, machine)
     if machine.driven and "optimizer.input_weight" not in settings:
         force = machine.units.size("N m" if any(machine.coordinates.angular) else "N")
@@ -282,7 +299,7 @@ def without_springs(candidate: Candidate) -> Iterator[Candidate]:
 
 def with_less_friction(candidate: Candidate) -> Iterator[Candidate]:
     """Yield simplifications of a candidate: viscous friction alone, then none."""
-    if candidate.settings["dissipation"] not in ("viscous", "none"):
+    if candidate.settings["dissipation"] not in ("viscous", "known", "none"):
         viscous, name = {"dissipation": "viscous"}, "viscous friction"
         yield _with_friction(candidate, viscous, PLACE_AND_START, FRICTION_NAMES, name)
     if candidate.settings["dissipation"] != "none":
@@ -379,7 +396,7 @@ def _with_kinds(
         "dissipation.stribeck_velocity": f"{STRIBECK * machine.rest_velocity:g}",
     }
     on = dict.fromkeys(map(_switch, kinds), "true")
-    settings = {**off, **candidate.settings, **on, "dissipation": "machine"}
+    settings = {**off, **_learned_anew(candidate, machine), **on, "dissipation": "machine"}
     cost = FRICTION_COST["machine"] / _friction_cost(candidate.settings)
     return replace(candidate.changed(", ".join(kinds), more, cost), settings=settings)
 
@@ -432,10 +449,20 @@ def _friction_cost(settings: Mapping[str, str]) -> float:
     return FRICTION_COST.get(settings["dissipation"], 1.0)
 
 
-def _with_learned_friction(candidate: Candidate) -> Candidate:
+def _learned_anew(candidate: Candidate, machine: Machine) -> dict[str, str]:
+    """Return the settings of a candidate, with a start of other friction for that of a system."""
+    settings = dict(candidate.settings)
+    if settings.pop("dissipation.missing", None) is not None:
+        settings.pop("dissipation.rest_velocity")
+        settings["dissipation.start"] = f"{min(machine.friction):g}"
+    return settings
+
+
+def _with_learned_friction(candidate: Candidate, machine: Machine) -> Candidate:
     more = FRICTION_RANK["learned"] - _friction_rank(candidate.settings)
     cost = FRICTION_COST["learned"] / _friction_cost(candidate.settings)
-    return candidate.changed("learned friction", more, cost, dissipation="learned")
+    found = replace(candidate, settings=_learned_anew(candidate, machine))
+    return found.changed("learned friction", more, cost, dissipation="learned")
 
 
 def _candidate(

@@ -65,6 +65,8 @@ SLOW = 0.3
 """Share of the usual one below which it is lowered."""
 DAMPING = 0.01
 """Friction at the start of training over the inertia, in the units of the machine."""
+HELD_BACK = 0.3
+"""Share of the forces of inputs that friction starts with where equations are known."""
 FAR = 100.0
 """Factor from 1 up to which times and inertias are learned in SI units."""
 NARROW, WIDE = 1e-5, 10.0
@@ -92,6 +94,8 @@ class Dynamics:
         stiffness: Of springs that explain what gravity does not, in ``units``; else
             ``None``.
         horizon: Longest time over which errors are compared [s].
+        friction: Coefficients of friction to start from where the equations are known but for
+            these, one for each coordinate [N m s, N m; N s/m, N].
         radius: Radius of gyration of a body that turns freely, in ``units``.
         settings: Overrides that every candidate has.
         notes: The inferred properties, a line each.
@@ -103,6 +107,7 @@ class Dynamics:
     explained: float | None
     stiffness: tuple[tuple[float, ...], ...] | None
     horizon: float = HORIZONS[-1]
+    friction: tuple[float, ...] = ()
     radius: float = USUAL_RADIUS
     settings: tuple[str, ...]
     notes: tuple[str, ...]
@@ -113,6 +118,8 @@ def dynamics(
     coordinates: Coordinates,
     time_step: float,
     input_matrix: np.ndarray | None,
+    *,
+    known: bool = False,
 ) -> Dynamics:
     """Return the dynamics that recordings show.
 
@@ -121,6 +128,7 @@ def dynamics(
         coordinates: Those of the machine.
         time_step: Distance of the nodes [s].
         input_matrix: That of the inputs, zero where it is to be learned; ``None``: no inputs.
+        known: Whether the equations are known, in SI units and with values to start from.
     """
     driven, settings, notes = input_matrix is not None, [], []
     beginning = _beginning(recordings, max(EXAMINED, NODES * time_step))
@@ -139,9 +147,11 @@ def dynamics(
             settings.append(f"data.input_lag={lag:g}")
             notes.append(f"inputs: forces follow them with a time constant of {1e3 * lag:g} ms")
     delay, told = _delay(left)
-    clear = delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
-    units = _units(motions, coordinates, time_step)
+    # regressions represent known equations badly: there a delay is a candidate only
+    clear = not known and delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
+    units = SI if known else _units(motions, coordinates, time_step)
     light, radius, step = 1.0, USUAL_RADIUS, time_step / units.time
+    friction: tuple[float, ...] = (DAMPING,) * coordinates.n
     sizes = coordinates._replace(units=units).sizes.numpy()
     flat = len(coordinates.flat)
     places = np.concatenate([sizes[:flat], np.ones(coordinates.width - flat)])
@@ -149,12 +159,16 @@ def dynamics(
     if input_matrix is not None and left and 1.0 - left[delay] > POOR:
         matrix = input_matrix * sizes[:, None] / units.size("N m")
         light, radius = _inertia(scaled, coordinates, step, matrix)
-        notes.append(f"scale: training starts with an inertia of {light:.2g}, as inputs suggest")
-        units = units._replace(mass=_unit(light, FAR))
-        light /= units.mass
-        settings += [f"lagrangian.initial_inertia={light:.2g}"]
-        settings += [f"dissipation.start={DAMPING * light:.2g}"]
-        wrong = contradiction(scaled, coordinates, step, matrix)
+        if known:
+            friction = _friction(scaled, matrix)
+        else:
+            line = f"scale: training starts with an inertia of {light:.2g}, as inputs suggest"
+            notes.append(line)
+            units = units._replace(mass=_unit(light, FAR))
+            light /= units.mass
+            settings += [f"lagrangian.initial_inertia={light:.2g}"]
+            settings += [f"dissipation.start={DAMPING * light:.2g}"]
+        wrong = None if known else contradiction(scaled, coordinates, step, matrix)
         if wrong is not None and wrong >= CONTRADICTED:
             settings.append("model.inputs=learned")
             notes.append(
@@ -194,6 +208,7 @@ def dynamics(
         explained=1.0 - left[delay] if left else None,
         stiffness=stiffness,
         horizon=horizons[-1],
+        friction=friction,
         radius=float(f"{radius:.2g}"),
         settings=tuple(settings),
         notes=(*notes, told) if driven else tuple(notes),
@@ -468,6 +483,13 @@ def _inertia(
     if not (mass > 0.0 and inertia > 0.0):
         return max(mass, inertia), USUAL_RADIUS
     return mass, float(np.clip(np.sqrt(inertia / mass), NARROW, WIDE))
+
+
+def _friction(pairs: Sequence[Motion], input_matrix: np.ndarray) -> tuple[float, ...]:
+    """Return a share of the forces of the inputs, a start that is not too small by far."""
+    forces = np.concatenate([u for _, u in pairs]) @ input_matrix.T
+    sizes = HELD_BACK * np.sqrt(np.mean(forces**2, axis=0))
+    return tuple(float(f"{x:.2g}") for x in np.where(sizes > 0.0, sizes, sizes.max()))
 
 
 def _stiffness(

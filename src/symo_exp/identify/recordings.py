@@ -33,6 +33,7 @@ from symo_exp.identify.motions import (
 )
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.shell import override_value
+from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
 
 SPAN = 2 * np.pi
@@ -59,6 +60,7 @@ class Machine(Dynamics):
         body: Whether it is a single rigid body that turns freely, and may move.
         learned_inputs: Number of inputs of a body whose matrix is learned; 0: it is given, or there
             are none.
+        known: Whether its equations are known, but for their constants.
 
     The other arguments are those of ``Dynamics``; ``settings`` and ``notes`` are those of the whole
     machine.
@@ -73,6 +75,7 @@ class Machine(Dynamics):
     moves: bool
     body: bool = False
     learned_inputs: int = 0
+    known: bool = False
 
     @property
     def nodes(self) -> int:
@@ -87,6 +90,7 @@ def examine(
     input_matrix: Any = None,
     time_step: float | None = None,
     rotations: Sequence[str] = (),
+    known: System | None = None,
 ) -> Machine:
     """Read recordings and infer what is not given.
 
@@ -96,6 +100,7 @@ def examine(
         input_matrix: As ``system.input_matrix``; ``None``: by names.
         time_step: As ``system.time_step``; ``None``: by the fastest motion.
         rotations: As ``system.rotations``; none: by the names of quaternions.
+        known: The system, if its equations are known; it has the coordinates and the inputs.
 
     Raises:
         ConfigError: If something can neither be read nor inferred.
@@ -103,13 +108,19 @@ def examine(
     path, columns = data["path"], data.get("columns")
     found = header(path, columns)
     coordinates, inputs = names("q", found), names("u", found)
-    settings, notes, given = [], [], input_matrix
+    settings, notes = [], []
+    if known is not None:
+        coordinates, inputs = known.coordinates.measured, tuple(known.inputs)
+        flat, turning = known.coordinates.flat, known.coordinates.angular
+        angular = [name for name, angle in zip(flat, turning, strict=False) if angle] or "none"
+        input_matrix, rotations = known.input_matrix.tolist(), known.coordinates.rotations
+    given = input_matrix
     if not rotations and (rotations := _quaternions(coordinates)):
         settings.append(f"system.rotations={override_value(list(rotations))}")
         notes.append(f"rotations: {', '.join(rotations)}, each a quaternion, by their names")
     alone = Recorded(names=coordinates, rotations=rotations, angular="none", time_step=1.0)
     flat, freedoms = alone.coordinates.flat, alone.coordinates.names
-    body = len(rotations) == 1 and len(flat) in (0, 3)
+    body = known is None and len(rotations) == 1 and len(flat) in (0, 3)
     learned_inputs = 0
     if given is None and (inferred := _inferred_matrix(freedoms, inputs, body)) is not None:
         input_matrix, line = inferred
@@ -185,10 +196,15 @@ def examine(
     if matrix is not None and (against := reversed_inputs(used, space, time_step, matrix)).any():
         matrix = np.where(against, -matrix, matrix) + 0.0
         acting = [f"u_{name}" for name, x in zip(inputs, against, strict=True) if x]
+        if known is not None:
+            raise ConfigError(
+                f"{shown(path)}: {few(acting)} acts in the other direction than the system's "
+                "equations say; change the sign of its gear in the model, or of the column"
+            )
         mended = f"system.input_matrix={str(matrix.tolist()).replace(' ', '')}"
         settings += [mended] if given is None else []
         notes.append(f"inputs: {few(acting)} acts in the other direction; {mended}")
-    shown_by = dynamics(used, space, time_step, matrix)
+    shown_by = dynamics(used, space, time_step, matrix, known=known is not None)
     lists = {
         "settings": (*settings, *shown_by.settings),
         "notes": (*notes, *shown_by.notes),
@@ -204,6 +220,7 @@ def examine(
         moves=any_moves(used),
         body=body and not chosen,
         learned_inputs=learned_inputs,
+        known=known is not None,
     )
 
 

@@ -42,6 +42,7 @@ from symo_exp.process import phases
 from symo_exp.runs.folder import CANDIDATES, SERIES, RunFolder
 from symo_exp.runs.series import read
 from symo_exp.sweep.sweeper import Sweep
+from symo_exp.systems.base import System
 
 BEST, PLAN = "best", "plan.json"
 FILES = [
@@ -52,7 +53,6 @@ FILES = [
 
 NEEDED = {
     "data": ("data.wrapped", "learns from recordings"),
-    "system": ("system.scale", "knows a machine by its recordings alone"),
     "model": ("model.dissipation", "compares Lagrangians and friction"),
     "objective": ("learner.validation.iterations", "estimates the noise of recordings"),
     "optimizer": ("optimizer.starts", "estimates the noise of recordings in stages"),
@@ -196,16 +196,34 @@ class Search:
         if OmegaConf.is_missing(data, "path"):
             raise ConfigError("data.path has no value yet; give it one: data.path=FILE")
         system = self._master.system
+        known = self._known()
+        chosen = "system.time_step" in self._given or (
+            known is None and not OmegaConf.is_missing(system, "time_step")
+        )
         read = {name: _plain(data.get(name)) for name in FILES}
         for name in {"wrapped", "degrees"} - {key.removeprefix("data.") for key in self._given}:
             read[name] = None  # to be inferred
         return examine(
             read,
-            angular=_plain(system.angular),
-            input_matrix=_plain(system.input_matrix),
-            time_step=None if OmegaConf.is_missing(system, "time_step") else system.time_step,
-            rotations=_plain(system.rotations),
+            angular=_plain(system.get("angular")),
+            input_matrix=_plain(system.get("input_matrix")),
+            time_step=system.time_step if chosen else None,
+            rotations=_plain(system.get("rotations", [])),
+            known=known,
         )
+
+    def _known(self) -> System | None:
+        """Return the system if its equations are known, ``None`` if its recordings alone are.
+
+        Raises:
+            ConfigError: If it has no constants that can be learned.
+        """
+        if "scale" in self._master.system:
+            return None
+        system = self._sweep.system()
+        if getattr(system, "constants", None):
+            return system
+        raise self._unsuitable("system.scale", "system", "learns the constants of known equations")
 
     def _check_kept(self, recordings: str) -> None:
         """Refuse to go on with the runs of other recordings, whose folders have the same names."""
@@ -228,6 +246,8 @@ class Search:
         """Return a digest of what the plan depends on."""
         tried = [[c.name, *c.overrides()] for c in candidates]
         what = [sorted(self._given.items()), self._budget, recordings, _cores(self._master), tried]
+        if self._machine.known:
+            what.append(OmegaConf.to_container(self._master.system, resolve=True))
         return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:10]
 
     def _told_plan(self, possible: int, equal: int) -> str:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
+from symo_exp.checks import real
 from symo_exp.errors import ConfigError, shortened
 from symo_exp.mechanics.dissipation import Dissipation, chord_excess
 from symo_exp.mechanics.lagrangian import (
@@ -269,10 +270,20 @@ class KnownFriction(nn.Module, Dissipation):
 
     Args:
         system: The system; its coefficients are the values to start from.
+        missing: Coefficients to start from where the system has none, a number or one for each
+            coordinate [N m s, N m; N s/m, N].
+        rest_velocity: ``ε_v`` [rad/s, m/s]; ``None``: the system's.
         coordinates: Coordinates of the system.
     """
 
-    def __init__(self, *, system: Any, coordinates: Coordinates | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        system: Any,
+        missing: float | Sequence[float] = 0.0,
+        rest_velocity: float | None = None,
+        coordinates: Coordinates | None = None,
+    ) -> None:
         super().__init__()
         n = system.coordinates.n
         none = (0.0,) * n
@@ -281,14 +292,23 @@ class KnownFriction(nn.Module, Dissipation):
                 f"dissipation=known: {type(system).__name__} has no known friction; choose another "
                 "dissipation"
             )
+        each = [missing] * n if isinstance(missing, int | float) else list(missing)
+        if len(each) != n:
+            raise ConfigError(
+                f"dissipation.missing={missing}: expected a number, or {n}, one for each coordinate"
+            )
+        start = [real("dissipation.missing", x, low=0) for x in each]
         viscous, coulomb = system.viscous or none, system.coulomb or none
-        self.rest_velocity: float = system.rest_velocity
+        width = system.rest_velocity if rest_velocity is None else rest_velocity
+        self.rest_velocity = real("dissipation.rest_velocity", width, above=0)
         self.drag: Dissipation | None = replace(system, viscous=none, coulomb=none).dissipation
-        given = torch.tensor([*viscous, *coulomb], dtype=torch.float64)
+        given = zip((*viscous, *coulomb), (*start, *start), strict=True)
+        coefficients = [float(own or other) for own, other in given]
         self.given: Tensor
-        self.register_buffer("given", given.to(torch.get_default_dtype()), persistent=False)
-        self.free = [i for i, x in enumerate((*viscous, *coulomb)) if x > 0.0]
-        index = torch.full((len(given),), len(self.free))
+        known = torch.tensor(coefficients, dtype=torch.float64).to(torch.get_default_dtype())
+        self.register_buffer("given", known, persistent=False)
+        self.free = [i for i, x in enumerate(coefficients) if x > 0.0]
+        index = torch.full((2 * n,), len(self.free))
         index[self.free] = torch.arange(len(self.free))
         self.index: Tensor
         self.register_buffer("index", index, persistent=False)

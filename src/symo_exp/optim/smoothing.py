@@ -31,7 +31,7 @@ from typing_extensions import override
 
 from symo_exp.nets.roles import are_squares, is_coefficient, is_late
 from symo_exp.optim.banded import BandFactor, Chain
-from symo_exp.optim.base import EpochOptimizer, Problem
+from symo_exp.optim.base import EpochOptimizer, Equations
 from symo_exp.optim.descent import PROBE, DampedEquations, Descent, Move
 from symo_exp.optim.evidence import evidence
 
@@ -57,7 +57,7 @@ class SmoothingObjective:
 
     Args:
         owner: The optimiser.
-        model: Its problem.
+        model: The equations.
         chain: The measured nodes.
         weight: The noise of each column of the nodes, relative to ``σ``.
         epsilon: ``ε``; ``None`` holds the nodes.
@@ -67,7 +67,7 @@ class SmoothingObjective:
     def __init__(
         self,
         owner: EpochOptimizer,
-        model: Problem,
+        model: Equations,
         chain: Chain,
         weight: Float[Tensor, " d"],
         epsilon: float | None,

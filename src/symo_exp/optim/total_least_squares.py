@@ -14,7 +14,7 @@ from symo_exp.checks import real, whole_number
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.nets.roles import is_coefficient, is_late, start
 from symo_exp.optim.banded import Chain
-from symo_exp.optim.base import EpochOptimizer, Problem
+from symo_exp.optim.base import EpochOptimizer, Equations, Problem
 from symo_exp.optim.evidence import FLAT
 from symo_exp.optim.smoothing import SmoothingObjective, smoothing_step
 from symo_exp.optim.splines import smoothed
@@ -52,17 +52,19 @@ class TotalLeastSquares(EpochOptimizer):
 
     The nodes are smoothed first and held for ``start`` epochs from each of several starts: the
     initial parameters, these after steps of Adam, and newly drawn ones after steps of Adam. The
-    start with the smallest residuals continues with each ε of ``epsilons``. Late parameters are
-    zero so far and join in a second round, with each ``ε ≤ late_from``. The parameters that are
-    best on held-out data are kept, or the last ones within ``tolerance`` of them: a few noisy
-    motions do not distinguish models, and if the equations can be learned exactly the smaller ε is
-    the better one.
+    start with the smallest residuals continues with each ε of ``epsilons``. In the first
+    ``force_epochs`` residuals are forces, where inputs act (see ``LevenbergMarquardt``). Late
+    parameters are zero so far and join in a second round, with each ``ε ≤ late_from``. The
+    parameters that are best on held-out data are kept, or the last ones within ``tolerance`` of
+    them: a few noisy motions do not distinguish models, and if the equations can be learned exactly
+    the smaller ε is the better one.
 
     Args:
         params: The parameters, float64.
         epsilons: Values of ``ε``.
         starts: Number of starts.
         start: Epochs of a start.
+        force_epochs: Epochs of the first start in which residuals are forces.
         epochs: Epochs of an ``ε``.
         late_from: Largest ``ε`` with late parameters.
         warm_up: Steps of Adam, its rate along a half cosine.
@@ -84,6 +86,7 @@ class TotalLeastSquares(EpochOptimizer):
         epsilons: Sequence[float] = (1.0, 0.3, 0.1, 0.03),
         starts: int = 2,
         start: int = 40,
+        force_epochs: int = 0,
         epochs: int = 20,
         late_from: float = 0.3,
         warm_up: int = 300,
@@ -97,6 +100,9 @@ class TotalLeastSquares(EpochOptimizer):
         self.require_double()
         for name, value in (("starts", starts), ("start", start), ("epochs", epochs)):
             whole_number(f"optimizer.{name}", value)
+        self.force_epochs = whole_number(
+            "optimizer.force_epochs", force_epochs, low=0, high=start - 1
+        )
         sizes = ("damping", damping), ("velocity_weight", velocity_weight)
         for name, size in (*sizes, *(("epsilons", e) for e in epsilons)):
             real(f"optimizer.{name}", size, above=0)
@@ -110,14 +116,10 @@ class TotalLeastSquares(EpochOptimizer):
         again = [Stage(e, late=True) for e in epsilons if e <= late_from] if late else []
         self.stages = [*begins, *rounds, *again]
         self._starts = starts
-        precision = [FLAT if is_coefficient(p) else 1.0 for p in self.parameters]
-        self.memory |= {
+        self.memory |= self._weights() | {
             "epoch": 0,
-            "damping": damping,
             "held": 0.0,
             "nodes": None,
-            "noise": 1.0,
-            "precision": torch.tensor(precision, dtype=torch.float64),
             "initial": None,
             "rival": None,
             "ended": None,
@@ -162,11 +164,17 @@ class TotalLeastSquares(EpochOptimizer):
                 self._set_late(to_start=True)
             memory["damping"], memory["held"] = min(memory["damping"], self.damping), 0.0
             memory["ended"] = None
+        if before is not None and epoch == self.force_epochs:
+            memory |= self._weights() | {"ended": None}
         memory["epoch"] = epoch + 1
         if memory["ended"] is None:
             weight = chain.weights(model.sizes, self.velocity_weight, self.input_weight)
+            equations: Equations = model
+            if epoch < self.force_epochs:
+                windows = chain.windows(*chain.stencil(memory["nodes"]))
+                equations = model.as_forces(windows) or model
             found = smoothing_step(
-                SmoothingObjective(self, model, chain, weight, stage.epsilon, late=stage.late)
+                SmoothingObjective(self, equations, chain, weight, stage.epsilon, late=stage.late)
             )
             memory["loss"], metrics = found.metrics["train_loss"], found.metrics
             if found.ended:
@@ -203,6 +211,15 @@ class TotalLeastSquares(EpochOptimizer):
             "velocity_weight": self.velocity_weight,
             "input_weight": self.input_weight,
             "precision": torch.repeat_interleave(precision, sizes),
+        }
+
+    def _weights(self) -> dict[str, Any]:
+        """Return the initial damping, noise and priors."""
+        precision = [FLAT if is_coefficient(p) else 1.0 for p in self.parameters]
+        return {
+            "damping": self.damping,
+            "noise": 1.0,
+            "precision": torch.tensor(precision, dtype=torch.float64),
         }
 
     def _weighting(self, stage: Stage) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from hydra.core.plugins import Plugins
 from hydra.core.utils import configure_log
 from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, debugging, one_line
@@ -186,6 +186,16 @@ class Sweep:
     def choices_with(self, group: str, name: str) -> list[str]:
         """Return the choices of a group that give a setting a value, as overrides."""
         return self._composer.choices_with(group, name)
+
+    def system(self) -> Any:
+        """Return the system of the command.
+
+        Raises:
+            ConfigError: If its settings are invalid.
+        """
+        from symo_exp.job.recipe import make
+
+        return make({"system": OmegaConf.to_container(self._master.system, resolve=True)}, "system")
 
     def refusal(self, overrides: list[str]) -> ConfigError | None:
         """Return why a job of a search cannot be done, or nothing."""

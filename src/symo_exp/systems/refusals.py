@@ -141,8 +141,20 @@ def joint_name(model: Any, i: int) -> str:
 
 
 def actuator_name(model: Any, i: int) -> str:
-    """Return the name of an actuator, by its number where it has none."""
-    return str(model.actuator(int(i)).name) or f"motor_{i}"
+    """Return the name of an actuator; without one that of its joint, if that says which it is.
+
+    Else it is named by its number.
+    """
+    own = [str(model.actuator(k).name) for k in range(model.nu)]
+    if own[i]:
+        return own[i]
+    joints = int(library().mjtTrn.mjTRN_JOINT)
+    driven = [
+        str(model.joint(int(target)).name) if int(kind) == joints else ""
+        for kind, (target, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True)
+    ]
+    alone = driven.count(driven[i]) == 1 and driven[i] not in own
+    return driven[i] if driven[i] and alone else f"motor_{i}"
 
 
 def disabled(model: Any, name: str) -> bool:

@@ -1,0 +1,77 @@
+"""The search for the constants of known equations."""
+
+import json
+
+import pandas as pd
+import pytest
+import torch
+
+from symo_exp.__main__ import main
+from symo_exp.errors import ConfigError
+from symo_exp.identify.candidates import ladder, structures, variations
+from symo_exp.identify.recordings import examine
+from symo_exp.runs.folder import RunFolder
+from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.systems.table import system as stated
+
+NOISE = 1e-4
+VISCOUS = 0.1
+
+
+@pytest.fixture
+def log(workplace):
+    """Driven motions of a pendulum of 1 kg with friction, and noise."""
+    truth = stated("pendulum", viscous=(VISCOUS,), time_step=0.02)
+    q, v, u = truth.box.points(8, 3)
+    path = simulate(truth, q, v, u, 150, Solver())
+    noise = NOISE * torch.randn(path.q.shape, generator=torch.Generator().manual_seed(1)).double()
+    tables = [
+        pd.DataFrame({"trajectory": k, "t": 0.02 * torch.arange(151), "q_theta": y, "u_0": f})
+        for k, (y, f) in enumerate(zip((path.q + noise)[..., 0], path.u[..., 0], strict=True))
+    ]
+    found = pd.concat(tables)
+    found.to_csv("log.csv", index=False)
+    return found
+
+
+def test_every_candidate_has_the_known_equations(log):
+    system = stated("pendulum", mass=1.3, time_step=0.02)
+    machine = examine({"path": "log.csv"}, known=system)
+    assert machine.known
+    assert machine.coordinates.names == system.coordinates.names
+    assert not any(word.startswith("system.angular") for word in machine.settings)
+    (first,) = structures(machine)
+    tried = [*ladder(machine), *variations(first, machine)]
+    assert len(tried) > 3
+    assert {one.settings["lagrangian"] for one in tried} == {"known"}
+    for one in tried:  # the start of one choice of friction is no setting of another
+        own = one.settings["dissipation"] == "known"
+        assert ("dissipation.missing" in one.settings) == own
+        assert ("dissipation.start" in one.settings) != own
+
+
+def test_an_input_against_the_equations_is_refused(log):
+    log.assign(u_0=-log.u_0).to_csv("log.csv", index=False)
+    with pytest.raises(ConfigError, match=r"u_0 acts in the other direction.*sign of its gear"):
+        examine({"path": "log.csv"}, known=stated("pendulum", time_step=0.02))
+
+
+def test_a_column_of_another_name_is_refused_with_a_setting_that_renames_it(log):
+    log.rename(columns={"q_theta": "q_1"}).to_csv("log.csv", index=False)
+    with pytest.raises(ConfigError, match=r"q_1 belongs to no.*'data.columns=\{q_theta: q_1\}'"):
+        examine({"path": "log.csv"}, known=stated("pendulum", time_step=0.02))
+
+
+@pytest.mark.slow
+def test_one_command_finds_the_constants_of_known_equations(log, workplace, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(workplace / "cache"))
+    words = ["-cn", "machine", "data.path=log.csv", "system=pendulum", "system.mass=1.3",
+             "lagrangian=known", "lagrangian.fixed=[gravity]", "budget=10s", "hydra/launcher=basic",
+             "logger=none", "hydra.sweeper.clock=false"]  # fmt: skip
+    assert main(words) == 0
+    best = RunFolder(workplace / "outputs" / "machine_log" / "best")
+    rows = {row["name"]: float(row["value"]) for row in best.parameters()}
+    assert rows["mass"] == pytest.approx(1.0, rel=0.02)
+    assert rows["theta.viscous_friction"] == pytest.approx(VISCOUS, rel=0.05)
+    plan = json.loads((workplace / "outputs" / "machine_log" / "plan.json").read_text())
+    assert plan["names"][0] == "known equations"
