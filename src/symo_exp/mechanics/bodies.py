@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.composites import Branches
+from symo_exp.mechanics.composites import TreeOrder
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.space import cross
 
@@ -198,9 +198,9 @@ class Tree:
         return self._converted[key]
 
     @cached_property
-    def branches(self) -> Branches:
+    def branches(self) -> TreeOrder:
         """Which bodies each hinge or slide carries; there are no ball joints."""
-        return Branches(self._constants[-1])
+        return TreeOrder(self._constants[-1])
 
     def twists(self, at: Poses) -> Float[Tensor, "batch n 3 4"]:
         """Return ``Ξᵢ`` of hinges and slides, where there are no ball joints."""

@@ -19,7 +19,7 @@ from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagra
 from symo_exp.mechanics.rows import Rowwise
 
 
-class Chain:
+class ChainOrder:
     """The order of joints each of which carries all bodies after it."""
 
     def outwards(self, x: Float[Tensor, "batch n a b"]) -> Float[Tensor, "batch n a b"]:
@@ -35,7 +35,7 @@ class Chain:
         return torch.tril(x)
 
 
-class Branches(Chain):
+class TreeOrder(ChainOrder):
     """The order of the joints of a tree.
 
     Args:
@@ -58,7 +58,7 @@ class Branches(Chain):
         return x * self._carried.to(x)
 
 
-class Motion(NamedTuple):
+class BodyRates(NamedTuple):
     """Rates of moving bodies."""
 
     velocity: Float[Tensor, "batch n 3 4"]
@@ -88,7 +88,7 @@ class Composites(Rowwise):
 
     def __init__(
         self,
-        order: Chain,
+        order: ChainOrder,
         twists: Float[Tensor, "batch n 3 4"],
         bodies: Float[Tensor, "batch n 4 4"],
         rotors: Float[Tensor, "batch n"],
@@ -109,15 +109,15 @@ class Composites(Rowwise):
         """Return ``−Σ_b m_b γ · c_b``."""
         return -(self.gravity * self.bodies[..., :3, 3].sum(1)).sum(-1)
 
-    def motion(self, v: Float[Tensor, "batch n"]) -> Motion:
+    def motion(self, v: Float[Tensor, "batch n"]) -> BodyRates:
         """Return the rates of bodies whose joints move."""
         velocity = self.order.inwards(v[..., None, None] * self.twists)
         momenta = velocity @ self.bodies
-        return Motion(
+        return BodyRates(
             velocity, _bracket(velocity, self.twists), momenta, self.order.outwards(momenta)
         )
 
-    def gradients(self, v: Float[Tensor, "batch n"], at: Motion) -> Gradients:
+    def gradients(self, v: Float[Tensor, "batch n"], at: BodyRates) -> Gradients:
         """Return ``∂T/∂qᵢ = ⟨Ξ̇ᵢ, Aᵢ⟩`` with the pull of gravity, and ``pᵢ = ⟨Ξᵢ, Aᵢ⟩ + aᵢ vᵢ``.
 
         The part ``Ξᵢ V_b`` of ``∂Ẋ_b/∂qᵢ = d/dt(Ξᵢ X_b)`` does no work.
@@ -126,7 +126,7 @@ class Composites(Rowwise):
         dq = (at.twists * at.carried).sum((-2, -1)) + matvec(weight, self.gravity)
         return Gradients(dq, (self.twists * at.carried).sum((-2, -1)) + self.rotors * v)
 
-    def mass_rate(self, v: Float[Tensor, "batch n"], at: Motion) -> Float[Tensor, "batch n"]:
+    def mass_rate(self, v: Float[Tensor, "batch n"], at: BodyRates) -> Float[Tensor, "batch n"]:
         """Return ``Ḣ v``."""
         turning = self.order.inwards(v[..., None, None] * at.twists)  # V̇_b at constant velocities
         change = turning @ self.bodies
@@ -134,7 +134,7 @@ class Composites(Rowwise):
         moved = at.twists * at.carried + self.twists * self.order.outwards(change)
         return moved.sum((-2, -1))
 
-    def curvature(self, at: Motion) -> Curvature:
+    def curvature(self, at: BodyRates) -> Curvature:
         """Return the second derivatives.
 
         Joint ``j`` moves what it carries: ``∂Ξᵢ/∂qⱼ = [Ξⱼ, Ξᵢ]`` and ``∂Π_b/∂qⱼ = Ξⱼ Π_b + Π_b
@@ -172,7 +172,7 @@ class BodiesExpansion(Expansion):
         self,
         lagrangian: Lagrangian,
         at: Composites,
-        motion: Motion,
+        motion: BodyRates,
         v: Float[Tensor, "batch n"],
         springs: tuple[Tensor, Tensor] | None = None,
     ) -> None:

@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from symo_exp.checks import real
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.composites import BodiesExpansion, Chain, Composites
+from symo_exp.mechanics.composites import BodiesExpansion, ChainOrder, Composites
 from symo_exp.mechanics.lagrangian import Expansion, Gradients, Lagrangian, Rates, matvec
 from symo_exp.mechanics.space import cross
 from symo_exp.mechanics.types import Coordinates
@@ -23,7 +23,7 @@ from symo_exp.nets.triangle import Triangle
 
 PLACE = 0.1
 """Distances of joints at the start of training [m]."""
-CHAIN = Chain()
+CHAIN = ChainOrder()
 
 
 class RigidChain(nn.Module, Lagrangian):
