@@ -21,8 +21,10 @@ import pandas as pd
 import pytest
 import yaml
 
+from symo_exp.systems.simulation import Solver, simulate
 from tests import pages
 from tests.pages import PAGES, ROOT, SOURCES, Command
+from tests.systems import models
 
 NOT_RUN = {
     "submitit_slurm": "needs SLURM: `make test-slurm`",
@@ -190,6 +192,7 @@ def folder(tmp_path, trained):
     shutil.copytree(ROOT / "results", tmp_path / "results")
     shutil.copytree(trained, tmp_path / "outputs")
     write_log(tmp_path / "mine.csv")
+    write_log_of_arm(tmp_path / "log.csv")
     write_flight(tmp_path / "flight.csv")
     write_archives(tmp_path)
     write_nanobench(tmp_path / "nanobench.parquet")
@@ -211,6 +214,28 @@ def write_log(file: Path) -> None:
                 q += h / 20 * v
     noise = np.random.default_rng(0).normal(scale=1e-4, size=len(rows))
     pd.DataFrame(rows).assign(q_theta=lambda table: table.q_theta + noise).to_csv(file, index=False)
+
+
+def write_log_of_arm(file: Path) -> None:
+    """Write motions of ``ARM`` with friction, every 0.02 s."""
+    arm = models.read(ARM, time_step=0.02, viscous=(0.2, 0.2))
+    path = simulate(arm, *arm.box.points(6, 1), 150, Solver())
+    noise = np.random.default_rng(0).normal(scale=1e-4, size=path.q.shape)
+    rows = [
+        {
+            "trajectory": k,
+            "t": 0.02 * i,
+            "q_shoulder": a,
+            "q_elbow": b,
+            "u_shoulder": c,
+            "u_elbow": d,
+        }
+        for k, (angles, torques) in enumerate(
+            zip(path.q.numpy() + noise, path.u.numpy(), strict=True)
+        )
+        for i, ((a, b), (c, d)) in enumerate(zip(angles, torques, strict=True))
+    ]
+    pd.DataFrame(rows).to_csv(file, index=False)
 
 
 def write_flight(file: Path) -> None:

@@ -33,7 +33,7 @@ SPRINGS, SPRINGS_RANK = "springs", 0.05
 STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 SHARP = 0.2
-"""Width of dry friction where equations are known and it is not learned, over the usual one."""
+"""Initial width of the dry friction of known equations over the usual one."""
 FORCE_EPOCHS = 8
 """Epochs in which residuals are forces, where equations are known."""
 INPUT_NOISE = 100.0
@@ -111,7 +111,10 @@ def structures(machine: Machine) -> list[Candidate]:
     """
     if machine.known:
         missing = {"dissipation.missing": override_value(list(machine.friction))}
-        width = {"dissipation.rest_velocity": f"{SHARP * machine.rest_velocity:g}"}
+        width = {
+            "dissipation.rest_velocity": f"{SHARP * machine.rest_velocity:g}",
+            "dissipation.learned_rest": "true",
+        }
         friction = {"dissipation": "known", **missing, **width}
         known = _candidate(KNOWN, 1.0, "known", friction, growth=0.4)
         forces = {"optimizer.force_epochs": str(FORCE_EPOCHS)} if machine.driven else {}
@@ -453,7 +456,8 @@ def _learned_anew(candidate: Candidate, machine: Machine) -> dict[str, str]:
     """Return the settings of a candidate, with a start of other friction for that of a system."""
     settings = dict(candidate.settings)
     if settings.pop("dissipation.missing", None) is not None:
-        settings.pop("dissipation.rest_velocity")
+        for name in "rest_velocity", "learned_rest":
+            settings.pop(f"dissipation.{name}")
         settings["dissipation.start"] = f"{min(machine.friction):g}"
     return settings
 

@@ -29,6 +29,8 @@ from symo_exp.nets.roles import mark
 
 TRIANGLE = 10
 """Entries of an upper triangular 4 x 4 matrix."""
+LEAST_REST = 0.2
+"""Learned width of dry friction over the initial one, at least."""
 SHIFT, AGREEMENT = 1e-4, 1e-5
 """Change of the logarithm of a constant in the check of derivatives, and the error allowed."""
 
@@ -273,6 +275,8 @@ class KnownFriction(nn.Module, Dissipation):
         missing: Coefficients to start from where the system has none, a number or one for each
             coordinate [N m s, N m; N s/m, N].
         rest_velocity: ``ε_v`` [rad/s, m/s]; ``None``: the system's.
+        learned_rest: Whether ``ε_v`` is learned, one for each coordinate, never below a fifth of
+            this.
         coordinates: Coordinates of the system.
     """
 
@@ -282,6 +286,7 @@ class KnownFriction(nn.Module, Dissipation):
         system: Any,
         missing: float | Sequence[float] = 0.0,
         rest_velocity: float | None = None,
+        learned_rest: bool = False,
         coordinates: Coordinates | None = None,
     ) -> None:
         super().__init__()
@@ -314,6 +319,14 @@ class KnownFriction(nn.Module, Dissipation):
         self.register_buffer("index", index, persistent=False)
         self.logarithms = nn.Parameter(torch.zeros(len(self.free)))
         mark(self.parameters(), "coefficient")
+        self.rest = nn.Parameter(torch.zeros(n)) if learned_rest else None
+
+    def width(self, batch: int = 1) -> Tensor | float:
+        """Return ``ε_v``, (batch, n) if it is learned."""
+        if self.rest is None:
+            return self.rest_velocity
+        share = LEAST_REST + (1.0 - LEAST_REST) * repeated(self.rest, batch).exp()
+        return self.rest_velocity * share
 
     def coefficients(self, batch: int = 1) -> tuple[Tensor, Tensor]:
         """Return ``d`` and ``c``, (batch, n) each."""
@@ -338,26 +351,24 @@ class KnownFriction(nn.Module, Dissipation):
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
         """Return ``∂F_d/∂v`` of the coefficients: the drag is not stiff."""
-        viscous, coulomb = self.coefficients()
-        bent = 1.0 - torch.tanh(v / self.rest_velocity).square()
-        return -torch.diag_embed(viscous + coulomb / self.rest_velocity * bent)
+        (viscous, coulomb), width = self.coefficients(), self.width()
+        bent = 1.0 - torch.tanh(v / width).square()
+        return -torch.diag_embed(viscous + coulomb / width * bent)
 
     @override
     @torch.no_grad()
     def chord(
         self, v: Float[Tensor, "batch n"], before: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n n"]:
-        _, coulomb = self.coefficients()
-        return -torch.diag_embed(
-            coulomb / self.rest_velocity * chord_excess(v, before, self.rest_velocity)
-        )
+        (_, coulomb), width = self.coefficients(), self.width()
+        return -torch.diag_embed(coulomb / width * chord_excess(v, before, width))
 
     @override
     def force(
         self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]
     ) -> Float[Tensor, "batch n"]:
         viscous, coulomb = self.coefficients(v.shape[0])
-        found = -viscous * v - coulomb * torch.tanh(v / self.rest_velocity)
+        found = -viscous * v - coulomb * torch.tanh(v / self.width(v.shape[0]))
         return found if self.drag is None else found + self.drag.force(q, v)
 
 
