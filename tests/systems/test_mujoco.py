@@ -133,7 +133,7 @@ def test_coordinates_inputs_and_forces_are_read_from_a_model() -> None:
     system = read(models.CRANE.replace('damping="0.3"', 'damping="0.3" frictionloss="0.2"'))
     assert system.coordinates.names == ("x", "joint_1", "yaw", "end", "other")
     assert system.coordinates.angular == (False, True, True, True, False)
-    assert system.inputs == ("turn", "motor_1")
+    assert system.inputs == ("turn", "end")  # without a name that of its joint
     assert system.input_matrix.tolist() == [[0, 0], [0, 0], [3, 0], [0, 2], [0, 0]]
     assert system.viscous == (0, 0, 0.3, 0.1, 0)
     assert system.coulomb == (0, 0, 0.2, 0, 0)

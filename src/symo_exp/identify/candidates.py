@@ -269,9 +269,15 @@ def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     """Yield variations with a delay of the inputs: what the motion shows, and half a sample.
 
     Digital controllers hold inputs between samples, so that they act half a sample after their
-    record. Delays that differ by little from another one or none are left out.
+    record. Delays that differ by little from another one or none are left out. Where all candidates
+    have the delay that the motion shows, none is the variation: regressions may represent a machine
+    badly.
     """
-    if machine.delay is None or "data.input_delay" in candidate.settings:
+    if "data.input_delay" in candidate.settings:
+        return
+    if machine.delay is None:
+        if any(word.startswith("data.input_delay=") for word in machine.settings):
+            yield candidate.changed("no delay", 0.2, data__input_delay="0")
         return
     near, held = HELD * machine.time_step, 0.5 * machine.finest_step
     delays = [machine.delay] if machine.delay else []
