@@ -17,6 +17,7 @@ from symo_exp.identify.candidates import (
     structures,
     variations,
     with_friction_of,
+    with_lagrangian,
     with_less_friction,
 )
 from symo_exp.identify.recordings import Machine
@@ -363,7 +364,7 @@ def test_epochs_with_many_parameters_take_longer_with_six_coordinates():
 
 
 def test_variations_of_a_structure_keep_the_growth_of_its_cost():
-    one = machine(6)
+    one = machine(6, driven=False)
     base, *_, network = ladder(one)
     assert network.growth > 0.0 == base.growth
     assert {c.growth for c in variations(network, one)} == {network.growth}
@@ -387,3 +388,27 @@ def test_further_starts_are_planned_and_windows_are_no_longer_than_the_recording
     assert effort.training(several, 100, one) > epochs * effort.training(candidate, 100, one)
     short, long = (replace(one, seconds=x, recordings=6) for x in (6.0, 18.0))
     assert effort.validation(candidate, short) < 0.8 * effort.validation(candidate, long)
+
+
+@pytest.mark.parametrize(
+    ("n", "first"), [(2, "rigid links, relative angles"), (3, None), (6, "space")]
+)
+@pytest.mark.parametrize("budget", [30.0, 600.0])
+def test_an_arm_with_motors_is_tried_as_links_in_space_first(n, first, budget):
+    one = machine(n)
+    candidates = ladder(one)
+    in_space = [c for c in candidates if "space" in c.name]
+    assert bool(in_space) == (n > 2)
+    assert all(c.forces > 0 and c.has_minima for c in in_space)
+    if first is not None:
+        assert first in candidates[0].name
+    plan = plans.make_plan(one, candidates, budget, 2, 1.0, "key")
+    assert candidates[0].name in plan.names
+
+
+def test_candidates_with_a_given_lagrangian_are_those_that_have_it():
+    candidates = ladder(machine(6))
+    chosen = with_lagrangian(candidates, {"lagrangian": "lagrangian=rigid"})
+    assert {c.settings["lagrangian"] for c in chosen} == {"rigid"}
+    assert with_lagrangian(candidates, {}) == candidates
+    assert with_lagrangian(candidates, {"lagrangian": "lagrangian=harmonic"}) == candidates

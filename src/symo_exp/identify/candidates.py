@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -34,8 +35,10 @@ STRIBECK = 5.0
 """Initial velocity at which the Stribeck effect fades, over that below which dry friction does."""
 SHARP = 0.2
 """Initial width of the dry friction of known equations over the usual one."""
-FORCE_EPOCHS = 8
-"""Epochs in which residuals are forces, where equations are known."""
+FORCE_EPOCHS = 20
+"""Epochs in which residuals are forces, where equations are known and of rigid links in space."""
+ARM = 4
+"""Number of driven angles from which links in a plane are less probable than in space."""
 INPUT_NOISE = 100.0
 """Noise of inputs over that of configurations where it is estimated, in units of the machine."""
 THE_STEP = "the time step"
@@ -73,6 +76,8 @@ class Candidate:
         starts: How many starts the optimiser has.
         growth: Power of the number of coordinates with which the cost grows beyond ``FEW``:
             equations of many parameters take long to solve.
+        forces: Epochs before the first start in which residuals are forces.
+        drawn: Whether the first start is drawn as well.
     """
 
     name: str
@@ -81,6 +86,13 @@ class Candidate:
     cost: float = 1.0
     starts: int = 1
     growth: float = 0.0
+    forces: int = 0
+    drawn: bool = False
+
+    @property
+    def has_minima(self) -> bool:
+        """Whether fits from different seeds end at different minima."""
+        return self.starts > 1 or self.drawn
 
     def cost_of_epoch(self, n: int) -> float:
         """Return the cost of an epoch with so many coordinates."""
@@ -117,8 +129,7 @@ def structures(machine: Machine) -> list[Candidate]:
         }
         friction = {"dissipation": "known", **missing, **width}
         known = _candidate(KNOWN, 1.0, "known", friction, growth=0.4)
-        forces = {"optimizer.force_epochs": str(FORCE_EPOCHS)} if machine.driven else {}
-        return [replace(known, settings={**known.settings, **forces})]
+        return [replace(known, forces=FORCE_EPOCHS if machine.driven else 0)]
     if machine.coordinates.rotations:
         return _turning(machine)
     several = sum(machine.coordinates.angular) > 1
@@ -128,7 +139,8 @@ def structures(machine: Machine) -> list[Candidate]:
     start = {} if machine.driven else {"dissipation.start": override_value(FREE_DAMPING)}
     starts = 2 if machine.driven else 1
     name = f"{LINKS}{relative}"
-    found = [_candidate(name, 1.0, "relative", {**FRICTION, **start}, 1.0, starts)]
+    found = _in_space(machine)
+    found.append(_candidate(name, 1.0, "relative", {**FRICTION, **start}, 1.0, starts))
     if several:
         name = f"{LINKS}, absolute angles"
         found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 1.0, starts))
@@ -137,16 +149,27 @@ def structures(machine: Machine) -> list[Candidate]:
     if several:
         name = "general links, absolute angles"
         found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts, 1.5))
-    if machine.coordinates.n > 2 and all(machine.coordinates.angular):
-        found.append(
-            _candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=1.8, growth=0.4)
-        )
     found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.3, starts=2))
     found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=1.7, starts=2, growth=2.9))
     if several:
         name = f"{NETWORK}, {BETWEEN}"
         found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=1.7, starts=2, growth=2.9))
+    found.sort(key=lambda candidate: candidate.rank)
     return found if machine.stiffness is None else [_sprung(one, machine) for one in found]
+
+
+def _in_space(machine: Machine) -> list[Candidate]:
+    """Return rigid links in space, for three angles or more; arms with motors have them first."""
+    n, angular = machine.coordinates.n, machine.coordinates.angular
+    if n < 3 or not all(angular):
+        return []
+    found = _candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=1.8, growth=0.4)
+    if not machine.driven:
+        return [found]
+    start = math.exp(sum(map(math.log, machine.friction)) / n)
+    settings = {**found.settings, "dissipation.start": f"{start:.2g}"}
+    rank = 0.9 if n >= ARM else found.rank
+    return [replace(found, rank=rank, settings=settings, forces=FORCE_EPOCHS, drawn=True)]
 
 
 def _turning(machine: Machine) -> list[Candidate]:
@@ -348,6 +371,14 @@ def left_open(settings: Mapping[str, str], given: Collection[str]) -> dict[str, 
     }
 
 
+def with_lagrangian(
+    candidates: Sequence[Candidate], given: Mapping[str, str]
+) -> Sequence[Candidate]:
+    """Return the candidates with a given Lagrangian, all where it is not given or none has it."""
+    chosen = given.get("lagrangian", "").partition("=")[2]
+    return [one for one in candidates if one.settings["lagrangian"] == chosen] or candidates
+
+
 def distinct_candidates(
     candidates: Iterable[Candidate], given: Collection[str], known: Iterable[Candidate] = ()
 ) -> list[Candidate]:
@@ -392,6 +423,8 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
         cost=one.cost * other.cost / base.cost,
         starts=one.starts,
         growth=one.growth,
+        forces=one.forces,
+        drawn=one.drawn,
     )
 
 

@@ -52,6 +52,9 @@ UNHURRIED = 0.005
 GAIN, CLEAR = 0.05, 0.5
 """Shares of the unexplained power that a delay explains at least to be a candidate, and to be that
 of all candidates."""
+TOLD = 0.2
+"""Unexplained power with a delay of all candidates over that without inputs, at most: regressions
+represent arms badly, and where inputs explain little of the motion, they say nothing of delays."""
 CONTRADICTED = 2.0
 """Unexplained power with an input matrix over that with any from which the matrix is learned."""
 EXAMINED, NODES = 60.0, 3000
@@ -66,7 +69,7 @@ SLOW = 0.3
 DAMPING = 0.01
 """Friction at the start of training over the inertia, in the units of the machine."""
 HELD_BACK = 0.3
-"""Share of the forces of inputs that friction starts with where equations are known."""
+"""Share of the forces of inputs that friction starts with where residuals are forces at first."""
 FAR = 100.0
 """Factor from 1 up to which times and inertias are learned in SI units."""
 NARROW, WIDE = 1e-5, 10.0
@@ -94,8 +97,8 @@ class Dynamics:
         stiffness: Of springs that explain what gravity does not, in ``units``; else
             ``None``.
         horizon: Longest time over which errors are compared [s].
-        friction: Coefficients of friction to start from where the equations are known but for
-            these, one for each coordinate [N m s, N m; N s/m, N].
+        friction: Friction of each coordinate to start from where residuals are forces at first, in
+            ``units``.
         radius: Radius of gyration of a body that turns freely, in ``units``.
         settings: Overrides that every candidate has.
         notes: The inferred properties, a line each.
@@ -147,8 +150,10 @@ def dynamics(
             settings.append(f"data.input_lag={lag:g}")
             notes.append(f"inputs: forces follow them with a time constant of {1e3 * lag:g} ms")
     delay, told = _delay(left)
-    # regressions represent known equations badly: there a delay is a candidate only
-    clear = not known and delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
+    clear = delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
+    if clear:
+        free = _unexplained(motions, coordinates, time_step, driven=False)
+        clear = not known and free is not None and left[delay] <= TOLD * free
     units = SI if known else _units(motions, coordinates, time_step)
     light, radius, step = 1.0, USUAL_RADIUS, time_step / units.time
     friction: tuple[float, ...] = (DAMPING,) * coordinates.n
@@ -159,15 +164,15 @@ def dynamics(
     if input_matrix is not None and left and 1.0 - left[delay] > POOR:
         matrix = input_matrix * sizes[:, None] / units.size("N m")
         light, radius = _inertia(scaled, coordinates, step, matrix)
-        if known:
-            friction = _friction(scaled, matrix)
-        else:
+        if not known:
             line = f"scale: training starts with an inertia of {light:.2g}, as inputs suggest"
             notes.append(line)
             units = units._replace(mass=_unit(light, FAR))
             light /= units.mass
             settings += [f"lagrangian.initial_inertia={light:.2g}"]
             settings += [f"dissipation.start={DAMPING * light:.2g}"]
+        if not coordinates.rotations:
+            friction = _friction(scaled, matrix / units.mass)
         wrong = None if known else contradiction(scaled, coordinates, step, matrix)
         if wrong is not None and wrong >= CONTRADICTED:
             settings.append("model.inputs=learned")
@@ -419,11 +424,19 @@ def _lagging(motions: Sequence[Sampled], lag: float) -> list[Sampled]:
 
 
 def _unexplained(
-    motions: Sequence[Sampled], coordinates: Coordinates, h: float, delay: float = 0.0
+    motions: Sequence[Sampled],
+    coordinates: Coordinates,
+    h: float,
+    delay: float = 0.0,
+    *,
+    driven: bool = True,
 ) -> float | None:
-    """Return the share of the accelerations' power that inputs with a delay do not explain."""
+    """Return the share of the accelerations' power that inputs with a delay do not explain.
+
+    Where it is not ``driven``, that which configurations and velocities do not explain.
+    """
     pairs = _pairs(motions, h, delay)
-    share = explained_power(pairs, coordinates, h, driven=True) if pairs else None
+    share = explained_power(pairs, coordinates, h, driven=driven) if pairs else None
     return None if share is None else 1.0 - share
 
 

@@ -86,7 +86,11 @@ class Effort:
 
     def fewest(self, candidate: Candidate) -> int:
         """Return the epochs of a training that ends before the late stages."""
-        return candidate.starts * self.start + EPSILONS * self.epochs
+        return self.begun(candidate) + EPSILONS * self.epochs
+
+    def begun(self, candidate: Candidate) -> int:
+        """Return the epochs of a training with smoothed nodes."""
+        return candidate.forces + candidate.starts * self.start
 
     def between(self, candidate: Candidate) -> int:
         """Return the epochs between validations."""
@@ -179,6 +183,7 @@ class Plan:
             f"optimizer.epochs={self.effort.epochs}",
             f"trainer.validate_every={self.effort.between(candidate)}",
             f"optimizer.starts={candidate.starts}",
+            f"optimizer.force_epochs={candidate.forces}",
             f"data.val_seconds={self.effort.measured:g}",
         ]
 
@@ -218,10 +223,10 @@ class Plan:
     def last_fits(self, candidate: Candidate) -> int:
         """Return how many fits to all data a chosen candidate has, from different seeds.
 
-        Candidates with several starts have several minima, and the start with the smallest
+        Candidates whose starts are drawn have several minima, and the start with the smallest
         residuals does not always lead to the deepest one.
         """
-        return 1 if candidate.starts == 1 else min(max(FEWEST_FITS, self.cores), MOST_FITS)
+        return min(max(FEWEST_FITS, self.cores), MOST_FITS) if candidate.has_minima else 1
 
     def limit(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time after which a training is ended [s]."""
@@ -310,7 +315,8 @@ def make_plan(
     while too_much() and folds > 4:
         folds -= 1
     while too_much() and len(chosen) > 2:
-        chosen.remove(max(chosen, key=lambda c: (effort.expected(c, nodes, machine), c.rank)))
+        others = chosen[1:]
+        chosen.remove(max(others, key=lambda c: (effort.expected(c, nodes, machine), c.rank)))
     lighten(anyway=True)
     while too_much() and folds > 3:
         folds -= 1

@@ -442,11 +442,11 @@ class Rounds:
     def _at_other_minima(self, candidate: Candidate) -> list[int]:
         """Return the folds that ended with far more noise than another fold of the candidate.
 
-        None of candidates with one start, which have no other minima, and of those with far more
+        None of candidates whose start is not drawn, which have no other minima, and of those with far more
         noise than another candidate, which do not explain the motion.
         """
         mine = self.noises(self._trial(candidate))
-        if candidate.starts == 1 or not mine:
+        if not candidate.has_minima or not mine:
             return []
         least = min(x for t in self._trials.values() for x in self.noises(t).values())
         return noisy_folds(mine) if min(mine.values()) <= NOISY * least else []

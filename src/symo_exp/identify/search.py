@@ -24,7 +24,7 @@ from symo_exp.data.formats import content_of, files, shown
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
-from symo_exp.identify.candidates import Candidate, distinct_candidates, ladder
+from symo_exp.identify.candidates import Candidate, distinct_candidates, ladder, with_lagrangian
 from symo_exp.identify.doubts import doubts, hopeless
 from symo_exp.identify.fits import Fits, by_key
 from symo_exp.identify.plan import Plan
@@ -100,7 +100,7 @@ class Search:
             ConfigError: Before anything starts, if the recordings or settings do not allow it.
         """
         self._machine = machine = self._examine()
-        every = ladder(machine)
+        every = with_lagrangian(ladder(machine), self._given)
         candidates = distinct_candidates(every, self._given)
         recordings = content_of(self._files)
         key = self._key(candidates, recordings)
@@ -315,7 +315,7 @@ class Search:
     def _last_epoch(self, best: Trial, folds: Sequence[RunFolder]) -> int:
         """Return the epochs of the last stage that no other one surpasses in the folds."""
         each = self._plan.effort.epochs
-        begun = best.candidate.starts * self._plan.effort.start
+        begun = self._plan.effort.begun(best.candidate)
         losses = []
         for fold in folds:
             ends = [(r["epoch"] + 1 - begun, r["val_loss"]) for r in read(fold / SERIES)

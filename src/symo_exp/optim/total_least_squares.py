@@ -52,8 +52,8 @@ class TotalLeastSquares(EpochOptimizer):
 
     The nodes are smoothed first and held for ``start`` epochs from each of several starts: the
     initial parameters, these after steps of Adam, and newly drawn ones after steps of Adam. The
-    start with the smallest residuals continues with each ε of ``epsilons``. In the first
-    ``force_epochs`` residuals are forces, where inputs act (see ``LevenbergMarquardt``). Late
+    start with the smallest residuals continues with each ε of ``epsilons``. Before the first start,
+    residuals are forces for ``force_epochs``, where inputs act (see ``LevenbergMarquardt``). Late
     parameters are zero so far and join in a second round, with each ``ε ≤ late_from``. The
     parameters that are best on held-out data are kept, or the last ones within ``tolerance`` of
     them: a few noisy motions do not distinguish models, and if the equations can be learned exactly
@@ -64,7 +64,7 @@ class TotalLeastSquares(EpochOptimizer):
         epsilons: Values of ``ε``.
         starts: Number of starts.
         start: Epochs of a start.
-        force_epochs: Epochs of the first start in which residuals are forces.
+        force_epochs: Epochs before the first start in which residuals are forces.
         epochs: Epochs of an ``ε``.
         late_from: Largest ``ε`` with late parameters.
         warm_up: Steps of Adam, its rate along a half cosine.
@@ -100,9 +100,7 @@ class TotalLeastSquares(EpochOptimizer):
         self.require_double()
         for name, value in (("starts", starts), ("start", start), ("epochs", epochs)):
             whole_number(f"optimizer.{name}", value)
-        self.force_epochs = whole_number(
-            "optimizer.force_epochs", force_epochs, low=0, high=start - 1
-        )
+        self.force_epochs = whole_number("optimizer.force_epochs", force_epochs, low=0)
         sizes = ("damping", damping), ("velocity_weight", velocity_weight)
         for name, size in (*sizes, *(("epsilons", e) for e in epsilons)):
             real(f"optimizer.{name}", size, above=0)
@@ -129,10 +127,12 @@ class TotalLeastSquares(EpochOptimizer):
     @property
     def total_epochs(self) -> int:
         """Number of epochs of all stages."""
-        return self.start * self._starts + self.epochs * (len(self.stages) - self._starts)
+        begins = self.force_epochs + self.start * self._starts
+        return begins + self.epochs * (len(self.stages) - self._starts)
 
     def stage(self, epoch: int) -> Stage:
         """Return the stage of an epoch; the first epoch is 0."""
+        epoch = max(0, epoch - self.force_epochs)
         beyond = epoch - self.start * self._starts
         return self.stages[
             epoch // self.start if beyond < 0 else self._starts + beyond // self.epochs
