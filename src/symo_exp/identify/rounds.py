@@ -442,8 +442,8 @@ class Rounds:
     def _at_other_minima(self, candidate: Candidate) -> list[int]:
         """Return the folds that ended with far more noise than another fold of the candidate.
 
-        None of candidates whose start is not drawn, which have no other minima, and of those with far more
-        noise than another candidate, which do not explain the motion.
+        None of candidates whose start is not drawn, which have no other minima, and of those with
+        far more noise than another candidate, which do not explain the motion.
         """
         mine = self.noises(self._trial(candidate))
         if not candidate.has_minima or not mine:
