@@ -2,17 +2,15 @@
 
 import json
 
-import pandas as pd
 import pytest
-import torch
 
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
 from symo_exp.identify.candidates import ladder, structures, variations
 from symo_exp.identify.recordings import examine
 from symo_exp.runs.folder import RunFolder
-from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
+from tests.logs import pendulum_log
 
 NOISE = 1e-4
 VISCOUS = 0.1
@@ -21,15 +19,7 @@ VISCOUS = 0.1
 @pytest.fixture
 def log(workplace):
     """Driven motions of a pendulum of 1 kg with friction, and noise."""
-    truth = stated("pendulum", viscous=(VISCOUS,), time_step=0.02)
-    q, v, u = truth.box.points(8, 3)
-    path = simulate(truth, q, v, u, 150, Solver())
-    noise = NOISE * torch.randn(path.q.shape, generator=torch.Generator().manual_seed(1)).double()
-    tables = [
-        pd.DataFrame({"trajectory": k, "t": 0.02 * torch.arange(151), "q_theta": y, "u_0": f})
-        for k, (y, f) in enumerate(zip((path.q + noise)[..., 0], path.u[..., 0], strict=True))
-    ]
-    found = pd.concat(tables)
+    found = pendulum_log(VISCOUS, 0.02, 150, NOISE)
     found.to_csv("log.csv", index=False)
     return found
 

@@ -2,7 +2,6 @@
 
 import math
 
-import pandas as pd
 import pytest
 import torch
 
@@ -10,9 +9,8 @@ import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
 from symo_exp.runs.folder import RunFolder
-from symo_exp.systems.simulation import Solver, simulate
-from symo_exp.systems.table import system as stated
 from tests.jobs import refusal
+from tests.logs import pendulum_log
 
 NOISE = 1e-3
 LEARNED = [
@@ -26,15 +24,7 @@ LEARNED = [
 @pytest.fixture
 def recordings(workplace):
     """Driven motions of a pendulum of 1 kg with friction 0.1 N m s, and noise."""
-    truth = stated("pendulum", viscous=(0.1,), time_step=0.05)
-    q, v, u = truth.box.points(8, 3)
-    path = simulate(truth, q, v, u, 60, Solver())
-    noise = NOISE * torch.randn(path.q.shape, generator=torch.Generator().manual_seed(1)).double()
-    tables = [
-        pd.DataFrame({"trajectory": k, "t": 0.05 * torch.arange(61), "q_theta": y, "u_0": f})
-        for k, (y, f) in enumerate(zip((path.q + noise)[..., 0], path.u[..., 0], strict=True))
-    ]
-    pd.concat(tables).to_csv("mine.csv", index=False)
+    pendulum_log(0.1, 0.05, 60, NOISE).to_csv("mine.csv", index=False)
     return workplace
 
 

@@ -150,10 +150,10 @@ def dynamics(
             settings.append(f"data.input_lag={lag:g}")
             notes.append(f"inputs: forces follow them with a time constant of {1e3 * lag:g} ms")
     delay, told = _delay(left)
-    clear = delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
+    clear = not known and delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
     if clear:
         free = _unexplained(motions, coordinates, time_step, driven=False)
-        clear = not known and free is not None and left[delay] <= TOLD * free
+        clear = free is not None and left[delay] <= TOLD * free
     units = SI if known else _units(motions, coordinates, time_step)
     light, radius, step = 1.0, USUAL_RADIUS, time_step / units.time
     friction: tuple[float, ...] = (DAMPING,) * coordinates.n

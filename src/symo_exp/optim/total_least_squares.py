@@ -114,7 +114,7 @@ class TotalLeastSquares(EpochOptimizer):
         again = [Stage(e, late=True) for e in epsilons if e <= late_from] if late else []
         self.stages = [*begins, *rounds, *again]
         self._starts = starts
-        self.memory |= self._weights() | {
+        self.memory |= self._untrained() | {
             "epoch": 0,
             "held": 0.0,
             "nodes": None,
@@ -165,7 +165,7 @@ class TotalLeastSquares(EpochOptimizer):
             memory["damping"], memory["held"] = min(memory["damping"], self.damping), 0.0
             memory["ended"] = None
         if before is not None and epoch == self.force_epochs:
-            memory |= self._weights() | {"ended": None}
+            memory |= self._untrained() | {"ended": None}
         memory["epoch"] = epoch + 1
         if memory["ended"] is None:
             weight = chain.weights(model.sizes, self.velocity_weight, self.input_weight)
@@ -213,7 +213,7 @@ class TotalLeastSquares(EpochOptimizer):
             "precision": torch.repeat_interleave(precision, sizes),
         }
 
-    def _weights(self) -> dict[str, Any]:
+    def _untrained(self) -> dict[str, Any]:
         """Return the initial damping, noise and priors."""
         precision = [FLAT if is_coefficient(p) else 1.0 for p in self.parameters]
         return {

@@ -260,22 +260,26 @@ class Multibody(LagrangianSystem):
         bias = _onto(columns, mass[:, None] * c_bias, matvec(inertia, w_bias))
         return Rates(matrix, pushed + bias, dq)
 
+    @cached_property
+    def _pseudo_inertias(self) -> Float[Tensor, "bodies 4 4"]:
+        """The pseudo-inertias of the bodies about the origin, at the reference."""
+        mass, centre, inertia, *_ = self._numbers
+        trace = inertia.diagonal(dim1=1, dim2=2).sum(1)[:, None, None]
+        moment = mass[:, None] * centre
+        second = 0.5 * trace * torch.eye(3).to(inertia) - inertia
+        second = second + moment[:, :, None] * centre[:, None]
+        edge = torch.cat((moment, mass[:, None]), dim=1)[:, None]
+        return torch.cat((torch.cat((second, moment[:, :, None]), dim=2), edge), dim=1)
+
     def _composites(self, q: Float[Tensor, "batch n"]) -> Composites:
         """Return the bodies at a configuration, where there are no ball joints."""
-        mass, centre, inertia, armature, *_, gravity = (x.to(q) for x in self._numbers)
-        at, batch = self._tree.poses(q), q.shape[0]
-        own = torch.diag_embed(0.5 * inertia.diagonal(dim1=1, dim2=2).sum(1, keepdim=True)
-                               .expand(-1, 3)) - inertia  # fmt: skip
-        moment = mass[:, None] * centre
-        second = own + moment[:, :, None] * centre[:, None]
-        edge = torch.cat((moment, mass[:, None]), dim=1)[:, None]
-        bodies = torch.cat((torch.cat((second, moment[:, :, None]), dim=2), edge), dim=1)
+        at, bodies = self._tree.poses(q), self._pseudo_inertias.to(q)
+        armature, gravity = (self._numbers[k].to(q).expand(len(q), -1) for k in (3, 6))
         pose = torch.cat((at.turn, at.shift.unsqueeze(-1)), dim=-1)
-        pose = torch.cat((pose, torch.eye(4).to(q)[3:].expand(batch, len(mass), 1, 4)), dim=-2)
-        return Composites(
-            self._tree.branches, self._tree.twists(at), pose @ bodies @ pose.mT,
-            armature.expand(batch, -1), gravity.expand(batch, -1),
-        )  # fmt: skip
+        last = torch.eye(4).to(q)[3:].expand(len(q), len(bodies), 1, 4)
+        pose = torch.cat((pose, last), dim=-2)
+        placed = pose @ bodies @ pose.mT
+        return Composites(self._tree.branches, self._tree.twists(at), placed, armature, gravity)
 
     def _spring_force(self, q: Float[Tensor, "batch N"]) -> Float[Tensor, "batch flat"]:
         """Return the forces of the springs of lengths and angles."""
