@@ -136,16 +136,11 @@ def dynamics(
     driven, settings, notes = input_matrix is not None, [], []
     beginning = _beginning(recordings, max(EXAMINED, NODES * time_step))
     motions = _of_rotations(_motions(beginning, time_step), coordinates)
-    share = min(1.0, time_step / UNHURRIED)
-    delays = DELAYS * share if driven else np.zeros(1)
-    left = _best(delays, lambda delay: _unexplained(motions, coordinates, time_step, delay))
+    left = _left_by_delays(motions, coordinates, time_step, driven=driven)
     if driven and left:
-        slow = _best(
-            LAGS * share, lambda lag: _unexplained(_lagging(motions, lag), coordinates, time_step)
-        )
-        lag = min(slow, key=lambda each: slow[each])
-        if slow[lag] <= (1.0 - CLEAR) * min(left.values()):
-            motions, left = _lagging(motions, lag), {0.0: slow[lag]}
+        lag, with_lag = _lag(motions, coordinates, time_step)
+        if with_lag <= (1.0 - CLEAR) * min(left.values()):
+            motions, left = _lagging(motions, lag), {0.0: with_lag}
             beginning = [one._replace(samples=lagging(one.samples, lag)) for one in beginning]
             settings.append(f"data.input_lag={lag:g}")
             notes.append(f"inputs: forces follow them with a time constant of {1e3 * lag:g} ms")
@@ -155,31 +150,14 @@ def dynamics(
         free = _unexplained(motions, coordinates, time_step, driven=False)
         clear = free is not None and left[delay] <= TOLD * free
     units = SI if known else _units(motions, coordinates, time_step)
-    light, radius, step = 1.0, USUAL_RADIUS, time_step / units.time
-    friction: tuple[float, ...] = (DAMPING,) * coordinates.n
-    sizes = coordinates._replace(units=units).sizes.numpy()
-    flat = len(coordinates.flat)
-    places = np.concatenate([sizes[:flat], np.ones(coordinates.width - flat)])
-    scaled = [(q / places, u) for q, u in _pairs(motions, time_step, delay)]
+    step = time_step / units.time
+    scaled = _scaled(_pairs(motions, time_step, delay), coordinates._replace(units=units))
+    start = _Start(units=units, friction=(DAMPING,) * coordinates.n)
     if input_matrix is not None and left and 1.0 - left[delay] > POOR:
-        matrix = input_matrix * sizes[:, None] / units.size("N m")
-        light, radius = _inertia(scaled, coordinates, step, matrix)
-        if not known:
-            line = f"scale: training starts with an inertia of {light:.2g}, as inputs suggest"
-            notes.append(line)
-            units = units._replace(mass=_unit(light, FAR))
-            light /= units.mass
-            settings += [f"lagrangian.initial_inertia={light:.2g}"]
-            settings += [f"dissipation.start={DAMPING * light:.2g}"]
-        if not coordinates.rotations:
-            friction = _friction(scaled, matrix / units.mass)
-        wrong = None if known else contradiction(scaled, coordinates, step, matrix)
-        if wrong is not None and wrong >= CONTRADICTED:
-            settings.append("model.inputs=learned")
-            notes.append(
-                f"input matrix: with the given one, {wrong:.2g} times as much power is not "
-                "explained as with any; it is learned (model.inputs=given keeps it)"
-            )
+        start = _start(scaled, coordinates, units, step, input_matrix, known=known)
+        settings += start.settings
+        notes += start.notes
+        units = start.units
     if units != SI:
         sized = units._asdict().items()
         settings += [f"system.scale.{name}={size:g}" for name, size in sized if size != 1.0]
@@ -198,12 +176,12 @@ def dynamics(
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} {unit}")
     horizons = _horizons(_growth(beginning, coordinates, time_step, delay if clear else 0.0))
     if horizons != HORIZONS:
-        told_times = ", ".join(f"{each:g}" for each in horizons)
-        settings.append(f"learner.validation.horizons=[{told_times}]")
+        times = ", ".join(f"{each:g}" for each in horizons)
+        settings.append(f"learner.validation.horizons=[{times}]")
         notes.append(
-            f"unstable: the errors of predictions grow fast; those over {told_times} s are compared"
+            f"unstable: the errors of predictions grow fast; those over {times} s are compared"
         )
-    stiffness = _stiffness(scaled, coordinates, step, light)
+    stiffness = _stiffness(scaled, coordinates, step, start.inertia)
     if stiffness is not None:
         notes.append("springs: they explain accelerations that gravity does not")
     return Dynamics(
@@ -213,11 +191,68 @@ def dynamics(
         explained=1.0 - left[delay] if left else None,
         stiffness=stiffness,
         horizon=horizons[-1],
-        friction=friction,
-        radius=float(f"{radius:.2g}"),
+        friction=start.friction,
+        radius=float(f"{start.radius:.2g}"),
         settings=tuple(settings),
         notes=(*notes, told) if driven else tuple(notes),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Start:
+    """Where training starts: as ``Dynamics``, and the inertia of the lightest coordinates."""
+
+    units: Units
+    friction: tuple[float, ...]
+    inertia: float = 1.0
+    radius: float = USUAL_RADIUS
+    settings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def _start(
+    pairs: Sequence[Motion],
+    coordinates: Coordinates,
+    units: Units,
+    h: float,
+    input_matrix: np.ndarray,
+    *,
+    known: bool,
+) -> _Start:
+    """Return where a training starts whose inputs explain the motion.
+
+    Args:
+        pairs: Motions in ``units``.
+        coordinates: Those of the machine.
+        units: Those of lengths and times.
+        h: Time step in ``units``.
+        input_matrix: In SI units.
+        known: Whether the equations are known, with values to start from.
+    """
+    matrix = input_matrix * coordinates._replace(units=units).sizes.numpy()[:, None]
+    matrix = matrix / units.size("N m")
+    inertia, radius = _inertia(pairs, coordinates, h, matrix)
+    settings, notes = [], []
+    if not known:
+        notes.append(f"scale: training starts with an inertia of {inertia:.2g}, as inputs suggest")
+        units = units._replace(mass=_unit(inertia, FAR))
+        inertia /= units.mass
+        settings.append(f"lagrangian.initial_inertia={inertia:.2g}")
+        settings.append(f"dissipation.start={DAMPING * inertia:.2g}")
+        wrong = contradiction(pairs, coordinates, h, matrix)
+        if wrong is not None and wrong >= CONTRADICTED:
+            settings.append("model.inputs=learned")
+            notes.append(
+                f"input matrix: with the given one, {wrong:.2g} times as much power is not "
+                "explained as with any; it is learned (model.inputs=given keeps it)"
+            )
+    friction = (DAMPING,) * coordinates.n
+    if not coordinates.rotations:
+        friction = _friction(pairs, matrix / units.mass)
+    return _Start(
+        units=units, friction=friction, inertia=inertia, radius=radius,
+        settings=tuple(settings), notes=tuple(notes),
+    )  # fmt: skip
 
 
 def explained_by_angles(
@@ -451,6 +486,21 @@ def _best(
     return left
 
 
+def _left_by_delays(
+    motions: Sequence[Sampled], coordinates: Coordinates, h: float, *, driven: bool
+) -> dict[float, float]:
+    """Return the share that is not explained with each delay; without inputs, with none."""
+    delays = DELAYS * min(1.0, h / UNHURRIED) if driven else np.zeros(1)
+    return _best(delays, lambda delay: _unexplained(motions, coordinates, h, delay))
+
+
+def _lag(motions: Sequence[Sampled], coordinates: Coordinates, h: float) -> tuple[float, float]:
+    """Return the best time constant of inputs [s], and the share that is not explained with it."""
+    lags = LAGS * min(1.0, h / UNHURRIED)
+    left = _best(lags, lambda lag: _unexplained(_lagging(motions, lag), coordinates, h))
+    return min(left.items(), key=lambda each: each[1])
+
+
 def _lowest(left: Mapping[float, float]) -> float | None:
     """Return where the parabola through the least unexplained share and its neighbours is lowest.
 
@@ -538,6 +588,14 @@ def _pairs(motions: Sequence[Sampled], h: float, delay: float) -> list[Motion]:
         (q, averaged(samples.t, delayed(samples, delay).u, nodes, h))
         for samples, nodes, q in motions
     ]
+
+
+def _scaled(pairs: Sequence[Motion], coordinates: Coordinates) -> list[Motion]:
+    """Return motions whose lengths are in the units of the coordinates."""
+    flat = len(coordinates.flat)
+    places = np.ones(coordinates.width)
+    places[:flat] = coordinates.sizes.numpy()[:flat]
+    return [(q / places, u) for q, u in pairs]
 
 
 def _delay(left: Mapping[float, float]) -> tuple[float, str]:

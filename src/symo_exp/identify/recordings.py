@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,21 +11,27 @@ from typing import Any
 import numpy as np
 
 from symo_exp.data.advice import Columns, omitting
-from symo_exp.data.diagnose import POOR, ROUNDING, SUSPECT, noise_of, quasi_coordinates
+from symo_exp.data.diagnose import ROUNDING, noise_of, quasi_coordinates
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown
 from symo_exp.data.header import header
-from symo_exp.data.naming import ANGLE, SLIDE, in_degrees, length_unit, names
+from symo_exp.data.naming import in_degrees, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
+from symo_exp.identify.angles import (
+    ask_for_angles,
+    ask_for_degrees,
+    is_angle,
+    told_units,
+    turn_settings,
+)
 from symo_exp.identify.motions import (
     STEPS,
     Dynamics,
     Shock,
     dynamics,
-    explained_by_angles,
     fitting_time_step,
     reversed_inputs,
     struck,
@@ -36,10 +41,6 @@ from symo_exp.shell import override_value
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
 
-SPAN = 2 * np.pi
-"""Range of a coordinate beyond which it is an angle."""
-WHOLE = 0.3
-"""Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
 TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
 which they are one."""
@@ -105,123 +106,218 @@ def examine(
     Raises:
         ConfigError: If something can neither be read nor inferred.
     """
-    path, columns = data["path"], data.get("columns")
-    found = header(path, columns)
-    coordinates, inputs = names("q", found), names("u", found)
-    settings, notes = [], []
     if known is not None:
-        coordinates, inputs = known.coordinates.measured, tuple(known.inputs)
         flat, turning = known.coordinates.flat, known.coordinates.angular
         angular = [name for name, angle in zip(flat, turning, strict=False) if angle] or "none"
         input_matrix, rotations = known.input_matrix.tolist(), known.coordinates.rotations
-    given = input_matrix
-    if not rotations and (rotations := _quaternions(coordinates)):
-        settings.append(f"system.rotations={override_value(list(rotations))}")
-        notes.append(f"rotations: {', '.join(rotations)}, each a quaternion, by their names")
-    alone = Recorded(names=coordinates, rotations=rotations, angular="none", time_step=1.0)
-    flat, freedoms = alone.coordinates.flat, alone.coordinates.names
-    body = known is None and len(rotations) == 1 and len(flat) in (0, 3)
-    learned_inputs = 0
-    if given is None and (inferred := _inferred_matrix(freedoms, inputs, body)) is not None:
-        input_matrix, line = inferred
-        learned_inputs = 0 if np.any(input_matrix) else len(inputs)
-        settings.append(f"system.input_matrix={str(input_matrix).replace(' ', '')}")
-        notes.append(line)
+    return _Examination(data, angular, input_matrix, time_step, rotations, known).machine()
 
-    def system(which: Any) -> Recorded:
+
+class _Examination:
+    """The steps of ``examine``, whose arguments it has: each infers what is not given.
+
+    ``settings`` and ``notes`` grow with every step, and ``used``, the recordings for training and
+    validation, become what a model is trained on.
+    """
+
+    used: list[Recording]
+    test: list[Recording]
+    starts: dict[str, float]  # of the trajectories of the table [s]
+    moving: int  # how many of ``used`` are not at rest
+    angles: list[str]
+    space: Coordinates
+
+    def __init__(
+        self,
+        data: Mapping[str, Any],
+        angular: Any,
+        input_matrix: Any,
+        time_step: float | None,
+        rotations: Sequence[str],
+        known: System | None,
+    ) -> None:
+        self.data, self.columns, self.where = dict(data), data.get("columns"), shown(data["path"])
+        self.angular, self.known, self.rotations = angular, known, rotations
+        self.input_matrix, self.matrix_is_given = input_matrix, input_matrix is not None
+        self.settings: list[str] = []
+        self.notes: list[str] = []
+        found = header(data["path"], self.columns)
+        self.names, self.inputs = names("q", found), names("u", found)
+        if known is not None:
+            self.names, self.inputs = known.coordinates.measured, tuple(known.inputs)
+        self.time_step = time_step
+
+    def machine(self) -> Machine:
+        """Take all steps and return the machine."""
+        self._name_rotations_and_inputs()
+        self._read_parts()
+        self._tell_angles()
+        self._read_units()
+        self._tell_superfluous()
+        self._doubt_units()
+        finest = max(one.samples.step for one in (*self.used, *self.test))
+        self.used = [_turned(self.where, one, self.space) for one in self.used]
+        time_step = self._choose_time_step(finest)
+        self._leave_out_shocks(time_step)
+        driven = any(bool(one.samples.u.any()) for one in self.used)
+        matrix = self._direct_inputs(time_step) if driven else None
+        known = self.known is not None
+        shown_by = dynamics(self.used, self.space, time_step, matrix, known=known)
+        lists = {
+            "settings": (*self.settings, *shown_by.settings),
+            "notes": (*self.notes, *shown_by.notes),
+        }
+        return Machine(
+            **vars(shown_by) | lists,
+            coordinates=self.space,
+            driven=driven,
+            time_step=time_step,
+            finest_step=finest,
+            seconds=sum(one.samples.seconds for one in self.used),
+            recordings=self.moving,
+            moves=any_moves(self.used),
+            body=self.body and not self.angles,
+            learned_inputs=self.learned_inputs,
+            known=known,
+        )
+
+    def _system(self, angular: Any) -> Recorded:
         return Recorded(
-            names=coordinates, rotations=rotations, angular=which, inputs=inputs,
-            input_matrix=input_matrix, time_step=1.0,
+            names=self.names, rotations=self.rotations, angular=angular, inputs=self.inputs,
+            input_matrix=self.input_matrix, time_step=1.0,
         )  # fmt: skip
 
-    used, test, starts, told = _parts(data, system("none"), time_step)
-    notes += told
-    recordings = len(used)
-    if still := [one.label for one, rests in zip(used, at_rest(used), strict=True) if rests]:
-        recordings -= len(still)
-        notes.append(f"at rest, for training only: {few(still)}")
-    if angular is None:
-        which = [_is_angle(name, [r.samples.q[:, i] for r in used]) for i, name in enumerate(flat)]
-    else:
-        which = list(system(angular).coordinates.angular)[: len(flat)]
-    chosen = [name for name, angle in zip(flat, which, strict=True) if angle]
-    if chosen and learned_inputs:  # the machine is more than a body
-        input_matrix = None
-    space = system(chosen or "none").coordinates  # or asks for the matrix
-    if angular is None:
-        settings.append(f"system.angular={override_value(chosen) if chosen else 'none'}")
-        notes += _told(chosen, flat) if flat else []
-    stated = [name for name in chosen if in_degrees(name)]
-    if data.get("degrees") is None and 0 < len(stated) < len(chosen):
-        raise ConfigError(
-            f"data.degrees has no value yet: {few(stated)} is in degrees by its name, but not "
-            f"every one of {few(chosen)}; give data.degrees=true if all are, else convert it in "
-            "the file"
-        )
-    if data.get("degrees") is None and stated:
-        settings.append("data.degrees=true")
-        notes.append("angles are in degrees, as their names say")
-        data = {**data, "degrees": True}
-    refuse_counts(shown(path), space, used, data.get("degrees"))
-    if units := _jumps(used, space, data):
-        settings += [f"data.{name}=true" for name in units]
-        notes.append(f"angles jump by a turn: read with {' '.join(settings[-len(units) :])}")
-        data = {**data, **dict.fromkeys(units, True)}
-    used = [_continuous(one, space, data) for one in used]
-    notes += _told_still(used, flat, columns)
-    notes += _told_together(used, flat, columns)
-    if data.get("degrees") is None and not rotations:
-        _ask_for_degrees(used, space)
-    if angular is None and not rotations:
-        _ask_for_angles(used, space)
-    finest = max(one.samples.step for one in (*used, *test))
-    used = [_turned(shown(path), one, space) for one in used]
-    if time_step is None:
-        paths = [_along(one, space) for one in used]
-        time_step = fitting_time_step(paths, Coordinates(space.names, space.turning), finest)
-        settings.append(f"system.time_step={time_step:g}")
-        notes.append(f"time step: {time_step:g} s, samples every {finest:.3g} s")
-    _, note = uninterrupted([*used, *test], time_step)
-    notes += [note] if note else []
-    used, _ = uninterrupted(used, time_step)
-    if data.get("leave_out") is None and (hit := struck(used, space, time_step)):
-        stretches = [_in_table(one, starts) for one in hit]
-        settings.append(f"data.leave_out={override_value(stretches)}")
-        notes.append(_told_shocks(stretches))
-        data = {**data, "leave_out": stretches}
-        used, *_ = _parts(data, system("none"), time_step)
-        used, _ = uninterrupted([_continuous(one, space, data) for one in used], time_step)
-    driven = any(bool(one.samples.u.any()) for one in used)
-    matrix = system("none").input_matrix.numpy() if driven else None
-    if matrix is not None and (against := reversed_inputs(used, space, time_step, matrix)).any():
-        matrix = np.where(against, -matrix, matrix) + 0.0
-        acting = [f"u_{name}" for name, x in zip(inputs, against, strict=True) if x]
-        if known is not None:
+    def _name_rotations_and_inputs(self) -> None:
+        """Infer ``rotations`` and ``input_matrix`` from the names of the columns."""
+        if not self.rotations and (found := _quaternions(self.names)):
+            self.rotations = found
+            self.settings.append(f"system.rotations={override_value(list(found))}")
+            self.notes.append(f"rotations: {', '.join(found)}, each a quaternion, by their names")
+        alone = Recorded(
+            names=self.names, rotations=self.rotations, angular="none", time_step=1.0
+        ).coordinates
+        self.flat = alone.flat
+        self.body = self.known is None and len(self.rotations) == 1 and len(self.flat) in (0, 3)
+        self.learned_inputs = 0
+        if self.matrix_is_given:
+            return
+        if (inferred := _inferred_matrix(alone.names, self.inputs, self.body)) is not None:
+            self.input_matrix, line = inferred
+            self.learned_inputs = 0 if np.any(self.input_matrix) else len(self.inputs)
+            self.settings.append(_matrix_setting(self.input_matrix))
+            self.notes.append(line)
+
+    def _read_parts(self) -> None:
+        """Read ``used`` and ``test``; count the recordings that move."""
+        parts = _parts(self.data, self._system("none"), self.time_step)
+        self.used, self.test, self.starts, told = parts
+        self.notes += told
+        rest = at_rest(self.used)
+        self.moving = rest.count(False)
+        if still := [one.label for one, rests in zip(self.used, rest, strict=True) if rests]:
+            self.notes.append(f"at rest, for training only: {few(still)}")
+
+    def _tell_angles(self) -> None:
+        """Infer which coordinates are angles."""
+        if self.angular is None:
+            columns = [[one.samples.q[:, i] for one in self.used] for i in range(len(self.flat))]
+            which = list(map(is_angle, self.flat, columns))
+        else:
+            which = list(self._system(self.angular).coordinates.angular)[: len(self.flat)]
+        self.angles = [name for name, angle in zip(self.flat, which, strict=True) if angle]
+        if self.angles and self.learned_inputs:  # the machine is more than a body
+            self.input_matrix = None
+        self.space = self._system(self.angles or "none").coordinates  # or asks for the matrix
+        if self.angular is None:
+            chosen = override_value(self.angles) if self.angles else "none"
+            self.settings.append(f"system.angular={chosen}")
+            self.notes += told_units(self.angles, self.flat) if self.flat else []
+
+    def _read_units(self) -> None:
+        """Infer whether angles are in degrees and wrapped; make them continuous, in radians."""
+        stated = [name for name in self.angles if in_degrees(name)]
+        if self._is_open("degrees") and 0 < len(stated) < len(self.angles):
             raise ConfigError(
-                f"{shown(path)}: {few(acting)} acts in the other direction than the system's "
-                "equations say; change the sign of its gear in the model, or of the column"
+                f"data.degrees has no value yet: {few(stated)} is in degrees by its name, but not "
+                f"every one of {few(self.angles)}; give data.degrees=true if all are, else convert "
+                "it in the file"
             )
-        mended = f"system.input_matrix={str(matrix.tolist()).replace(' ', '')}"
-        settings += [mended] if given is None else []
-        notes.append(f"inputs: {few(acting)} acts in the other direction; {mended}")
-    shown_by = dynamics(used, space, time_step, matrix, known=known is not None)
-    lists = {
-        "settings": (*settings, *shown_by.settings),
-        "notes": (*notes, *shown_by.notes),
-    }
-    return Machine(
-        **vars(shown_by) | lists,
-        coordinates=space,
-        driven=driven,
-        time_step=time_step,
-        finest_step=finest,
-        seconds=sum(one.samples.seconds for one in used),
-        recordings=recordings,
-        moves=any_moves(used),
-        body=body and not chosen,
-        learned_inputs=learned_inputs,
-        known=known is not None,
-    )
+        if self._is_open("degrees") and stated:
+            self.settings.append("data.degrees=true")
+            self.notes.append("angles are in degrees, as their names say")
+            self.data["degrees"] = True
+        refuse_counts(self.where, self.space, self.used, self.data.get("degrees"))
+        if units := turn_settings(self.used, self.space, self.data):
+            settings = [f"data.{name}=true" for name in units]
+            self.settings += settings
+            self.notes.append(f"angles jump by a turn: read with {' '.join(settings)}")
+            self.data |= dict.fromkeys(units, True)
+        self.used = [_continuous(one, self.space, self.data) for one in self.used]
+
+    def _is_open(self, name: str) -> bool:
+        """Return whether a setting of data has no value yet."""
+        return self.data.get(name) is None
+
+    def _tell_superfluous(self) -> None:
+        """Tell of coordinates that never move, or move as another one does."""
+        self.notes += _told_still(self.used, self.flat, self.columns)
+        self.notes += _told_together(self.used, self.flat, self.columns)
+
+    def _doubt_units(self) -> None:
+        """Refuse units and angles that are open where another reading explains far more."""
+        if self._is_open("degrees") and not self.rotations:
+            ask_for_degrees(self.used, self.space)
+        if self.angular is None and not self.rotations:
+            ask_for_angles(self.used, self.space)
+
+    def _choose_time_step(self, finest: float) -> float:
+        """Return the time step, and leave out stretches without samples for it."""
+        found = self.time_step
+        if found is None:
+            paths = [_along(one, self.space) for one in self.used]
+            turns = Coordinates(self.space.names, self.space.turning)
+            found = fitting_time_step(paths, turns, finest)
+            self.settings.append(f"system.time_step={found:g}")
+            self.notes.append(f"time step: {found:g} s, samples every {finest:.3g} s")
+        _, note = uninterrupted([*self.used, *self.test], found)
+        self.notes += [note] if note else []
+        self.used, _ = uninterrupted(self.used, found)
+        return found
+
+    def _leave_out_shocks(self, time_step: float) -> None:
+        """Leave out where something that is not recorded moves the machine."""
+        if not self._is_open("leave_out"):
+            return
+        if hit := struck(self.used, self.space, time_step):
+            stretches = [_in_table(one, self.starts) for one in hit]
+            self.settings.append(f"data.leave_out={override_value(stretches)}")
+            self.notes.append(_told_shocks(stretches))
+            self.data["leave_out"] = stretches
+            used, *_ = _parts(self.data, self._system("none"), time_step)
+            continuous = [_continuous(one, self.space, self.data) for one in used]
+            self.used, _ = uninterrupted(continuous, time_step)
+
+    def _direct_inputs(self, time_step: float) -> np.ndarray:
+        """Return the matrix of the inputs, in the directions in which they act."""
+        matrix = self._system("none").input_matrix.numpy()
+        against = reversed_inputs(self.used, self.space, time_step, matrix)
+        if not against.any():
+            return matrix
+        acting = few([f"u_{name}" for name, x in zip(self.inputs, against, strict=True) if x])
+        if self.known is not None:
+            raise ConfigError(
+                f"{self.where}: {acting} acts in the other direction than the system's equations "
+                "say; change the sign of its gear in the model, or of the column"
+            )
+        matrix = np.where(against, -matrix, matrix) + 0.0
+        mended = _matrix_setting(matrix.tolist())
+        self.settings += [] if self.matrix_is_given else [mended]
+        self.notes.append(f"inputs: {acting} acts in the other direction; {mended}")
+        return matrix
+
+
+def _matrix_setting(matrix: Sequence[Sequence[float]]) -> str:
+    return f"system.input_matrix={str(matrix).replace(' ', '')}"
 
 
 def _quaternions(names: Sequence[str]) -> tuple[str, ...]:
@@ -295,76 +391,6 @@ def _continuous(recording: Recording, space: Coordinates, data: Mapping[str, Any
     return recording._replace(samples=samples)
 
 
-def _jumps(
-    recordings: Sequence[Recording], space: Coordinates, data: Mapping[str, Any]
-) -> tuple[str, ...]:
-    """Return the settings of data with which angles that jump by a turn are read."""
-    columns = [r.samples.q[:, i] for r in recordings for i in np.flatnonzero(space.angular)]
-    if data.get("wrapped") is not None or not columns:
-        return ()
-    if not data.get("degrees") and _wraps(columns, 2 * np.pi):
-        return ("wrapped",)
-    if _wraps(columns, 360.0):
-        return ("wrapped",) if data.get("degrees") else ("degrees", "wrapped")
-    return ()
-
-
-def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
-    """Return whether steps that change by more than half a turn do by nearly a whole one."""
-    steps = np.concatenate([np.abs(np.diff(x, 2)) for x in columns])
-    jumps = steps[steps > 0.5 * turn]
-    return bool(jumps.size and (np.abs(jumps - turn) < WHOLE * turn).all())
-
-
-def _ask_for_degrees(recordings: Sequence[Recording], space: Coordinates) -> None:
-    """Refuse angles whose motion is explained much better if their numbers are degrees."""
-    if wide := _beyond_a_turn(recordings, space, angular=True):
-        plain, degrees = explained_by_angles(recordings, space)
-        readings = {"degrees": degrees, "radians": plain}
-        _ask("data.degrees", "true or false", wide, readings)
-
-
-def _ask_for_angles(recordings: Sequence[Recording], space: Coordinates) -> None:
-    """Refuse lengths, by their names, whose motion is explained much better if they are angles."""
-    if wide := _beyond_a_turn(recordings, space, angular=False):
-        every = zip(space.names, space.angular, strict=True)
-        other = space._replace(angular=tuple(angle or name in wide for name, angle in every))
-        shares = (explained_by_angles(recordings, x)[0] for x in (other, space))
-        readings = dict(zip(("angles [rad]", "lengths"), shares, strict=True))
-        _ask("system.angular", "all, none or a list of names", wide, readings)
-
-
-def _beyond_a_turn(
-    recordings: Sequence[Recording], space: Coordinates, *, angular: bool
-) -> dict[str, float]:
-    """Return the ranges of the angles, or the lengths, that are larger than ``SPAN``."""
-    ranges = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
-    every = zip(space.names, space.angular, ranges, strict=True)
-    return {name: size for name, angle, size in every if angle == angular and size > SPAN}
-
-
-def _ask(
-    setting: str, choices: str, ranges: Mapping[str, float], readings: Mapping[str, float | None]
-) -> None:
-    """Refuse a setting that is left open if another reading explains a motion much better.
-
-    Args:
-        setting: Its name.
-        choices: Its values.
-        ranges: Ranges of the coordinates in question.
-        readings: Explained share of the accelerations' power by another reading and the present.
-    """
-    (reading, other), (present, plain) = readings.items()
-    if plain is None or other is None or plain > POOR or not 1 - other < SUSPECT * (1 - plain):
-        return
-    told = ", ".join(f"q_{name} moves by {size:.3g}" for name, size in ranges.items())
-    raise ConfigError(
-        f"{setting} has no value yet: {told}; {100 * other:.3g} % of the accelerations' power is "
-        f"explained if these are {reading}, {100 * plain:.3g} % if they are {present}; give "
-        f"{setting}={choices}"
-    )
-
-
 def _told_still(
     recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
 ) -> list[str]:
@@ -422,35 +448,3 @@ def _inferred_matrix(
         "inertia is known up to a factor (system.input_matrix=... gives them)"
     )
     return ([[0] * len(inputs) for _ in coordinates], learned) if body else None
-
-
-def _is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
-    """Return whether a coordinate is an angle; refuse one whose name and range do not tell."""
-    words = re.split(r"[^a-z]+", name.lower())
-    if in_degrees(name) or any(re.fullmatch(ANGLE, word) for word in words):
-        return True
-    if any(re.fullmatch(SLIDE, word) for word in words):
-        return False
-    low, high = min(x.min() for x in columns), max(x.max() for x in columns)
-    if high - low > SPAN or _wraps(columns, 2 * np.pi):
-        return True
-    raise ConfigError(
-        f"system.angular has no value yet: is q_{name}, which goes from {low:.3g} to {high:.3g}, "
-        f"an angle [rad] or a position [m]? Give system.angular=all, none or a list, as [{name}]"
-    )
-
-
-def _told(chosen: Sequence[str], all_names: Sequence[str]) -> list[str]:
-    """Return a line on which coordinates are angles, and one on lengths in other units than m."""
-    kinds = dict.fromkeys(chosen, "angles [rad]")
-    positions = [name for name in all_names if name not in chosen]
-    kinds |= {name: f"positions [{length_unit(name)}]" for name in positions}
-    groups = {kind: [x for x in kinds if kinds[x] == kind] for kind in kinds.values()}
-    parts = "; ".join(f"{kind}: {', '.join(group)}" for kind, group in groups.items())
-    lines = [f"{parts} (by names and ranges; system.angular says otherwise)"]
-    if odd := [name for name in positions if length_unit(name) != "m"]:
-        lines.append(
-            f"lengths of {few(odd)} are used as they are: where results say m, they are in "
-            f"{length_unit(odd[0])}; convert them in the file for results in SI units"
-        )
-    return lines

@@ -1,0 +1,124 @@
+"""Which coordinates are angles, in which units, and whether they jump by a turn."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from symo_exp.data.diagnose import POOR, SUSPECT
+from symo_exp.data.formats import few
+from symo_exp.data.naming import ANGLE, SLIDE, in_degrees, length_unit
+from symo_exp.data.table import Recording
+from symo_exp.errors import ConfigError
+from symo_exp.identify.motions import explained_by_angles
+from symo_exp.mechanics.types import Coordinates
+
+SPAN = 2 * np.pi
+"""Range of a coordinate beyond which it is an angle."""
+WHOLE = 0.3
+"""Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
+
+
+def is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
+    """Return whether a coordinate is an angle; refuse one whose name and range do not tell."""
+    words = re.split(r"[^a-z]+", name.lower())
+    if in_degrees(name) or any(re.fullmatch(ANGLE, word) for word in words):
+        return True
+    if any(re.fullmatch(SLIDE, word) for word in words):
+        return False
+    low, high = min(x.min() for x in columns), max(x.max() for x in columns)
+    if high - low > SPAN or _wraps(columns, 2 * np.pi):
+        return True
+    raise ConfigError(
+        f"system.angular has no value yet: is q_{name}, which goes from {low:.3g} to {high:.3g}, "
+        f"an angle [rad] or a position [m]? Give system.angular=all, none or a list, as [{name}]"
+    )
+
+
+def told_units(chosen: Sequence[str], all_names: Sequence[str]) -> list[str]:
+    """Return a line on which coordinates are angles, and one on lengths in other units than m."""
+    kinds = dict.fromkeys(chosen, "angles [rad]")
+    positions = [name for name in all_names if name not in chosen]
+    kinds |= {name: f"positions [{length_unit(name)}]" for name in positions}
+    groups = {kind: [x for x in kinds if kinds[x] == kind] for kind in kinds.values()}
+    parts = "; ".join(f"{kind}: {', '.join(group)}" for kind, group in groups.items())
+    lines = [f"{parts} (by names and ranges; system.angular says otherwise)"]
+    if odd := [name for name in positions if length_unit(name) != "m"]:
+        lines.append(
+            f"lengths of {few(odd)} are used as they are: where results say m, they are in "
+            f"{length_unit(odd[0])}; convert them in the file for results in SI units"
+        )
+    return lines
+
+
+def turn_settings(
+    recordings: Sequence[Recording], space: Coordinates, data: Mapping[str, Any]
+) -> tuple[str, ...]:
+    """Return the settings of data with which angles that jump by a turn are read."""
+    columns = [r.samples.q[:, i] for r in recordings for i in np.flatnonzero(space.angular)]
+    if data.get("wrapped") is not None or not columns:
+        return ()
+    if not data.get("degrees") and _wraps(columns, 2 * np.pi):
+        return ("wrapped",)
+    if _wraps(columns, 360.0):
+        return ("wrapped",) if data.get("degrees") else ("degrees", "wrapped")
+    return ()
+
+
+def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
+    """Return whether steps that change by more than half a turn do by nearly a whole one."""
+    steps = np.concatenate([np.abs(np.diff(x, 2)) for x in columns])
+    jumps = steps[steps > 0.5 * turn]
+    return bool(jumps.size and (np.abs(jumps - turn) < WHOLE * turn).all())
+
+
+def ask_for_degrees(recordings: Sequence[Recording], space: Coordinates) -> None:
+    """Refuse angles whose motion is explained much better if their numbers are degrees."""
+    if wide := _beyond_a_turn(recordings, space, angular=True):
+        plain, degrees = explained_by_angles(recordings, space)
+        readings = {"degrees": degrees, "radians": plain}
+        _ask("data.degrees", "true or false", wide, readings)
+
+
+def ask_for_angles(recordings: Sequence[Recording], space: Coordinates) -> None:
+    """Refuse lengths, by their names, whose motion is explained much better if they are angles."""
+    if wide := _beyond_a_turn(recordings, space, angular=False):
+        every = zip(space.names, space.angular, strict=True)
+        other = space._replace(angular=tuple(angle or name in wide for name, angle in every))
+        shares = (explained_by_angles(recordings, x)[0] for x in (other, space))
+        readings = dict(zip(("angles [rad]", "lengths"), shares, strict=True))
+        _ask("system.angular", "all, none or a list of names", wide, readings)
+
+
+def _beyond_a_turn(
+    recordings: Sequence[Recording], space: Coordinates, *, angular: bool
+) -> dict[str, float]:
+    """Return the ranges of the angles, or the lengths, that are larger than ``SPAN``."""
+    ranges = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
+    every = zip(space.names, space.angular, ranges, strict=True)
+    return {name: size for name, angle, size in every if angle == angular and size > SPAN}
+
+
+def _ask(
+    setting: str, choices: str, ranges: Mapping[str, float], readings: Mapping[str, float | None]
+) -> None:
+    """Refuse a setting that is left open if another reading explains a motion much better.
+
+    Args:
+        setting: Its name.
+        choices: Its values.
+        ranges: Ranges of the coordinates in question.
+        readings: Explained share of the accelerations' power by another reading and the present.
+    """
+    (reading, other), (present, plain) = readings.items()
+    if plain is None or other is None or plain > POOR or not 1 - other < SUSPECT * (1 - plain):
+        return
+    told = ", ".join(f"q_{name} moves by {size:.3g}" for name, size in ranges.items())
+    raise ConfigError(
+        f"{setting} has no value yet: {told}; {100 * other:.3g} % of the accelerations' power is "
+        f"explained if these are {reading}, {100 * plain:.3g} % if they are {present}; give "
+        f"{setting}={choices}"
+    )
