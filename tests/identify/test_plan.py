@@ -406,6 +406,17 @@ def test_an_arm_with_motors_is_tried_as_links_in_space_first(n, first, budget):
     assert candidates[0].name in plan.names
 
 
+@pytest.mark.parametrize("n", [3, 4, 6])
+@pytest.mark.parametrize("driven", [False, True])
+@pytest.mark.parametrize("slide", [False, True])
+def test_an_arm_is_not_tried_as_general_links_and_large_networks(n, driven, slide):
+    one = machine(n, driven=driven)
+    one = replace(one, coordinates=named((*(True,) * (n - 1), not slide)))
+    structures = {(c.settings["lagrangian"], c.settings.get("net.width")) for c in ladder(one)}
+    few = {("rigid", None), ("planar", None), ("network", "2")}
+    assert (structures == few) == (driven and n > 3 and not slide)
+
+
 def test_candidates_with_a_given_lagrangian_are_those_that_have_it():
     candidates = ladder(machine(6))
     chosen = with_lagrangian(candidates, {"lagrangian": "lagrangian=rigid"})

@@ -141,6 +141,9 @@ def structures(machine: Machine) -> list[Candidate]:
     name = f"{LINKS}{relative}"
     found = _in_space(machine)
     found.append(_candidate(name, 1.0, "relative", {**FRICTION, **start}, 1.0, starts))
+    small = _candidate("small network", 3.0, "small network", FRICTION, cost=1.3, starts=2)
+    if is_arm(machine):
+        return _with_springs([*found, small], machine)
     if several:
         name = f"{LINKS}, absolute angles"
         found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 1.0, starts))
@@ -149,12 +152,26 @@ def structures(machine: Machine) -> list[Candidate]:
     if several:
         name = "general links, absolute angles"
         found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts, 1.5))
-    found.append(_candidate("small network", 3.0, "small network", FRICTION, cost=1.3, starts=2))
+    found.append(small)
     found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=1.7, starts=2, growth=2.9))
     if several:
         name = f"{NETWORK}, {BETWEEN}"
         found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=1.7, starts=2, growth=2.9))
-    found.sort(key=lambda candidate: candidate.rank)
+    return _with_springs(found, machine)
+
+
+def is_arm(machine: Machine) -> bool:
+    """Return whether a machine is probably an arm: four driven angles or more, nothing else.
+
+    General links and large networks do not learn arms within a usual budget.
+    """
+    angular = machine.coordinates.angular
+    return machine.driven and len(angular) >= ARM and all(angular)
+
+
+def _with_springs(candidates: Iterable[Candidate], machine: Machine) -> list[Candidate]:
+    """Return candidates in their order, with springs where these explain the motion."""
+    found = sorted(candidates, key=lambda candidate: candidate.rank)
     return found if machine.stiffness is None else [_sprung(one, machine) for one in found]
 
 
@@ -168,7 +185,7 @@ def _in_space(machine: Machine) -> list[Candidate]:
         return [found]
     start = math.exp(sum(map(math.log, machine.friction)) / n)
     settings = {**found.settings, "dissipation.start": f"{start:.2g}"}
-    rank = 0.9 if n >= ARM else found.rank
+    rank = 0.9 if is_arm(machine) else found.rank
     return [replace(found, rank=rank, settings=settings, forces=FORCE_EPOCHS, drawn=True)]
 
 
@@ -207,7 +224,6 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(next(with_less_friction(first)))
         return sorted(found, key=lambda candidate: candidate.rank)
     links = [one for one in found if one.settings["lagrangian"] == "planar"]
-    network = next(one for one in found if one.name.split(", ")[0] == NETWORK)
     plain = list(without_springs(first))
     links += plain
     found += plain
@@ -215,7 +231,8 @@ def ladder(machine: Machine) -> list[Candidate]:
         found.append(_with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
     else:  # bearings: dry friction may be too little to be found
         found += [next(with_less_friction(candidate)) for candidate in links]
-    found.append(_with_learned_friction(network, machine))
+    if networks := [one for one in found if one.name.split(", ")[0] == NETWORK]:
+        found.append(_with_learned_friction(networks[0], machine))
     return sorted(found, key=lambda candidate: candidate.rank)
 
 

@@ -136,6 +136,15 @@ class Search:
         if (best := rounds.refine()) is None:
             self._summary(rounds.trials, None)
             return self._no_model()
+        code = self._conclude(fits, rounds, best)
+        tried = {trial.candidate.name for trial in rounds.trials}
+        if code == 0 and (untried := [c.name for c in others if c.name not in tried]):
+            print(f"with a larger budget, the search also tries: {'; '.join(untried)}")
+        return code
+
+    def _conclude(self, fits: Fits, rounds: Rounds, best: Trial) -> int:
+        """Fit the chosen candidate to all data, test it and print what was found."""
+        plan, machine = self._plan, self._machine
         epochs = self._last_epoch(best, rounds.folders(best))
         seconds = plan.most_seconds(best.candidate, machine)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
@@ -155,9 +164,6 @@ class Search:
         if (done := len(read(folder / SERIES))) < epochs:
             print(f"the last fit ran out of time after {done} of {epochs} epochs")
         self._print_verdict(folder.measures(), self._link(folder))
-        tried = {trial.candidate.name for trial in rounds.trials}
-        if untried := [c.name for c in others if c.name not in tried]:
-            print(f"with a larger budget, the search also tries: {'; '.join(untried)}")
         return 0
 
     def _replaced(self, candidates: Sequence[Candidate]) -> list[str]:
