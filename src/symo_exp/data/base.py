@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypedDict, TypeVar
 
 import lightning
 import torch
@@ -19,6 +20,8 @@ from symo_exp.mechanics.windows import cut_windows
 
 Item = TypeVar("Item")
 
+log = logging.getLogger(__name__)
+
 
 class Splits(NamedTuple):
     """The trajectories of an experiment, float64 and without added noise."""
@@ -27,6 +30,22 @@ class Splits(NamedTuple):
     val: list[Trajectory]
     test: list[Trajectory]
     integration: Trajectories
+
+
+class DataOptions(TypedDict, total=False):
+    """Arguments of ``DataModule`` that every kind of data has."""
+
+    noise_std: float
+    input_noise_std: float
+    noise_test: bool
+    shuffle: bool
+    seed: int
+    noise_seed: int
+    dtype: str | torch.dtype
+    monitor: Literal["val", "test", "held_out"]
+    monitor_trajectories: int | None
+    held_out: float
+    velocities: Literal["given", "estimated"]
 
 
 class DataModule(lightning.LightningDataModule, ABC):
@@ -38,6 +57,8 @@ class DataModule(lightning.LightningDataModule, ABC):
     needed.
 
     Args:
+        time_step: Distance of the nodes [s].
+        counts: Number of trajectories in each of the ``Splits``.
         n_traj: Number of training trajectories, the first ones.
         noise_std: Standard deviation of the noise that is added to the training data.
         input_noise_std: That of the noise added to its inputs.
@@ -58,16 +79,14 @@ class DataModule(lightning.LightningDataModule, ABC):
 
     recorded: ClassVar[bool] = False
     """True if the motions were measured."""
-    time_step: float
-    """Distance of the nodes [s]."""
-    counts: dict[str, int]
-    """Number of trajectories in each of the ``Splits``, set before this constructor is called."""
     cut: Callable[[Sequence[Trajectory]], TrainingSamples]
     """Makes the samples of the loaders."""
 
     def __init__(
         self,
         *,
+        time_step: float,
+        counts: dict[str, int],
         n_traj: int,
         noise_std: float = 0.0,
         input_noise_std: float = 0.0,
@@ -83,8 +102,9 @@ class DataModule(lightning.LightningDataModule, ABC):
         velocities: Literal["given", "estimated"] = "given",
     ) -> None:
         super().__init__()
+        self.time_step, self.counts = time_step, counts
         self.velocities = one_of("data.velocities", velocities, ("given", "estimated"))
-        self.n_traj = whole_number("data.n_traj", n_traj, low=1, high=self.counts["train"])
+        self.n_traj = whole_number("data.n_traj", n_traj, low=1, high=counts["train"])
         self.noise_std = real("data.noise_std", noise_std, low=0)
         self.input_noise_std = real("data.input_noise_std", input_noise_std, low=0)
         self.noise_test = noise_test
@@ -102,7 +122,7 @@ class DataModule(lightning.LightningDataModule, ABC):
             held_out = max(1, round(held_out * n_traj))
         low = 1 if monitor == "held_out" else 0
         self.held_out = whole_number("data.held_out", held_out, low=low, high=n_traj - 1)
-        there = self.held_out if monitor == "held_out" else self.counts[monitor]
+        there = self.held_out if monitor == "held_out" else counts[monitor]
         watched = there if monitor_trajectories is None else monitor_trajectories
         self.monitor_trajectories = whole_number("data.monitor_trajectories", watched, high=there)
         self.cut = cut_windows
@@ -112,10 +132,16 @@ class DataModule(lightning.LightningDataModule, ABC):
     def load(self) -> Splits:
         """Return all trajectories, with the whole training set, the same at every call."""
 
+    def lines(self) -> Sequence[str]:
+        """Return lines for the log on the data."""
+        return ()
+
     def setup(self, stage: str | None = None) -> None:
-        """Add noise and cut windows, unless that is done."""
+        """Log ``lines()``, add noise and cut windows, unless that is done."""
         if hasattr(self, "train"):
             return
+        for line in self.lines():
+            log.info(line)
         splits = self.load()
         train = splits.train[: self.n_traj]
         self.train_trajectories = add_noise(

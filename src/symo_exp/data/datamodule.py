@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 import scipy
 import torch
-from typing_extensions import override
+from typing_extensions import Unpack, override
 
 from symo_exp.checks import whole_number
-from symo_exp.data.base import DataModule, Splits
+from symo_exp.data.base import DataModule, DataOptions, Splits
 from symo_exp.data.cache import Cache
 from symo_exp.data.draws import Draws, Independent
 from symo_exp.data.ends import ended
@@ -75,26 +75,16 @@ class TrajectoryData(DataModule):
         solver: Solver | None = None,
         draws: Draws | None = None,
         cache_dir: str | os.PathLike[str] | None = None,
-        noise_std: float = 0.0,
-        input_noise_std: float = 0.0,
-        noise_test: bool = False,
         batch_size: int | None = None,
-        shuffle: bool = True,
-        seed: int = 0,
-        noise_seed: int = 0,
-        dtype: str | torch.dtype = "float32",
-        monitor: Literal["val", "test", "held_out"] = "val",
-        monitor_trajectories: int | None = None,
-        held_out: float = 0,
-        velocities: Literal["given", "estimated"] = "given",
+        **options: Unpack[DataOptions],
     ) -> None:
         if not isinstance(system, LagrangianSystem):
             raise ConfigError(
                 f"data=simulated: the equations of {type(system).__name__} are not known; "
                 "learn from recordings (data=recorded)"
             )
-        self.system, self.time_step = system, system.time_step
-        self.counts = {
+        self.system = system
+        counts = {
             "train": whole_number("data.n_train_max", n_train_max),
             "val": whole_number("data.n_val", n_val),
             "test": whole_number("data.n_test", n_test),
@@ -112,19 +102,11 @@ class TrajectoryData(DataModule):
                 f"training trajectories that are simulated; set data.n_train_max={n_traj} as well"
             )
         super().__init__(
+            time_step=system.time_step,
+            counts=counts,
             n_traj=n_traj,
-            noise_std=noise_std,
-            input_noise_std=input_noise_std,
-            noise_test=noise_test,
             batch_size=batch_size,
-            shuffle=shuffle,
-            seed=seed,
-            noise_seed=noise_seed,
-            dtype=dtype,
-            monitor=monitor,
-            monitor_trajectories=monitor_trajectories,
-            held_out=held_out,
-            velocities=velocities,
+            **options,
         )
         self.cache = None if cache_dir is None else Cache(cache_dir)
         self._name = type(system).__name__.lower()
@@ -165,11 +147,8 @@ class TrajectoryData(DataModule):
         return splits
 
     @override
-    def setup(self, stage: str | None = None) -> None:
-        if not hasattr(self, "train"):
-            for line in self.system.notes:
-                log.info(line)
-        super().setup(stage)
+    def lines(self) -> Sequence[str]:
+        return self.system.notes
 
     def _arrays(self) -> Mapping[str, np.ndarray]:
         if self.cache is None:

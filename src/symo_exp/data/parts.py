@@ -30,6 +30,7 @@ RESTS = 2.0
 LONGEST_GAP = 3
 """Time steps over which a motion is interpolated, at most."""
 Parts = dict[str, list[Recording]]
+"""Recordings by the name of their part."""
 
 
 def divided(

@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import itertools
-import logging
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Any, final
 
 import numpy as np
 import torch
-from typing_extensions import override
+from typing_extensions import Unpack, override
 
 from symo_exp.checks import one_of, real, whole_number
 from symo_exp.data.advice import Columns
-from symo_exp.data.base import DataModule, Splits, central_differences
+from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, shown
 from symo_exp.data.header import UNITS, header
 from symo_exp.data.naming import names
-from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
+from symo_exp.data.parts import Parts, divided, uninterrupted, with_every_part, without
 from symo_exp.data.resample import Samples, resample
-from symo_exp.data.table import Recording, RecordingTable, read_recordings
+from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
-
-log = logging.getLogger(__name__)
 
 TIME_TOLERANCE = 1e-3
 """Largest relative difference of a recorded step that equals ``system.time_step``."""
@@ -165,86 +162,60 @@ class RecordedData(DataModule):
         input_lag: float = 0.0,
         leave_out: Sequence[Sequence[str | float]] | None = None,
         batch_size: int | None = None,
-        noise_std: float = 0.0,
-        input_noise_std: float = 0.0,
-        noise_test: bool = False,
-        shuffle: bool = True,
-        seed: int = 0,
-        noise_seed: int = 0,
-        dtype: str | torch.dtype = "float32",
-        monitor: Literal["val", "test", "held_out"] = "val",
-        monitor_trajectories: int | None = None,
-        held_out: float = 0,
-        velocities: Literal["given", "estimated"] = "given",
+        **options: Unpack[DataOptions],
     ) -> None:
         whole_number("data.n_integration", n_integration)
         if time_unit is not None:
             one_of("data.time_unit", time_unit, tuple(UNITS))
-        where, space = shown(path), system.coordinates
+        where, space, h = shown(path), system.coordinates, system.time_step
         table = read_recordings(path, system, columns, time_unit)
+        recordings: Sequence[Recording] = table.recordings
+        notes = list(table.notes)
         if leave_out is not None:
-            kept = without(table.recordings, leave_out, system.time_step)
-            table = table._replace(recordings=kept)
+            recordings = without(recordings, leave_out, h)
         named = {"train": train, "val": val, "test": test}
-        if all(given is None for given in (train, val, test, n_val, n_test)):
-            whole, note = with_every_part(table.recordings, system.time_step)
-            notes = (*table.notes, note) if note else table.notes
-            table = table._replace(recordings=tuple(whole), notes=notes)
-        parts = divided(where, table.recordings, named, n_val, n_test)
+        if all(given is None for given in (*named.values(), n_val, n_test)):
+            recordings, note = with_every_part(recordings, h)
+            notes += [note] if note else []
+        parts = divided(where, recordings, named, n_val, n_test)
         if fold is not None:
             parts = folded(parts, fold)
         if seconds is not None:
-            parts["train"] = thinned(
-                parts["train"], real("data.seconds", seconds, low=system.time_step)
-            )
+            parts["train"] = thinned(parts["train"], real("data.seconds", seconds, low=h))
         if val_seconds is not None:
-            most = real("data.val_seconds", val_seconds, low=system.time_step)
+            most = real("data.val_seconds", val_seconds, low=h)
             parts["val"] = thinned(parts["val"], most, VALIDATED)
-        cut = {name: uninterrupted(part, system.time_step) for name, part in parts.items()}
-        parts = {name: pieces for name, (pieces, _) in cut.items()}
-        gaps = [f"{name}: {note}" for name, (_, note) in cut.items() if note]
-        for name, pieces in parts.items():
-            if not pieces:
-                raise ConfigError(f"{where}: nothing is left for {name}; {'; '.join(gaps)}")
+        parts, gaps = _cut_at_gaps(where, parts, h)
         available = len(parts["train"])
         n_traj = whole_number(
             "data.n_traj", available if n_traj is None else n_traj, high=available
         )
         parts["train"] = parts["train"][:n_traj]
         lag = real("data.input_lag", input_lag, low=0.0)
-        used = [recording for part in parts.values() for recording in part]
-        refuse_counts(where, space, used, degrees)
+        refuse_counts(where, space, list(itertools.chain(*parts.values())), degrees)
         if degrees:
             parts = {
                 name: [one._replace(samples=in_radians(one.samples, space)) for one in part]
                 for name, part in parts.items()
             }
-        nodes = Nodes(where, space, system.time_step, wrapped, input_delay, lag)
+        self._coordinates = space
+        nodes = Nodes(where, space, h, wrapped, input_delay, lag)
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
         self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
-        self.counts = {name: len(part) for name, part in found.items()}
-        self.counts["integration"] = len(self._splits.integration.q)
         self._sampled = [recording.samples for recording in parts["train"]]
         with np.errstate(all="ignore"):  # values that overflow
             doubts = list(_doubts(space, self._sampled))
-        self._report = [*_report(where, table, parts, system.time_step), *gaps, *doubts]
-        self._system, self.time_step = system, system.time_step
+        read, resampled = _told_read(where, recordings, parts), _told_resampled(parts, h)
+        self._report = [read, *notes, *resampled, *gaps, *doubts]
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)
+        counts = {name: len(part) for name, part in found.items()}
         super().__init__(
+            time_step=h,
+            counts=counts | {"integration": len(self._splits.integration.q)},
             n_traj=n_traj,
-            noise_std=noise_std,
-            input_noise_std=input_noise_std,
-            noise_test=noise_test,
             batch_size=batch_size,
-            shuffle=shuffle,
-            seed=seed,
-            noise_seed=noise_seed,
-            dtype=dtype,
-            monitor=monitor,
-            monitor_trajectories=monitor_trajectories,
-            held_out=held_out,
-            velocities=velocities,
+            **options,
         )
 
     @override
@@ -252,21 +223,37 @@ class RecordedData(DataModule):
         return self._splits
 
     @override
-    def setup(self, stage: str | None = None) -> None:
-        if not hasattr(self, "train"):
-            told = () if self._system.coordinates.rotations else self.diagnosis().lines()
-            for line in (*self._report, *told):
-                log.info(line)
-        super().setup(stage)
+    def lines(self) -> Sequence[str]:
+        if self._coordinates.rotations:
+            return self._report
+        return [*self._report, *self.diagnosis().lines()]
 
     def diagnosis(self) -> Diagnosis:
         """Return the diagnosis of the training trajectories."""
-        h, sampled = self._system.time_step, self._sampled
         motions = [(q.numpy(), u.numpy()) for q, _, u in self._splits.train]
-        gap = float(np.median(np.concatenate([np.diff(samples.t) for samples in sampled])))
+        raw = [samples.q for samples in self._sampled]
+        gap = float(np.median(np.concatenate([np.diff(samples.t) for samples in self._sampled])))
         with np.errstate(all="ignore"):  # values that overflow
-            raw = [samples.q for samples in sampled]
-            return diagnose(motions, raw, self._system.coordinates, h, samples=h / gap)
+            return diagnose(
+                motions, raw, self._coordinates, self.time_step, samples=self.time_step / gap
+            )
+
+
+def _cut_at_gaps(where: str, parts: Parts, h: float) -> tuple[Parts, list[str]]:
+    """Return the uninterrupted pieces of every part, and a line on the gaps of each.
+
+    Raises:
+        ConfigError: If a part has no piece that is long enough.
+    """
+    pieces: Parts = {}
+    gaps = []
+    for name, part in parts.items():
+        pieces[name], note = uninterrupted(part, h)
+        gaps += [f"{name}: {note}"] if note else []
+    for name, part in pieces.items():
+        if not part:
+            raise ConfigError(f"{where}: nothing is left for {name}; {'; '.join(gaps)}")
+    return pieces, gaps
 
 
 def refuse_counts(
@@ -449,25 +436,28 @@ def _shortest(trajectories: Sequence[Trajectory]) -> Trajectories:
     return Trajectories(*(torch.stack([x[:nodes] for x in field]) for field in fields))
 
 
-def _report(
-    where: str, table: RecordingTable, parts: Mapping[str, Sequence[Recording]], h: float
-) -> Iterator[str]:
-    """Yield what was read, what was not, and how times were resampled; a line each."""
-    used = [r for part in parts.values() for r in part]
+def _told_read(where: str, recordings: Sequence[Recording], parts: Parts) -> str:
+    """Return a line on how many recordings are in each part and how many are not used."""
     text = ", ".join(f"{len(part)} {name}" for name, part in parts.items())
-    others = Counter(r.part for r in table.recordings) - Counter(r.part for r in used)
+    used = Counter(one.part for one in itertools.chain(*parts.values()))
+    others = Counter(one.part for one in recordings) - used
     hint = ", ".join(f"{count} {part}".rstrip() for part, count in others.items())
-    yield f"{where}: {text}" + (f"; not used: {hint}" if hint else "")
-    yield from table.notes
-    resampled = [r.samples for r in used if not _equal(r.samples.t, h)]
-    if resampled:
-        usual = sorted(samples.step for samples in resampled)
-        rate = f"{usual[0]:.3g}" + (f" to {usual[-1]:.3g}" if usual[-1] > 1.01 * usual[0] else "")
-        largest = max(float(np.diff(samples.t).max()) for samples in resampled)
-        yield (
-            f"resampled: {len(resampled)} of {len(used)} trajectories from {rate} s (the longest "
-            f"gap {largest:.3g} s) to {h:g} s, by local cubics; inputs averaged over a step"
-        )
+    return f"{where}: {text}" + (f"; not used: {hint}" if hint else "")
+
+
+def _told_resampled(parts: Parts, h: float) -> list[str]:
+    """Return a line on how times were resampled, if any were."""
+    used = [one.samples for one in itertools.chain(*parts.values())]
+    resampled = [samples for samples in used if not _equal(samples.t, h)]
+    if not resampled:
+        return []
+    usual = sorted(samples.step for samples in resampled)
+    rate = f"{usual[0]:.3g}" + (f" to {usual[-1]:.3g}" if usual[-1] > 1.01 * usual[0] else "")
+    largest = max(float(np.diff(samples.t).max()) for samples in resampled)
+    return [
+        f"resampled: {len(resampled)} of {len(used)} trajectories from {rate} s (the longest "
+        f"gap {largest:.3g} s) to {h:g} s, by local cubics; inputs averaged over a step"
+    ]
 
 
 def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[str]:

@@ -12,9 +12,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import typing_extensions
 from omegaconf import MISSING
 from pydantic import ConfigDict, PydanticUserError, TypeAdapter, ValidationError
 from pydantic_core import SchemaError
+from typing_extensions import Unpack
 
 from symo_exp import code
 from symo_exp.errors import ConfigError
@@ -158,11 +160,14 @@ def _parameters(target: Any, path: str) -> Mapping[str, Any]:
         signature = inspect.signature(made, eval_str=True)
     except (NameError, TypeError):  # names that only a type checker imports
         signature = inspect.signature(made)
-    return {
-        p.name: Any if p.annotation is p.empty or isinstance(p.annotation, str) else p.annotation
-        for p in signature.parameters.values()
-        if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
-    }
+    hints: dict[str, Any] = {}
+    for p in signature.parameters.values():
+        known = p.annotation is not p.empty and not isinstance(p.annotation, str)
+        if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY):
+            hints[p.name] = p.annotation if known else Any
+        elif p.kind is p.VAR_KEYWORD and typing_extensions.get_origin(p.annotation) is Unpack:
+            hints |= typing_extensions.get_type_hints(*typing.get_args(p.annotation))
+    return hints
 
 
 def _free(hint: Any) -> bool:
