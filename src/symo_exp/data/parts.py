@@ -59,21 +59,19 @@ def divided(
         raise ConfigError(
             f"data.{next(iter(listed))} names trajectories: leave out data.n_val and data.n_test"
         )
-    if listed:
+    if counted:
+        parts = _by_count(where, recordings, n_val, n_test)
+    elif listed or any(r.part for r in recordings):
         parts = _by_name(where, recordings, listed)
-    elif not counted and any(r.part for r in recordings):
-        parts = {part: [r for r in recordings if r.part == part] for part in PARTS}
-    elif not counted and len(recordings) < len(PARTS):
+    elif len(recordings) >= len(PARTS):
+        parts = _by_count(where, recordings, 1, 1)
+    else:
         spans = " and ".join(f"{np.ptp(one.samples.t):.3g} s" for one in recordings) or "none"
         raise ConfigError(
             f"{where} has {_counted(recordings)}, too few for train, val and test, and too short "
             f"to be split in time ({spans}); record longer ones, or more, and number trajectories "
             "apart in a column trajectory"
         )
-    else:
-        n_val = whole_number("data.n_val", 1 if n_val is None else n_val)
-        n_test = whole_number("data.n_test", 1 if n_test is None else n_test)
-        return _last(where, recordings, n_val, n_test)
     for part, chosen in parts.items():
         if not chosen:
             given = few(sorted({r.part for r in recordings} - {""})) or "none"
@@ -96,6 +94,10 @@ def _labels(part: str, given: object) -> list[str]:
 def _by_name(
     where: str, recordings: Sequence[Recording], listed: Mapping[str, Sequence[str]]
 ) -> Parts:
+    """Return the recordings with the listed labels; parts without any have those of their split.
+
+    Without a split the recordings that are not listed are for training.
+    """
     there = [r.label for r in recordings]
     everything = [label for labels in listed.values() for label in labels]
     for label in everything:
@@ -104,14 +106,11 @@ def _by_name(
         if everything.count(label) > 1:
             raise ConfigError(f"{where}: trajectory {label} is named twice, by data.train/val/test")
     rest = [r for r in recordings if r.label not in everything]
-    parts: Parts = {}
-    for part in PARTS:
-        if part in listed:
-            parts[part] = [r for r in recordings if r.label in listed[part]]
-        elif any(r.part for r in recordings):
-            parts[part] = [r for r in rest if r.part == part]
-        else:
-            parts[part] = rest if part == "train" else []
+    parts: Parts = {"train": rest, "val": [], "test": []}
+    if any(r.part for r in recordings):
+        parts = {part: [r for r in rest if r.part == part] for part in PARTS}
+    for part, labels in listed.items():
+        parts[part] = [r for r in recordings if r.label in labels]
     return parts
 
 
@@ -119,16 +118,23 @@ def _counted(recordings: Sequence[Recording]) -> str:
     return f"{len(recordings)} trajector{'y' if len(recordings) == 1 else 'ies'}"
 
 
-def _last(where: str, recordings: Sequence[Recording], n_val: int, n_test: int) -> Parts:
-    available = len(recordings) - n_val - n_test
-    if available < 1:
+def _by_count(
+    where: str, recordings: Sequence[Recording], n_val: int | None, n_test: int | None
+) -> Parts:
+    n_val = whole_number("data.n_val", 1 if n_val is None else n_val)
+    n_test = whole_number("data.n_test", 1 if n_test is None else n_test)
+    first_test = len(recordings) - n_test
+    first_val = first_test - n_val
+    if first_val < 1:
         raise ConfigError(
             f"{where} has {_counted(recordings)}, too few for data.n_val={n_val}, "
             f"data.n_test={n_test} and at least one to train on"
         )
-    val = available + n_val
-    bounds = {"train": (0, available), "val": (available, val), "test": (val, None)}
-    return {part: list(recordings[low:high]) for part, (low, high) in bounds.items()}
+    return {
+        "train": list(recordings[:first_val]),
+        "val": list(recordings[first_val:first_test]),
+        "test": list(recordings[first_test:]),
+    }
 
 
 def with_every_part(
