@@ -118,10 +118,10 @@ def files(path: Location) -> list[Path]:
             raise ConfigError(f"{shown(path)}: the folder has no {', '.join(TABLES)} file or bag")
         return found
     if not file.exists() and glob.has_magic(str(file)):
-        found = [Path(one) for one in sorted(glob.glob(str(file), recursive=True))]
-        if not found:
+        matches = sorted(glob.glob(str(file), recursive=True))
+        if not matches:
             raise ConfigError(f"{shown(path)}: no file matches this pattern")
-        return [one for match in found for one in files(match)]
+        return files(matches)
     if suffix(file) not in (*TABLES, *TEXT):
         mend = "; save the sheet as CSV" if suffix(file) in SPREADSHEETS else ""
         raise ConfigError(
@@ -327,7 +327,7 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
     if count:
         columns["trajectory"] = np.repeat(np.arange(count), nodes)
     for name, x in found.items():
-        rows = _rows(x, count, nodes)
+        rows = _rows_of_many(x, count, nodes) if count else _rows_of_one(x, nodes)
         if rows is None:
             continue
         many = rows.shape[1] > 1 or x.ndim == 3 or name in ("q", "v", "u")
@@ -336,16 +336,17 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _rows(x: np.ndarray, count: int, nodes: int) -> np.ndarray | None:
-    """Return an array as (rows, columns), ``None`` where it does not fit."""
-    if count:
-        if x.ndim == 3 and x.shape[:2] == (count, nodes):
-            return x.reshape(count * nodes, -1)
-        if x.shape == (count, nodes):
-            return x.reshape(-1, 1)
-        if x.size == nodes:
-            return np.tile(x.reshape(-1), count)[:, None]
-        return np.repeat(x.reshape(-1), nodes)[:, None] if x.size == count else None
+def _rows_of_many(x: np.ndarray, count: int, nodes: int) -> np.ndarray | None:
+    """Return an array of ``count`` trajectories as (rows, columns), ``None`` if it does not fit."""
+    if x.ndim <= 3 and x.shape[:2] == (count, nodes):
+        return x.reshape(count * nodes, -1)
+    if x.size == nodes:
+        return np.tile(x.reshape(-1), count)[:, None]
+    return np.repeat(x.reshape(-1), nodes)[:, None] if x.size == count else None
+
+
+def _rows_of_one(x: np.ndarray, nodes: int) -> np.ndarray | None:
+    """Return an array of one trajectory as (rows, columns), ``None`` if it does not fit."""
     if x.size == nodes:
         return x.reshape(-1, 1)
     if x.ndim == 2 and nodes in x.shape:
