@@ -77,12 +77,14 @@ def suggestion(
     mapped = [theirs for ours, theirs in mapping.items() if ours[:2] == "q_" and theirs]
     if mapping == dict(columns or {}) or not (mapped or names("q", new)):
         return ""
-    text = as_setting(mapping) + " data.degrees=true" * (units_of_angles(mapped) == {"deg"})
-    text += ", a guess, since no name says coordinate" * (
-        bool(mapped) and not any(map(kind_of_column, mapped))
-    )
-    silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
-    return text + f", which leaves out {few(silent)}" * bool(silent)
+    text = as_setting(mapping)
+    if units_of_angles(mapped) == {"deg"}:
+        text += " data.degrees=true"
+    if mapped and not any(map(kind_of_column, mapped)):
+        text += ", a guess, since no name says coordinate"
+    if silent := [x for x in free if x not in mapping.values() and _may_move(x, table[x])]:
+        text += f", which leaves out {few(silent)}"
+    return text
 
 
 def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> dict[str, str]:

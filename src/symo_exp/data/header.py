@@ -102,6 +102,19 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
     with readable(file):
         found = columns_of(file)
         note = Dialect.of(file).note if suffix(file) in TEXT else None
+    _check_names(where, found)
+    new, unit, notes = renamed(where, found, columns)
+    if not names("q", new) or "t" not in new:
+        other = "" if where == shown(path) else ", or name the other files only, by data.path"
+        raise ConfigError(f"{where}: {_lacking(file, found, new, columns, other)}")
+    if doubt := _doubtful(found, new, columns):
+        raise ConfigError(f"{where}: {doubt}")
+    given = tuple((columns or {}).items())
+    return Header(tuple(new), unit, tuple(filter(None, (note, *notes))), given)
+
+
+def _check_names(where: str, found: Sequence[str]) -> None:
+    """Refuse a table without names, or with one of them twice."""
     if not any(found):
         raise ConfigError(f"{where}: cannot be read (it is empty)")
     if all(map(NUMBER.fullmatch, found)):
@@ -111,14 +124,6 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
         )
     if twice := sorted({name for name in found if name and found.count(name) > 1}):
         raise ConfigError(f"{where}: column {', '.join(twice)} occurs twice; rename one of the two")
-    new, unit, notes = renamed(where, found, columns)
-    if not names("q", new) or "t" not in new:
-        other = "" if where == shown(path) else ", or name the other files only, by data.path"
-        raise ConfigError(f"{where}: {_lacking(file, found, new, columns, other)}")
-    if doubt := _doubtful(found, new, columns):
-        raise ConfigError(f"{where}: {doubt}")
-    given = tuple((columns or {}).items())
-    return Header(tuple(new), unit, tuple(filter(None, (note, *notes))), given)
 
 
 def _lacking(

@@ -89,8 +89,8 @@ def read_recordings(
             version = file.stat().st_mtime_ns
         seconds = head.seconds if time_unit is None else UNITS[time_unit]
         where = shown(path if len(found) == 1 else file)
-        names = system.coordinates, tuple(system.inputs)
-        one = _read(where, file, version, head, seconds, *names)
+        inputs = tuple(system.inputs)
+        one = _read(where, file, version, head, seconds, system.coordinates, inputs)
         if len(found) > 1:
             one = one._replace(recordings=tuple(_within(label, one.recordings)))
         tables.append(one._replace(notes=(*head.notes, *one.notes)))
@@ -120,31 +120,16 @@ def _read(
     where: str, file: Path, version: int, head: Header, seconds: float | None,
     coordinates: Coordinates, inputs: tuple[str, ...],
 ) -> RecordingTable:  # fmt: skip
-    wanted = {
-        "q": [f"q_{name}" for name in coordinates.measured],
-        "v": [f"v_{name}" for name in coordinates.names],
-    }
-    wanted["u"] = [f"u_{name}" for name in inputs]
-    found, given = head.names, dict(head.given)
-    _check_places(where, found, wanted, given)
-    for kind in "vu":  # these may be absent, all of them
-        if not set(wanted[kind]) & set(found):
-            wanted[kind] = []
+    wanted = _wanted(where, head, coordinates, inputs)
     numbers = ["t", *wanted["q"], *wanted["v"], *wanted["u"]]
-    if missing := [column for column in numbers if column not in found]:
-        mapping = {column: column[2:] if column[2:] in found else "NAME" for column in missing}
-        raise ConfigError(
-            f"{where}: no column {', '.join(missing)}; it has {few(found)}; map it: "
-            f"{as_setting({**given, **mapping})}"
-        )
     with readable(file):
         table = table_of(file)
-        table.columns = pd.Index(found)
+        table.columns = pd.Index(head.names)
     notes: list[str] = []
     table["t"], seconds = _from_dates(table["t"], seconds, notes)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
-    table = _without_gaps(where, table, numbers, notes, given)
+    table = _without_gaps(where, table, numbers, notes, dict(head.given))
     if seconds is None:
         _check_seconds(where, table["t"].to_numpy())
     else:
@@ -152,9 +137,33 @@ def _read(
     table = _without_repeats(where, _numbered(table, notes), notes)
     recordings = tuple(_divided(where, table, wanted, len(inputs)))
     known = {*numbers, *OTHERS}
-    unread = [c.lstrip(".") for c in found if c and c not in known and c[:8] != "__index_"]
+    unread = [c.lstrip(".") for c in head.names if c and c not in known and c[:8] != "__index_"]
     notes += [f"columns that are not read: {few(unread)}"] if unread else []
     return RecordingTable(recordings, tuple(notes))
+
+
+def _wanted(
+    where: str, head: Header, coordinates: Coordinates, inputs: Sequence[str]
+) -> dict[str, list[str]]:
+    """Return the columns that are read, by their kind; velocities and inputs may be absent."""
+    found, given = head.names, dict(head.given)
+    wanted = {
+        "q": [f"q_{name}" for name in coordinates.measured],
+        "v": [f"v_{name}" for name in coordinates.names],
+        "u": [f"u_{name}" for name in inputs],
+    }
+    _check_places(where, found, wanted, given)
+    for kind in "vu":
+        if not set(wanted[kind]) & set(found):
+            wanted[kind] = []
+    columns = ["t", *wanted["q"], *wanted["v"], *wanted["u"]]
+    if missing := [column for column in columns if column not in found]:
+        mapping = {column: column[2:] if column[2:] in found else "NAME" for column in missing}
+        raise ConfigError(
+            f"{where}: no column {', '.join(missing)}; it has {few(found)}; map it: "
+            f"{as_setting({**given, **mapping})}"
+        )
+    return wanted
 
 
 def _divided(
