@@ -61,41 +61,24 @@ def shocks(
         suit the machine.
     """
     nothing: list[list[tuple[int, int]]] = [[] for _ in motions]
-    motions = held_still(motions)
-    long = [k for k, (q, _) in enumerate(motions) if len(q) >= SHORTEST]
+    still = held_still(motions)
+    long = [k for k, (q, _) in enumerate(still) if len(q) >= SHORTEST]
+    used = [still[k] for k in long]
+    rows = _rows(used, coordinates, h)
+    if not rows:
+        return nothing
     n = coordinates.n
-    if not long:
-        return nothing
-
-    def columns(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-        rests = 1 - np.abs(signs_of(v))
-        return np.concatenate([acceleration_terms(q, v, u, coordinates), rests, v], axis=1)
-
-    q, u = motions[long[0]]
-    width = columns(q[:1], q[:1], u[:1]).shape[1]
-    nodes = sum(len(motions[k][0]) for k in long)
-    if nodes < ROWS * width or nodes * width > LARGEST:
-        return nothing
-    rows = [weak_rows(*motions[k], h, columns) for k in long]
-    table = np.concatenate(rows)
-    if not np.isfinite(table).all():
-        return nothing
-    table, rests, velocity = np.split(table, [-2 * n, -n], axis=1)
+    table, rests, velocity = np.split(np.concatenate(rows), [-2 * n, -n], axis=1)
     velocity = np.abs(velocity)
     moving = (velocity > MOVES * np.sqrt(np.mean(velocity**2, axis=0))).any(axis=1)
     if not moving.any():
         return nothing
-    size = np.sqrt(np.mean(table[moving] ** 2, axis=0) + 1e-300)
-    y, x = np.split(table / size, [n], axis=1)
-    found = _robust(x[moving], y[moving])
-    viscous = len(place_terms(q[:1], coordinates))
+    viscous = len(place_terms(used[0][0][:1], coordinates))
     dry = np.arange(viscous + n, viscous + 2 * n)  # terms of dry friction
-    left = np.abs(y - x @ found)
-    usual = _usual(left[moving])
-    left = left - rests / size[n + dry] @ np.abs(found[dry])
-    strange = (left > STRANGE * usual).any(axis=1)
-    hit = ((left > SHOCK * usual) & (left > 1.0)).any(axis=1)
-    states = _states([motions[k] for k in long], coordinates, h)
+    left, usual = _errors(table, rests, moving, dry)
+    strange = np.any(left > STRANGE * usual, axis=1)
+    hit = np.any((left > SHOCK * usual) & (left > 1.0), axis=1)
+    states = _states(used, coordinates, h)
     of = np.repeat(long, [len(each) for each in rows])
     stretches = [list(each) for each in nothing]
     for k in long:
@@ -107,6 +90,47 @@ def shocks(
         ]
     lost = sum(last - first + 1 for each in stretches for first, last in each)
     return stretches if lost <= RARE * moving.sum() else nothing
+
+
+def _rows(motions: Sequence[Motion], coordinates: Coordinates, h: float) -> list[np.ndarray]:
+    """Return weak accelerations, terms, rests and velocities of each motion side by side.
+
+    The list is empty with too few nodes, too many numbers, or numbers that are not finite.
+    """
+    if not motions:
+        return []
+
+    def columns(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        rests = 1 - np.abs(signs_of(v))
+        return np.concatenate([acceleration_terms(q, v, u, coordinates), rests, v], axis=1)
+
+    q, u = motions[0]
+    width = columns(q[:1], q[:1], u[:1]).shape[1]
+    nodes = sum(len(q) for q, _ in motions)
+    if nodes < ROWS * width or nodes * width > LARGEST:
+        return []
+    rows = [weak_rows(q, u, h, columns) for q, u in motions]
+    return rows if all(np.isfinite(each).all() for each in rows) else []
+
+
+def _errors(
+    table: np.ndarray, rests: np.ndarray, moving: np.ndarray, dry: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors (k, n) of accelerations, and usual ones (n,), over the size of accelerations.
+
+    Args:
+        table: Weak accelerations and their terms, a row for each node.
+        rests: By how much each coordinate is at rest (k, n), from 0 to 1.
+        moving: Rows that the regression is made from (k,).
+        dry: Index of each coordinate's term of dry friction, which may be smaller at rest.
+    """
+    n = rests.shape[1]
+    size = np.sqrt(np.mean(table[moving] ** 2, axis=0) + 1e-300)
+    y, x = np.split(table / size, [n], axis=1)
+    found = _robust(x[moving], y[moving])
+    left = np.abs(y - x @ found)
+    usual = _usual(left[moving])
+    return left - rests / size[n + dry] @ np.abs(found[dry]), usual
 
 
 def _robust(x: np.ndarray, y: np.ndarray) -> np.ndarray:
