@@ -167,7 +167,7 @@ def _plant(env: Any, name: str) -> Plant:
         if system.coordinates.rotations:
             raise ConfigError(
                 f"record {name}: this command does not write rotations; simulate them with "
-                "symo_exp.systems.simulation and write them with symo_exp.data.recorded"
+                "symo_exp.systems.simulation and write them with symo_exp.data.table"
             )
         clock = {"steps": -1}
 
