@@ -15,10 +15,11 @@ from torch import Tensor
 from symo_exp.checks import one_of, real, whole_number
 from symo_exp.data.noise import add_noise
 from symo_exp.mechanics.space import FLAT, Space, space_of
-from symo_exp.mechanics.types import TrainingSamples, Trajectories, Trajectory, Windows
+from symo_exp.mechanics.types import TrainingSamples, Trajectories, Trajectory
 from symo_exp.mechanics.windows import cut_windows
 
 Item = TypeVar("Item")
+Kind = TypeVar("Kind", bound=TrainingSamples)
 
 log = logging.getLogger(__name__)
 
@@ -156,9 +157,9 @@ class DataModule(lightning.LightningDataModule, ABC):
         std = self.noise_std if self.noise_test else 0.0
         self.test_trajectories = add_noise(splits.test, std, [self.noise_seed, 1])
         self.integration = splits.integration
-        self.train = self._windows(self.trajectories("train"))
-        self.val = self._windows(self.val_trajectories)
-        self.test = self._windows(self.test_trajectories)
+        self.train = _converted(cut_windows(self.trajectories("train")), self.dtype)
+        self.val = _converted(cut_windows(self.val_trajectories), self.dtype)
+        self.test = _converted(cut_windows(self.test_trajectories), self.dtype)
 
     def trajectories(self, part: Literal["train", "held_out", "val", "test"]) -> list[Trajectory]:
         """Return the trajectories of a part, in float64; "train" excludes "held_out"."""
@@ -201,22 +202,28 @@ class DataModule(lightning.LightningDataModule, ABC):
     def _watched(self) -> TrainingSamples:
         return self._samples(self.trajectories(self.monitor)[: self.monitor_trajectories])
 
-    def _windows(self, trajectories: Sequence[Trajectory]) -> Windows:
-        return Windows(*(field.to(self.dtype) for field in cut_windows(trajectories)))
-
     def _samples(self, trajectories: Sequence[Trajectory]) -> TrainingSamples:
-        cut = self.cut(trajectories)
-        return type(cut)(*(field.to(self.dtype) for field in cut))
+        return _converted(self.cut(trajectories), self.dtype)
 
     def _placed(self, name: str, make: Callable[[], TrainingSamples]) -> TrainingSamples:
         """Return samples on the trainer's device, moved there once."""
         device = self.trainer.strategy.root_device if self.trainer else torch.device("cpu")
         where, samples = self._on_device.get(name, (None, None))
         if samples is None or where != device:
-            made = make()
-            samples = type(made)(*(field.to(device) for field in made))
+            samples = _converted(make(), device)
             self._on_device[name] = (device, samples)
         return samples
+
+
+def _converted(samples: Kind, to: torch.dtype | torch.device) -> Kind:
+    """Return samples in a precision, or on a device."""
+    return type(samples)(*(field.to(to) for field in samples))
+
+
+def stacked(trajectories: Sequence[Trajectory], nodes: int) -> Trajectories:
+    """Return the first nodes of trajectories that have at least so many."""
+    fields = zip(*trajectories, strict=True)
+    return Trajectories(*(torch.stack([x[:nodes] for x in field]) for field in fields))
 
 
 def central_differences(q: Tensor, h: float, space: Space = FLAT) -> Tensor:

@@ -381,7 +381,7 @@ def _regression(
         motion.
     """
     paths = [(quasi_coordinates(q, coordinates), u) for q, u in motions]
-    moves = moving(paths) if paths else np.zeros(0, dtype=bool)
+    moves = moving(paths)
     table = _table(motions, paths, h, terms)
     n = len(moves)
     if len(table) < 20 or not (np.isfinite(table).all() and moves.any()):
@@ -418,6 +418,8 @@ def _shared(sizes: np.ndarray, coordinates: Coordinates) -> np.ndarray:
 
 def moving(motions: Sequence[Motion]) -> np.ndarray:
     """Return which coordinates (n,) move in any recording, by more than rounding errors."""
+    if not motions:
+        return np.zeros(0, dtype=bool)
     ranges = np.max([np.ptp(q, axis=0) for q, _ in motions], axis=0)
     sizes = np.max([np.abs(q).max(axis=0) for q, _ in motions], axis=0)
     return np.asarray(ranges > ROUNDING * sizes)
@@ -425,7 +427,7 @@ def moving(motions: Sequence[Motion]) -> np.ndarray:
 
 def held_still(motions: Sequence[Motion]) -> list[Motion]:
     """Return motions without the rounding errors of what never moves, which are accelerations."""
-    moves = moving(motions) if motions else np.zeros(0, dtype=bool)
+    moves = moving(motions)
     return [(np.where(moves, q, q[0]), u) for q, u in motions]
 
 

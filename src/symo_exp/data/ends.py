@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 
-from symo_exp.data.base import Splits
+from symo_exp.data.base import Splits, stacked
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories, Trajectory
 from symo_exp.systems.box import Range
@@ -65,5 +65,4 @@ def _together(trajectories: Sequence[Trajectory]) -> Trajectories:
     lengths = torch.tensor([len(one.q) for one in trajectories])
     usable = [int(x) for x in lengths.unique() if x >= FEWEST]
     nodes = max(usable, key=lambda x: x * int((lengths >= x).sum()))
-    kept = [one for one in trajectories if len(one.q) >= nodes]
-    return Trajectories(*(torch.stack([x[:nodes] for x in f]) for f in zip(*kept, strict=True)))
+    return stacked([one for one in trajectories if len(one.q) >= nodes], nodes)

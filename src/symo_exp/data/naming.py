@@ -96,22 +96,26 @@ def _short(stem: str) -> str:
     return re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "x"
 
 
+def _unit_of(name: str) -> str:
+    """Return the unit that a name ends with, degrees as ``deg``; nothing if it ends with none."""
+    unit = UNIT.search(name)
+    return unit[2].lower().replace("°", "deg") if unit else ""
+
+
 def in_degrees(name: str) -> bool:
     """Return whether a name ends with degrees as its unit."""
-    unit = UNIT.search(name)
-    return unit is not None and unit[2].lower() in ("deg", "°")
+    return _unit_of(name) == "deg"
 
 
 def length_unit(name: str) -> str:
     """Return the unit of length that a name ends with, ``m`` where it ends with none."""
-    unit = UNIT.search(name)
-    return unit[2].lower() if unit and unit[2].lower() in ("mm", "cm") else "m"
+    unit = _unit_of(name)
+    return unit if unit in ("mm", "cm") else "m"
 
 
 def units_of_angles(columns: Sequence[str]) -> set[str]:
     """Return the units of angles at the ends of names, ``rad`` and ``deg``."""
-    units = [unit[2].lower().replace("°", "deg") for x in columns if (unit := UNIT.search(x))]
-    return {unit for unit in units if unit in ("rad", "deg")}
+    return {_unit_of(name) for name in columns} & {"rad", "deg"}
 
 
 def slope_of(stem: str, stems: Collection[str]) -> str | None:

@@ -15,7 +15,7 @@ from typing_extensions import Unpack, override
 
 from symo_exp.checks import one_of, real, whole_number
 from symo_exp.data.advice import Columns
-from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences
+from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences, stacked
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, shown
@@ -25,7 +25,7 @@ from symo_exp.data.parts import Parts, divided, uninterrupted, with_every_part, 
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
+from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
 
@@ -201,7 +201,9 @@ class RecordedData(DataModule):
         self._coordinates = space
         nodes = Nodes(where, space, h, wrapped, input_delay, lag)
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
-        self._splits = Splits(**found, integration=_shortest(found["test"][:n_integration]))
+        rollouts = found["test"][:n_integration]
+        shortest = min(len(t.q) for t in rollouts)
+        self._splits = Splits(**found, integration=stacked(rollouts, shortest))
         self._sampled = [recording.samples for recording in parts["train"]]
         with np.errstate(all="ignore"):  # values that overflow
             doubts = list(_doubts(space, self._sampled))
@@ -212,7 +214,7 @@ class RecordedData(DataModule):
         counts = {name: len(part) for name, part in found.items()}
         super().__init__(
             time_step=h,
-            counts=counts | {"integration": len(self._splits.integration.q)},
+            counts=counts | {"integration": len(rollouts)},
             n_traj=n_traj,
             batch_size=batch_size,
             **options,
@@ -332,9 +334,8 @@ class Nodes:
 
 def in_radians(samples: Samples, coordinates: Coordinates) -> Samples:
     """Return samples in degrees, with quaternions, as samples in radians."""
-    flat, rotations = len(coordinates.flat), len(coordinates.rotations)
+    places = np.where(_angles(samples, coordinates), np.pi / 180, 1.0)
     rates = np.where(coordinates.turning, np.pi / 180, 1.0)
-    places = np.concatenate([rates[:flat], np.ones(4 * rotations)])
     v = None if samples.v is None else samples.v * rates
     return samples._replace(q=samples.q * places, v=v)
 
@@ -430,12 +431,6 @@ def _check_steps(where: str, samples: Samples, h: float) -> None:
         )
 
 
-def _shortest(trajectories: Sequence[Trajectory]) -> Trajectories:
-    nodes = min(len(t.q) for t in trajectories)
-    fields = zip(*trajectories, strict=True)
-    return Trajectories(*(torch.stack([x[:nodes] for x in field]) for field in fields))
-
-
 def _told_read(where: str, recordings: Sequence[Recording], parts: Parts) -> str:
     """Return a line on how many recordings are in each part and how many are not used."""
     text = ", ".join(f"{len(part)} {name}" for name, part in parts.items())
@@ -479,9 +474,10 @@ def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[st
 
 
 def _sweeps(x: np.ndarray) -> np.ndarray:
-    """Distances between turning points, those beyond a tenth of the range."""
+    """Return distances between turning points, those beyond a tenth of the range."""
     turns = np.flatnonzero(np.diff(np.sign(np.diff(x))) != 0) + 1
-    return sweeps[sweeps > 0.1 * np.ptp(x)] if len(sweeps := np.abs(np.diff(x[turns]))) else sweeps
+    sweeps = np.abs(np.diff(x[turns]))
+    return np.asarray(sweeps[sweeps > 0.1 * np.ptp(x)])
 
 
 def _ratio(samples: Samples, i: int) -> float:
