@@ -151,28 +151,44 @@ def _doubtful(found: Sequence[str], new: Sequence[str], columns: Columns | None)
     """Return a line on columns whose names contradict what they are read as; else nothing."""
     given = dict(columns or {})
     read = [name for name in new if name.startswith("q_") and name not in given]
-    wanted = [name for name in read if is_wanted(name)]
-    if wanted and len(wanted) < len(names("q", new)):
-        return (
-            f"{few(wanted)}: what a controller wants, as such names say, is no coordinate; rename "
-            f"them, or leave them out, {omitting(wanted, columns)}"
-        )
     unread = [name for name, ours in zip(found, new, strict=True) if name == ours]
+    return (
+        _set_points(read, new, given)
+        or _other_coordinates(read, unread, given)
+        or _other_inputs(unread, new, given)
+    )
+
+
+def _set_points(read: Sequence[str], new: Sequence[str], given: Columns) -> str:
+    wanted = [name for name in read if is_wanted(name)]
+    if not 0 < len(wanted) < len(names("q", new)):
+        return ""
+    return (
+        f"{few(wanted)}: what a controller wants, as such names say, is no coordinate; rename "
+        f"them, or leave them out, {omitting(wanted, given)}"
+    )
+
+
+def _other_coordinates(read: Sequence[str], unread: Sequence[str], given: Columns) -> str:
     plain = [name for name in unread if PLAIN.fullmatch(name)]
-    if read and plain:
-        mapped = {f"q_{key}": x for key, x in zip(short_names(plain, PLACE), plain, strict=True)}
-        return (
-            f"{few(read)} would be coordinates by their names, and {few(plain)} would not; if the "
-            f"latter are, map them: {as_setting({**given, **dict.fromkeys(read), **mapped})}"
-        )
+    if not (read and plain):
+        return ""
+    mapped = {f"q_{key}": x for key, x in zip(short_names(plain, PLACE), plain, strict=True)}
+    return (
+        f"{few(read)} would be coordinates by their names, and {few(plain)} would not; if the "
+        f"latter are, map them: {as_setting({**given, **dict.fromkeys(read), **mapped})}"
+    )
+
+
+def _other_inputs(unread: Sequence[str], new: Sequence[str], given: Columns) -> str:
     inputs = [name for name in unread if kind_of_column(name) == "u"]
-    if inputs and not names("u", new):
-        mend = as_setting({**given, **suggested_inputs(inputs, names("q", new))})
-        return (
-            f"no column u_<name> with an input, but {few(inputs)}; map them, {mend}, or leave them "
-            f"out, {omitting(inputs, columns)}"
-        )
-    return ""
+    if not inputs or names("u", new):
+        return ""
+    mend = as_setting({**given, **suggested_inputs(inputs, names("q", new))})
+    return (
+        f"no column u_<name> with an input, but {few(inputs)}; map them, {mend}, or leave them "
+        f"out, {omitting(inputs, given)}"
+    )
 
 
 def renamed(
