@@ -272,16 +272,19 @@ def refuse_counts(
     Raises:
         ConfigError: If any angle has more than ``FEW_NUMBERS`` values, all of them whole.
     """
+    if degrees:
+        return
     for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
-        values = np.unique(np.concatenate([one.samples.q[:, i] for one in recordings]))
-        if not angular or degrees or len(values) <= FEW_NUMBERS or (values % 1 != 0).any():
+        if not angular:
             continue
-        raise ConfigError(
-            f"{where}: q_{name} has whole numbers only, from {values[0]:g} to {values[-1]:g}, and "
-            "is an angle: convert counts of an encoder to radians in the file (counts times 2 pi "
-            "over the counts of a turn), without jumps where counts start anew; for degrees, give "
-            "data.degrees=true"
-        )
+        values = np.unique(np.concatenate([one.samples.q[:, i] for one in recordings]))
+        if len(values) > FEW_NUMBERS and (values % 1 == 0).all():
+            raise ConfigError(
+                f"{where}: q_{name} has whole numbers only, from {values[0]:g} to {values[-1]:g}, "
+                "and is an angle: convert counts of an encoder to radians in the file (counts "
+                "times 2 pi over the counts of a turn), without jumps where counts start anew; "
+                "for degrees, give data.degrees=true"
+            )
 
 
 @dataclass(frozen=True)
