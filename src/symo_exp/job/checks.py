@@ -62,7 +62,7 @@ def _check_node(
     node: Mapping[str, Any],
     known: Mapping[str, Any],
     references: Mapping[str, str],
-    path: str = "",
+    prefix: str = "",
 ) -> None:
     """Check every key and the type of every value below a node.
 
@@ -70,25 +70,29 @@ def _check_node(
     have at the same place. A reference is checked where it points to.
     """
     if "_target_" in node:
-        hints = _parameters(node["_target_"], path)
+        hints = _parameters(node["_target_"], f"{prefix}_target_")
     else:
         hints = {key: bool if isinstance(x, bool) else Any for key, x in known.items()}
     for key, value in node.items():
-        name = f"{path}.{key}" if path else key
+        name = f"{prefix}{key}"
         if key not in _INSTANTIATE_KEYS:
             if key not in hints:
                 raise unknown_key(name, {**hints, **known})
-            if value == MISSING:
-                raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
-            if problem := mismatch(value, hints[key]):
-                source = references.get(name, name)
-                raise ConfigError(f"{source}={override_value(value)} has the wrong type: {problem}")
-        if name in references or _free(hints.get(key)):
-            continue
-        below = known.get(key)
-        for item in value if isinstance(value, list) else [value]:
-            if isinstance(item, Mapping):
-                _check_node(item, below if isinstance(below, Mapping) else {}, references, name)
+            _check_value(references.get(name, name), value, hints[key])
+        if name not in references and not _free(hints.get(key)):
+            files = known.get(key)
+            for item in value if isinstance(value, list) else [value]:
+                if isinstance(item, Mapping):
+                    there = files if isinstance(files, Mapping) else {}
+                    _check_node(item, there, references, f"{name}.")
+
+
+def _check_value(name: str, value: Any, hint: Any) -> None:
+    """Refuse a setting without a value, or with one that does not fit a type annotation."""
+    if value == MISSING:
+        raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
+    if problem := _mismatch(value, hint):
+        raise ConfigError(f"{name}={override_value(value)} has the wrong type: {problem}")
 
 
 def unknown_key(name: str, siblings: Mapping[str, Any]) -> ConfigError:
@@ -126,7 +130,7 @@ def did_you_mean(
     return f"; did you mean {meant}?" if meant else ""
 
 
-def mismatch(value: Any, hint: Any) -> str:
+def _mismatch(value: Any, hint: Any) -> str:
     """Return what a type annotation expects of a value that does not fit it, else nothing.
 
     Structures are left to the constructor, unless it expects a scalar.
@@ -153,9 +157,9 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
         return None
 
 
-def _parameters(target: Any, path: str) -> Mapping[str, Any]:
+def _parameters(target: Any, where: str) -> Mapping[str, Any]:
     """Return the names and type annotations of a constructor's arguments."""
-    made = code.locate(target, f"{path}._target_" if path else "_target_")
+    made = code.locate(target, where)
     try:
         signature = inspect.signature(made, eval_str=True)
     except (NameError, TypeError):  # names that only a type checker imports

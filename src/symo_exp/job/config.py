@@ -43,13 +43,13 @@ def unresolved(config: DictConfig) -> Any:
     return OmegaConf.to_container(config, resolve=False)
 
 
-def references(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
+def references(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the dotted names of settings that refer to others, as ``${NAME}``, and ``NAME``."""
-    if isinstance(node, str) and "${" in node:
-        yield path, node.removeprefix("${").removesuffix("}")
-    elif isinstance(node, Mapping):
-        for key, value in node.items():
-            yield from references(value, f"{path}.{key}" if path else str(key))
+    for key, value in node.items():
+        if isinstance(value, str) and "${" in value:
+            yield f"{prefix}{key}", value.removeprefix("${").removesuffix("}")
+        elif isinstance(value, Mapping):
+            yield from references(value, f"{prefix}{key}.")
 
 
 def run_folder(*, _root_: DictConfig) -> str:

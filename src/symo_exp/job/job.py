@@ -250,13 +250,13 @@ def describe_job(
 
 
 def _parameters(
-    node: Mapping[str, Any], settings: Settings, path: str = ""
+    node: Mapping[str, Any], settings: Settings, prefix: str = ""
 ) -> Iterator[tuple[str, Any]]:
     """Yield every setting but those of studies, each under the name where it is written."""
     for key, value in node.items():
-        name = f"{path}.{key}" if path else key
+        name = f"{prefix}{key}"
         if isinstance(value, Mapping):
             if name != "study" and name not in settings.references:
-                yield from _parameters(value, settings, name)
+                yield from _parameters(value, settings, f"{name}.")
         elif key != "_partial_":
             yield name, value
