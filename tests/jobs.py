@@ -56,7 +56,7 @@ def refusal(*words: str) -> str:
     """Return the error of a command that must not start."""
     try:
         with planned(*words) as (sweep, jobs):
-            sweep.check(jobs, labelled=len(jobs) > 1)
+            sweep.check(jobs)
     except ConfigError as error:
         return str(error)
     raise AssertionError(f"{words} are accepted")

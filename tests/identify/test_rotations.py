@@ -115,7 +115,7 @@ def test_every_candidate_and_variation_can_be_built(
         for one in (candidate, *variations(candidate, found)):
             words = ["preset=recorded", "data=recorded", "system=recorded", "data.path=log.csv"]
             with planned(*words, *found.settings, *given, *one.overrides()) as (sweep, jobs):
-                sweep.check(jobs, labelled=False)
+                sweep.check(jobs)
 
 
 def test_quasi_coordinates_are_sums_of_turns_and_of_steps_in_body_axes() -> None:

@@ -193,7 +193,7 @@ class Search:
         word = next(iter(words), chosen)
         mend = "leave it out"
         if word == chosen:
-            mend = f"possible: {', '.join(self._sweep.choices_with(group, name))}"
+            mend = f"possible: {', '.join(self._sweep.composer.choices_with(group, name))}"
         return ConfigError(f"{word} does not suit a search, which {reason}; {mend}")
 
     def _examine(self) -> Machine:

@@ -15,6 +15,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 
 from symo_exp.errors import ConfigError
 from symo_exp.job.config import Settings, resolve, unresolved
+from symo_exp.job.job import is_done
 from symo_exp.runs.folder import RunFolder
 
 
@@ -36,6 +37,11 @@ class Job(NamedTuple):
     def values(self) -> dict[str, Any]:
         """The settings as plain values."""
         return self.settings.values
+
+    def is_left_out(self) -> bool:
+        """Return whether the run has finished before and is not to be started anew."""
+        resumes: bool = self.values["resume"]
+        return resumes and is_done(self.values, self.folder)
 
 
 def expand(arguments: Sequence[str], params: Mapping[str, Any]) -> list[list[str]]:
@@ -84,7 +90,9 @@ def _agreeing(rows: list[list[str]], typed: list[list[list[str]]]) -> list[list[
 
 
 def labels(combinations: Sequence[Sequence[str]]) -> list[str]:
-    """Return the overrides of each combination that not all combinations have."""
+    """Return the overrides of each combination that not all have; nothing for a single one."""
+    if len(combinations) == 1:
+        return [""]
     common = set.intersection(*map(set, combinations))
     return [" ".join([o for o in one if o not in common] or one) for one in combinations]
 
@@ -138,7 +146,5 @@ class Composer:
         """Return a configuration; of Hydra's own part only what names a folder is kept."""
         own = self._loader.load_sweep_config(self._master, list(overrides))
         with open_dict(own):
-            hydra = unresolved(own.pop("hydra"))
-            choices = {"choices": hydra["runtime"]["choices"]}
-            own["hydra"] = {"sweep": hydra["sweep"], "runtime": choices}
+            own.hydra = OmegaConf.masked_copy(own.hydra, ["sweep", "runtime"])
         return own

@@ -25,7 +25,7 @@ from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, debugging, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
-from symo_exp.job.job import changed_recordings, is_done, publish
+from symo_exp.job.job import changed_recordings, publish
 from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
 from symo_exp.shell import python_command
@@ -55,7 +55,7 @@ class Sweep:
 
     def __init__(self, context: HydraContext, task: TaskFunction, master: DictConfig) -> None:
         self._context, self._task, self._master = context, task, master
-        self._composer = Composer(context.config_loader, master)
+        self.composer = Composer(context.config_loader, master)
         self._cluster = slurm.Queue.of(master)
 
     def run(
@@ -69,25 +69,22 @@ class Sweep:
         jobs = self.plan(arguments, params)
         for folders in _watching:
             folders += [job.folder for job in jobs]
-        finished = [job for job in jobs if job.values["resume"] and is_done(job.values, job.folder)]
+        finished = [job for job in jobs if job.is_left_out()]
         todo = [job for job in jobs if job not in finished]
-        self.check(todo, labelled=len(jobs) > 1)
+        self.check(todo)
         if check_only:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
-        for job in finished:
-            tracker = instantiate(job.values["logger"])
-            if not tracker.is_published(job.folder):  # as far as is known without MLflow
-                publish(tracker, job.folder)
+        _publish_missing(finished)
         if finished and len(jobs) > 1:
             print(f"{len(finished)} of {len(jobs)} runs are finished already", flush=True)
+        if not todo:
+            return self._sum_up(jobs, finished)
         for job in todo:
             _clear(job)
-        if todo:
-            with stopping.command():
-                self._do(jobs, todo)
-                return self._sum_up(jobs, finished)
-        return self._sum_up(jobs, finished)
+        with stopping.command():
+            self._do(jobs, todo)
+            return self._sum_up(jobs, finished)
 
     def perform(
         self, combinations: Sequence[list[str]], labels: Sequence[str]
@@ -104,7 +101,7 @@ class Sweep:
         for overrides, label in zip(combinations, labels, strict=True):
             try:
                 job = self._composed(overrides, label)
-                if not (job.values["resume"] and is_done(job.values, job.folder)):
+                if not job.is_left_out():
                     todo[job.folder.path] = job
                 found.append(job.folder)
             except BAD_INPUT as error:
@@ -128,23 +125,20 @@ class Sweep:
             ConfigError: For a job with invalid settings, or one that is there twice.
         """
         combinations = expand(arguments, params)
-        jobs: list[Job] = []
-        folders: dict[Path, str] = {}
+        jobs: dict[Path, Job] = {}
         for overrides, label in zip(combinations, labels(combinations), strict=True):
-            label = label if len(combinations) > 1 else ""
             try:
                 job = self._composed(overrides, label)
             except BAD_INPUT as error:
                 raise _labelled(explained(error), label) from error
-            if job.folder.path in folders:
-                raise ConfigError(f"{label}: this is the same run as {folders[job.folder.path]}")
-            folders[job.folder.path] = label
-            jobs.append(job)
-        return jobs
+            same = jobs.setdefault(job.folder.path, job)
+            if same is not job:
+                raise ConfigError(f"{label}: this is the same run as {same.label}")
+        return list(jobs.values())
 
     def _composed(self, overrides: list[str], label: str) -> Job:
         """Return a job whose places and, unless it is done, settings are checked."""
-        job = self._composer.job(overrides, label)
+        job = self.composer.job(overrides, label)
         values = job.values
         check_parts(job.settings, job.known)
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
@@ -152,17 +146,16 @@ class Sweep:
             refusal = changed_recordings(values, job.folder, restarts=True)
             if refusal is not None:
                 raise refusal
-        if not is_done(values, job.folder):
-            self._composer.check_choices(job)
+        if not job.is_left_out():
+            self.composer.check_choices(job)
             check_settings(job.settings, job.known)
         return job
 
-    def check(self, jobs: Sequence[Job], *, labelled: bool) -> None:
+    def check(self, jobs: Sequence[Job]) -> None:
         """Build the parts of every job, so that no mistake is found after others have run.
 
-        Args:
-            jobs: Jobs of ``plan``.
-            labelled: Whether an error begins with the label of its job.
+        Raises:
+            ConfigError: For invalid settings; the message begins with the label of the job.
         """
         if not jobs:
             return  # without the seconds of the import
@@ -181,11 +174,7 @@ class Sweep:
                     parts.tracker.check()
                     stores.append(values["logger"])
             except ConfigError as error:
-                raise _labelled(error, job.label if labelled else "") from error
-
-    def choices_with(self, group: str, name: str) -> list[str]:
-        """Return the choices of a group that give a setting a value, as overrides."""
-        return self._composer.choices_with(group, name)
+                raise _labelled(error, job.label) from error
 
     def system(self) -> Any:
         """Return the system of the command.
@@ -200,7 +189,7 @@ class Sweep:
     def refusal(self, overrides: list[str]) -> ConfigError | None:
         """Return why a job of a search cannot be done, or nothing."""
         try:
-            self.check([self._composed(overrides, "")], labelled=False)
+            self.check([self._composed(overrides, "")])
         except BAD_INPUT as error:
             return explained(error)
         return None
@@ -231,6 +220,19 @@ class Sweep:
         Returns:
             The jobs whose processes were killed, which is recorded as their outcome.
         """
+        for job in self._start_all(jobs):
+            if stopping.requested() is None:
+                self._launch([job])
+        died = [job for job in jobs if job.folder.died()]
+        for job in died:
+            if stopping.requested() is None:
+                job.folder.record("failed", DIED)
+            else:
+                job.folder.record("interrupted", "its process was ended")
+        return died
+
+    def _start_all(self, jobs: Sequence[Job]) -> list[Job]:
+        """Launch jobs until each was started once; return those whose processes were killed."""
         died: list[Job] = []
         todo = list(jobs)
         while todo and stopping.requested() is None:
@@ -242,15 +244,6 @@ class Sweep:
             if died and stopping.requested() is None:
                 log.error("a worker was killed: %d runs are started again", len(died + waiting))
             todo = waiting
-        for job in died:
-            if stopping.requested() is None:
-                self._launch([job])
-        died = [job for job in jobs if job.folder.died()]
-        for job in died:
-            if stopping.requested() is None:
-                job.folder.record("failed", DIED)
-            else:
-                job.folder.record("interrupted", "its process was ended")
         return died
 
     def _launch(self, jobs: Sequence[Job]) -> None:
@@ -305,6 +298,14 @@ class Sweep:
         if signum is not None:
             return 128 + signum
         return 0 if all(outcome.status == "finished" for outcome in outcomes) else 1
+
+
+def _publish_missing(finished: Sequence[Job]) -> None:
+    """Publish finished runs that the store lacks, as far as is known without MLflow."""
+    for job in finished:
+        tracker = instantiate(job.values["logger"])
+        if not tracker.is_published(job.folder):
+            publish(tracker, job.folder)
 
 
 def _labelled(error: ConfigError, label: str) -> ConfigError:
