@@ -55,10 +55,9 @@ def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
     """Return the differences of a run."""
     groups = {g: c for g, c in choices.items() if isinstance(c, str) and "/" not in g}
     chosen = [f"{group}={groups[group]}" for group in CHOSEN if group in groups]
-    usual, files = _shipped(*chosen)
+    usual, _ = _shipped(*chosen)
     others = [f"{g}={c}" for g, c in sorted(groups.items() - usual.items()) if g not in INCIDENTAL]
-    if others:
-        _, files = _shipped(*chosen, *others)
+    _, files = _shipped(*chosen, *others)
     theirs = dict(relevant(files)) | {n: settings.value(other) for n, other in references(files)}
     different = [
         name
