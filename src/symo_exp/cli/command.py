@@ -81,19 +81,7 @@ class Command:
             raise ConfigError(f"{files[1]} has the name of a sweep of symo_exp; rename it")
         if not files or not self.runs:
             return []
-        (file,) = files
-        try:
-            content = yaml.safe_load(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError, yaml.YAMLError) as error:
-            raise ConfigError(f"{file} cannot be read: {error}") from error
-        if not isinstance(content, dict) or set(content) != {"sweeps"}:
-            return []
-        names = content["sweeps"]
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ConfigError(f"{file}: expected a list of names under sweeps")
-        for name in names:
-            if name == self.name or not file.with_name(f"{name}.yaml").is_file():
-                raise ConfigError(f"{file} names the sweep {name}, which is not in {file.parent}")
+        names = _listed_sweeps(files[0])
         return [Command([*self.options, "-cn", name, *self.overrides]) for name in names]
 
     def execute(self, *extra: str) -> int:
@@ -139,3 +127,21 @@ class Command:
             per_job = dot and group in swept and value and not value.endswith(")")
             words.append(f"{key}=choice({value})" if per_job else word)
         return words
+
+
+def _listed_sweeps(file: Path) -> list[str]:
+    """Return the names that a file lists under ``sweeps``, none if it is itself a sweep."""
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(f"{file} cannot be read: {error}") from error
+    if not isinstance(content, dict) or set(content) != {"sweeps"}:
+        return []
+    names = content["sweeps"]
+    if not isinstance(names, list):
+        raise ConfigError(f"{file}: expected a list of names under sweeps")
+    others = [path.stem for path in file.parent.glob("*.yaml") if path != file]
+    for name in names:
+        if name not in others:
+            raise ConfigError(f"{file} names the sweep {name}, which is not in {file.parent}")
+    return names
