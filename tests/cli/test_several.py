@@ -11,7 +11,7 @@ from symo_exp.__main__ import main
 from symo_exp.cli.command import Command
 from symo_exp.shipped import SWEEPS
 from symo_exp.sweep.sweeper import Sweep
-from tests.jobs import job_of
+from tests.jobs import job_of, jobs_of
 from tests.tiny import TINY
 
 ONE = """defaults: [config, {override logger: none}, _self_]
@@ -102,3 +102,14 @@ def test_a_job_of_a_sweep_says_what_to_type_for_it_alone(folder):
         python, *typed = shlex.split(about["tags"]["symo_exp.command"])
         assert (python, typed[:2]) == ("python", ["-m", "symo_exp"])
         assert job_of(*typed[2:]).folder.path.name == run.name
+
+
+def test_a_sweep_says_the_command_that_repeats_it(folder):
+    words = ["--config-dir", str(folder), "-cn", "a", *TINY[1:], "model=node", "pictures=false"]
+    words += ["measures=false", "data.n_traj=2,3"]
+    assert main(words) == 0
+    (file,) = Path("outputs/default/.sweeps").glob("*/run.json")
+    python, *typed = shlex.split(json.loads(file.read_text())["tags"]["symo_exp.command"])
+    assert (python, typed[:2]) == ("python", ["-m", "symo_exp"])
+    again = {job.folder.path.name for job in jobs_of(*typed[2:])}
+    assert again == {run.name for run in Path("outputs/default").glob("node-*")}

@@ -207,8 +207,13 @@ def publish(tracker: Any, folder: RunFolder) -> str:
         return ""
 
 
+def spelled(words: Sequence[str]) -> str:
+    """Return a command as it is kept with a run or a sweep."""
+    return shlex.join(["python", "-m", "symo_exp", *words])
+
+
 def typed(hydras: Any) -> list[str]:
-    """Return the words of the command that repeats one run of a sweep."""
+    """Return the words of the command of a job, or of a sweep, by Hydra's part of its settings."""
     words = []
     if hydras.job.config_name != "config":
         words += ["-cn", hydras.job.config_name]
@@ -244,7 +249,7 @@ def describe_job(
         parameters=groups | dict(_parameters(settings.values, settings)),
         variant=found.variant(),
         sweep=os.environ.get(SWEEP, ""),
-        tags={**revision_tags(), COMMAND: shlex.join(["python", "-m", "symo_exp", *words])},
+        tags={**revision_tags(), COMMAND: spelled(words)},
         recordings=recordings_of(settings.values),
     )
 

@@ -19,13 +19,13 @@ from symo_exp.tracking.page import COMMAND, RESULT
 
 
 @contextmanager
-def parent(jobs: Sequence[Job], name: str, tracker: Any) -> Iterator[None]:
+def parent(jobs: Sequence[Job], name: str, command: str, tracker: Any) -> Iterator[None]:
     """Keep a run folder for the sweep meanwhile. The same jobs are the same sweep."""
     names = {job.folder.path.name: "" for job in jobs}
     folder = RunFolder(jobs[0].folder.path.parent / ".sweeps" / digest(names))
     with nullcontext() if folder.in_use() else folder.alone():
         folder.mark_published(None)
-        tags = {COMMAND: f"python -m symo_exp {name}"}
+        tags = {COMMAND: command}
         folder.describe(About(name, {"jobs": len(jobs)}, tags=tags))
         folder.record("running")
         publish(tracker, folder)

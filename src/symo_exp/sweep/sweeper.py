@@ -25,7 +25,7 @@ from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, debugging, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
-from symo_exp.job.job import changed_recordings, publish
+from symo_exp.job.job import changed_recordings, publish, spelled, typed
 from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
 from symo_exp.shell import python_command
@@ -203,8 +203,9 @@ class Sweep:
         tracker.close_dead()
         with ExitStack() as stack:
             if len(jobs) > 1:
-                typed = self._master.hydra.overrides.task or [self._master.hydra.job.config_name]
-                stack.enter_context(parent(jobs, " ".join(typed), tracker))
+                hydras = self._master.hydra
+                name = " ".join(hydras.overrides.task or [hydras.job.config_name])
+                stack.enter_context(parent(jobs, name, spelled(typed(hydras)), tracker))
             apart = "basic_launcher" not in self._master.hydra.launcher._target_
             stack.enter_context(Watch([job.folder for job in jobs], on_stop, apart=apart))
             for job in self.launch_all(todo):
@@ -276,28 +277,20 @@ class Sweep:
             raise
 
     def _sum_up(self, jobs: Sequence[Job], finished: Sequence[Job]) -> int:
+        """Print what came of the command and return its exit code."""
         phases.clear()
-        outcomes, folders = [job.folder.outcome() for job in jobs], [job.folder for job in jobs]
-        if len(jobs) > 1:
-            print(table([job.label for job in jobs], folders))
+        if len(jobs) == 1:
+            _tell_one(jobs[0].folder, was_finished=bool(finished))
+        else:
+            print(table([job.label for job in jobs], [job.folder for job in jobs]))
             # to look for it takes the seconds of an import
             if len(finished) < len(jobs) and (page := instantiate(jobs[0].values["logger"]).page()):
-                print(
-                    f"To compare them: {python_command('symo_exp.report')}\nTo look at them: {page}"
-                )
-        elif outcomes[0].status == "refused":
-            raise ConfigError(outcomes[0].reason)
-        elif outcomes[0].status == "finished":
-            about = folders[0].about()
-            print(table([about.name if about else ""], folders))
-            print(f"{folders[0]}" + " (finished already; resume=false repeats)" * bool(finished))
-        else:
-            told = f"{outcomes[0].status}: {outcomes[0].reason} (log: {folders[0] / LOG})"
-            print(f"symo_exp: {told}", file=sys.stderr)
+                print(f"To compare them: {python_command('symo_exp.report')}")
+                print(f"To look at them: {page}")
         signum = stopping.requested()
         if signum is not None:
             return 128 + signum
-        return 0 if all(outcome.status == "finished" for outcome in outcomes) else 1
+        return 0 if all(job.folder.outcome().status == "finished" for job in jobs) else 1
 
 
 def _publish_missing(finished: Sequence[Job]) -> None:
@@ -306,6 +299,19 @@ def _publish_missing(finished: Sequence[Job]) -> None:
         tracker = instantiate(job.values["logger"])
         if not tracker.is_published(job.folder):
             publish(tracker, job.folder)
+
+
+def _tell_one(folder: RunFolder, *, was_finished: bool) -> None:
+    """Print the measures of a single run, or why it has none."""
+    outcome, about = folder.outcome(), folder.about()
+    if outcome.status == "refused":
+        raise ConfigError(outcome.reason)
+    if outcome.status == "finished":
+        print(table([about.name if about else ""], [folder]))
+        print(f"{folder}" + " (finished already; resume=false repeats)" * was_finished)
+    else:
+        told = f"{outcome.status}: {outcome.reason} (log: {folder / LOG})"
+        print(f"symo_exp: {told}", file=sys.stderr)
 
 
 def _labelled(error: ConfigError, label: str) -> ConfigError:
