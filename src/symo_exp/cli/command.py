@@ -59,12 +59,7 @@ class Command:
         self.folders = [] if folder is None else [Path(folder).absolute()]
         """The user's own configuration, which is added to ours."""
         for override in self.overrides:
-            if "=" not in override and not override.startswith("~"):
-                mend = f"data.path={override}" if Path(override).exists() else f"{override}=..."
-                raise ConfigError(f"{override} is not a setting with a value: write {mend}")
-            group, _, value = override.partition("=")
-            if value == "null" and (CONF / group).is_dir():
-                raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
+            _check_word(override)
 
     @property
     def runs(self) -> bool:
@@ -127,6 +122,16 @@ class Command:
             per_job = dot and group in swept and value and not value.endswith(")")
             words.append(f"{key}=choice({value})" if per_job else word)
         return words
+
+
+def _check_word(override: str) -> None:
+    """Refuse an override without a value, and a group without a choice."""
+    if "=" not in override and not override.startswith("~"):
+        mend = f"data.path={override}" if Path(override).exists() else f"{override}=..."
+        raise ConfigError(f"{override} is not a setting with a value: write {mend}")
+    group, _, value = override.partition("=")
+    if value == "null" and (CONF / group).is_dir():
+        raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
 
 
 def _listed_sweeps(file: Path) -> list[str]:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Sequence
-from typing import Any
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError
 
 from symo_exp.errors import ConfigError, first_line, one_line
 from symo_exp.job.checks import did_you_mean, unknown_key
+from symo_exp.job.config import unresolved
 from symo_exp.shell import install_command, override_value
 from symo_exp.shipped import CONF, SWEEPS
 
@@ -34,23 +34,29 @@ def explained(error: BaseException) -> ConfigError:
         return ConfigError(f"a configuration file is not UTF-8 text: {error}")
     cause: BaseException | None = error
     while cause is not None:
-        if isinstance(cause, ConfigError):
-            return cause
-        if twice := TWICE.match(str(cause)):
-            (group,) = filter(None, twice.groups())
-            return ConfigError(f"+{group}=...: {group} has a choice already; leave out the +")
-        if isinstance(cause, OverrideParseException):
-            return _unreadable_value(cause)
-        if isinstance(cause, MissingConfigException) and cause.missing_cfg_file:
-            return _unknown_choice(cause.missing_cfg_file, cause.options)
-        if isinstance(cause, ConfigAttributeError | ConfigKeyError):
-            name, parent = cause.full_key, cause.parent_node
-            if name and isinstance(parent, DictConfig):
-                siblings: Any = OmegaConf.to_container(parent, resolve=False)
-                groups = [] if "." in name else [x.name for x in CONF.iterdir() if x.is_dir()]
-                return unknown_key(name, dict.fromkeys(groups) | siblings)
+        if told := _explained_alone(cause):
+            return told
         cause = cause.__cause__ or cause.__context__
     return ConfigError(one_line(error))
+
+
+def _explained_alone(error: BaseException) -> ConfigError | None:
+    """Return the refusal that one error of a chain stands for, ``None`` for any other error."""
+    if isinstance(error, ConfigError):
+        return error
+    if twice := TWICE.match(str(error)):
+        (group,) = filter(None, twice.groups())
+        return ConfigError(f"+{group}=...: {group} has a choice already; leave out the +")
+    if isinstance(error, OverrideParseException):
+        return _unreadable_value(error)
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        return _unknown_choice(error.missing_cfg_file, error.options)
+    if isinstance(error, ConfigAttributeError | ConfigKeyError):
+        name, parent = error.full_key, error.parent_node
+        if name and isinstance(parent, DictConfig):
+            groups = [] if "." in name else [x.name for x in CONF.iterdir() if x.is_dir()]
+            return unknown_key(name, dict.fromkeys(groups) | unresolved(parent))
+    return None
 
 
 def _unreadable_value(error: OverrideParseException) -> ConfigError:
@@ -72,7 +78,8 @@ def _unknown_choice(file: str, options: Sequence[str] | None) -> ConfigError:
         sweeps = sorted(sweep.stem for sweep in SWEEPS.glob("*.yaml"))
         told = f"there is no {value}.yaml; the sweeps are: {', '.join(sweeps)}"
         return ConfigError(f"{told}{did_you_mean(value, sweeps)}")
-    options = options or sorted(choice.stem for choice in (CONF / group).glob("*.yaml"))
+    if not options:  # of a list of choices, such as study=[forced,drift]
+        options = sorted(choice.stem for choice in (CONF / group).glob("*.yaml"))
     for prefix, (needed, extra) in EXTRAS.items():
         if group.startswith("hydra/") and value.startswith(prefix) and needed not in options:
             return ConfigError(f"{group}={value} needs a package: {install_command(extra)}")

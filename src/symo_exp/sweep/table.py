@@ -31,14 +31,9 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     shown = [name for name in MEASURES if any(name in measures for measures in found)]
     columns = [_column(name, found) for name in shown]
     columns.append(["time", *(f"{outcome.seconds:.0f} s" for outcome in outcomes)])
-    widths = [max(map(len, column)) for column in columns]
-    room = WIDTH - sum(width + 2 for width in widths)
+    room = WIDTH - sum(max(map(len, column)) + 2 for column in columns)
     names = [_fitted(name, max(room, 12)) for name in ("", *map(brief, labels))]
-    first = max(map(len, names))
-    lines = []
-    for name, *cells in zip(names, *columns, strict=True):
-        numbers = (cell.rjust(width) for cell, width in zip(cells, widths, strict=True))
-        lines.append("  ".join([name.ljust(first), *numbers]))
+    lines = _aligned(names, columns)
     if shown:
         units = [unit for name, unit in UNITS.items() if name in shown]
         told = "; ".join([*["* the best"] * (len(folders) > 1), *units])
@@ -51,6 +46,13 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
         if outcome.status != "finished"
     ]
     return "\n".join([*lines, *parameters, *verdicts, *failures])
+
+
+def _aligned(names: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
+    """Return a line for each name and its cells, names on the left and cells on the right."""
+    first = [name.ljust(max(map(len, names))) for name in names]
+    others = [[cell.rjust(max(map(len, column))) for cell in column] for column in columns]
+    return ["  ".join(cells) for cells in zip(first, *others, strict=True)]
 
 
 def _verdicts(names: Sequence[str], found: Sequence[Mapping[str, float]]) -> list[str]:
