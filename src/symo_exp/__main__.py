@@ -48,7 +48,7 @@ def _execute(argv: list[str]) -> int:
         from symo_exp.record import main as record
 
         return record(argv[1:])
-    from symo_exp.cli.command import CHECK_ONLY, Command
+    from symo_exp.cli.command import Command, execute_all
 
     command = Command(argv)
     if command.help:
@@ -56,16 +56,8 @@ def _execute(argv: list[str]) -> int:
 
         print(help_text(command.folders), end="")
         return 0
-    several = command.several()
-    for one in several:  # a word that one of them cannot take is found before anything runs
-        one.execute(CHECK_ONLY)
-    codes = []
-    for one in several:
-        print(f"== {one.name}", flush=True)
-        codes.append(one.execute())
-        if codes[-1] > 128:  # a signal keeps the others away
-            break
-    return next((code for code in codes if code), 0) if several else command.execute()
+    codes = execute_all(command.checked())
+    return next((code for code in codes if code), 0)
 
 
 if __name__ == "__main__":

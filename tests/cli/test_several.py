@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+import symo_exp
 from symo_exp.__main__ import main
-from symo_exp.cli.command import Command
+from symo_exp.cli.command import CHECK_ONLY, Command
+from symo_exp.errors import ConfigError
 from symo_exp.shipped import SWEEPS
 from symo_exp.sweep.sweeper import Sweep
 from tests.jobs import job_of, jobs_of
@@ -89,9 +91,27 @@ def test_shipped_sweeps_take_choices_from_a_folder_of_ones_own(folder):
 
 def test_a_word_that_the_last_cannot_take_is_found_before_the_first(folder, started, capsys):
     (folder / "b.yaml").write_text(ONE.replace("data.n_traj", "data.n_trajs"))
-    assert main(["--config-dir", str(folder), "-cn", "both"]) == 2
+    words = ["--config-dir", str(folder), "-cn", "both"]
+    assert main(words) == 2
     assert "data.n_trajs" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match=r"data\.n_trajs"):
+        symo_exp.run(*words)
     assert started == []
+
+
+def test_a_signal_keeps_the_rest_away(folder, monkeypatch, capsys):
+    given = []
+
+    def interrupted(command, *extra):
+        given.append([command.name, *extra])
+        return 0 if extra else 130
+
+    monkeypatch.setattr(Command, "execute", interrupted)
+    words = ["--config-dir", str(folder), "-cn", "both"]
+    assert main(words) == 130
+    with pytest.raises(KeyboardInterrupt):
+        symo_exp.run(*words)
+    assert given == [["a", CHECK_ONLY], ["b", CHECK_ONLY], ["a"]] * 2
 
 
 def test_a_job_of_a_sweep_says_what_to_type_for_it_alone(folder):

@@ -79,6 +79,17 @@ class Command:
         names = _listed_sweeps(files[0])
         return [Command([*self.options, "-cn", name, *self.overrides]) for name in names]
 
+    def checked(self) -> list[Command]:
+        """Return the command itself, or the sweeps that it names, all of whose jobs are checked.
+
+        Raises:
+            ConfigError: For a word that one of the sweeps cannot take.
+        """
+        several = self.several()
+        for one in several:
+            one.execute(CHECK_ONLY)
+        return several or [self]
+
     def execute(self, *extra: str) -> int:
         """Run the command by Hydra and return the exit code.
 
@@ -122,6 +133,21 @@ class Command:
             per_job = dot and group in swept and value and not value.endswith(")")
             words.append(f"{key}=choice({value})" if per_job else word)
         return words
+
+
+def execute_all(commands: Sequence[Command]) -> list[int]:
+    """Run commands, of several each beneath its name, and return their exit codes.
+
+    After a signal the rest is left out.
+    """
+    codes: list[int] = []
+    for one in commands:
+        if len(commands) > 1:
+            print(f"== {one.name}", flush=True)
+        codes.append(one.execute())
+        if codes[-1] > 128:
+            break
+    return codes
 
 
 def _check_word(override: str) -> None:

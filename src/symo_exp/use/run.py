@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 from PIL import Image
 
-from symo_exp.cli.command import Command
+from symo_exp.cli.command import Command, execute_all
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.runs.folder import LOG, MEASURES, PARAMETERS, PICTURES, ROLLOUTS, RunFolder
@@ -106,8 +106,9 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
     )
     if not command.runs:
         raise ConfigError(f"{' '.join(command.options)}: expected a command that starts a run")
+    commands = command.checked()
     with watched() as folders:
-        codes = [one.execute() for one in command.several() or [command]]
+        codes = execute_all(commands)
     if any(code > 128 for code in codes):
         raise KeyboardInterrupt
     for folder in folders:
