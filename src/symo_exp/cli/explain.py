@@ -12,7 +12,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from yaml import YAMLError
 
 from symo_exp.errors import ConfigError, first_line, one_line
-from symo_exp.job.checks import did_you_mean, unknown_key
+from symo_exp.job.checks import did_you_mean, similar, unknown_key
 from symo_exp.job.config import unresolved
 from symo_exp.shell import install_command, override_value
 from symo_exp.shipped import CONF, SWEEPS
@@ -77,11 +77,11 @@ def _unknown_choice(file: str, options: Sequence[str] | None) -> ConfigError:
     if not group:
         sweeps = sorted(sweep.stem for sweep in SWEEPS.glob("*.yaml"))
         told = f"there is no {value}.yaml; the sweeps are: {', '.join(sweeps)}"
-        return ConfigError(f"{told}{did_you_mean(value, sweeps)}")
+        return ConfigError(f"{told}{did_you_mean(similar(value, sweeps))}")
     if not options:  # of a list of choices, such as study=[forced,drift]
         options = sorted(choice.stem for choice in (CONF / group).glob("*.yaml"))
     for prefix, (needed, extra) in EXTRAS.items():
         if group.startswith("hydra/") and value.startswith(prefix) and needed not in options:
             return ConfigError(f"{group}={value} needs a package: {install_command(extra)}")
-    hint = did_you_mean(value, options)
+    hint = did_you_mean(similar(value, options))
     return ConfigError(f"{group}={value} is not a choice; possible: {', '.join(options)}{hint}")

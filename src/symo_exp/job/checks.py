@@ -8,7 +8,7 @@ import inspect
 import json
 import tempfile
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -104,30 +104,24 @@ def unknown_key(name: str, siblings: Mapping[str, Any]) -> ConfigError:
     """
     if name in MOVED:
         return ConfigError(f"{name} is not a setting any more; write {MOVED[name]}=...")
-    parent, _, leaf = name.rpartition(".")
-    prefix = f"{parent}." if parent else ""
+    parent, dot, leaf = name.rpartition(".")
     there = {s: value for s, value in siblings.items() if not s.startswith("_")}
     below = [f"{s}.{leaf}" for s, v in there.items() if isinstance(v, Mapping) and leaf in v]
-    which = f"{parent} has" if parent else "there are"
-    listed = f"; {which}: {', '.join(sorted(there)) or 'nothing that can be set'}"
-    hint = did_you_mean(leaf, there, below, prefix) or listed
+    hint = did_you_mean([f"{parent}{dot}{s}" for s in (*similar(leaf, there), *below)])
+    if not hint:
+        which = f"{parent} has" if parent else "there are"
+        hint = f"; {which}: {', '.join(sorted(there)) or 'nothing that can be set'}"
     return ConfigError(f"{name} is not a setting{hint} (--cfg job shows all)")
 
 
-def did_you_mean(
-    word: str, words: Iterable[str], others: Iterable[str] = (), prefix: str = ""
-) -> str:
-    """Return the end of a message that suggests names, nothing without any.
+def did_you_mean(names: Sequence[str]) -> str:
+    """Return the end of a message that suggests names, nothing without any."""
+    return f"; did you mean {' or '.join(names)}?" if names else ""
 
-    Args:
-        word: The word that was given.
-        words: Words of which up to two are suggested, those that are like the given one.
-        others: Further suggestions.
-        prefix: The beginning of all of them.
-    """
-    close = difflib.get_close_matches(word, list(words), n=2)
-    meant = " or ".join(f"{prefix}{name}" for name in (*close, *others))
-    return f"; did you mean {meant}?" if meant else ""
+
+def similar(word: str, words: Iterable[str]) -> list[str]:
+    """Return up to two of the words, those that are most like a given one."""
+    return difflib.get_close_matches(word, list(words), n=2)
 
 
 def _mismatch(value: Any, hint: Any) -> str:
