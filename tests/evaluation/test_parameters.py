@@ -29,8 +29,8 @@ from tests.tables import arguments_of
 SIGMA = 1e-3
 
 
-def test_friction_that_vanished_is_reported_as_none():
-    """A square root that goes to zero leaves the residuals alone, like a direction that is free."""
+def vanished_friction():
+    """The table of friction whose dry part vanished in the second coordinate."""
     system = SYSTEMS["acrobot"]
     found = LearnedDissipation(coordinates=system.coordinates, coulomb=True)
     parameters = list(found.parameters())
@@ -41,7 +41,12 @@ def test_friction_that_vanished_is_reported_as_none():
     everything = torch.eye(len(mean), dtype=torch.float64)
     free = everything[:, dry + 1 : dry + 2]
     known = Posterior(mean, 1e-3 * everything, free, SIGMA, SIGMA, 100)
-    rows = physical_parameters(found, system.coordinates, parameters, known)
+    return physical_parameters(found, system.coordinates, parameters, known)
+
+
+def test_friction_that_vanished_is_reported_as_none():
+    """A square root that goes to zero leaves the residuals alone, like a direction that is free."""
+    rows = vanished_friction()
     none = [row for row in rows if row.note == "none was found"]
     assert [(row.value, row.determined) for row in none] == [(0.0, "no")]
     assert "no" not in {row.determined for row in rows if row not in none}
@@ -121,9 +126,8 @@ def slopes_of(values, parameters):
     return torch.stack([torch.cat([g.flatten() for g in of]) for of in gradients])
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_of_two_forces_that_act_alike_the_sum_is_determined(sign):
-    """Whatever their values: equal ones have a product that does not change to first order."""
+def two_forces(sign):
+    """Two constant forces of which the sum or the difference is determined, and their table."""
     torch.manual_seed(0)
     coordinates = Coordinates(("x", "y"), (False, False))
     friction = partial(MachineFriction, constant=True)
@@ -136,7 +140,14 @@ def test_of_two_forces_that_act_alike_the_sum_is_determined(sign):
     mean = torch.cat([p.detach().flatten() for p in parameters])
     everything = 1e-3 * torch.eye(len(mean)).double()
     known = Posterior(mean, everything, (along / along.norm()).unsqueeze(1), SIGMA, SIGMA, 100)
-    rows = {x.name: x for x in physical_parameters(found, coordinates, parameters, known)}
+    return force, gravity, physical_parameters(found, coordinates, parameters, known)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_of_two_forces_that_act_alike_the_sum_is_determined(sign):
+    """Whatever their values: equal ones have a product that does not change to first order."""
+    force, gravity, found = two_forces(sign)
+    rows = {row.name: row for row in found}
     ((name, row),) = [x for x in rows.items() if x[1].note == "the combination that is determined"]
     assert set(name.split()) == {"y.gravity_force", "+" if sign > 0 else "-", "y.constant_force"}
     assert abs(row.value) == pytest.approx(abs((force + sign * gravity).item()))
@@ -174,7 +185,8 @@ def test_numbers_of_a_machine_without_known_forces_do_not_depend_on_the_unit_of_
     assert tables[4.0, False] == pytest.approx(tables[1.0, False])
 
 
-def test_all_numbers_relative_to_one_are_determined_up_to_a_common_factor():
+def scaled_links(*, driven):
+    """Two links that the data determine up to one factor: their numbers, and the table."""
     found, coordinates = links()
     parameters = list(found.parameters())
     read = readings(found, coordinates)
@@ -183,11 +195,14 @@ def test_all_numbers_relative_to_one_are_determined_up_to_a_common_factor():
     mean = torch.cat([p.detach().flatten() for p in parameters])
     free = (scaling / scaling.norm()).unsqueeze(1)
     known = Posterior(mean, 1e-6 * torch.eye(len(mean)).double(), free, SIGMA, SIGMA, 100)
-    absolute, relative = (
-        physical_parameters(found, coordinates, parameters, known, driven=driven)[: len(read)]
-        for driven in (True, False)
-    )
-    assert {row.determined for row in absolute if row.value} == {"no"}
+    return read, physical_parameters(found, coordinates, parameters, known, driven=driven)
+
+
+def test_all_numbers_relative_to_one_are_determined_up_to_a_common_factor():
+    (read, absolute), (_, relative) = (scaled_links(driven=driven) for driven in (True, False))
+    names = {x.name for x in read}
+    assert {row.determined for row in absolute if row.value and row.name in names} == {"no"}
+    relative = [row for row in relative if row.name in names]
     (one,) = [row for row in relative if row.determined == "no"]
     assert (one.value, one.unit) == (1.0, "kg m^2")
     gravity = next(row for row in relative if row.name == "a.gravity_moment")
@@ -205,3 +220,28 @@ def test_learned_friction_has_a_unit_where_known_forces_act(driven):
     assert units["theta.viscous_friction"] == ("N m s/rad" if driven else "up to a factor")
     assert units["theta.dry_friction"] == ("N m" if driven else "up to a factor")
     assert units["theta.rest_velocity"] == "rad/s"
+
+
+TABLES = {
+    "driven": lambda: table(SYSTEMS["pendulum"], forced=True).values(),
+    "free": lambda: table(SYSTEMS["pendulum"], forced=False, fixed=("gravity",)).values(),
+    "friction": vanished_friction,
+    "forces": lambda: two_forces(1.0)[-1],
+    "up to a factor": lambda: scaled_links(driven=True)[-1],
+    "relative": lambda: scaled_links(driven=False)[-1],
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_rows_that_the_data_determine_precede_those_they_do_not(name):
+    undetermined = [row.determined == "no" for row in TABLES[name]()]
+    assert {True, False} == set(undetermined)
+    assert undetermined == sorted(undetermined)
+
+
+def test_each_part_of_a_table_keeps_the_order_of_the_numbers():
+    read, rows = scaled_links(driven=False)
+    order = [x.name for x in read]
+    for determined in (True, False):
+        places = [order.index(x.name) for x in rows if (x.determined != "no") == determined]
+        assert places == sorted(places)

@@ -55,8 +55,9 @@ def physical_parameters(
 
     A number is determined if it does not change along the directions of the posterior without
     information. Numbers that are not are named with those that they are determined with; where
-    sums and differences of numbers with the same unit are determined, these follow as rows of their
-    own, and products of powers of the other positive numbers.
+    sums and differences of numbers with the same unit are determined, these are rows of their own,
+    and so are products of powers of the other positive numbers. Rows that are determined come
+    first.
 
     Without known forces, motions determine inertias and forces up to a common factor. They are
     then divided by one of the inertias, that which leaves the fewest numbers undetermined.
@@ -78,20 +79,17 @@ def physical_parameters(
         slopes = [_gradient(reading, parameters) for reading in found]
     if not found:
         return []
-    numbers = _Numbers(
-        [reading.name for reading in found],
-        [reading.unit for reading in found],
-        torch.stack([reading.value.detach().double() for reading in found]),
-        torch.stack(slopes).double(),
-    )
+    names, units, exact = zip(*found, strict=True)
+    values = torch.stack([value.detach().double() for value in exact])
+    numbers = _Numbers(names, units, values, torch.stack(slopes).double())
     one = None
     if not driven and not isinstance(conservative, KnownLagrangian):
         one, numbers = _relative(numbers, posterior)
     rows = _rows(numbers, posterior)
     if one is not None:
         note = "set to 1: without known forces, inertias and forces are relative to it"
-        rows[one] = Parameter(found[one].name, 1.0, found[one].unit, math.nan, "no", note)
-    return rows
+        rows[one] = Parameter(names[one], 1.0, units[one], math.nan, "no", note)
+    return sorted(rows, key=lambda row: row.determined == "no")
 
 
 class _Numbers(NamedTuple):
@@ -118,23 +116,25 @@ def _relative(numbers: _Numbers, posterior: Posterior | None) -> tuple[int | Non
         units = [RELATIVE if i in mechanical else x for i, x in enumerate(numbers.units)]
         return None, numbers._replace(units=units)
 
-    def over(one: int) -> _Numbers:
-        values, slopes = numbers.values.clone(), numbers.slopes.clone()
-        values[mechanical] /= numbers.values[one]
-        slopes[mechanical] -= values[mechanical].unsqueeze(1) * numbers.slopes[one]
-        slopes[mechanical] /= numbers.values[one]
-        unit = numbers.units[one]
-        units = [
-            ("1" if x == unit else f"{x} / ({unit})") if i in mechanical else x
-            for i, x in enumerate(numbers.units)
-        ]
-        return numbers._replace(units=units, values=values, slopes=slopes)
-
     def undetermined(one: int) -> int:
-        return 0 if posterior is None else int((_free(over(one), posterior) != 0.0).any(1).sum())
+        if posterior is None:
+            return 0
+        return int((_free(_over(numbers, mechanical, one), posterior) != 0.0).any(1).sum())
 
     chosen = min(inertias, key=undetermined)
-    return chosen, over(chosen)
+    return chosen, _over(numbers, mechanical, chosen)
+
+
+def _over(numbers: _Numbers, some: Sequence[int], one: int) -> _Numbers:
+    """Return the numbers, some of them divided by one."""
+    values, slopes = numbers.values.clone(), numbers.slopes.clone()
+    values[some] /= numbers.values[one]
+    slopes[some] -= values[some].unsqueeze(1) * numbers.slopes[one]
+    slopes[some] /= numbers.values[one]
+    unit, units = numbers.units[one], list(numbers.units)
+    for i in some:
+        units[i] = "1" if units[i] == unit else f"{units[i]} / ({unit})"
+    return numbers._replace(units=units, values=values, slopes=slopes)
 
 
 def _is_mechanical(unit: str) -> bool:
@@ -155,34 +155,47 @@ def _there(numbers: _Numbers) -> Bool[Tensor, " numbers"]:
 
 
 def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
+    """Return a row for each number, then those of combinations that are determined."""
     if posterior is None:
         return [
             Parameter(name, float(value), unit, math.nan, "unknown", "no posterior")
             for name, unit, value, _ in zip(*numbers, strict=True)
         ]
     along, there = _free(numbers, posterior), _there(numbers)
-    deviations = (numbers.slopes @ posterior.directions.double()).norm(dim=1)
     partners = _partners(along)
     rows = []
-    for i, (name, unit) in enumerate(zip(numbers.names, numbers.units, strict=True)):
-        value, deviation = float(numbers.values[i]), float(deviations[i])
+    for i, (name, unit, value, slope) in enumerate(zip(*numbers, strict=True)):
         if partners[i]:
-            names = [numbers.names[j] for j in partners[i] if j != i]
-            told = ", ".join(names[:FEW]) + (f" and {len(names) - FEW} more" * (len(names) > FEW))
-            others = told or "terms that are not listed"
-            note = f"determined only together with {others}"
-            rows.append(Parameter(name, value, unit, math.nan, "no", note))
+            note = f"determined only together with {_others(numbers.names, partners[i], i)}"
+            rows.append(Parameter(name, float(value), unit, math.nan, "no", note))
         elif not there[i]:
             rows.append(Parameter(name, 0.0, unit, math.nan, "no", "none was found"))
-        elif deviation > abs(value):
-            note = "the standard deviation exceeds the value"
-            rows.append(Parameter(name, value, unit, deviation, "weakly", note))
         else:
-            rows.append(Parameter(name, value, unit, deviation, "yes", ""))
+            rows.append(_certain(name, unit, value, slope, posterior))
     free = [i for i, own in enumerate(partners) if own]
     sums, terms = _sums(numbers.only(free), along[free], posterior)
     free = [i for i in free if numbers.names[i] not in terms and float(numbers.values[i]) > 0.0]
     return rows + sums + _products(numbers.only(free), along[free], posterior)
+
+
+def _certain(
+    name: str, unit: str, value: Tensor, slope: Tensor, posterior: Posterior, note: str = ""
+) -> Parameter:
+    """Return the row of a number or of a combination that is determined."""
+    deviation = float((slope @ posterior.directions.double()).norm())
+    if deviation <= abs(float(value)):
+        return Parameter(name, float(value), unit, deviation, "yes", note)
+    note = note or "the standard deviation exceeds the value"
+    return Parameter(name, float(value), unit, deviation, "weakly", note)
+
+
+def _others(names: Sequence[str], partners: Sequence[int], own: int) -> str:
+    """Return the first partners of a number in words."""
+    others = [names[j] for j in partners if j != own]
+    if not others:
+        return "terms that are not listed"
+    more = f" and {len(others) - FEW} more" if len(others) > FEW else ""
+    return ", ".join(others[:FEW]) + more
 
 
 def _gradient(reading: Reading, parameters: Sequence[Tensor]) -> Float[Tensor, " p"]:
@@ -212,15 +225,6 @@ def _determined(along: Float[Tensor, "numbers free"]) -> Float[Tensor, "rows num
     return _reduced(right[rank:])
 
 
-def _combination(
-    name: str, value: Tensor, unit: str, slope: Float[Tensor, " p"], posterior: Posterior, note: str
-) -> Parameter:
-    """Return the row of a combination of numbers."""
-    deviation = float((slope @ posterior.directions.double()).norm())
-    sure = "yes" if deviation <= float(value.abs()) else "weakly"
-    return Parameter(name, float(value), unit, deviation, sure, note)
-
-
 def _sums(
     numbers: _Numbers, along: Float[Tensor, "numbers free"], posterior: Posterior
 ) -> tuple[list[Parameter], set[str]]:
@@ -242,7 +246,7 @@ def _sums(
             terms = {x: sign for x, sign in zip(names, signs.tolist(), strict=True) if sign}
             told = " ".join(f"{'-' if sign < 0.0 else '+'} {x}" for x, sign in terms.items())
             name, note = told.removeprefix("+ "), "the combination that is determined"
-            rows.append(_combination(name, signs @ values, unit, signs @ slopes, posterior, note))
+            rows.append(_certain(name, unit, signs @ values, signs @ slopes, posterior, note))
             every |= terms.keys()
     return rows, every
 
@@ -263,8 +267,7 @@ def _products(
         unit = _product(exact, [f"({unit})" for unit in units])
         value = (exact * values.log()).sum().exp()
         slope = value * (exact / values) @ slopes
-        note = "product that is determined"
-        rows.append(_combination(name, value, unit, slope, posterior, note))
+        rows.append(_certain(name, unit, value, slope, posterior, "product that is determined"))
     return rows
 
 
