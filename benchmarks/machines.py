@@ -215,8 +215,7 @@ def true_errors(machine: RandomMachine, table: Path, folder: Path) -> dict[str, 
     windows = cut(data.trajectories("test"), system.time_step, run_in=True)
     if windows is None:
         return {}
-    place = torch.zeros((), dtype=torch.float64)
-    found = predict(Continuous(machine, system.time_step), windows, system.time_step, place)
+    found = predict(Continuous(machine, system.time_step), windows)
     return {f"true_rmse_{s:g}s": median(found.rmse(s)) for s in HORIZONS}
 
 

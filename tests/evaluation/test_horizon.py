@@ -21,7 +21,6 @@ from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import closest_start, fitted_start
 
 H = 0.02
-PLACE = torch.zeros(1, dtype=torch.float64)
 BOTH = pytest.mark.parametrize("run_in", [True, False], ids=["fitted", "measured"])
 EACH_N = pytest.mark.parametrize("n", [1, 2, 3])
 
@@ -31,6 +30,7 @@ class Chain:
     """Pendulums of any number, coupled by springs, over steps that cost nothing."""
 
     gravity: float = 10.0
+    time_step: float = H
 
     def rollout(self, q0, v0, u):
         q, v = [q0], [v0]
@@ -59,7 +59,7 @@ def swings(n: int, *seconds: float) -> tuple[Chain, list[Trajectory]]:
 def test_the_true_model_has_no_error(n, run_in):
     model, motions = swings(n, 3.0, 2.4)
     windows = cut(motions, H, run_in=run_in)
-    found = predict(model, windows, H, PLACE).measures()
+    found = predict(model, windows).measures()
     assert found.pop("valid_s") == HORIZONS[-1]
     assert max(found.values()) < 1e-6, found
 
@@ -70,6 +70,7 @@ class Small:
 
     model: Chain
     sizes: torch.Tensor
+    time_step: float = H
 
     def rollout(self, q0, v0, u):
         path = self.model.rollout(q0 / self.sizes, v0 / self.sizes, u)
@@ -88,9 +89,9 @@ def test_a_small_machine_is_predicted_like_a_large_one(n):
     ones, found = torch.ones_like(sizes), []
     for one, given, unit in ((model, large, ones), (Small(model, sizes), small, sizes)):
         windows = cut(large, H, run_in=True)
-        windows = predict(one, windows._replace(q=windows.q * unit), H, PLACE, unit)
-        whole = predict_whole(one, given, H, PLACE, unit)
-        score = held_out_error(one, given, H, PLACE, unit)
+        windows = predict(one, windows._replace(q=windows.q * unit), units=unit)
+        whole = predict_whole(one, given, units=unit)
+        score = held_out_error(one, given, units=unit)
         found.append((windows.q / unit, whole.q / unit, score))
     torch.testing.assert_close(found[1], found[0], rtol=1e-6, atol=1e-8, equal_nan=True)
 
@@ -101,8 +102,8 @@ def test_a_fit_begins_from_the_same_parabola_in_other_units():
     q, _, u = (torch.stack(x) for x in zip(*motions, strict=True))
     sizes = torch.tensor([2.0**-30, 1.0]).double()
     small = Small(model, sizes)
-    found = closest_start(small, q * sizes, u, H, sizes=tuple(sizes.tolist()))
-    torch.testing.assert_close(found / sizes.repeat(2), closest_start(model, q, u, H))
+    found = closest_start(small, q * sizes, u, sizes=tuple(sizes.tolist()))
+    torch.testing.assert_close(found / sizes.repeat(2), closest_start(model, q, u))
 
 
 @EACH_N
@@ -112,10 +113,10 @@ def test_a_fitted_start_finds_the_true_one_from_noisy_configurations(n):
     q, v, u = (torch.stack(x) for x in zip(*motions, strict=True))
     generator = torch.Generator().manual_seed(0)
     noise = 1e-3 * torch.randn(q.shape, dtype=torch.float64, generator=generator)
-    start = fitted_start(model, q + noise, u, H)
+    start = fitted_start(model, q + noise, u)
     assert (start.q - q[:, 0]).square().mean().sqrt() < 1e-3
     assert (start.v - v[:, 0]).square().mean().sqrt() < 1e-3 / 0.1
-    exact = fitted_start(model, q, u, H)
+    exact = fitted_start(model, q, u)
     assert torch.allclose(exact.v, v[:, 0], atol=1e-6)
 
 
@@ -123,7 +124,7 @@ def test_the_fitted_start_reads_no_velocity():
     model, motions = swings(2, 3.0)
     wrong = [motion._replace(v=motion.v + 1.0) for motion in motions]
     fitted, measured = (
-        predict(model, cut(wrong, H, run_in=run_in), H, PLACE).measures()["rmse_1s"]
+        predict(model, cut(wrong, H, run_in=run_in)).measures()["rmse_1s"]
         for run_in in (True, False)
     )
     assert fitted < 1e-6 < 1e-2 < measured
@@ -135,6 +136,7 @@ class Off:
 
     distance: float = 0.0
     seconds: float = math.inf
+    time_step: float = H
 
     def rollout(self, q0, v0, u):
         q = q0[:, None].repeat(1, u.shape[1], 1) + self.distance
@@ -155,7 +157,7 @@ def steady(*seconds: float, n: int = 2) -> list[Trajectory]:
 
 @BOTH
 def test_constant_velocity_has_no_error_on_a_steady_motion(run_in):
-    found = predict(ConstantVelocity(H), cut(steady(3.0), H, run_in=run_in), H, PLACE).measures()
+    found = predict(ConstantVelocity(H), cut(steady(3.0), H, run_in=run_in)).measures()
     assert found.pop("valid_s") == HORIZONS[-1]
     assert max(found.values()) < 1e-9
 
@@ -163,7 +165,7 @@ def test_constant_velocity_has_no_error_on_a_steady_motion(run_in):
 @EACH_N
 def test_errors_are_root_mean_squares_over_coordinates_and_time(n):
     """A model at rest is wrong by 0.5 t in one of n coordinates."""
-    found = predict(Off(), cut(steady(3.0, n=n), H, run_in=False), H, PLACE).measures()
+    found = predict(Off(), cut(steady(3.0, n=n), H, run_in=False)).measures()
     for seconds in HORIZONS:
         steps = torch.arange(1, round(seconds / H) + 1)
         expected = ((0.5 * H * steps).square().mean() / n).sqrt().item()
@@ -177,22 +179,22 @@ def test_the_score_of_candidates_does_not_depend_on_the_unit_of_length():
     motions = steady(3.0, 5.0)
     units = torch.tensor([1e3, 1.0], dtype=torch.float64)
     longer = [Trajectory(one.q * units, one.v * units, one.u) for one in motions]
-    still = held_out_error(Off(), motions, H, PLACE)
-    assert held_out_error(Off(), longer, H, PLACE, units) == pytest.approx(still)
-    assert held_out_error(Off(), longer, H, PLACE) > 10.0 * still
+    still = held_out_error(Off(), motions)
+    assert held_out_error(Off(), longer, units=units) == pytest.approx(still)
+    assert held_out_error(Off(), longer) > 10.0 * still
 
 
 @BOTH
 def test_a_model_that_diverges_has_infinite_errors_from_then_on(run_in):
     lost = Off(seconds=1.2)
-    found = predict(lost, cut(steady(3.0), H, run_in=run_in), H, PLACE).measures()
+    found = predict(lost, cut(steady(3.0), H, run_in=run_in)).measures()
     assert not any(math.isnan(value) for value in found.values())
     assert found["rmse_2s"] == found["pooled_rmse_2s"] == math.inf
     assert found["rmse_0.5s"] < 1.0
 
 
 def test_a_model_without_finite_rollouts_has_infinite_errors():
-    found = predict(Off(math.nan), cut(steady(3.0), H, run_in=True), H, PLACE).measures()
+    found = predict(Off(math.nan), cut(steady(3.0), H, run_in=True)).measures()
     assert found.pop("valid_s") == 0.0
     assert set(found.values()) == {math.inf}
 
@@ -228,11 +230,11 @@ def test_short_trajectories_count_up_to_their_end(run_in):
     model, motions = swings(2, 1.0, 3.0)
     bent = Chain(gravity=12.0)
     together, alone = (
-        predict(bent, cut(some, H, run_in=run_in), H, PLACE) for some in (motions, motions[1:])
+        predict(bent, cut(some, H, run_in=run_in)) for some in (motions, motions[1:])
     )
     assert torch.allclose(together.q[1:], alone.q)
     lead = 0.18 if run_in else 0.0
-    assert predict(model, cut(motions, H, run_in=run_in), H, PLACE).valid_seconds()[0].item() == (
+    assert predict(model, cut(motions, H, run_in=run_in)).valid_seconds()[0].item() == (
         pytest.approx(1.0 - lead)
     )
     assert together.rmse(2.0)[0] == together.rmse(1.0)[0]
@@ -242,9 +244,9 @@ def test_short_trajectories_count_up_to_their_end(run_in):
 @BOTH
 def test_predictions_do_not_depend_on_the_chunk_size(run_in, monkeypatch):
     windows = cut(steady(3.0), H, run_in=run_in)
-    expected = predict(ConstantVelocity(H), windows, H, PLACE).q
+    expected = predict(ConstantVelocity(H), windows).q
     monkeypatch.setattr("symo_exp.evaluation.horizon.CHUNK", 1)
-    assert torch.equal(predict(ConstantVelocity(H), windows, H, PLACE).q, expected)
+    assert torch.equal(predict(ConstantVelocity(H), windows).q, expected)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
@@ -269,14 +271,14 @@ def test_windows_of_noise_alone_are_left_out():
 @EACH_N
 def test_whole_recordings_are_predicted_from_their_start(n):
     model, motions = swings(n, 5.0, 3.0)
-    found = predict_whole(model, motions, H, PLACE)
+    found = predict_whole(model, motions)
     assert found.q.shape[1] == len(motions[0].q)
     assert found.errors().nanmean() < 1e-12
     assert found.errors()[1].isfinite().sum() == len(motions[1].q) - 1
-    still = predict_whole(Off(), steady(5.0, n=n), H, PLACE).errors()
+    still = predict_whole(Off(), steady(5.0, n=n)).errors()
     moved = 0.5 * H * torch.arange(1, len(still[0]) + 1)
     assert still[0].sqrt()[-1].item() == pytest.approx(moved[-1].item() / n**0.5, rel=0.05)
-    lost = predict_whole(Off(seconds=1.0), motions, H, PLACE)
+    lost = predict_whole(Off(seconds=1.0), motions)
     assert lost.errors().nanmean() == math.inf
 
 
@@ -286,13 +288,13 @@ def test_recordings_shorter_than_a_second_have_windows(seconds):
     windows = cut(motions, H, run_in=True)
     assert len(windows.q) == 3
     assert windows.lead * H <= max(0.25 * seconds, 2 * H) + 1e-9
-    assert max(predict(model, windows, H, PLACE).rmse(0.5)) < 1e-6
+    assert max(predict(model, windows).rmse(0.5)) < 1e-6
 
 
 def test_a_coarse_step_has_errors_over_every_horizon():
     slow = [Trajectory(*(x[::50] for x in motion)) for motion in steady(60.0)]
     found = cut(slow, 1.0, run_in=False)
-    assert all(math.isfinite(x) for x in predict(Off(), found, 1.0, PLACE).measures().values())
+    assert all(math.isfinite(x) for x in predict(Off(time_step=1.0), found).measures().values())
 
 
 def test_a_prediction_is_usable_while_its_error_is_within_a_tenth_of_the_motion():
@@ -304,7 +306,7 @@ def test_a_prediction_is_usable_while_its_error_is_within_a_tenth_of_the_motion(
     torch.testing.assert_close(
         tolerance(small, (True, True)), 0.01 * tolerance(windows, (False,) * 2)
     )
-    true = predict(model, windows, H, PLACE)
+    true = predict(model, windows)
     assert true.usable_seconds(limit).tolist() == pytest.approx([HORIZONS[-1]] * len(windows.q))
     near, far = (dataclasses.replace(true, q=true.q + share * limit) for share in (0.99, 1.01))
     assert (near.usable_seconds(limit) > 1.9).all()
@@ -314,15 +316,15 @@ def test_a_prediction_is_usable_while_its_error_is_within_a_tenth_of_the_motion(
 @EACH_N
 def test_the_error_over_whole_recordings_counts_drift_and_is_bounded_by_the_motion(n):
     model, motions = swings(n, 5.0, 9.0, 3.0)
-    assert whole_error(model, motions, H, PLACE) < 1e-6
-    assert whole_error(model, motions[2:], H, PLACE) is None
+    assert whole_error(model, motions) < 1e-6
+    assert whole_error(model, motions[2:]) is None
     (motion,) = steady(6.0, n=n)
-    drift = predict_whole(Off(), [motion], H, PLACE).errors()
+    drift = predict_whole(Off(), [motion]).errors()
     spread = motion.q.std(0, correction=0).square().mean().sqrt()
-    found = whole_error(Off(), [motion], H, PLACE)
+    found = whole_error(Off(), [motion])
     nodes = len(motion.q)
     expected = (drift.sum() / nodes).sqrt().clamp(max=spread).item()
     assert found == pytest.approx(expected)
-    lost = whole_error(Off(seconds=1.0), motions[:2], H, PLACE)
+    lost = whole_error(Off(seconds=1.0), motions[:2])
     widths = [one.q.var(0, correction=0).mean() for one in motions[:2]]
     assert lost == pytest.approx(torch.stack(widths).mean().sqrt().item())

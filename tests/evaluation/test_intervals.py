@@ -18,7 +18,7 @@ from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.uncertainty import Interval, quantile
 from symo_exp.optim.posterior import Posterior
-from tests.evaluation.test_horizon import PLACE, H, steady
+from tests.evaluation.test_horizon import H, steady
 from tests.models.methods import make
 
 NODES, N = 3, 2
@@ -107,7 +107,7 @@ def test_sizes_have_the_median_one():
 
 
 def test_coverage_is_the_share_of_measured_nodes_inside_and_width_the_median():
-    found = predict(ConstantVelocity(H), cut(steady(1.6), H, run_in=False), H, PLACE)
+    found = predict(ConstantVelocity(H), cut(steady(1.6), H, run_in=False))
     half = torch.full_like(found.q, 0.3)
     half[:, 1:6] = -1.0
     measures = coverage(found, Interval(found.q_true - half, found.q_true + half))

@@ -127,7 +127,7 @@ def test_errors_are_those_published(name, start):
     rivals = {"makers": Continuous(rig(name), H), "constant velocity": ConstantVelocity(H)}
     for who, model in rivals.items():
         row = published.loc[name, who, start]
-        found = predict(model, windows, H, torch.zeros(1, dtype=torch.float64))
+        found = predict(model, windows)
         measures = found.measures()
         assert len(windows.q) == row.windows
         assert found.span == pytest.approx(row.span_s)

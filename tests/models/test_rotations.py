@@ -76,7 +76,7 @@ def test_a_fitted_start_is_that_of_the_motion() -> None:
     q, v, u = system.points(3, seed=1)
     controls = u.unsqueeze(1).expand(-1, 6, -1)
     path = model.rollout(q, v, controls)
-    start = fitted_start(model, path.q, controls, system.time_step, space=system.space)
+    start = fitted_start(model, path.q, controls, space=system.space)
     torch.testing.assert_close(start.q, q, rtol=0, atol=1e-6)
     torch.testing.assert_close(start.v, v, rtol=0, atol=1e-4)
 
@@ -88,7 +88,7 @@ def test_a_start_is_fitted_to_turns_beyond_a_whole_one() -> None:
     v = torch.tensor([[0.5, 30.0, -0.3]]).double()
     controls = 0.0 * u.unsqueeze(1).expand(-1, round(7.0 / 30.0 / system.time_step) + 1, -1)
     path = model.rollout(q, v, controls)
-    start = fitted_start(model, path.q, controls, system.time_step, space=system.space)
+    start = fitted_start(model, path.q, controls, space=system.space)
     torch.testing.assert_close(start.v, v, rtol=1e-6, atol=1e-6)
 
 

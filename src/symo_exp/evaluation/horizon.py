@@ -21,13 +21,14 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from symo_exp.data.diagnose import noise_of
 from symo_exp.evaluation.measures import VALID_ERROR, squared, steps_within
 from symo_exp.evaluation.rollouts import CHUNK
 from symo_exp.mechanics.roots import Sizes
 from symo_exp.mechanics.space import Space, space_of
-from symo_exp.mechanics.types import Trajectory
+from symo_exp.mechanics.types import Trajectories, Trajectory
 from symo_exp.models.starts import ITERATIONS, RollsOut, State, fitted_start
 
 HORIZONS = (0.5, 1.0, 2.0)
@@ -42,6 +43,8 @@ range in the recordings if that is less, and so many times its noise."""
 TOLERANCE, TURNS = 0.1, 1.0
 """Share of the motion in a window up to which a prediction is usable, and the motion of an angle
 [rad] at most."""
+DOUBLE = torch.zeros((), dtype=torch.float64)
+"""Double precision on the processor, where baselines are predicted."""
 
 
 class PredictionWindows(NamedTuple):
@@ -118,8 +121,7 @@ class Predictions:
 
     def _at_nodes(self, units: Tensor | float) -> Tensor:
         """Return the mean squared error over coordinates at each node, the start included."""
-        squares = squared(self.space.difference(self.q_true, self.q))
-        error = (squares / torch.as_tensor(units).square()).mean(2)
+        error = _mean_squares(self.space, self.q_true, self.q, units)
         return error.where(self.q_true.isfinite().all(2), torch.nan)
 
     def rmse(
@@ -180,10 +182,7 @@ def cut(
     if not pieces:
         return None
     trajectory, first, cuts = zip(*pieces, strict=True)
-    q, v, u = (_padded(field) for field in zip(*cuts, strict=True))
-    return PredictionWindows(
-        torch.tensor(trajectory), torch.tensor(first), lead, q, v, u.nan_to_num()
-    )
+    return PredictionWindows(torch.tensor(trajectory), torch.tensor(first), lead, *_padded(cuts))
 
 
 def movement(trajectories: Sequence[Trajectory]) -> Float[Tensor, " n"]:
@@ -221,8 +220,7 @@ def tolerance(windows: PredictionWindows, turning: Sequence[bool]) -> Float[Tens
 def predict(
     model: RollsOut,
     windows: PredictionWindows,
-    time_step: float,
-    place: Tensor,
+    place: Tensor = DOUBLE,
     units: Float[Tensor, " n"] | float = 1.0,
     iterations: int = ITERATIONS,
 ) -> Predictions:
@@ -238,38 +236,36 @@ def predict(
         start = State(q[:, 0], v[:, 0])
         if lead:
             given = q[:, : lead + 1], u[:, : lead + 1]
-            start = fitted_start(model, *given, time_step, iterations, space=space, sizes=sizes)
+            start = fitted_start(model, *given, iterations, space=space, sizes=sizes)
         path = model.rollout(*start, u)
         paths.append([x[:, lead:].double().cpu() for x in (path.q, path.v)])
     q, v = (torch.cat(field) for field in zip(*paths, strict=True))
-    return Predictions(time_step, windows, q, v)
+    return Predictions(model.time_step, windows, q, v)
 
 
 @torch.no_grad()
 def predict_whole(
     model: RollsOut,
     trajectories: Sequence[Trajectory],
-    time_step: float,
-    place: Tensor,
+    place: Tensor = DOUBLE,
     units: Float[Tensor, " n"] | float = 1.0,
 ) -> Predictions:
     """Return a model's motions along whole trajectories, in open loop from their first nodes.
 
     The start is fitted to the configurations of the first 0.2 s, in ``units`` [rad, m].
     """
-    q, v, u, start = _started(model, trajectories, time_step, place, _sizes(units))
+    (q, v, u), start = _started(model, trajectories, place, _sizes(units))
     count = torch.arange(len(trajectories))
     whole = PredictionWindows(count, torch.zeros_like(count), 0, q, v, u)
     path = model.rollout(*start, u.to(place))
-    return Predictions(time_step, whole, path.q.double().cpu(), path.v.double().cpu())
+    return Predictions(model.time_step, whole, path.q.double().cpu(), path.v.double().cpu())
 
 
 @torch.no_grad()
 def whole_error(
     model: RollsOut,
     trajectories: Sequence[Trajectory],
-    time_step: float,
-    place: Tensor,
+    place: Tensor = DOUBLE,
     units: Float[Tensor, " n"] | float = 1.0,
 ) -> float | None:
     """Return the error over whole recordings of 4 s or more; ``None`` if there are none.
@@ -279,23 +275,22 @@ def whole_error(
     known of where it is. A rollout ends where this is certain, as it soon is of a motion that is
     chaotic.
     """
-    long = [one for one in trajectories if (len(one.q) - 1) * time_step >= LONG * (1 - 1e-9)]
+    h = model.time_step
+    long = [one for one in trajectories if (len(one.q) - 1) * h >= LONG * (1 - 1e-9)]
     if not long:
         return None
-    q, v, u, state = _started(model, long, time_step, place, _sizes(units))
+    (q, v, u), state = _started(model, long, place, _sizes(units))
     u, space = u.to(place), space_of(q, v)
     plain, there = space.along(q) / torch.as_tensor(units), q.isfinite().all(2)
     most = (plain - plain.nanmean(1, keepdim=True)).square().nanmean((1, 2))
     total, count = torch.zeros_like(most), there.sum(1)
-    rows, segment = torch.arange(len(q)), round(HORIZONS[-1] / time_step)
-    for k in range(0, q.shape[1] - 1, segment):
-        path = model.rollout(*state, u[rows, k : k + segment + 1])
-        true = q[rows, k + 1 : k + segment + 1]
-        found = path.q[:, 1:].double().cpu()
-        squares = squared(space.difference(true, found))
-        error = (squares / torch.as_tensor(units).square()).mean(2)
-        total[rows] += error.where(there[rows, k + 1 : k + segment + 1], 0.0).sum(1)
-        left = (total < most * count)[rows] & there[rows, min(k + segment, q.shape[1] - 1)]
+    rows, segment, last = torch.arange(len(q)), round(HORIZONS[-1] / h), q.shape[1] - 1
+    for k in range(0, last, segment):
+        end = min(k + segment, last)
+        path, predicted = model.rollout(*state, u[rows, k : end + 1]), slice(k + 1, end + 1)
+        error = _mean_squares(space, q[rows, predicted], path.q[:, 1:].double().cpu(), units)
+        total[rows] += error.where(there[rows, predicted], 0.0).sum(1)
+        left = (total < most * count)[rows] & there[rows, end]
         rows, state = rows[left], State(path.q[left, -1], path.v[left, -1])
         if len(rows) == 0:
             break
@@ -305,16 +300,23 @@ def whole_error(
 def _started(
     model: RollsOut,
     trajectories: Sequence[Trajectory],
-    time_step: float,
     place: Tensor,
     sizes: Sizes,
-) -> tuple[Tensor, Tensor, Tensor, State]:
-    """Return padded ``q``, ``v`` and ``u``, and the state that fits the first 0.2 s of each."""
-    q, v, u = (_padded(field) for field in zip(*trajectories, strict=True))
-    u = u.nan_to_num()
-    lead = min(_run_in(trajectories, time_step), min(len(one.q) for one in trajectories) - 1)
-    given = q[:, : lead + 1].to(place), u[:, : lead + 1].to(place)
-    return q, v, u, fitted_start(model, *given, time_step, space=space_of(q, v), sizes=sizes)
+) -> tuple[Trajectories, State]:
+    """Return the padded trajectories, and the state that fits the first 0.2 s of each."""
+    whole = _padded(trajectories)
+    run_in = _run_in(trajectories, model.time_step)
+    lead = min(run_in, min(len(one.q) for one in trajectories) - 1)
+    q, u = (x[:, : lead + 1].to(place) for x in (whole.q, whole.u))
+    return whole, fitted_start(model, q, u, space=space_of(whole.q, whole.v), sizes=sizes)
+
+
+def _mean_squares(
+    space: Space, true: Tensor, found: Tensor, units: Tensor | float
+) -> Float[Tensor, "rows nodes"]:
+    """Return the mean squared error over coordinates, in their units, at each node."""
+    squares = squared(space.difference(true, found))
+    return (squares / torch.as_tensor(units).square()).mean(2)
 
 
 def _sizes(units: Tensor | float) -> Sizes:
@@ -344,9 +346,13 @@ def _plain(one: Trajectory) -> Tensor:
     return space_of(one.q, one.v).unrolled(one.q)
 
 
-def _padded(pieces: Sequence[Tensor]) -> Tensor:
-    double = [piece.double() for piece in pieces]
-    return torch.nn.utils.rnn.pad_sequence(double, batch_first=True, padding_value=torch.nan)
+def _padded(trajectories: Sequence[Trajectory]) -> Trajectories:
+    """Return trajectories as one of the longest: then NaN follows, and inputs of zero."""
+    q, v, u = (
+        pad_sequence([x.double() for x in field], batch_first=True, padding_value=torch.nan)
+        for field in zip(*trajectories, strict=True)
+    )
+    return Trajectories(q, v, u.nan_to_num())
 
 
 def median(values: Tensor) -> float:

@@ -146,8 +146,7 @@ def _rows(windows: PredictionWindows, rows: Tensor) -> PredictionWindows:
 
 
 def _predicted(model: DynamicsModel, windows: PredictionWindows) -> Predictions:
-    units = model.coordinates.sizes
-    return predict(model, windows, model.time_step, model.input_matrix, units)
+    return predict(model, windows, model.input_matrix, model.coordinates.sizes)
 
 
 def interval_of(model: DynamicsModel, posterior: ModelPosterior, found: Predictions) -> Interval:

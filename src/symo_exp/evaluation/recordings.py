@@ -15,6 +15,7 @@ from torch import Tensor
 from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.horizon import (
+    DOUBLE,
     HORIZONS,
     Predictions,
     cut,
@@ -27,7 +28,7 @@ from symo_exp.evaluation.horizon import (
 )  # fmt: skip
 from symo_exp.evaluation.intervals import coverage, interval_of
 from symo_exp.evaluation.references import ConstantVelocity, Continuous, Reference
-from symo_exp.evaluation.rollouts import along
+from symo_exp.evaluation.rollouts import along, by_coordinate
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.starts import ITERATIONS, RollsOut
@@ -74,10 +75,7 @@ class RecordedPredictions:
             fields |= {"q_lower": self.interval.lower, "q_upper": self.interval.upper}
         if self.dissipation is not None:
             fields["dissipation"] = self.dissipation
-        for field, values in fields.items():
-            values = found.space.shown(values) if field[0] == "q" else values
-            for i, name in enumerate(self.coordinates.names):
-                table[f"{field}_{name}"] = values[..., i]
+        table |= by_coordinate(self.coordinates, fields)
         table["error"] = found.distances()
         if self.reference is not None:
             table["error_reference"] = self.reference.distances()
@@ -112,15 +110,14 @@ class HeldOutErrors:
 
     def __call__(self, model: DynamicsModel, trajectories: Sequence[Trajectory]) -> float:
         """Return the score of a model on held-out trajectories."""
-        h, place, units = model.time_step, model.input_matrix, model.coordinates.sizes
-        return held_out_error(model, trajectories, h, place, units, self.iterations, self.horizons)
+        place, units = model.input_matrix, model.coordinates.sizes
+        return held_out_error(model, trajectories, place, units, self.iterations, self.horizons)
 
 
 def held_out_error(
     model: RollsOut,
     trajectories: Sequence[Trajectory],
-    time_step: float,
-    place: Tensor,
+    place: Tensor = DOUBLE,
     units: Float[Tensor, " n"] | float = 1.0,
     iterations: int = ITERATIONS,
     horizons: Sequence[float] = HORIZONS,
@@ -135,13 +132,13 @@ def held_out_error(
     which are for motions that cannot be predicted longer. ``place`` and ``iterations`` are those of
     ``predict``.
     """
-    windows = cut(trajectories, time_step, run_in=True, seconds=horizons[-1])
+    windows = cut(trajectories, model.time_step, run_in=True, seconds=horizons[-1])
     if windows is None:
         return math.inf
-    found = predict(model, windows, time_step, place, units, iterations)
+    found = predict(model, windows, place, units, iterations)
     errors = [median(found.rmse(seconds, units)) for seconds in horizons]
     if horizons[-1] >= HORIZONS[-1]:
-        whole = whole_error(model, trajectories, time_step, place, units)
+        whole = whole_error(model, trajectories, place, units)
         errors += [] if whole is None else [whole]
     return math.prod(errors) ** (1 / len(errors))
 
@@ -172,25 +169,20 @@ def on_recordings(
         windows = cut(trajectories, h, run_in=run_in)
         if windows is None:
             continue
-        found = {prefix: predict(one, windows, h, place, units) for prefix, one in who.items()}
+        found = {prefix: predict(one, windows, place, units) for prefix, one in who.items()}
         measures[f"windows{suffix}"] = float(len(windows.q))
         measures[f"window_s{suffix}"] = median(found[""].measured_seconds())
         for prefix, one in found.items():
             measures |= {f"{prefix}{key}{suffix}": x for key, x in one.measures().items()}
         if run_in:
-            interval = None
-            if model.posterior is not None and not model.coordinates.space.rotations:
-                interval = interval_of(model, model.posterior, found[""])
-                measures |= coverage(found[""], interval)
-            recorded = RecordedPredictions(
-                model.coordinates, found[""], found.get("reference_"), interval,
-                _dissipation(model, found[""]),
-            )  # fmt: skip
+            recorded = _recorded(model, found[""], found.get("reference_"))
+            if recorded.interval is not None:
+                measures |= coverage(recorded.model, recorded.interval)
             usable = tolerance(windows, model.coordinates.turning)
             for prefix, one in found.items():
                 measures[f"{prefix}usable_s"] = median(one.usable_seconds(usable))
-    for prefix, simulator in who.items():
-        errors = predict_whole(simulator, trajectories, h, place, units).errors()
+    for prefix, one_model in who.items():
+        errors = predict_whole(one_model, trajectories, place, units).errors()
         measures[f"{prefix}open_loop_rmse"] = errors.nanmean().sqrt().item()
     measures["noise"] = noise(trajectories).square().mean().sqrt().item()
     if recorded is None:
@@ -199,6 +191,18 @@ def on_recordings(
             "there are no errors over 0.5, 1 and 2 s, only open_loop_rmse over whole recordings"
         )
     return measures, recorded
+
+
+def _recorded(
+    model: DynamicsModel, found: Predictions, reference: Predictions | None
+) -> RecordedPredictions:
+    """Return predictions with the interval and the dissipation of the model, where it has them."""
+    interval = None
+    if model.posterior is not None and not model.coordinates.space.rotations:
+        interval = interval_of(model, model.posterior, found)
+    return RecordedPredictions(
+        model.coordinates, found, reference, interval, _dissipation(model, found)
+    )
 
 
 def _dissipation(model: DynamicsModel, found: Predictions) -> Tensor | None:

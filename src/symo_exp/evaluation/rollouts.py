@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -61,24 +61,25 @@ class Rollouts:
 def state_columns(
     coordinates: Coordinates, time_step: float, **fields: Float[Tensor, "trajectories nodes n"]
 ) -> dict[str, Tensor]:
-    """Return ``trajectory``, ``step``, ``t`` [s] and ``<field>_<coordinate>`` for each node.
-
-    Rotations are given by roll, pitch and yaw [rad].
-    """
+    """Return ``trajectory``, ``step``, ``t`` [s] and ``<field>_<coordinate>`` for each node."""
     trajectories, nodes, _ = next(iter(fields.values())).shape
-    space = coordinates.space
-    fields = {
-        name: space.shown(x) if x.shape[-1] > coordinates.n else x for name, x in fields.items()
-    }
     step = torch.arange(nodes).repeat(trajectories)
-    table = {
+    named = by_coordinate(coordinates, fields)
+    return {
         "trajectory": torch.arange(trajectories).repeat_interleave(nodes),
         "step": step,
         "t": step.double() * time_step,
-    }
-    for field, values in fields.items():
-        for i, name in enumerate(coordinates.names):
-            table[f"{field}_{name}"] = values[..., i].flatten()
+    } | {name: column.flatten() for name, column in named.items()}
+
+
+def by_coordinate(
+    coordinates: Coordinates, fields: Mapping[str, Float[Tensor, "trajectories nodes n"]]
+) -> dict[str, Float[Tensor, "trajectories nodes"]]:
+    """Return ``<field>_<coordinate>`` for each field; rotations as roll, pitch and yaw [rad]."""
+    table: dict[str, Tensor] = {}
+    for field, x in fields.items():
+        shown = coordinates.space.shown(x) if x.shape[-1] > coordinates.n else x
+        table |= {f"{field}_{name}": shown[..., i] for i, name in enumerate(coordinates.names)}
     return table
 
 

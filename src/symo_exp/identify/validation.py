@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 
 import numpy as np
-import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
@@ -108,12 +107,12 @@ def baseline_error(folder: RunFolder) -> float:
     """Return the same error of constant velocity on the held-out part of a training."""
     config = OmegaConf.load(folder / CONFIG)
     system = instantiate(config.system)
-    h, place = system.time_step, torch.zeros((), dtype=torch.float64)
     return held_out_error(
-        ConstantVelocity(h, system.coordinates.space), divided_recordings(folder).val, h, place,
-        system.coordinates.sizes,
+        ConstantVelocity(system.time_step, system.coordinates.space),
+        divided_recordings(folder).val,
+        units=system.coordinates.sizes,
         horizons=OmegaConf.select(config, "learner.validation.horizons", default=HORIZONS),
-    )  # fmt: skip
+    )
 
 
 def latest_stage(losses: Sequence[Mapping[int, float]]) -> int:

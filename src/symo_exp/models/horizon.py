@@ -199,10 +199,8 @@ class _Fitted(NamedTuple):
 def _fit(flow: Flow, stretches: Stretches) -> _Fitted:
     q, u, begin, weight = stretches
     if not begin.isfinite().all():
-        begin = closest_start(flow, q, u, flow.time_step, flow.space, flow.sizes)
-    start = fitted_start(
-        flow, q, u, flow.time_step, ITERATIONS, weight, begin, flow.space, flow.sizes
-    )
+        begin = closest_start(flow, q, u, flow.space, flow.sizes)
+    start = fitted_start(flow, q, u, ITERATIONS, weight, begin, flow.space, flow.sizes)
     path = flow.rollout(*start, u)
     errors = relative(flow.space.difference(q, path.q), flow.sizes)
     follows = path.converged.all(1) & (errors.abs() < LOST).flatten(1).all(1)

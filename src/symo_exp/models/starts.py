@@ -40,6 +40,11 @@ class StateSequence(Protocol):
 class RollsOut(Protocol):
     """A model that moves from a state under the controls at the nodes."""
 
+    @property
+    def time_step(self) -> float:
+        """Time between nodes [s]."""
+        ...
+
     def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> StateSequence:
         """Roll out from an initial state."""
         ...
@@ -67,7 +72,6 @@ def fitted_start(
     model: RollsOut,
     q: Float[Tensor, "batch nodes n"],
     u: Float[Tensor, "batch nodes m"],
-    time_step: float,
     iterations: int = ITERATIONS,
     weight: Float[Tensor, "batch nodes n"] | None = None,
     start: Float[Tensor, "batch unknowns"] | None = None,
@@ -86,7 +90,6 @@ def fitted_start(
         model: The model.
         q: Measured configurations [rad, m].
         u: Controls.
-        time_step: Time between nodes [s].
         iterations: Trials at most. Most motions need four; those that stick need more.
         weight: ``w``, one if left out.
         start: ``(q₀, v₀)`` to begin from, ``q₀`` in the charts at the first nodes; that of a
@@ -96,7 +99,7 @@ def fitted_start(
     """
     plain = space.unrolled(q)
     fit = Fit(model, q, u, torch.ones_like(plain) if weight is None else weight, space, sizes)
-    begin = parabola(plain, time_step) if start is None else start
+    begin = parabola(plain, model.time_step) if start is None else start
     x, _, _ = iterate(fit, begin, FitSteps(), iterations)
     return fit.state(x)
 
@@ -105,7 +108,6 @@ def closest_start(
     model: RollsOut,
     q: Float[Tensor, "batch nodes n"],
     u: Float[Tensor, "batch nodes m"],
-    time_step: float,
     space: Space = FLAT,
     sizes: Sizes = None,
 ) -> Float[Tensor, "batch unknowns"]:
@@ -116,7 +118,7 @@ def closest_start(
     """
     counts = [2**k + 1 for k in range(1, q.shape[1].bit_length()) if 2**k < q.shape[1]]
     plain, repeats = space.unrolled(q), (len(counts), 1, 1)
-    starts = torch.stack([parabola(plain[:, :count], time_step) for count in counts])
+    starts = torch.stack([parabola(plain[:, :count], model.time_step) for count in counts])
     place, v0 = starts.flatten(0, 1).chunk(2, dim=1)
     q0 = space.point(q[:, 0].repeat(len(counts), 1), place)
     path = model.rollout(q0, v0, u.repeat(repeats)).q
