@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-HORIZONS = ("0.5s", "1s", "2s")
+ERRORS = {"rmse_0.5s": 0.5, "rmse_1s": 1.0, "rmse_2s": 2.0}
+"""Measures of prediction errors, and their horizons [s]."""
 BETTER = 0.9
 """Share of constant velocity's error below which a model is better."""
 LONGER = 2.0
@@ -28,8 +29,7 @@ def outlasts(measures: Mapping[str, float]) -> bool:
 
 def beside_baseline(measures: Mapping[str, float]) -> list[tuple[float, float]]:
     """Return the error of a model and that of constant velocity up to each time."""
-    names = [f"rmse_{time}" for time in HORIZONS]
-    pairs = [(name, f"constant_velocity_{name}") for name in names]
+    pairs = [(name, f"constant_velocity_{name}") for name in ERRORS]
     return [(measures[a], measures[b]) for a, b in pairs if {a, b} <= measures.keys()]
 
 

@@ -119,32 +119,45 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _write(options: argparse.Namespace) -> list[Path]:
     from symo_exp.report.files import write_report
-    from symo_exp.report.runs import load_runs, read_runs
-    from symo_exp.tracking.store import find
 
-    asked = {"systems": options.system, "seeds": options.seed}
-    named, paths, store = options.experiment, [*options.paths, *options.runs], None
-    every = options.all or bool(named or paths)
-    told = options.tracking_uri or options.directory or os.environ.get("MLFLOW_TRACKING_URI")
-    if not (paths or told or Path(STORE, "mlflow.db").exists()) and OUTPUTS.is_dir():
-        paths = [OUTPUTS]
-    if paths:
-        runs = load_runs(paths, named, **asked)
-    else:
-        store = find(options.tracking_uri, options.directory or STORE)
-        runs = read_runs(store, named, **asked)
-    if not every and runs.experiment.nunique() > 1:
-        named = [_chosen(runs)]
-        runs = runs[runs.experiment.isin(named)].reset_index(drop=True)
-    of = {"experiment": named, "saved runs": paths, **asked}
-    source = "; ".join(f"{k} {', '.join(map(str, words))}" for k, words in of.items() if words)
+    runs, source, store = _read(options)
     view: Callable[..., Report] = pkgutil.resolve_name(options.view)
-    report = view(runs, f"From {source or 'all experiments'}.", store, options.settings)
+    report = view(runs, source, store, options.settings)
     try:
         return write_report(report, options.out, formats=options.formats, page=not options.no_page)
     except OSError as error:
         reason = error.strerror or error
         raise ConfigError(f"--out {options.out} cannot be written ({reason})") from error
+
+
+def _read(options: argparse.Namespace) -> tuple[pd.DataFrame, str, Store | None]:
+    """Return the runs, a sentence on where they are from, and their store unless in folders."""
+    from symo_exp.report.runs import load_runs, read_runs
+    from symo_exp.tracking.store import find
+
+    asked = {"systems": options.system, "seeds": options.seed}
+    named, paths, store = options.experiment, _paths(options), None
+    if paths:
+        runs = load_runs(paths, named, **asked)
+    else:
+        store = find(options.tracking_uri, options.directory or STORE)
+        runs = read_runs(store, named, **asked)
+    every = options.all or named or options.paths or options.runs
+    if not every and runs.experiment.nunique() > 1:
+        named = [_chosen(runs)]
+        runs = runs[runs.experiment.isin(named)].reset_index(drop=True)
+    of = {"experiment": named, "saved runs": paths, **asked}
+    source = "; ".join(f"{k} {', '.join(map(str, words))}" for k, words in of.items() if words)
+    return runs, f"From {source or 'all experiments'}.", store
+
+
+def _paths(options: argparse.Namespace) -> list[Path]:
+    """Return folders and files of runs; that of all runs if none is given and there is no store."""
+    given = [*options.paths, *options.runs]
+    told = options.tracking_uri or options.directory or os.environ.get("MLFLOW_TRACKING_URI")
+    if given or told or Path(STORE, "mlflow.db").exists() or not OUTPUTS.is_dir():
+        return given
+    return [OUTPUTS]
 
 
 def _chosen(runs: pd.DataFrame) -> str:
@@ -156,23 +169,26 @@ def _chosen(runs: pd.DataFrame) -> str:
         print("Experiments, the last first:")
         for i, name in enumerate(names):
             print(f"{i + 1:4d}  {name}: {len(each.get_group(name))} runs, {started[name]:%F %H:%M}")
-        try:
-            answer = input(f"Which one? [1: {last}] ").strip() or "1"
-        except EOFError:
-            print()
-            raise ConfigError(
-                "no experiment was chosen; give --experiment NAME, or --all"
-            ) from None
-        if answer.isdigit() and 0 < int(answer) <= len(names):
-            return names[int(answer) - 1]
-        if answer in names:
-            return answer
-        raise ConfigError(f"no experiment {answer!r}; give its number or name")
+        return _answered(names)
     print(
         f"{last}: the last of {len(names)} experiments; --experiment NAME chooses another "
         f"({', '.join(names[1:])}), --all takes all."
     )
     return last
+
+
+def _answered(names: Sequence[str]) -> str:
+    """Return the name that is typed at a terminal, by itself or by its number."""
+    try:
+        answer = input(f"Which one? [1: {names[0]}] ").strip() or "1"
+    except EOFError:
+        print()
+        raise ConfigError("no experiment was chosen; give --experiment NAME, or --all") from None
+    if answer.isdigit() and 0 < int(answer) <= len(names):
+        return names[int(answer) - 1]
+    if answer in names:
+        return answer
+    raise ConfigError(f"no experiment {answer!r}; give its number or name")
 
 
 if __name__ == "__main__":

@@ -183,36 +183,52 @@ def _ask(rows: pd.DataFrame, question: Question) -> Ranked | None:
 
 def sentence(found: Ranked) -> str:
     """Return the best contestant, its margin with an interval, and the systems with another."""
-    question, medians = found.question, found.medians()
-    where = [f"noise {number(found.noise)}"] if found.noise else []
-    where += [f"{number(found.size)} trajectories"] if found.size else []
-    start = f"**{found.asks}**" + f" ({', '.join(where)})" * bool(where)
+    medians = found.medians()
     everywhere = medians.dropna(axis=1)
     if everywhere.shape[1] < 2:
-        least = zip(medians.index, medians.idxmin(axis=1), medians.min(axis=1), strict=True)
-        label, unit = label_and_unit(found.metric)
-        of = f" {unit}" if unit and "," not in unit else ""
-        told = ", ".join(f"{name} {short(10**x)}{of} ({system})" for system, name, x in least)
-        return f"{start}: {label} of {told}."
+        return f"{_asked(found)}: {_smallest(found, medians)}."
     best, second = everywhere.mean().sort_values(kind="stable").index[:2]
     apart = everywhere[second].mean() - everywhere[best].mean()
-    says = f"**{best}** {question.says}, {_times(apart)} times {question.than} {second}"
-    both = found.values[[best, second]].dropna().groupby("system").size()
-    seeds = both.reindex(medians.index, fill_value=0).min()
-    sure = "one seed, no interval" if seeds == 1 else "no common seed, no interval"
-    if seeds > 1:
-        low, high = _interval(found, best, second)
-        sure = f"95 % interval {_times(low)} to {_times(high)}, {seeds} seeds"
-        if low <= 0:
-            says = f"undecided between **{best}** and **{second}**, {_times(apart)} times apart"
+    decided, sure = _certainty(found, best, second)
     if apart < LEVEL:
         says = f"**{best}** and **{second}** are level"
+    elif decided:
+        question = found.question
+        says = f"**{best}** {question.says}, {_times(apart)} times {question.than} {second}"
+    else:
+        says = f"undecided between **{best}** and **{second}**, {_times(apart)} times apart"
     others: dict[str, list[str]] = {}
     for system, winner in medians.idxmin(axis=1).items():
         if winner != best:
             others.setdefault(str(winner), []).append(str(system))
-    but = "; ".join(f"on {' and '.join(on)} it is {winner}" for winner, on in others.items())
-    return f"{start}: {says} ({sure})" + f"; {but}" * bool(but) + "."
+    but = "".join(f"; on {' and '.join(on)} it is {winner}" for winner, on in others.items())
+    return f"{_asked(found)}: {says} ({sure}){but}."
+
+
+def _asked(found: Ranked) -> str:
+    """Return the question with the noise and the size of the training set."""
+    where = [f"noise {number(found.noise)}"] if found.noise else []
+    where += [f"{number(found.size)} trajectories"] if found.size else []
+    return f"**{found.asks}**" + f" ({', '.join(where)})" * bool(where)
+
+
+def _smallest(found: Ranked, medians: pd.DataFrame) -> str:
+    """Return the smallest value on each system, where no two contestants have run on all."""
+    least = zip(medians.index, medians.idxmin(axis=1), medians.min(axis=1), strict=True)
+    label, unit = label_and_unit(found.metric)
+    of = f" {unit}" if unit and "," not in unit else ""
+    told = ", ".join(f"{name} {short(10**x)}{of} ({system})" for system, name, x in least)
+    return f"{label} of {told}"
+
+
+def _certainty(found: Ranked, best: str, second: str) -> tuple[bool, str]:
+    """Return whether the interval of the margin excludes zero, if there is one, and its words."""
+    both = found.values[[best, second]].dropna().groupby("system").size()
+    seeds = both.reindex(found.values.index.unique("system"), fill_value=0).min()
+    if seeds < 2:
+        return True, "one seed, no interval" if seeds else "no common seed, no interval"
+    low, high = _interval(found, best, second)
+    return low > 0, f"95 % interval {_times(low)} to {_times(high)}, {seeds} seeds"
 
 
 def _interval(found: Ranked, best: str, second: str) -> MarginInterval:

@@ -14,6 +14,8 @@ from symo_exp.report.runs import CELL
 SUMMARY = ["seeds", "median", "low", "high", "seconds"]
 DEFAULTS = "defaults"
 """Printed name of the settings of runs that change none."""
+MEDIANS = "Medians over the seeds. Training: processor time of all optimiser steps."
+"""Note below tables of cells."""
 
 
 class Compared(NamedTuple):

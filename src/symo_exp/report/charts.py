@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ import pandas as pd
 import vl_convert
 
 from symo_exp.report.figures import SHOULD, Figure, Panel, Range, Trace
+from symo_exp.report.looks import Look
 
 WIDTH, HEIGHT = 300, 220
 """Size of the plot of a panel in a file [px]; the page fits the width to the window."""
@@ -127,41 +128,47 @@ class _Channels:
     """Encodings that the panels of a figure share, and with them its legends."""
 
     def __init__(self, traces: Sequence[Trace], *, interactive: bool) -> None:
-        looks = {trace.label: trace.look for trace in traces}
-        strokes = {trace.stroke.label: trace.stroke.dash for trace in traces}
-        integrators = [name for name in strokes if name]
-        sources = [name for name in ("ours", "published") if name in {t.source for t in traces}]
         words: dict[str, Any] = {"labelExpr": TICKED} if interactive else {}
-        grey: dict[str, Any] = {
-            "symbolStrokeColor": SOFT["light"],
-            "symbolFillColor": SOFT["light"],
-        }
+        self._by_method({trace.label: trace.look for trace in traces}, words)
+        self._by_integrator({trace.stroke.label: trace.stroke.dash for trace in traces}, words)
+        self._by_source({trace.source for trace in traces}, words)
 
-        def scale(values: Mapping[str, Any]) -> alt.Scale:
-            return alt.Scale(type="ordinal", domain=list(values), range=list(values.values()))
+    def _by_method(self, looks: Mapping[str, Look], words: dict[str, Any]) -> None:
+        legend = alt.Legend(**words)
+        colours = _scale({name: _colour(look.colour) for name, look in looks.items()})
+        shapes = _scale({name: MARKERS[look.marker] for name, look in looks.items()})
+        self.colour = alt.Color("method:N", scale=colours, legend=legend)
+        self.fill = alt.Fill("method:N", scale=colours, legend=legend)
+        self.shape = alt.Shape("method:N", scale=shapes, legend=legend)
 
-        def legend(shown: Sequence[str]) -> alt.Legend | None:
-            if len(shown) < 2:
-                return None
-            return alt.Legend(
-                values=list(shown), symbolType="stroke", symbolSize=400, **grey, **words
-            )
+    def _by_integrator(self, strokes: Mapping[str, tuple[int, ...]], words: dict[str, Any]) -> None:
+        legend = _legend([name for name in strokes if name], words)
+        dashes = _scale({name: list(dash or (1, 0)) for name, dash in strokes.items()})
+        fills = _scale({name: FILLS[len(dash)] for name, dash in strokes.items()})
+        self.dash = alt.StrokeDash("integrator:N", scale=dashes, legend=legend)
+        self.by_integrator = alt.FillOpacity("integrator:O", scale=fills, legend=None)
 
-        colours = scale({name: _colour(look.colour) for name, look in looks.items()})
-        methods = alt.Legend(**words)
-        self.colour = alt.Color("method:N", scale=colours, legend=methods)
-        self.fill = alt.Fill("method:N", scale=colours, legend=methods)
-        shapes = scale({name: MARKERS[look.marker] for name, look in looks.items()})
-        self.shape = alt.Shape("method:N", scale=shapes, legend=methods)
-        dashes = scale({name: list(dash or (1, 0)) for name, dash in strokes.items()})
-        self.dash = alt.StrokeDash("integrator:N", scale=dashes, legend=legend(integrators))
-        told = legend(sources)
-        self.opacity = alt.Opacity("kind:O", scale=scale(OPACITY), legend=told)
-        self.width = alt.StrokeWidth("kind:O", scale=scale(LINES), legend=told)
-        fills = {name: FILLS[len(dash)] for name, dash in strokes.items()}
-        self.by_integrator = alt.FillOpacity("integrator:O", scale=scale(fills), legend=None)
-        hollow = {kind: float(kind != "published") for kind in OPACITY}
-        self.by_source = alt.FillOpacity("kind:O", scale=scale(hollow), legend=None)
+    def _by_source(self, sources: Collection[str], words: dict[str, Any]) -> None:
+        legend = _legend([name for name in ("ours", "published") if name in sources], words)
+        hollow = _scale({kind: float(kind != "published") for kind in OPACITY})
+        self.opacity = alt.Opacity("kind:O", scale=_scale(OPACITY), legend=legend)
+        self.width = alt.StrokeWidth("kind:O", scale=_scale(LINES), legend=legend)
+        self.by_source = alt.FillOpacity("kind:O", scale=hollow, legend=None)
+
+
+def _scale(values: Mapping[str, Any]) -> alt.Scale:
+    return alt.Scale(type="ordinal", domain=list(values), range=list(values.values()))
+
+
+def _legend(names: Sequence[str], words: dict[str, Any]) -> alt.Legend | None:
+    """Return a legend of grey strokes, none of a single name."""
+    if len(names) < 2:
+        return None
+    grey = SOFT["light"]
+    return alt.Legend(
+        values=list(names), symbolType="stroke", symbolSize=400,
+        symbolStrokeColor=grey, symbolFillColor=grey, **words,
+    )  # fmt: skip
 
 
 def _panel(panel: Panel, channels: _Channels, zoom: str) -> alt.LayerChart:
@@ -187,6 +194,21 @@ def _panel(panel: Panel, channels: _Channels, zoom: str) -> alt.LayerChart:
                 opacity=channels.opacity,
             )
         )
+    layers.append(_points(said, panel, channels))
+    if zoom and panel.mark == "line":  # a value to point at where there is no marker
+        at = said.mark_point(clip=True, size=50, opacity=0, filled=True)
+        layers.append(at.encode(color=channels.colour, tooltip=_tooltip(panel)))
+    if zoom:
+        layers[-1] = layers[-1].add_params(
+            alt.selection_interval(name=zoom, bind="scales", zoom="wheel![event.ctrlKey]")
+        )
+    notes = _notes(panel)
+    title = alt.TitleParams(panel.title, subtitle=notes or alt.Undefined)
+    return alt.layer(*layers).properties(title=title, width=WIDTH, height=HEIGHT)
+
+
+def _points(said: alt.Chart, panel: Panel, channels: _Channels) -> alt.Chart:
+    """Return the markers: all of a cloud, some along a line over time."""
     cloud = panel.mark == "points"
     if cloud and len(panel.rows) > MANY:
         points = said.mark_square(clip=True, size=4)
@@ -199,18 +221,7 @@ def _panel(panel: Panel, channels: _Channels, zoom: str) -> alt.LayerChart:
         fillOpacity=channels.by_integrator if cloud else channels.by_source,
         tooltip=_tooltip(panel),
     )
-    shown = points.transform_filter("datum.marked") if panel.mark == "line" else points
-    layers.append(shown)
-    if zoom:
-        if panel.mark == "line":  # a value to point at where there is no marker
-            at = said.mark_point(clip=True, size=50, opacity=0, filled=True)
-            layers.append(at.encode(color=channels.colour, tooltip=_tooltip(panel)))
-        layers[-1] = layers[-1].add_params(
-            alt.selection_interval(name=zoom, bind="scales", zoom="wheel![event.ctrlKey]")
-        )
-    notes = _notes(panel)
-    title = alt.TitleParams(panel.title, subtitle=notes or alt.Undefined)
-    return alt.layer(*layers).properties(title=title, width=WIDTH, height=HEIGHT)
+    return points.transform_filter("datum.marked") if panel.mark == "line" else points
 
 
 def _axes(panel: Panel) -> tuple[alt.X, dict[str, Any]]:
@@ -280,11 +291,7 @@ def _tooltip(panel: Panel) -> list[alt.Tooltip]:
 
 def _notes(panel: Panel) -> list[str]:
     """Return notes on traces beyond the limits and on the meaning of fillings."""
-    limits, notes = panel.limits(), []
-    for trace in panel.traces():
-        y = trace.rows.y.astype(float)
-        if limits is not None and not y.between(*limits).any():
-            notes.append(f"{trace.name}: off the scale")
+    notes = [f"{t.name}: off the scale" for t in panel.traces() if not panel.shows(t)]
     strokes = {t.stroke.label: t.stroke.dash for t in panel.traces() if t.stroke.label}
     if panel.mark == "points" and len(strokes) > 1:
         words = {1.0: "filled", 0.0: "hollow", 0.4: "half filled"}

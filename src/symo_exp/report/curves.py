@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from symo_exp.report.cells import DEFAULTS
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import letters, measure_name, pair_names, short, unit
 from symo_exp.shipped import CONF
@@ -113,7 +114,7 @@ def speed(runs: pd.DataFrame) -> list[Figure]:
     if learned.run_id.nunique() < 2:
         return []
     words = zip(learned.variant, learned.n_traj, learned.seed, strict=True)
-    said = [f"{v or 'defaults'}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]
+    said = [f"{v or DEFAULTS}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]
     learned = learned.assign(median=learned.value, text=said)
     caption = "Every run; point at it for its settings. Processor time of all optimiser steps."
     title = "Accuracy against the time of training"
@@ -144,13 +145,14 @@ def over_order(found: pd.DataFrame) -> list[Figure]:
     several = clean.groupby(["variant", "method"]).text.transform("nunique") > 1
     floors = ordered[(ordered.source == "floor") & (ordered["median"] > 0)]
     caption = f"{SPREAD} Without colour: the true system in that integrator."
-    return [
-        Figure(f"order_{letters(str(variant) or 'defaults')}",
-               f"Errors over the order of the integrator ({variant or 'defaults'})", caption,
-               panels(pd.concat([mine, floors[floors.system.isin(mine.system)]]), ORDER,
-                      OVER_ORDER), columns=4)
-        for variant, mine in clean[several].groupby("variant")
-    ]  # fmt: skip
+    made = []
+    for variant, mine in clean[several].groupby("variant"):
+        settings = str(variant) or DEFAULTS
+        rows = pd.concat([mine, floors[floors.system.isin(mine.system)]])
+        title = f"Errors over the order of the integrator ({settings})"
+        drawn = panels(rows, ORDER, OVER_ORDER)
+        made.append(Figure(f"order_{letters(settings)}", title, caption, drawn, columns=4))
+    return made
 
 
 @functools.cache
@@ -167,12 +169,12 @@ def _with_floors(found: pd.DataFrame, axis: Axis) -> pd.DataFrame:
     lines = found[found.source != "floor"].dropna(subset=axis.column)
     lines = lines.assign(x=lines[axis.column].astype(float))
     of, ours = ["system", "metric"], lines.source == "ours"
-    said = [
+    text = [
         f"{short(low)} to {short(high)}, {seeds:g} seed" + "s" * (seeds > 1)
         for low, high, seeds in zip(lines.low, lines.high, lines.seeds, strict=True)
     ]
-    said_ = pd.Series(said, index=lines.index, dtype=object)
-    lines = lines.assign(text=said_.where(ours, lines.get("text")))
+    ranges = pd.Series(text, index=lines.index, dtype=object)
+    lines = lines.assign(text=ranges.where(ours, lines.get("text")))
     ends = lines[ours].groupby(of).x.agg(["min", "max"]).reset_index()
     lines = lines.merge(ends[of], on=of)
     floors = found[(found.source == "floor") & found.metric.isin(FLOORED)]

@@ -56,3 +56,13 @@ class Report:
     sections: Sequence[Section]
     runs: pd.DataFrame
     extra: dict[str, pd.DataFrame] = field(default_factory=dict)
+
+    @property
+    def tables(self) -> list[ResultTable]:
+        """The tables of all sections."""
+        return [table for section in self.sections for table in section.tables]
+
+    @property
+    def figures(self) -> list[Figure]:
+        """The figures of all sections."""
+        return [figure for section in self.sections for figure in section.figures]

@@ -115,6 +115,11 @@ class Panel:
         margin = max(2.0, (high / low) ** 0.03)  # room for a marker
         return float(low / margin), float(high * margin)
 
+    def shows(self, trace: Trace) -> bool:
+        """Return whether a point of a trace is within the limits of the y axis."""
+        limits = self.limits()
+        return limits is None or bool(trace.rows.y.astype(float).between(*limits).any())
+
     def x_limits(self) -> Range | None:
         """Return the limits of a linear x axis; a line over time is shown whole."""
         if self.x_log:

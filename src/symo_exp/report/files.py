@@ -36,7 +36,7 @@ def write_report(
     if formats:
         from symo_exp.report.charts import draw_charts
 
-        for figure in (figure for section in report.sections for figure in section.figures):
+        for figure in report.figures:
             files += draw_charts(figure, out / "figures", formats)
     return files
 
@@ -54,7 +54,7 @@ def markdown_report(report: Report, *, pictures: bool) -> str:
 
 
 def _texts(report: Report, *, pictures: bool, page: bool) -> Iterator[tuple[str, str]]:
-    for table in (table for section in report.sections for table in section.tables):
+    for table in report.tables:
         yield f"tables/{table.key}.md", markdown_table(table)
         yield f"tables/{table.key}.tex", latex(table)
     yield "report.md", markdown_report(report, pictures=pictures)

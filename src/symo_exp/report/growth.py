@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.cells import cells
+from symo_exp.report.cells import DEFAULTS, MEDIANS, cells
 from symo_exp.report.curves import SPREAD, Axis, panels
 from symo_exp.report.figures import Figure
 from symo_exp.report.looks import letters, measure_name, number, pair_names, short
@@ -29,7 +29,7 @@ def growth(runs: pd.DataFrame) -> tuple[list[ResultTable], list[Figure]]:
     """
     tables, figures = [], []
     for (system, settings, n_traj), rows in _grown(runs):
-        told = f"{settings or 'defaults'}, {number(n_traj)} trajectories"
+        told = f"{settings or DEFAULTS}, {number(n_traj)} trajectories"
         key = f"growth_{letters(f'{system}_{settings}_{number(n_traj)}')}"
         tables.append(_table(key, f"{system} over its coordinates ({told})", rows))
         figures.append(
@@ -65,7 +65,7 @@ def _table(key: str, title: str, rows: pd.DataFrame) -> ResultTable:
         "coordinates": wide.coordinates.map(number),
         "seeds": [str(seeds[tuple(one)]) for one in wide[KEYS].itertuples(index=False)],
     }).join(wide[list(OVER_N)].map(short).rename(columns=measure_name))  # fmt: skip
-    notes = ["Medians over the seeds. Training: processor time of all optimiser steps."]
+    notes = [MEDIANS]
     for _, one in wide.groupby(["method", "integrator"]):
         steps = one[one.step_ms > 0]
         if len(steps) > 1:

@@ -12,7 +12,7 @@ from pathlib import PurePath
 
 import pandas as pd
 
-from symo_exp.evaluation.verdict import comparison, verdict
+from symo_exp.evaluation.verdict import ERRORS, comparison, verdict
 from symo_exp.report.chosen import model_figures, parameters_table, search_table
 from symo_exp.report.document import Section
 from symo_exp.report.figures import Figure, Panel
@@ -20,8 +20,6 @@ from symo_exp.report.looks import BASELINES, in_order, letters, pair_name, short
 from symo_exp.report.runs import local_folder
 from symo_exp.report.tables import ResultTable
 
-ERRORS = {"rmse_0.5s": 0.5, "rmse_1s": 1.0, "rmse_2s": 2.0}
-"""Measures of prediction errors, and their horizons [s]."""
 TESTED = "windows"
 """A measure of all runs that were measured on the test part."""
 TIMES = {"usable_s": "usable [s]", "valid_s": "error below 0.1 [s]"}
@@ -94,29 +92,31 @@ def _measures(row: pd.Series) -> Mapping[str, float]:
 
 def _section(name: str, rows: pd.DataFrame) -> Section:
     medians, key = _medians(rows), f"recording_{letters(name)}"
-    common = set.intersection(*(set(text.split(", ")) for text in medians.settings))
-    lines = []
-    for _, row in medians.iterrows():
-        own = ", ".join(word for word in row.settings.split(", ") if word not in common)
-        who = pair_name(row.method, row.integrator) + f" ({own})" * bool(own)
-        measures = _measures(row)
-        lines.append([who, str(row.seeds), *_printed(row), verdict(measures) or "–"])
-    for baseline, known in BASELINES.items():
-        line = _printed(_baseline(medians, baseline))
-        if any(text != "–" for text in line):
-            lines.append([known.label, "", *line, ""])
-    header = ["", "seeds", *(f"RMSE to {h:g} s [rad, m]" for h in ERRORS.values()),
-              *TIMES.values(), "verdict"]  # fmt: skip
-    columns = pd.DataFrame(lines, columns=header)
-    table = ResultTable(key, "Errors of open-loop predictions", columns, [WINDOWS])
-    tables = [table]
-    figures = [Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows))]
+    tables = [_errors_table(medians, key)]
+    figures = [Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows, medians))]
     best = rows.merge(medians[KEYS].head(1), on=KEYS).sort_values("seed", kind="stable").iloc[0]
     if (folder := local_folder(best.files)) is not None:
         title = pair_name(best.method, best.integrator)
         figures += model_figures(folder, best.method, title, f"{key}_")
         tables += [parameters_table(folder, key), search_table(folder, key)]
     return Section(key, f"Recording {name}", tables=tables, figures=figures)
+
+
+def _errors_table(medians: pd.DataFrame, key: str) -> ResultTable:
+    """Return the errors and the verdict of each model, then the errors of the baselines."""
+    common = set.intersection(*(set(text.split(", ")) for text in medians.settings))
+    lines = []
+    for _, row in medians.iterrows():
+        own = ", ".join(word for word in row.settings.split(", ") if word not in common)
+        who = pair_name(row.method, row.integrator) + f" ({own})" * bool(own)
+        lines.append([who, str(row.seeds), *_printed(row), verdict(_measures(row)) or "–"])
+    for baseline, known in BASELINES.items():
+        line = _printed(_baseline(medians, baseline))
+        if any(text != "–" for text in line):
+            lines.append([known.label, "", *line, ""])
+    errors = [f"RMSE to {h:g} s [rad, m]" for h in ERRORS.values()]
+    columns = pd.DataFrame(lines, columns=["", "seeds", *errors, *TIMES.values(), "verdict"])
+    return ResultTable(key, "Errors of open-loop predictions", columns, [WINDOWS])
 
 
 def _baseline(medians: pd.DataFrame, name: str) -> pd.Series:
@@ -133,9 +133,8 @@ def _printed(row: pd.Series) -> list[str]:
     return [short(row.get(name)) for name in (*ERRORS, *TIMES)]
 
 
-def _panels(rows: pd.DataFrame) -> list[Panel]:
+def _panels(rows: pd.DataFrame, medians: pd.DataFrame) -> list[Panel]:
     """Return the errors over the horizon, and over those of constant velocity."""
-    medians = _medians(rows)
     best = medians.drop_duplicates(["method", "integrator"])[KEYS]
     errors = rows[rows.metric.isin(ERRORS)].merge(best, on=KEYS)
     grouped = errors.groupby(["method", "integrator", "metric"]).value

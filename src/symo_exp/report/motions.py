@@ -95,7 +95,8 @@ def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> li
 
 def motion_figure(key: str, title: str, tables: Tables) -> Figure:
     """Return the coordinates, the squared error of the configuration and the energy over time."""
-    names, tables = coordinates(tables), {pair: kept(table) for pair, table in tables.items()}
+    names = coordinates(next(iter(tables.values())))
+    tables = {pair: kept(table) for pair, table in tables.items()}
     panels = [over_time(tables, f"q_{name}", f"q_true_{name}", axis_label(name)) for name in names]
     errors = {
         pair: table.assign(
@@ -112,12 +113,13 @@ def motion_figure(key: str, title: str, tables: Tables) -> Figure:
 
 def phase_space_figure(key: str, title: str, tables: Tables) -> Figure:
     """Return a panel for each method, with the truth below it; angles are wrapped."""
-    name = coordinates(tables)[0]
+    name = coordinates(next(iter(tables.values())))[0]
     labels = axis_label(name), axis_label(name, velocity=True)
     panels = [
-        Panel(pair_name(*pair), *labels, phase_rows(pair, table, name, wrap=True, count=POINTS),
+        Panel(pair_name(*pair), *labels,
+              phase_rows(pair, kept(table), name, wrap=True, count=POINTS),
               y_log=False, mark="points")
-        for pair, table in ((pair, kept(table)) for pair, table in tables.items())
+        for pair, table in tables.items()
     ]  # fmt: skip
     return Figure(key, title, f"{FIRST} Angles are wrapped.", panels)
 
@@ -139,7 +141,7 @@ def learned_figure(
         angular: Which coordinates are angles; by their names if not given.
     """
     columns = next(iter(tables.values())).columns
-    names = names or [str(c)[2:] for c in columns if str(c).startswith("q_")]
+    names = names or [str(c).removeprefix("q_") for c in columns if str(c).startswith("q_")]
 
     def unit(entry: str) -> str:
         # inertia_23; from ten coordinates on, two digits are not told apart
@@ -215,11 +217,11 @@ def phase_rows(
     parts = []
     for who, field in ((None, "_true"), (pair, "")):
         x, y = table[f"q{field}_{name}"].to_numpy(), table[f"v{field}_{name}"].to_numpy()
-        x = wrapped(x) if wrap else x
-        another = np.diff(table.trajectory, append=table.trajectory.iloc[-1]) != 0
-        with np.errstate(invalid="ignore"):
-            jumps = np.abs(np.diff(x, append=x[-1])) > (np.pi if wrap else np.inf)
-        parts.append(points(x, np.where(another | jumps, np.nan, y), who, count or len(x)))
+        gap = np.diff(table.trajectory, append=table.trajectory.iloc[-1]) != 0
+        if wrap:
+            x = wrapped(x)
+            gap |= _jumps(x)
+        parts.append(points(x, np.where(gap, np.nan, y), who, count or len(x)))
     return pd.concat(parts)
 
 
@@ -234,7 +236,7 @@ def points(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POIN
 
 def kept(table: pd.DataFrame) -> pd.DataFrame:
     """Return the motions, with predictions only until they are lost."""
-    names = [c.removeprefix("v_true_") for c in map(str, table) if c.startswith("v_true_")]
+    names = coordinates(table)
     gone = pd.Series(False, index=table.index)
     for name in names:
         fastest = table[f"v_true_{name}"].abs().max() or 1.0
@@ -254,15 +256,18 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
 def unbroken(angle: pd.Series) -> pd.Series:
     """Return wrapped angles, with gaps where they jump."""
     values = wrapped(angle.to_numpy())
+    return pd.Series(np.where(_jumps(values), np.nan, values), angle.index)
+
+
+def _jumps(angle: np.ndarray) -> np.ndarray:
+    """Return after which nodes a wrapped angle jumps."""
     with np.errstate(invalid="ignore"):
-        jumps = np.abs(np.diff(values, append=values[-1])) > np.pi
-    return pd.Series(np.where(jumps, np.nan, values), angle.index)
+        return np.asarray(np.abs(np.diff(angle, append=angle[-1])) > np.pi)
 
 
-def coordinates(tables: Tables) -> list[str]:
-    """Return the names of the coordinates of a motion."""
-    columns = next(iter(tables.values())).columns
-    return [c.removeprefix("q_true_") for c in columns if c.startswith("q_true_")]
+def coordinates(table: pd.DataFrame) -> list[str]:
+    """Return the names of the coordinates of a motion beside the true one."""
+    return [c.removeprefix("q_true_") for c in map(str, table) if c.startswith("q_true_")]
 
 
 def first(tables: Tables, seconds: float = LONG) -> Tables:

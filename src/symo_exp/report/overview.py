@@ -8,7 +8,7 @@ import pandas as pd
 
 from symo_exp.report import curves, motions
 from symo_exp.report.answer import answers, other_settings
-from symo_exp.report.cells import DEFAULTS, Compared, at_step, cells, usual_steps
+from symo_exp.report.cells import DEFAULTS, MEDIANS, Compared, at_step, cells, usual_steps
 from symo_exp.report.document import Section
 from symo_exp.report.growth import growth
 from symo_exp.report.held_out import recording_answers, recording_names, recording_sections
@@ -136,14 +136,13 @@ def accuracy(found: pd.DataFrame) -> ResultTable:
         {
             "system": wide.system,
             "n": wide.n_traj.map(number),
-            "settings": wide.variant.replace("", "defaults"),
+            "settings": wide.variant.replace("", DEFAULTS),
             "method": pair_names(wide),
             "seeds": seeds.to_numpy(),
         }
     ).join(wide.drop(columns=keys))
-    notes = ["Medians over the seeds. Training: processor time of all optimiser steps."]
     title = "Accuracy by settings, method and integrator"
-    return ResultTable("accuracy", title, rows, notes, words=4)
+    return ResultTable("accuracy", title, rows, [MEDIANS], words=4)
 
 
 def floor_table(found: pd.DataFrame) -> ResultTable:

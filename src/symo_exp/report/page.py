@@ -34,9 +34,9 @@ def html(report: Report) -> str:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters["bold"] = _bold
-    figures = [figure for section in report.sections for figure in section.figures]
+    figures = report.figures
     systems = {system for figure in figures for system in figure.systems}
-    systems |= {table.system for section in report.sections for table in section.tables}
+    systems |= {table.system for table in report.tables}
     return environment.get_template("page.html").render(
         report=report,
         systems=sorted(filter(None, systems)),

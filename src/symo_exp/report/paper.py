@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from symo_exp.report.figures import Figure, Panel, Range, Trace
+from symo_exp.report.figures import Figure, Panel, Trace
 from symo_exp.report.looks import RC, short
 
 WIDTH, HEIGHT = 3.7, 2.7
@@ -63,30 +63,33 @@ def draw(figure: Figure) -> mpl.Figure:
 def _panel(axes: Axes, panel: Panel) -> None:
     axes.set(xscale="log" if panel.x_log else "linear", yscale="log" if panel.y_log else "linear")
     axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
-    limits = panel.limits()
-    gone = [said for trace in panel.traces() if (said := _draw(axes, panel, trace, limits))]
-    shown = {"ylim": limits, "xlim": panel.x_limits()}
+    for trace in panel.traces():
+        _draw(axes, panel, trace)
+    shown = {"ylim": panel.limits(), "xlim": panel.x_limits()}
     axes.set(**{name: bounds for name, bounds in shown.items() if bounds})
     if panel.ticks:
         axes.set_xticks(panel.ticks, [f"{x:g}" for x in panel.ticks])
     if panel.x_log:
         axes.xaxis.set_minor_formatter(NullFormatter())
+    gone = [_off(trace) for trace in panel.traces() if not panel.shows(trace)]
     axes.text(
         0.5, 0.97, "\n".join(gone), transform=axes.transAxes, ha="center", va="top",
         color="#777777", fontsize=7,
     )  # fmt: skip
 
 
-def _draw(axes: Axes, panel: Panel, trace: Trace, limits: Range | None) -> str | None:
-    """Draw a trace and return a note on it if it is outside the limits."""
+def _draw(axes: Axes, panel: Panel, trace: Trace) -> None:
     rows = trace.rows
-    x, y = _finite(rows.x), _finite(rows.y)
-    axes.plot(x, y, **_style(panel, trace))
+    x = _finite(rows.x)
+    axes.plot(x, _finite(rows.y), **_style(panel, trace))
     if trace.band:
         low, high = _finite(rows.low), _finite(rows.high)
         axes.fill_between(x, low, high, color=trace.look.colour, alpha=0.15, lw=0)
-    if limits is None or ((y >= limits[0]) & (y <= limits[1])).any():
-        return None
+
+
+def _off(trace: Trace) -> str:
+    """Return a note on a trace that is outside the limits."""
+    y = _finite(trace.rows.y)
     where = short(float(np.nanmedian(y))) if np.isfinite(y).any() else "diverged"
     return f"{trace.name}: off the scale ({where})"
 
