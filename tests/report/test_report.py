@@ -1,5 +1,7 @@
 """The command of the report, of complete runs, unfinished runs and none."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import pandas as pd
@@ -239,3 +241,9 @@ def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):
     leg = (out / "tables" / "recording_leg_csv.md").read_text()
     assert "no better than constant velocity" in leg
     assert not (out / "tables" / "accuracy.md").exists()
+
+
+def test_a_report_of_simulated_runs_starts_without_pytorch():
+    modules = "document, files, overview, page"
+    code = f"from symo_exp.report import {modules}; import sys; assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -186,7 +186,7 @@ def sentence(found: Ranked) -> str:
     medians = found.medians()
     everywhere = medians.dropna(axis=1)
     if everywhere.shape[1] < 2:
-        return f"{_asked(found)}: {_smallest(found, medians)}."
+        return f"{_asked(found)}: {_smallest(found.metric, medians)}."
     best, second = everywhere.mean().sort_values(kind="stable").index[:2]
     apart = everywhere[second].mean() - everywhere[best].mean()
     decided, sure = _certainty(found, best, second)
@@ -212,10 +212,10 @@ def _asked(found: Ranked) -> str:
     return f"**{found.asks}**" + f" ({', '.join(where)})" * bool(where)
 
 
-def _smallest(found: Ranked, medians: pd.DataFrame) -> str:
+def _smallest(metric: str, medians: pd.DataFrame) -> str:
     """Return the smallest value on each system, where no two contestants have run on all."""
     least = zip(medians.index, medians.idxmin(axis=1), medians.min(axis=1), strict=True)
-    label, unit = label_and_unit(found.metric)
+    label, unit = label_and_unit(metric)
     of = f" {unit}" if unit and "," not in unit else ""
     told = ", ".join(f"{name} {short(10**x)}{of} ({system})" for system, name, x in least)
     return f"{label} of {told}"

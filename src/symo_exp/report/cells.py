@@ -66,8 +66,7 @@ def last_compared(runs: pd.DataFrame, settings: str | None = None) -> Compared:
     if learned.empty:
         return Compared("")
     swept = learned[learned.sweep != ""]
-    last = learned if swept.empty else swept
-    column = "run_id" if swept.empty else "sweep"
+    last, column = (learned, "run_id") if swept.empty else (swept, "sweep")
     started = last.started.fillna(pd.Timestamp(0, tz="UTC"))
     last = last[last[column] == last[column][started.idxmax()]]
     return Compared(str(last.variant.value_counts().idxmax()), tuple(sorted(set(last.variant))))

@@ -240,17 +240,24 @@ def _axis(
     """Return scale and axis of a channel."""
     given = {"domain": list(limits), "nice": False} if limits else {"padding": 8}
     scale = alt.Scale(type="log", **given) if log else alt.Scale(zero=False, **given)
-    decades = math.log10(limits[1] / limits[0]) if log and limits else 0
     words: dict[str, Any] = {"title": label or None, "labelExpr": LABEL}
     if ticks:
         words["values"] = list(ticks)
-    else:  # Vega draws the ticks between powers of ten where there are fewer powers than this
-        words["tickCount"] = min(int(decades), 6) if decades >= 2 else 10 if log else 5
-    if log and not ticks:
-        words["gridOpacity"] = FAINT
-        if decades >= 1:  # within a power of ten Vega spaces the ticks evenly
-            words["labelExpr"] = f"{ROUND} ? ({LABEL}) : ''"
+    elif log:
+        words |= _decades(limits)
+    else:
+        words["tickCount"] = 5
     return {"scale": scale, "axis": alt.Axis(**words)}
+
+
+def _decades(limits: Range | None) -> dict[str, Any]:
+    """Return the ticks and grid lines of a logarithmic axis, and its labels if they are special."""
+    decades = math.log10(limits[1] / limits[0]) if limits else 0
+    # Vega draws the ticks between powers of ten where there are fewer powers than this
+    words = {"tickCount": min(int(decades), 6) if decades >= 2 else 10, "gridOpacity": FAINT}
+    if decades >= 1:  # within a power of ten Vega spaces the ticks evenly
+        words["labelExpr"] = f"{ROUND} ? ({LABEL}) : ''"
+    return words
 
 
 def _rows(panel: Panel) -> pd.DataFrame:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from symo_exp.errors import ConfigError
 from symo_exp.report.figures import Figure
 from symo_exp.report.looks import duration, short
-from symo_exp.report.recordings import recording_figures
 from symo_exp.report.tables import ResultTable
-from symo_exp.runs.folder import CANDIDATES, PARAMETERS, WINDOWS
+from symo_exp.runs.folder import CANDIDATES, WINDOWS, RunFolder
 
+NUMBERS = ["error", "over_chosen", "standard_error"]
 NOTES = (
     "In order of simplicity. Error [rad, m]: geometric mean over the folds of those to 0.5, 1 and "
     "2 s and of whole recordings, or of unstable machines over shorter times. × chosen: ratio over "
@@ -24,6 +26,8 @@ NOTES = (
 
 def model_figures(folder: Path, method: str, title: str, key: str) -> list[Figure]:
     """Return the figures of the windows and of the friction of a run, if its files are there."""
+    # here: they import PyTorch, which takes seconds
+    from symo_exp.report.recordings import recording_figures
     from symo_exp.runs.load import from_folder
 
     try:
@@ -36,51 +40,39 @@ def model_figures(folder: Path, method: str, title: str, key: str) -> list[Figur
 
 def parameters_table(folder: Path, key: str) -> ResultTable:
     """Return the physical parameters of a run with their standard deviations."""
-    title = "Physical parameters"
-    if not (folder / PARAMETERS).exists():
-        return ResultTable(f"{key}_parameters", title, pd.DataFrame())
-    found = pd.read_csv(folder / PARAMETERS).fillna({"unit": "", "note": ""})
-    rows = pd.DataFrame(
+    rows = [
         {
-            "parameter": found.name,
-            "value": found.value.map(short),
-            "standard deviation": found.standard_deviation.map(short),
-            "unit": found.unit,
-            "determined": found.determined,
-            "note": found.note,
+            "parameter": row["name"],
+            "value": short(float(row["value"])),
+            "standard deviation": short(float(row["standard_deviation"])),
+            "unit": row["unit"],
+            "determined": row["determined"],
+            "note": row["note"],
         }
-    )
-    return ResultTable(f"{key}_parameters", title, rows)
+        for row in RunFolder(folder).parameters()
+    ]
+    return ResultTable(f"{key}_parameters", "Physical parameters", pd.DataFrame(rows))
 
 
 def search_table(folder: Path, key: str) -> ResultTable:
     """Return the candidates of the search that ended with a run, or an empty table."""
-    file, title = folder.parent / CANDIDATES, "Candidates of the search"
-    if not file.exists():
-        return ResultTable(f"{key}_candidates", title, pd.DataFrame())
-    found = pd.read_csv(file, keep_default_na=False)
-    numbers = found[["error", "over_chosen", "standard_error"]].apply(
-        pd.to_numeric, errors="coerce"
-    )
-    ratio = [
-        f"{short(over)} ± {short(spread)}" if over == over and not chosen else "–"
-        for over, spread, chosen in zip(
-            numbers.over_chosen, numbers.standard_error, found.chosen, strict=True
-        )
-    ]
-    rows = pd.DataFrame(
-        {
-            "candidate": [
-                f"{name} (chosen)" if chosen else str(name)
-                for name, chosen in zip(found.candidate, found.chosen, strict=True)
-            ],
-            "error": numbers.error.map(short),
-            "× chosen": ratio,
-            "folds": found.folds.str.split().map(len),
-            "parameters": found.parameters,
-            "time": found.seconds.astype(float).map(duration),
-        }
-    )
-    if (found.failed != "").any():
-        rows["failed"] = found.failed
-    return ResultTable(f"{key}_candidates", title, rows, NOTES)
+    file, rows = folder.parent / CANDIDATES, pd.DataFrame()
+    if file.exists():
+        found = pd.read_csv(file, keep_default_na=False)
+        found[NUMBERS] = found[NUMBERS].apply(pd.to_numeric, errors="coerce")
+        rows = pd.DataFrame([_candidate(row) for row in found.to_dict("records")])
+        if (found.failed != "").any():
+            rows["failed"] = found.failed
+    return ResultTable(f"{key}_candidates", "Candidates of the search", rows, NOTES)
+
+
+def _candidate(row: Mapping[Hashable, Any]) -> dict[str, Any]:
+    chosen, over, spread = row["chosen"], row["over_chosen"], row["standard_error"]
+    return {
+        "candidate": f"{row['candidate']} (chosen)" if chosen else str(row["candidate"]),
+        "error": short(row["error"]),
+        "× chosen": f"{short(over)} ± {short(spread)}" if over == over and not chosen else "–",
+        "folds": len(str(row["folds"]).split()),
+        "parameters": row["parameters"],
+        "time": duration(float(row["seconds"])),
+    }

@@ -70,16 +70,8 @@ def draw_run(
     paths = [save_figure(figure, folder) for figure in made]
     if system.skeleton(rollouts.q_true[0, 0]) is not None:
         which = ranking(_errors(rollouts))["median"]
-        paths.append(
-            animate(
-                system,
-                rollouts,
-                which,
-                (look(method), MEASURED if measured else TRUTH),
-                title,
-                folder,
-            )
-        )
+        looks = look(method), MEASURED if measured else TRUTH
+        paths.append(animate(system, rollouts, which, looks, title, folder))
     return paths
 
 
@@ -134,9 +126,8 @@ def phase_portrait(rollouts: Rollouts, method: str, title: str) -> Figure:
         for (name, label), rate, wrap in zip(_labels(rollouts), rates, angular, strict=True)
         for only in ("truth", "ours")
     ]  # fmt: skip
-    return Figure(
-        "phase_portrait", f"{title}: phase portrait of {_horizon(rollouts)}", "", panels, columns=2
-    )
+    said = f"{title}: phase portrait of {_horizon(rollouts)}"
+    return Figure("phase_portrait", said, "", panels, columns=2)
 
 
 def energy_figure(rollouts: Rollouts, method: str, title: str) -> Figure:
@@ -153,12 +144,8 @@ def energy_figure(rollouts: Rollouts, method: str, title: str) -> Figure:
     ours = ours.assign(low=lost.min(0), high=lost.max(0))
     both = pd.concat([points(table.t, np.median(drift, 0), None, len(table))[1:], ours[1:]])
     below = Panel("all rollouts: median and range", "time [s]", "|E − E₀| [J]", both, mark="line")
-    return Figure(
-        "energy",
-        f"{title}: energy of the states predicted over {_horizon(rollouts)}",
-        "",
-        [above, below],
-    )
+    said = f"{title}: energy of the states predicted over {_horizon(rollouts)}"
+    return Figure("energy", said, "", [above, below])
 
 
 def learned_quantities(
@@ -170,11 +157,8 @@ def learned_quantities(
     q, v = rollouts.q_true[which, :nodes], rollouts.v_true[which, :nodes]
     found = beside_true(model.for_evaluation(), system, q[None], v[None]).columns
     table = pd.DataFrame({name: column.numpy() for name, column in found.items()})
-    title = f"{title}: learned quantities along a true motion"
-    coordinates = system.coordinates
-    return learned_figure(
-        "learned", title, {(method, ""): table}, coordinates.names, coordinates.turning
-    )
+    said, known = f"{title}: learned quantities along a true motion", system.coordinates
+    return learned_figure("learned", said, {(method, ""): table}, known.names, known.turning)
 
 
 def _errors(rollouts: Rollouts) -> Tensor:

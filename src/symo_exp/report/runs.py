@@ -200,29 +200,34 @@ def _parameters(told: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _load(path: Path) -> pd.DataFrame:
-    if path.is_dir():
-        found = (RunFolder(file.parent) for file in sorted(path.rglob(ABOUT)))
-        rows = [row for folder in found if (row := _in_folder(folder)) is not None]
-        if not rows:
-            raise ConfigError(f"{path} has no run in it, nor in a folder below")
-        return tidy(rows)
+    return _load_folders(path) if path.is_dir() else _load_table(path)
+
+
+def _load_folders(path: Path) -> pd.DataFrame:
+    found = (RunFolder(file.parent) for file in sorted(path.rglob(ABOUT)))
+    rows = [row for folder in found if (row := _in_folder(folder)) is not None]
+    if not rows:
+        raise ConfigError(f"{path} has no run in it, nor in a folder below")
+    return tidy(rows)
+
+
+def _load_table(path: Path) -> pd.DataFrame:
     try:
         if path.suffix == ".parquet":
             table = pd.read_parquet(path)
         else:
             table = pd.read_csv(path, dtype=str, keep_default_na=False)
         absent = [name for name in SAVED if name not in table and name not in LATER]
-        if not absent and "sweep" not in table:  # all runs of an experiment count as one sweep
-            table = table.assign(sweep=table.experiment, recording="")
-        typed = table if absent else _typed(table[SAVED].assign(files=""))
+        if not absent:
+            if "sweep" not in table:  # all runs of an experiment count as one sweep
+                table = table.assign(sweep=table.experiment, recording="")
+            return _typed(table[SAVED].assign(files=""))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or first_line(error)
         raise ConfigError(f"{path} cannot be read ({reason})") from error
-    if absent:
-        raise ConfigError(
-            f"{path} has no column {absent[0]!r}: give the runs.csv or runs.parquet of a report"
-        )
-    return typed
+    raise ConfigError(
+        f"{path} has no column {absent[0]!r}: give the runs.csv or runs.parquet of a report"
+    )
 
 
 def _typed(table: pd.DataFrame) -> pd.DataFrame:
