@@ -295,6 +295,8 @@ def test_a_coarse_step_has_errors_over_every_horizon():
     slow = [Trajectory(*(x[::50] for x in motion)) for motion in steady(60.0)]
     found = cut(slow, 1.0, run_in=False)
     assert all(math.isfinite(x) for x in predict(Off(time_step=1.0), found).measures().values())
+    slower = [Trajectory(*(x[::250] for x in motion)) for motion in steady(60.0)]
+    assert math.isfinite(whole_error(Off(time_step=5.0), slower))
 
 
 def test_a_prediction_is_usable_while_its_error_is_within_a_tenth_of_the_motion():

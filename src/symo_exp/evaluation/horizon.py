@@ -156,7 +156,7 @@ class Predictions:
         return found
 
     def _until(self, seconds: float, units: Tensor | float = 1.0) -> Tensor:
-        return self.errors(units)[:, : max(1, round(seconds / self.time_step))]
+        return self.errors(units)[:, : steps_in(seconds, self.time_step)]
 
 
 def cut(
@@ -171,7 +171,7 @@ def cut(
     ``seconds`` is their length without the run-in.
     """
     lead = _run_in(trajectories, time_step) if run_in else 0
-    length = lead + max(1, round(seconds / time_step))
+    length = lead + steps_in(seconds, time_step)
     pieces = [
         (at, start + lead, Trajectory(*(x[start : start + length + 1] for x in whole)))
         for at, whole in enumerate(trajectories)
@@ -284,7 +284,7 @@ def whole_error(
     plain, there = space.along(q) / torch.as_tensor(units), q.isfinite().all(2)
     most = (plain - plain.nanmean(1, keepdim=True)).square().nanmean((1, 2))
     total, count = torch.zeros_like(most), there.sum(1)
-    rows, segment, last = torch.arange(len(q)), round(HORIZONS[-1] / h), q.shape[1] - 1
+    rows, segment, last = torch.arange(len(q)), steps_in(HORIZONS[-1], h), q.shape[1] - 1
     for k in range(0, last, segment):
         end = min(k + segment, last)
         path, predicted = model.rollout(*state, u[rows, k : end + 1]), slice(k + 1, end + 1)
@@ -353,6 +353,11 @@ def _padded(trajectories: Sequence[Trajectory]) -> Trajectories:
         for field in zip(*trajectories, strict=True)
     )
     return Trajectories(q, v, u.nan_to_num())
+
+
+def steps_in(seconds: float, time_step: float) -> int:
+    """Return the number of steps in a time, at least one."""
+    return max(1, round(seconds / time_step))
 
 
 def median(values: Tensor) -> float:

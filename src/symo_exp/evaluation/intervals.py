@@ -10,7 +10,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.evaluation.horizon import HORIZONS, Predictions, PredictionWindows, cut, predict
+from symo_exp.evaluation.horizon import (
+    HORIZONS,
+    Predictions,
+    PredictionWindows,
+    cut,
+    predict,
+    steps_in,
+)  # fmt: skip
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.uncertainty import (
@@ -168,7 +175,7 @@ def coverage(found: Predictions, interval: Interval) -> dict[str, float]:
     half = (0.5 * (interval.upper - interval.lower)).where(true.isfinite(), torch.nan)
     measures = {}
     for seconds in HORIZONS:
-        until = slice(1, 1 + max(1, round(seconds / found.time_step)))
+        until = slice(1, 1 + steps_in(seconds, found.time_step))
         name = f"{100 * LEVEL:.0f}_{seconds:g}s"
         measures[f"coverage_{name}"] = inside[:, until].nanmean().item()
         measures[f"width_{name}"] = half[:, until].nanmedian().item()
