@@ -68,8 +68,7 @@ def widened(
         posterior: Posterior of its parameters.
         recordings: Recordings and the models that predict them.
     """
-    groups = [one.trajectories for one in recordings]
-    every = [trajectory for group in groups for trajectory in group]
+    every = [trajectory for one in recordings for trajectory in one.trajectories]
     windows = cut(every, model.time_step, run_in=True) if every else None
     if windows is None:
         return ModelPosterior(posterior)
@@ -78,15 +77,22 @@ def widened(
     rolled = _rolled(model, own)
     by_parameters = spread(model.flow, posterior, *rolled, ROLLOUTS).double().cpu()
     by_start = sensitivity(model.flow, *rolled).double().cpu()
-    group = torch.arange(len(groups)).repeat_interleave(torch.tensor([len(x) for x in groups]))
-    q = own.q.clone()
-    for k, one in enumerate(recordings):
-        rows = group[windows.trajectory] == k
-        if one.model is not None and bool(rows.any()):
-            q[rows] = _predicted(one.model, _rows(windows, rows)).q
+    q = _by_each_model(recordings, own)
     error = (q - own.q_true).where(q.isfinite(), torch.nan)
     kappa = relative_error(error, by_parameters, by_start, windows.trajectory)
     return ModelPosterior(posterior, kappa if bool((kappa > 0.0).any()) else None)
+
+
+def _by_each_model(recordings: Sequence[Predicted], own: Predictions) -> Tensor:
+    """Return the configurations of each window as the model for its recording predicts them."""
+    counts = torch.tensor([len(one.trajectories) for one in recordings])
+    group = torch.arange(len(recordings)).repeat_interleave(counts)
+    q = own.q.clone()
+    for k, one in enumerate(recordings):
+        rows = group[own.windows.trajectory] == k
+        if one.model is not None and bool(rows.any()):
+            q[rows] = _predicted(one.model, _rows(own.windows, rows)).q
+    return q
 
 
 def relative_error(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -170,10 +170,7 @@ def on_recordings(
         if windows is None:
             continue
         found = {prefix: predict(one, windows, place, units) for prefix, one in who.items()}
-        measures[f"windows{suffix}"] = float(len(windows.q))
-        measures[f"window_s{suffix}"] = median(found[""].measured_seconds())
-        for prefix, one in found.items():
-            measures |= {f"{prefix}{key}{suffix}": x for key, x in one.measures().items()}
+        measures |= _errors(found, suffix)
         if run_in:
             recorded = _recorded(model, found[""], found.get("reference_"))
             if recorded.interval is not None:
@@ -191,6 +188,18 @@ def on_recordings(
             "there are no errors over 0.5, 1 and 2 s, only open_loop_rmse over whole recordings"
         )
     return measures, recorded
+
+
+def _errors(found: Mapping[str, Predictions], suffix: str) -> dict[str, float]:
+    """Return number and length of the windows, and the errors of each model by its prefix."""
+    own = found[""]
+    measures = {
+        f"windows{suffix}": float(len(own.windows.q)),
+        f"window_s{suffix}": median(own.measured_seconds()),
+    }
+    for prefix, one in found.items():
+        measures |= {f"{prefix}{key}{suffix}": x for key, x in one.measures().items()}
+    return measures
 
 
 def _recorded(

@@ -65,10 +65,14 @@ class ResultTable:
 def markdown_table(table: ResultTable) -> str:
     """Return a table as Markdown, the best cells in bold."""
     rule = [":--" if i < table.words else "--:" for i in range(table.rows.shape[1])]
-    rows = [[f"**{x.text}**" if x.best else x.text for x in line] for line in table.lines()]
-    escaped = ([cell.replace("|", r"\|") for cell in line] for line in (table.header, rule, *rows))
-    lines = ["| " + " | ".join(cells) + " |" for cells in escaped]
+    lines = [_markdown_row(table.header), _markdown_row(rule)]
+    for line in table.lines():
+        lines.append(_markdown_row([f"**{x.text}**" if x.best else x.text for x in line]))
     return "\n".join([f"**{table.title}**\n", *lines, *(f"\n{n}" for n in table.notes)]) + "\n"
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
 def latex(table: ResultTable) -> str:
