@@ -94,13 +94,13 @@ def rows(machine: str, part: str) -> list[dict[str, Any]]:
     makers = instantiate(settings)
     found = refitted(makers, data.trajectories("train"))
     print(machine, found, file=sys.stderr)
-    trajectories, place = data.trajectories(part), torch.empty(0, dtype=torch.float64)
+    trajectories = data.trajectories(part)
     lines = []
     for who, rig in (("makers", makers), ("makers, refitted", found)):
         for start, run_in in (("fitted", True), ("measured", False)):
             windows = cut(trajectories, TIME_STEP, run_in=run_in)
             assert windows is not None
-            measures = predict(Continuous(rig, TIME_STEP), windows, TIME_STEP, place).measures()
+            measures = predict(Continuous(rig, TIME_STEP), windows).measures()
             lines.append(
                 {"machine": machine, "model": who, "part": part, "start": start} | measures
             )

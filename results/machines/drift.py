@@ -16,7 +16,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from symo_exp.evaluation.horizon import HORIZONS, cut, median, predict, whole_error
-from symo_exp.identify.search import ITERATIONS
+from symo_exp.identify.fits import ITERATIONS
 from symo_exp.models.horizon import HorizonError
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
 from symo_exp.runs.load import from_folder
@@ -48,9 +48,9 @@ def refine(run: str, epochs: str) -> None:
     def show() -> None:
         windows = cut(data.val, h, run_in=True)
         assert windows is not None
-        found = predict(model, windows, h, place, ITERATIONS)
+        found = predict(model, windows, place, iterations=ITERATIONS)
         short = " / ".join(f"{median(found.rmse(t)):.2g}" for t in HORIZONS)
-        wholes = (whole_error(model, part, h, place) for part in (data.train, data.val))
+        wholes = (whole_error(model, part, place) for part in (data.train, data.val))
         print(short, "held out; whole, training and held out:", *(f"{x:.2g}" for x in wholes))
 
     show()

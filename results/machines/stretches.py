@@ -29,9 +29,7 @@ def main(run: str) -> None:
     for together in (False, True):
         start = time.process_time()
         with mock.patch.object(VariationalFlow, "solves_stretches", together):
-            found = predict(
-                model, windows, system.time_step, model.input_matrix, iterations=ITERATIONS
-            )
+            found = predict(model, windows, model.input_matrix, iterations=ITERATIONS)
         times.append(time.process_time() - start)
         errors.append(float(found.errors().nanmean().sqrt()))
     change = errors[1] / errors[0] - 1

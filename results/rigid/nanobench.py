@@ -103,6 +103,8 @@ class PhysicalModel:
         turn: Torque of a rotor about its axis over its thrust [m].
     """
 
+    time_step = TIME_STEP
+
     def __init__(self, lift: float, share: float, turn: float) -> None:
         self._lift, lever = 4.0 * lift, ARM / 2**0.5
         torques = torch.tensor([lever, lever, turn], dtype=torch.float64)
@@ -160,7 +162,6 @@ def fitted_physics(flights: Sequence[Trajectory]) -> PhysicalModel:
 def errors(source: Path, folder: Path | None, part: str) -> None:
     """Print the errors of the baselines and of each run in a folder."""
     data = read(source)
-    place = torch.empty(0, dtype=torch.float64)
     windows = cut(data.trajectories(part), TIME_STEP, run_in=True)
     assert windows is not None
     print(f"{part}: {len(windows.q)} windows")
@@ -169,7 +170,7 @@ def errors(source: Path, folder: Path | None, part: str) -> None:
     for path in sorted(folder.glob("*/config.yaml")) if folder else []:
         models[path.parent.name] = symo_exp.load(path.parent).for_evaluation()
     for name, model in models.items():
-        show(name, predict(model, windows, TIME_STEP, place))
+        show(name, predict(model, windows))
 
 
 def show(name: str, found: Predictions) -> None:

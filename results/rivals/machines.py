@@ -5,8 +5,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import torch
-
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import cut, median, predict
 from symo_exp.mechanics.types import Trajectory
@@ -16,8 +14,6 @@ TIME_STEP = 0.02
 """Distance of the nodes of predictions [s]."""
 FINE = {"motor_pendulum": 0.02}
 """Distance of the samples that rivals may differentiate [s]; 5 ms where the recording has them."""
-PLACE = torch.empty(0, dtype=torch.float64)
-"""Precision and device of predictions."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ def chosen(rival: Rival, of: Machine, budget: float) -> tuple[RollsOut, str, int
     assert windows is not None
     for settings, fit in rival.candidates(of):
         model = fit()
-        error = median(predict(model, windows, TIME_STEP, PLACE).rmse(1.0))
+        error = median(predict(model, windows).rmse(1.0))
         tried += 1
         print(f"  {rival.NAME}, {settings}: val {error:.4g}", flush=True)
         if best is None or error < least:
@@ -107,4 +103,4 @@ def measures(model: RollsOut, of: Machine) -> dict[str, float]:
     """Return the errors on the test part."""
     windows = cut(of.test, TIME_STEP, run_in=True)
     assert windows is not None
-    return predict(model, windows, TIME_STEP, PLACE).measures()
+    return predict(model, windows).measures()

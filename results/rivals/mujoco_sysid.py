@@ -133,6 +133,7 @@ class Chain:
 
     model: mujoco.MjModel
     absolute: bool
+    time_step = TIME_STEP
 
     def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
         n, steps = q0.shape[1], u.shape[1] - 1

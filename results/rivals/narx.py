@@ -36,6 +36,7 @@ class Narx:
     products: list[Products]
     weights: list[Tensor]
     driven: bool
+    time_step = TIME_STEP
 
     def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
         q, y = [q0], [v0]

@@ -83,6 +83,7 @@ class StateSpace:
     params: list[Any]
     scale: Any
     effort: Any
+    time_step = TIME_STEP
 
     def __post_init__(self) -> None:
         def rolled(x: Any, u: Any) -> Any:

@@ -44,6 +44,7 @@ class Sparse:
     coupling: Tensor | None
     """(products, n, n)."""
     dry: bool
+    time_step = TIME_STEP
 
     def acceleration(self, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
         right = self.products(quantities(q, v, u, dry=self.dry)) @ self.weights

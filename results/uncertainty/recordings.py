@@ -53,7 +53,7 @@ def row(run: Path) -> str:
     both = [*recordings["train"], *recordings["val"]]
     windows = cut(both, h, run_in=True)
     assert windows is not None
-    found = predict(model, windows, h, model.input_matrix)
+    found = predict(model, windows, model.input_matrix)
     rolled = found.q[:, 0], found.v[:, 0], windows.u[:, windows.lead :], found.q
     variance = spread(model.flow, model.posterior.parameters, *rolled, ROLLOUTS)
     fields = found.q - found.q_true, variance, sensitivity(model.flow, *rolled)
