@@ -65,6 +65,7 @@ BAD = [
     # values
     ("data.n_traj=0", "0", "1 to 128"),
     ("~resume", "resume", "cannot be deleted"),
+    ("~model", "model", "-h lists those of model"),
     ("~measures", "measures", "cannot be deleted"),
     ("data.n_traj=129", "129", "data.n_train_max=129"),
     ("data.n_traj=8.5", "8.5", "whole number"),

@@ -152,11 +152,13 @@ def execute_all(commands: Sequence[Command]) -> list[int]:
 
 def _check_word(override: str) -> None:
     """Refuse an override without a value, and a group without a choice."""
+    if not override.strip("~ "):
+        raise ConfigError(f"{override!r} is not a setting with a value: write NAME=VALUE")
     if "=" not in override and not override.startswith("~"):
         mend = f"data.path={override}" if Path(override).exists() else f"{override}=..."
         raise ConfigError(f"{override} is not a setting with a value: write {mend}")
-    group, _, value = override.partition("=")
-    if value == "null" and (CONF / group).is_dir():
+    group, _, value = override.removeprefix("~").partition("=")
+    if (override[0] == "~" or value == "null") and (CONF / group).is_dir():
         raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
 
 
