@@ -6,10 +6,12 @@ import random
 from collections.abc import Callable
 from typing import Any
 
-from beartype import beartype
+from beartype import BeartypeConf, beartype
 from jaxtyping import config
 
 CALLS = 100
+WHOLE = BeartypeConf(is_pep484_tower=True)
+"""Whole numbers, as a file of settings has them, are floats as well."""
 _left = CALLS
 
 
@@ -22,7 +24,7 @@ def begin() -> None:
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """Wrapper that jaxtyping's import hook puts around each function."""
-    check = beartype(function)
+    check = beartype(function, conf=WHOLE)
 
     @functools.wraps(function)
     def counted(*args: Any, **kwargs: Any) -> Any:
