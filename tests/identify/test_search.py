@@ -417,7 +417,7 @@ def test_angles_that_jump_by_a_turn_are_unwrapped(factor, settings, workplace):
     ("hertz", "noise"), [(1.0, 1e-3), (5.0, 0.0), (20.0, 1e-3), (300.0, 0.0), (300.0, 1e-3)]
 )
 def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
-    t = np.arange(0.0, max(2.0, 40.0 / hertz), min(0.01, 0.01 / hertz))
+    t = np.arange(0.0, max(2.0, 40.0 / hertz), min(0.01, 0.02 / hertz))
     random = np.random.default_rng(0)
     x = np.sin(2 * np.pi * hertz * t) + noise * random.normal(size=len(t))
     pd.DataFrame({"t": t, "q_x": x, "u_x": np.cos(2 * np.pi * hertz * t)}).to_csv("mine.csv")
@@ -430,7 +430,7 @@ def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
 def test_the_time_step_resolves_a_vibration_that_was_recorded_for_a_short_time(
     hertz, pieces, workplace
 ):
-    t = np.arange(0.0, 400.0 / hertz, 0.01 / hertz)
+    t = np.arange(0.0, 400.0 / hertz, 0.02 / hertz)
     x = np.sin(2 * np.pi * hertz * t) + 1e-3 * np.random.default_rng(0).normal(size=len(t))
     place = np.arange(len(t)) * pieces // len(t)
     frame = pd.DataFrame({"t": t, "q_x": x, "u_x": np.cos(2 * np.pi * hertz * t)})

@@ -94,7 +94,7 @@ def test_a_system_of_ones_own_with_a_required_value_is_trained(by, workplace):
 
 
 def trains(by, *words):
-    words = [*words, "model=node", *QUIET, "trainer.max_epochs=1"]
+    words = [*words, "model=node", *QUIET, "trainer.max_epochs=1", "measures=false"]
     if by == "command":
         assert main(words) == 0
     else:
@@ -130,7 +130,7 @@ def test_a_command_runs_no_code_of_a_folder_that_it_is_not_given(mine, workplace
 
 def test_a_stored_run_is_loaded_without_code_that_is_not_given(mine, workplace):
     words = ["--config-dir", "mine_own", "code=mine_own", "system=spring"]
-    assert main([*words, "model=true_variational", *QUIET]) == 0
+    assert main([*words, "model=true_variational", *QUIET, "measures=false"]) == 0
     (folder,) = (workplace / "outputs" / "default").glob("*-*")
     assert symo_exp.load(folder).time_step > 0.0
     not_given(workplace, folder / "config.yaml")

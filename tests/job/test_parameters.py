@@ -1,6 +1,7 @@
 """A run with known equations keeps its parameters, their posterior, and its model in a file."""
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -21,10 +22,15 @@ LEARNED = [
 ]  # fmt: skip
 
 
-@pytest.fixture
-def recordings(workplace):
+@pytest.fixture(scope="module")
+def log():
     """Driven motions of a pendulum of 1 kg with friction 0.1 N m s, and noise."""
-    pendulum_log(0.1, 0.05, 60, NOISE).to_csv("mine.csv", index=False)
+    return pendulum_log(0.1, 0.05, 60, NOISE).to_csv(index=False)
+
+
+@pytest.fixture
+def recordings(log, workplace):
+    Path("mine.csv").write_text(log)
     return workplace
 
 

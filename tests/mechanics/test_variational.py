@@ -1,6 +1,6 @@
 """Variational integrators: order, symplecticity, momentum, energy, and their derivatives."""
 
-from functools import partial
+from functools import cache, partial
 from itertools import cycle
 
 import pytest
@@ -19,7 +19,7 @@ METHODS = variational_integrators()
 MOTIONS = {
     "free": (ChainPendulum, False),
     "forced": (ChainPendulum, True),
-    "with friction": (partial(dissipative_chain, rest_velocity=4.0), True),
+    "with friction": (cache(partial(dissipative_chain, rest_velocity=4.0)), True),
 }
 USUAL = [("forced", 1), ("free", 2), ("with friction", 3)]
 """Kinds of motion at numbers of coordinates; the others are tested among the long proofs."""
