@@ -330,7 +330,7 @@ def broken_compiler(monkeypatch):
 
 @pytest.mark.usefixtures("broken_compiler")
 def test_a_compiler_that_fails_is_reported_once_and_not_needed(caplog):
-    fit, data = learner("symo", "midpoint", 1), windows(1)
+    fit, data = learner("node", "midpoint", 1), windows(1)
     model = fit.model
     expected = fit.loss_and_gradients(data)
     rolled = model.rollout(data.q, data.v, steps=3)
