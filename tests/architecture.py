@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import symo_exp
@@ -76,17 +77,20 @@ INTERNAL_NAME = re.compile(r"\w+_loop|\w+_connector|\w+_progress|manual_optimiza
 """Attributes of Lightning's loops: without an underscore, and without a promise to stay."""
 
 
-def imports(file: Path) -> Iterator[str]:
+@cache
+def imports(file: Path) -> tuple[str, ...]:
+    found: list[str] = []
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert not node.level, f"{file} imports relatively"
             assert node.module is not None
             if node.module == "symo_exp":
-                yield from (f"symo_exp.{alias.name}" for alias in node.names)
+                found += [f"symo_exp.{alias.name}" for alias in node.names]
             else:
-                yield node.module
+                found.append(node.module)
+    return tuple(found)
 
 
 def foreign_attributes(file: Path) -> Iterator[str]:
