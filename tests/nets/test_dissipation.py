@@ -141,7 +141,7 @@ def test_friction_of_a_simulated_machine_is_recovered(law):
             dissipation=lambda *, coordinates: MachineFriction(coordinates=coordinates, **options),
         )  # fmt: skip
     learner, optimizer = Learner(model), LevenbergMarquardt(model.parameters())
-    for _ in range(60):
+    for _ in range(20):
         optimizer.epoch(learner, [samples])
     speed = torch.linspace(0.1, 3.0, 30, dtype=torch.float64)
     speed = torch.cat((-speed, speed)).unsqueeze(1)

@@ -106,7 +106,7 @@ def smoothed():
     nodes = (60, 80, 50, 70)
     clean, noisy = lengths(*nodes, n=1), lengths(*nodes, n=1, noise=NOISE)
     model = symo(1, dissipation=friction())
-    optimizer, found = train(model, noisy, epsilons=(0.3, 0.1), start=15, epochs=10, warm_up=100)
+    optimizer, found = train(model, noisy, epsilons=(0.3, 0.1), start=8, epochs=4, warm_up=60)
     return model, clean, noisy, optimizer, found
 
 
