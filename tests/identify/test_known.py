@@ -6,8 +6,9 @@ import pytest
 
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
-from symo_exp.identify.candidates import ladder, structures, variations
 from symo_exp.identify.recordings import examine
+from symo_exp.identify.structures import ladder, structures
+from symo_exp.identify.variations import variations
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.table import system as stated
 from tests.logs import pendulum_log

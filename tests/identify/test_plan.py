@@ -11,16 +11,13 @@ from symo_exp.identify.candidates import (
     distinct_candidates,
     exclude,
     joined,
-    ladder,
     left_open,
     structure_of,
-    structures,
-    variations,
-    with_friction_of,
     with_lagrangian,
-    with_less_friction,
 )
 from symo_exp.identify.recordings import Machine
+from symo_exp.identify.structures import ladder, structures
+from symo_exp.identify.variations import variations, with_friction_of, with_less_friction
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
 

@@ -13,8 +13,9 @@ import torch
 from symo_exp.data.diagnose import quasi_coordinates
 from symo_exp.data.table import write_recordings
 from symo_exp.errors import ConfigError
-from symo_exp.identify.candidates import ladder, variations
 from symo_exp.identify.recordings import Machine, examine
+from symo_exp.identify.structures import ladder
+from symo_exp.identify.variations import variations
 from symo_exp.mechanics.types import Coordinates, Trajectories
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated

@@ -4,8 +4,8 @@ import pytest
 
 from symo_exp.identify import plan as plans
 from symo_exp.identify import rounds
-from symo_exp.identify.candidates import ladder
 from symo_exp.identify.rounds import Rounds
+from symo_exp.identify.structures import ladder
 from symo_exp.runs.folder import SERIES, RunFolder
 from symo_exp.runs.series import Series
 from tests.identify.test_plan import machine

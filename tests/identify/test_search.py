@@ -15,8 +15,8 @@ from symo_exp.__main__ import main
 from symo_exp.data.diagnose import noise_of
 from symo_exp.errors import ConfigError
 from symo_exp.identify import rounds
-from symo_exp.identify.candidates import ladder
 from symo_exp.identify.recordings import examine
+from symo_exp.identify.structures import ladder
 from symo_exp.report.__main__ import main as report
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.recorded import Recorded

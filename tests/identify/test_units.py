@@ -8,8 +8,8 @@ import pytest
 
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
-from symo_exp.identify.candidates import ladder
 from symo_exp.identify.recordings import examine
+from symo_exp.identify.structures import ladder
 from symo_exp.identify.validation import fold_error
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.recorded import Recorded

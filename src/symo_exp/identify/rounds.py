@@ -11,21 +11,14 @@ from symo_exp.identify.candidates import (
     Candidate,
     distinct_candidates,
     exclude,
-    finer,
     joined,
     left_open,
-    of_higher_order,
     structure_of,
-    structures,
-    variations,
-    with_friction_of,
-    with_half_the_step,
-    with_less_friction,
-    without_springs,
 )
 from symo_exp.identify.fits import Fits
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine
+from symo_exp.identify.structures import structures
 from symo_exp.identify.validation import (
     LEAST,
     NOISY,
@@ -40,6 +33,15 @@ from symo_exp.identify.validation import (
     noisy_folds,
     parameters_of,
     with_least_noise,
+)
+from symo_exp.identify.variations import (
+    finer,
+    of_higher_order,
+    variations,
+    with_friction_of,
+    with_half_the_step,
+    with_less_friction,
+    without_springs,
 )
 from symo_exp.process import phases
 from symo_exp.runs.folder import SERIES, RunFolder

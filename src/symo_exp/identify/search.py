@@ -24,12 +24,13 @@ from symo_exp.data.formats import content_of, files, shown
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.identify import plan as plans
-from symo_exp.identify.candidates import Candidate, distinct_candidates, ladder, with_lagrangian
+from symo_exp.identify.candidates import Candidate, distinct_candidates, with_lagrangian
 from symo_exp.identify.doubts import doubts, hopeless
 from symo_exp.identify.fits import Fits, by_key
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.rounds import Rounds
+from symo_exp.identify.structures import ladder
 from symo_exp.identify.table import candidates_table, write_candidates
 from symo_exp.identify.validation import (
     NOISY,
