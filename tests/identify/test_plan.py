@@ -83,12 +83,27 @@ def test_all_last_fits_together_have_the_time_of_one(cores, seconds):
     one = machine(1, seconds)
     plan = plans.make_plan(one, ladder(one), 120.0, cores, 1.0, "key")
     for candidate in ladder(one):
-        rounds = -(-plan.last_fits(candidate) // cores)
+        rounds = -(-plan.last_fits(candidate, one) // cores)
         nodes = round(plan.most_seconds(candidate, one) / one.time_step)
         training = plan.effort.training(candidate, nodes, one)
         fixed = plan.effort.training(candidate, 0, one)
-        assert rounds == 1 or cores < candidate.starts
+        assert rounds == 1 or cores < candidate.starts or rounds * training <= 24.0
         assert nodes <= plans.FEWEST_NODES or rounds * (training - fixed) <= 1.01 * 24.0
+
+
+def test_a_candidate_with_several_minima_is_fitted_more_often_where_that_is_cheap():
+    one = machine(1)
+    several = [c for c in ladder(one) if c.has_minima]
+    fits = {
+        budget: [plans.make_plan(one, several, budget, 1, 1.0, "key").last_fits(c, one)
+                 for c in several]
+        for budget in (1.0, 3600.0)
+    }  # fmt: skip
+    assert set(fits[1.0]) == {plans.FEWEST_FITS}
+    assert set(fits[3600.0]) == {plans.MOST_FITS}
+    free = machine(1, driven=False)
+    plan = plans.make_plan(free, ladder(free), 3600.0, 1, 1.0, "key")
+    assert {plan.last_fits(c, free) for c in ladder(free) if not c.has_minima} == {1}
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -56,7 +56,7 @@ PROMOTED, VARIED = 3, 2.0
 FEWEST_VARIATIONS = 2
 """Of a cheap candidate with any budget: one has finer steps, unless springs show."""
 FEWEST_FITS, MOST_FITS = 2, 4
-"""Last fits of a candidate with several starts, one for each core in between."""
+"""Last fits of a candidate with several starts."""
 DATA = 0.6
 """Share of the time that fewer data leave at least where data are reduced first."""
 PATIENCE = 4.0
@@ -193,7 +193,7 @@ class Plan:
 
     def most_seconds(self, candidate: Candidate, machine: Machine) -> float:
         """Return the length of data that a candidate can be fitted to in its time [s]."""
-        rounds = math.ceil(self.last_fits(candidate) / self.cores)
+        rounds = math.ceil(self.last_fits(candidate, machine) / self.cores)
         nodes, work = machine.nodes, REFITTING * self.budget * self.speed / rounds
         fixed = self.effort.training(candidate, 0, machine)  # does not depend on the nodes
         while nodes > FEWEST_NODES and (
@@ -216,17 +216,24 @@ class Plan:
             pace: How many times longer than planned runs take.
         """
         nodes = round(self.most_seconds(candidate, machine) / machine.time_step)
-        rounds = math.ceil(self.last_fits(candidate) / self.cores)
+        rounds = math.ceil(self.last_fits(candidate, machine) / self.cores)
         last = rounds * self.effort.training(candidate, nodes, machine) / self.speed
         return self.cores * (self.total / pace - last)
 
-    def last_fits(self, candidate: Candidate) -> int:
+    def last_fits(self, candidate: Candidate, machine: Machine) -> int:
         """Return how many fits to all data a chosen candidate has, from different seeds.
 
         Candidates whose starts are drawn have several minima, and the start with the smallest
-        residuals does not always lead to the deepest one.
+        residuals does not always lead to the deepest one. There are ``MOST_FITS`` if the time
+        suffices for these, else one for each core.
         """
-        return min(max(FEWEST_FITS, self.cores), MOST_FITS) if candidate.has_minima else 1
+        if not candidate.has_minima:
+            return 1
+        rounds = math.ceil(MOST_FITS / self.cores)
+        every = rounds * self.effort.training(candidate, machine.nodes, machine)
+        if machine.nodes <= MOST_NODES and every <= REFITTING * self.budget * self.speed:
+            return MOST_FITS
+        return min(max(FEWEST_FITS, self.cores), MOST_FITS)
 
     def limit(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time after which a training is ended [s]."""

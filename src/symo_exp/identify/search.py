@@ -289,7 +289,7 @@ class Search:
         Returns:
             The fits by their attempts.
         """
-        first = self._plan.last_fits(candidate)
+        first = self._plan.last_fits(candidate, self._machine)
         found = fits.to_all(candidate, epochs, range(first))
         if first > 1 and min(map(noise_of_fit, found.values())) > NOISY * noise:
             found |= fits.to_all(candidate, epochs, range(first, plans.MOST_FITS))
