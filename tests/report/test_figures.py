@@ -105,6 +105,16 @@ def test_a_chart_has_every_trace_with_its_look_and_a_legend(figure):
             assert panel.y_label
 
 
+def test_a_caption_names_the_lines_of_true_systems_where_there_are_any():
+    learned = runs()[lambda table: table.source == "ours"]
+    without = [f for one in sections(learned, Compared("")) for f in one.figures]
+    for figure in (*FIGURES, *without):
+        if figure.key.startswith("data_size"):
+            floors = any((panel.rows.source == "floor").any() for panel in figure.panels)
+            assert ("Lines across" in figure.caption) == floors
+    assert any(figure.key.startswith("data_size") for figure in without)
+
+
 @pytest.mark.parametrize("form", ["png", "svg", "pdf"])
 def test_a_chart_becomes_a_file_that_is_the_same_again(form, tmp_path):
     begins = {"png": b"\x89PNG", "svg": b"<svg", "pdf": b"%PDF"}
