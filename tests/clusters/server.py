@@ -103,7 +103,8 @@ class Server:
             dead = [p for p in self._processes if p.poll() is not None]
             if dead or time.monotonic() > end:
                 self.stop()
-                raise UnavailableError(f"the server did not come up: see {self.folder}/*.log")
+                said = [file.read_text(errors="replace") for file in self.folder.glob("*.log")]
+                raise UnavailableError("\n".join(["the server did not come up", *said]))
             time.sleep(0.2)
 
 

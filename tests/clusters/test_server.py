@@ -2,7 +2,9 @@
 
 import importlib.util
 import os
+import tempfile
 import urllib.request
+from pathlib import Path
 
 import pytest
 
@@ -22,12 +24,17 @@ WORDS = [
 
 
 @pytest.fixture
-def server(tmp_path_factory):
+def folder():
+    """A folder that the user of PostgreSQL can read, whatever pytest makes of its own ones."""
+    with tempfile.TemporaryDirectory(prefix="symo_exp-server-") as name:
+        os.chmod(name, 0o755)
+        yield Path(name)
+
+
+@pytest.fixture
+def server(folder):
     if importlib.util.find_spec("psycopg2") is None:
         pytest.skip("psycopg2 is not installed: pip install 'symo_exp[server]'")
-    folder = tmp_path_factory.mktemp("server")
-    for path in (folder, *folder.parents[:2]):
-        os.chmod(path, 0o755)  # the user of PostgreSQL has to get there
     (port,) = free_ports(1)
     there = Server(folder, host="127.0.0.1", port=port, workers=1)
     try:
