@@ -193,8 +193,7 @@ class Plan:
 
     def most_seconds(self, candidate: Candidate, machine: Machine) -> float:
         """Return the length of data that a candidate can be fitted to in its time [s]."""
-        rounds = math.ceil(self.last_fits(candidate, machine) / self.cores)
-        nodes, work = machine.nodes, REFITTING * self.budget * self.speed / rounds
+        nodes, work = machine.nodes, self._refitting / self._rounds(candidate, machine)
         fixed = self.effort.training(candidate, 0, machine)  # does not depend on the nodes
         while nodes > FEWEST_NODES and (
             nodes > MOST_NODES or self.effort.training(candidate, nodes, machine) - fixed > work
@@ -216,8 +215,8 @@ class Plan:
             pace: How many times longer than planned runs take.
         """
         nodes = round(self.most_seconds(candidate, machine) / machine.time_step)
-        rounds = math.ceil(self.last_fits(candidate, machine) / self.cores)
-        last = rounds * self.effort.training(candidate, nodes, machine) / self.speed
+        fit = self.effort.training(candidate, nodes, machine) / self.speed
+        last = self._rounds(candidate, machine) * fit
         return self.cores * (self.total / pace - last)
 
     def last_fits(self, candidate: Candidate, machine: Machine) -> int:
@@ -231,9 +230,18 @@ class Plan:
             return 1
         rounds = math.ceil(MOST_FITS / self.cores)
         every = rounds * self.effort.training(candidate, machine.nodes, machine)
-        if machine.nodes <= MOST_NODES and every <= REFITTING * self.budget * self.speed:
+        if machine.nodes <= MOST_NODES and every <= self._refitting:
             return MOST_FITS
         return min(max(FEWEST_FITS, self.cores), MOST_FITS)
+
+    @property
+    def _refitting(self) -> float:
+        """The time of all rounds of last fits on the reference machine [s]."""
+        return REFITTING * self.budget * self.speed
+
+    def _rounds(self, candidate: Candidate, machine: Machine) -> int:
+        """Return in how many rounds the last fits are done, side by side."""
+        return math.ceil(self.last_fits(candidate, machine) / self.cores)
 
     def limit(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time after which a training is ended [s]."""

@@ -97,7 +97,7 @@ def structures(machine: Machine) -> list[Candidate]:
     found = _in_space(machine)
     found.append(_candidate(name, 1.0, "relative", {**FRICTION, **start}, 1.0, starts))
     small = _candidate("small network", 3.0, "small network", FRICTION, cost=1.3, starts=2)
-    if is_arm(machine):
+    if _is_arm(machine):
         return _with_springs([*found, small], machine)
     if several:
         name = f"{LINKS}, absolute angles"
@@ -138,11 +138,11 @@ def _in_space(machine: Machine) -> list[Candidate]:
         return [found]
     start = math.exp(sum(map(math.log, machine.friction)) / n)
     settings = {**found.settings, "dissipation.start": f"{start:.2g}"}
-    rank = 0.9 if is_arm(machine) else found.rank
+    rank = 0.9 if _is_arm(machine) else found.rank
     return [replace(found, rank=rank, settings=settings, forces=FORCE_EPOCHS, drawn=True)]
 
 
-def is_arm(machine: Machine) -> bool:
+def _is_arm(machine: Machine) -> bool:
     """Return whether a machine is probably an arm: four driven angles or more, nothing else.
 
     General links and large networks do not learn arms within a usual budget.
