@@ -9,8 +9,10 @@ import torch
 from torch.nn.utils import parameters_to_vector
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.explicit import ClassicalRK4, DormandPrince5
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Windows
+from symo_exp.models.flows import ExplicitFlow
 from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.training.learner import Learner
@@ -190,6 +192,13 @@ def test_an_adjoint_step_has_the_value_of_the_direct_one():
         for s in ("direct", "adjoint")
     )
     torch.testing.assert_close(direct.q, adjoint.q)
+
+
+@pytest.mark.parametrize("method", [DormandPrince5(), ClassicalRK4()])
+def test_adjoint_gradients_of_methods_without_a_single_step_of_torchdiffeq_are_refused(method):
+    field = make("l_node", "rk4", 1).flow.field
+    with pytest.raises(ConfigError, match="choose integrator=midpoint or rk4"):
+        ExplicitFlow(field, method, 0.1, sensitivity="adjoint")
 
 
 def test_rows_without_a_root_are_counted_and_do_not_spoil_the_gradient():

@@ -70,6 +70,15 @@ def test_inverse_dynamics_finds_the_control_behind_a_motion(name: str, kind: str
     torch.testing.assert_close(found, u, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.parametrize("kind", ["explicit", "variational"])
+@pytest.mark.parametrize("name", NAMES)
+def test_no_motions_have_no_steps(name: str, kind: str) -> None:
+    system = stated(name)
+    q, v, u = (x[:0] for x in system.points(2, seed=0))
+    path = model_of(system, kind).rollout(q, v, u.unsqueeze(1).expand(-1, 3, -1))
+    assert path.q.shape == (0, 3, q.shape[1])
+
+
 def test_a_fitted_start_is_that_of_the_motion() -> None:
     system = stated("quadrotor")
     model = model_of(system, "variational")

@@ -301,6 +301,8 @@ BAD = (
     {"velocity_weight": -1},
     {"input_weight": -1},
     {"tolerance": -1},
+    {"late_from": 0.0},
+    {"warm_up": -5},
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from symo_exp.errors import ConfigError
 from symo_exp.systems.mjcf import mjcf, urdf
@@ -82,6 +83,20 @@ def test_a_urdf_of_thin_rods_is_read(name):
     joints = [joint._asdict() for joint in found.joints]
     model = compiled(urdf({"joints": joints, "gravity": found.gravity}))
     assert model.nv == len(joints)
+
+
+@pytest.mark.parametrize("write", [mjcf, urdf])
+@pytest.mark.parametrize("seed", range(20))
+def test_flat_bodies_in_any_position_are_read(write, seed):
+    """Their largest moment is the sum of the others, which rounding may exceed."""
+    given = MECHANISMS["arm_of_seven"]
+    turn = Rotation.random(random_state=seed).as_matrix()
+    inertia = turn @ np.diag([0.003, 0.05, 0.053]) @ turn.T
+    joints = [joint | {"inertia": inertia.tolist()} for joint in given["joints"]]
+    found = compiled(write(given | {"joints": joints}))
+    np.testing.assert_allclose(
+        np.sort(found.body_inertia[1:])[:, ::2], [[0.003, 0.053]] * 7, rtol=1e-7
+    )
 
 
 def test_a_urdf_of_shifted_references_is_refused():

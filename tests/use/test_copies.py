@@ -173,3 +173,15 @@ def test_models_of_recordings_need_a_box_and_may_have_a_reward():
         environment(model)
     with pytest.raises(ConfigError, match="copies=0"):
         environment(model, 0, system=SYSTEMS["acrobot"])
+
+
+@pytest.mark.parametrize("flat", [(), ("x", "y", "z")])
+def test_models_of_recorded_rotations_have_environments(flat):
+    names = (*flat, *(f"R_{part}" for part in "wxyz"))
+    system = Recorded(time_step=0.05, names=names, rotations=["R"], angular="none")
+    n = len(flat) + 3
+    box = {"q": [[-1, 1]] * n, "v": [[-2, 2]] * n, "u": []}
+    env = environment(model_of(system), box=box, reward=lambda q, v, u: -(v**2).sum(1))
+    state, _ = env.reset(seed=0)
+    assert env.observation_space.contains(state)
+    assert np.isfinite(env.step(env.action_space.sample())[1])

@@ -300,12 +300,6 @@ class Basis:
         """Return ``h Σᵢ bᵢ xᵢ``."""
         return torch.tensordot(h * self.b.to(x), x.unflatten(0, (len(self.b), -1)), 1)
 
-    def total_slopes(
-        self, by_q: Tensor, by_v: Tensor, h: float
-    ) -> Float[Tensor, "variables batch n n"]:
-        """Return ``D_b`` of ``h Σᵢ bᵢ xᵢ``, given the derivatives of ``x`` in ``q`` and ``v``."""
-        return self.slopes(Gradients(by_q, by_v), h)
-
     def impulses(self, forces: Forces, h: float) -> Float[Tensor, "variables batch n"]:
         """Return ``h Σᵢ bᵢ α_a(τᵢ) F(τᵢ)``."""
         hold = h * self._hold.to(forces.start)

@@ -35,6 +35,7 @@ from symo_exp.mechanics.chart import (
 )
 from symo_exp.mechanics.galerkin import CondensedExpansion, Galerkin, GalerkinExpansion
 from symo_exp.mechanics.geodesic_midpoint import GeodesicMidpoint
+from symo_exp.mechanics.lagrangian import Gradients
 from symo_exp.mechanics.rows import take_rows
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import (
@@ -174,7 +175,7 @@ class GeodesicExpansion(CondensedExpansion):
         """Return the derivatives of ``D₁``, the inner equations and ``D₂`` in ``(φ₀, c, x)``."""
         at, ends = self._at, self._ends
         w = at.basis.hessian(found.curvature, self._points.mass(), at.h)[1:]
-        total = at.basis.total_slopes(found.turned_q, found.turned_v, at.h)
+        total = at.basis.slopes(Gradients(found.turned_q, found.turned_v), at.h)
         first, final = total - ends.inverse @ w[-1], ends.inverse.mT @ w[-1]
         start_slope, end_slope = ends.slopes(at.values.d2)
         first = torch.cat((first[:-1], first[-1:] - start_slope))

@@ -281,7 +281,7 @@ class Space:
         phi, (flat, omega) = self.vectors(x), self._parts(v)
         series = ExponentialSeries.of(phi)
         inverse = polynomial(phi, series.s, 0.5, series.gamma)
-        rate = (inverse @ omega.reshape(-1, 3, 1)).view(v.shape[0], -1)
+        rate = (inverse @ omega.reshape(-1, 3, 1)).view(v.shape[0], 3 * self.rotations)
         return torch.cat((flat, rate), dim=1)
 
     def coadjoint(

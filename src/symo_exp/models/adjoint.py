@@ -5,6 +5,9 @@ from torchdiffeq import odeint_adjoint
 
 from symo_exp.models.fields import Field
 
+FIXED_STEP = ("midpoint", "rk4")
+"""Methods of which torchdiffeq takes a single step; its other ones choose their steps."""
+
 
 class _Motion(nn.Module):
     """``d/dt (q, v) = (v, a(q, v, u(t)))`` with a first-order hold of the control."""

@@ -37,7 +37,7 @@ from symo_exp.mechanics.variational import (
     VariationalIntegrator,
     VariationalStep,
 )
-from symo_exp.models.adjoint import adjoint_step
+from symo_exp.models.adjoint import FIXED_STEP, adjoint_step
 from symo_exp.models.fields import Field
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.nets.inputs import LearnedInputs
@@ -243,6 +243,11 @@ class ExplicitFlow(Flow):
     ) -> None:
         super().__init__(time_step)
         one_of("model.sensitivity", sensitivity, ("direct", "adjoint"))
+        if sensitivity == "adjoint" and integrator.name not in FIXED_STEP:
+            raise ConfigError(
+                f"model.sensitivity=adjoint: torchdiffeq takes no single step of {integrator.name}; "
+                f"choose integrator={' or '.join(FIXED_STEP)}, or leave it at direct"
+            )
         if sensitivity == "adjoint" and field.space.rotations:
             raise ConfigError(
                 "model.sensitivity=adjoint integrates lengths and angles only, and the system has "

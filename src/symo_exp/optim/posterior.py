@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
+from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from symo_exp.mechanics.types import Trajectory
@@ -146,7 +147,7 @@ def _settled(
 
 
 def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, float]:
-    """Return ``ε̂²``, ``σ̂²`` of the largest likelihood of ``e``, by golden section in ``log ε̂``."""
+    """Return ``ε̂²``, ``σ̂²`` of the largest likelihood of ``e``, by Brent's method in ``log ε̂``."""
 
     def of(exponent: float) -> tuple[float, float, float]:
         own = 10.0 ** (2.0 * exponent)
@@ -161,11 +162,11 @@ def _likeliest(chain: Chain, by_x: Sequence[Tensor], e: Tensor) -> tuple[float, 
     low, high = math.log10(LOW), math.log10(HIGH)
     grid = [low + (high - low) * i / 12 for i in range(13)]
     best = min(grid, key=lambda a: of(a)[0])
-    a, b = best - 0.5, best + 0.5
-    for _ in range(14):
-        c, d = b - 0.618034 * (b - a), a + 0.618034 * (b - a)
-        a, b = (a, d) if of(c)[0] < of(d)[0] else (c, b)
-    _, own, variance = of(0.5 * (a + b))
+    found = minimize_scalar(
+        lambda exponent: of(exponent)[0],
+        bounds=(best - 0.5, best + 0.5), method="bounded", options={"xatol": 1e-3},
+    )  # fmt: skip
+    _, own, variance = of(float(found.x))
     return own, variance
 
 

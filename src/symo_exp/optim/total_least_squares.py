@@ -105,8 +105,9 @@ class TotalLeastSquares(EpochOptimizer):
         for name, size in (*sizes, *(("epsilons", e) for e in epsilons)):
             real(f"optimizer.{name}", size, above=0)
         real("optimizer.input_weight", input_weight, low=0)
+        real("optimizer.late_from", late_from, above=0)
         self.start, self.epochs, self.damping = start, epochs, damping
-        self.warm_up, self.seed = warm_up, seed
+        self.warm_up, self.seed = whole_number("optimizer.warm_up", warm_up, low=0), seed
         self.velocity_weight, self.input_weight = velocity_weight, input_weight
         late = any(map(is_late, self.parameters))
         begins = [Stage(None, start=i) for i in range(starts)]

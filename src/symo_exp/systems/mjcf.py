@@ -20,6 +20,8 @@ from symo_exp.mechanics.bodies import Joint, freedoms, freedoms_of
 
 POINT = 1e-13
 """Least mass [kg] and inertia [kg m^2] of a body that moves: MuJoCo refuses zero."""
+LAMINA = 1e-13
+"""Share of the largest moment by which the sum of the others exceeds it at least."""
 
 
 def mjcf(
@@ -201,8 +203,14 @@ def _inertial(inside: _Frame, joint: Joint) -> None:
 
 
 def _positive(inertia: np.ndarray) -> np.ndarray:
-    """Return an inertia without a zero moment, such as a thin rod has, which MuJoCo refuses."""
-    return inertia + POINT * np.eye(3) if np.linalg.eigvalsh(inertia).min() < POINT else inertia
+    """Return an inertia that MuJoCo accepts, whatever its rounding.
+
+    It refuses a zero moment, such as a thin rod has, and moments of which the largest exceeds the
+    sum of the others by a rounding error, as that of a flat body may.
+    """
+    least, middle, largest = np.linalg.eigvalsh(inertia)
+    spare = LAMINA * largest - (least + middle - largest)
+    return inertia + max(POINT * (least < POINT), spare, 0.0) * np.eye(3)
 
 
 def _quaternion(axes: np.ndarray) -> str:

@@ -30,7 +30,8 @@ class Recorded(System):
         input_matrix: ``B`` (n, m) of the generalised force ``B u``. ``None``: the identity, with
             an input for each coordinate; (n, 0) without inputs.
         scale: Units of ``length`` [m], ``time`` [s] and ``mass`` [kg] in which learned parts of a
-            model have their parameters, for motions that are far from 1 in those of the SI.
+            model have their parameters, and settings their initial values, for motions that are
+            far from 1 in those of the SI.
     """
 
     names: Sequence[str]
@@ -52,7 +53,7 @@ class Recorded(System):
         freedoms = Coordinates.of(flat, (False,) * len(flat), rotations).names
         matrix = _matrix(self.input_matrix, freedoms, inputs)
         vars(self).update(
-            names=flat, angular=angular, rotations=rotations, inputs=inputs, input_matrix=matrix,
+            names=names, angular=angular, rotations=rotations, inputs=inputs, input_matrix=matrix,
             scale=_scale(self.scale),
         )  # fmt: skip
         super().__post_init__()
@@ -61,9 +62,10 @@ class Recorded(System):
     @override
     def coordinates(self) -> Coordinates:
         assert self.angular is not None
-        turns = tuple(name in self.angular for name in self.names)
+        _, flat = _rotations(self.rotations, tuple(self.names))
+        turns = tuple(name in self.angular for name in flat)
         one = len(self.rotations) == 1 and turns == (False,) * 3  # a body that moves freely
-        found = Coordinates.of(self.names, turns, self.rotations, [(0, 0)] if one else [])
+        found = Coordinates.of(flat, turns, self.rotations, [(0, 0)] if one else [])
         return found._replace(units=self.scale)
 
 

@@ -44,7 +44,7 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
     Raises:
         ConfigError: If the model does not consist of rigid bodies.
     """
-    model = model.for_evaluation()
+    model = model.for_evaluation().cpu()
     lagrangian: Any = model.lagrangian
     dissipation: Any = None
     if isinstance(lagrangian, DissipativeLagrangian):
@@ -322,7 +322,7 @@ def _beyond_urdf(found: Linkage, damping: Tensor, along: Coupled) -> list[str]:
 
 
 def _inputs(model: DynamicsModel, lagrangian: Any, inverse: Tensor) -> dict[str, Any]:
-    matrix = model.input_matrix.double().cpu()
+    matrix = model.input_matrix.double()
     if isinstance(lagrangian, LearnedRigidBody) and lagrangian.learned_inputs:
         matrix = lagrangian.learned_matrix().double()
     matrix = inverse.T @ matrix
