@@ -245,7 +245,7 @@ class ExplicitFlow(Flow):
         one_of("model.sensitivity", sensitivity, ("direct", "adjoint"))
         if sensitivity == "adjoint" and integrator.name not in FIXED_STEP:
             raise ConfigError(
-                f"model.sensitivity=adjoint: torchdiffeq takes no single step of {integrator.name}; "
+                f"model.sensitivity=adjoint: torchdiffeq has no single step of {integrator.name}; "
                 f"choose integrator={' or '.join(FIXED_STEP)}, or leave it at direct"
             )
         if sensitivity == "adjoint" and field.space.rotations:
