@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from symo_exp.runs.folder import RunFolder
 from tests.faults.commands import Command, go, statuses, stored
 from tests.faults.test_kills import WORDS, left
 from tests.tiny import copy_store
@@ -84,3 +85,24 @@ def test_a_signal_ends_parallel_jobs_after_their_epochs(signum, group, tmp_path)
     assert command.wait() == 128 + signum
     assert statuses(tmp_path) == ["interrupted", "interrupted"]
     assert command.said.count("waiting: seed=") == 2
+
+
+@pytest.mark.slow
+def test_a_signal_ends_the_second_sweep_of_a_command_too(tmp_path):
+    """Its jobs are done by the workers of the first one."""
+    (tmp_path / "mine").mkdir()
+    for name, epochs in (("a", 1), ("b", 100000)):
+        (tmp_path / "mine" / f"{name}.yaml").write_text(
+            "defaults: [config, {override hydra/launcher: joblib}, _self_]\n"
+            f"trainer: {{max_epochs: {epochs}}}\n"
+            "hydra: {launcher: {n_jobs: 2}, sweeper: {params: {seed: '0,1,2,3'}}}\n"
+        )
+    (tmp_path / "mine" / "both.yaml").write_text("sweeps: [a, b]\n")
+    words = [word for word in ENDLESS if not word.startswith("trainer.max_epochs")]
+    command = Command(tmp_path, "--config-dir", "mine", "-cn", "both", *words)
+    command.wait_for(lambda: statuses(tmp_path) == ["finished"] * 4 + ["running"] * 2)
+    command.signal(signal.SIGINT, group=True)
+    assert command.wait() == 130
+    assert sorted(statuses(tmp_path)) == ["finished"] * 4 + ["interrupted"] * 2
+    runs = [RunFolder(path.parent).about() for path in tmp_path.rglob("run.json")]
+    assert len({run.sweep for run in runs if run.sweep}) == 2

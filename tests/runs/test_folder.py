@@ -94,6 +94,15 @@ def test_a_deletion_that_is_killed_leaves_no_finished_run_with_missing_files(
     assert whole or folder.outcome().status == "waiting"
 
 
+def test_a_run_that_starts_anew_has_no_results_of_the_former(folder):
+    for name in ("studies", "pictures"):
+        (folder / name).mkdir(parents=True)
+    for name in ("metrics.json", "parameters.csv", "posterior.pt", "rollouts.parquet"):
+        (folder / name).write_text("{}")
+    folder.clear()
+    assert not [path for path in folder.path.rglob("*") if path.suffix or path.is_dir()]
+
+
 def test_a_run_that_goes_on_is_the_same_run(folder):
     folder.describe(About("first", {"a": 1}))
     first = folder.about()
@@ -181,6 +190,19 @@ def test_a_quantity_may_come_later_and_not_always(path):
     again = Series(path)  # another process
     again.append(3, {"b": 5.0})
     assert rows(path) == [*expected, {"epoch": 3, "b": 5.0}]
+
+
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_quantity_that_finds_the_disk_full_comes_later(before, path):
+    """The first one, or one that was not there before."""
+    series = Series(path)
+    for epoch in range(before):
+        series.append(epoch, {"a": 1.0})
+    with no_file_larger_than(5), pytest.raises(OSError, match="large"):
+        series.append(before, {"a": 1.0, "b": 2.0})
+    series.append(before + 1, {"a": 1.0})
+    both = [{"epoch": before, "a": 1.0, "b": 2.0}, {"epoch": before + 1, "a": 1.0}]
+    assert rows(path)[before:] == both
 
 
 def test_rows_that_are_cut_off_are_written_again(path):

@@ -57,7 +57,12 @@ def test_results_of_other_recordings_are_refused(workplace, capsys):
 
 
 @pytest.mark.parametrize(
-    ("word", "wanted"), [("optimized_metric=nonsense", "val_loss"), ("data.n_traj=0", "from 1")]
+    ("word", "wanted"),
+    [
+        ("optimized_metric=nonsense", "val_loss"),
+        ("data.n_traj=0", "from 1"),
+        ("resume=false", "experiment=NAME"),
+    ],
 )
 def test_bad_input_is_one_line(word, wanted, workplace, capsys):
     assert main([*SEARCH, word, "learning_rate=choice(1e-3)"]) == 2

@@ -65,7 +65,7 @@ def test_a_run_appears_grows_and_is_finished(view, folder, store):
     assert run.data.tags["git_dirty"] == "true"
     grow(folder, 131)
     view.publish(folder)
-    dense, sparse = [*range(publish.DENSE)], [*range(publish.DENSE, 131, 5)]
+    dense, sparse = [*range(publish.DENSE)], [*range(publish.DENSE + 4, 131, 5)]
     assert steps(store, "train_loss") == dense + sparse
     assert not view.is_published(folder)
     grow(folder, 134, start=131)
@@ -75,7 +75,7 @@ def test_a_run_appears_grows_and_is_finished(view, folder, store):
     assert run.info.run_id in address
     assert run.info.status == "FINISHED"
     assert steps(store, "train_loss") == [*dense, *sparse, 133]
-    assert steps(store, "val_loss") == [*range(9, 100, 10)]
+    assert steps(store, "val_loss") == [*range(9, 131, 10)]
     assert run.data.metrics["test_mse"] == 1e-7
     client = connect(store)
     names = {f.path for f in client.list_artifacts(run.info.run_id)}
@@ -97,6 +97,16 @@ def test_publishing_again_sends_nothing_twice(forget, view, folder, store):
             folder.mark_published(None)
     assert steps(store, "train_loss") == list(range(30))
     assert steps(store, "test_mse") == [0]
+
+
+def test_measures_that_are_computed_again_replace_the_former(view, folder, store):
+    finish(folder)
+    view.publish(folder)
+    folder.write_measures({"test_mse": 2e-7})
+    folder.mark_published(None)
+    MlflowView(experiment="e", directory=store.database.parent).publish(folder)
+    (run,) = runs(store)
+    assert run.data.metrics["test_mse"] == 2e-7
 
 
 def test_a_run_that_was_killed_and_goes_on_is_one_run(view, folder, store):

@@ -158,6 +158,8 @@ def _check_word(override: str) -> None:
         mend = f"data.path={override}" if Path(override).exists() else f"{override}=..."
         raise ConfigError(f"{override} is not a setting with a value: write {mend}")
     group, _, value = override.removeprefix("~").partition("=")
+    if group.lstrip("+") == "hydra.mode" and value != "MULTIRUN":
+        raise ConfigError(f"{override} goes around the checks; leave it out: one run needs no -m")
     if (override[0] == "~" or value == "null") and (CONF / group).is_dir():
         raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
 

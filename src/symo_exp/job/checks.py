@@ -10,7 +10,8 @@ import tempfile
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Union
 
 import typing_extensions
 from omegaconf import MISSING
@@ -130,7 +131,9 @@ def _mismatch(value: Any, hint: Any) -> str:
     Structures are left to the constructor, unless it expects a scalar.
     """
     if isinstance(value, Mapping | list):
-        return "expected a scalar" if hint in (bool, int, float, str, type(None)) else ""
+        union = typing.get_origin(hint) in (Union, UnionType)
+        options = set(typing.get_args(hint)) if union else {hint}
+        return "expected a scalar" if options <= {bool, int, float, str, type(None)} else ""
     adapter = _adapter(hint)
     if adapter is None:  # a protocol or a dataclass
         return "" if value is None else f"expected {getattr(hint, '__name__', hint)}"

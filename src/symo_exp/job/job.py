@@ -57,11 +57,18 @@ def job(config: DictConfig) -> float | None:
     if stopping.requested():
         return None
     settings = resolve(config)
-    failure = _do(settings, folder, hydras)
+    ours = hydras.sweeper._target_.startswith(READS_FOLDERS)
+    if not (ours or settings.values["resume"]):
+        told = f"resume=false: {hydras.sweeper._target_} goes on with its trials; give"
+        raise Refused(ConfigError(f"{told} experiment=NAME for a new search"))
+    try:
+        failure = _do(settings, folder, hydras)
+    except stopping.Interrupted as error:  # before the run, or after its outcome was recorded
+        failure = error
     phases.clear()
     if failure is not None and debugging():
         raise failure
-    if hydras.sweeper._target_.startswith(READS_FOLDERS):
+    if ours:
         return None
     if isinstance(failure, ConfigError):
         raise Refused(failure)
@@ -153,6 +160,7 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
         status, reason = "finished", ""
         try:
             folder.record("running")
+            folder.mark_published(None)
             with first_import("symo_exp.job.recipe"):
                 from symo_exp.job.recipe import build, perform
 

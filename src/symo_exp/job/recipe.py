@@ -76,7 +76,6 @@ def perform(
         about: Name and parameters of the run.
         trained: Do only what a trained run lacks: measures, pictures, studies.
     """
-    folder.mark_published(None)
     measured = trained and folder.is_measured(settings.get("reference"))
     measured = measured or not settings["measures"]
     folder.write_config(settings)

@@ -30,6 +30,8 @@ AFTER_EPOCH = (
 )
 
 _noted: int | None = None
+_folder = ""
+"""That of the command for which a signal was noted."""
 _urgent = False
 _commands = False
 _requeue: Callable[[int, Any], Any] | None = None
@@ -93,10 +95,11 @@ def install() -> None:
     They stay installed: between two jobs, a signal must not end a worker while others finish an
     epoch.
     """
-    global _noted, _requeue
+    global _noted, _folder, _requeue
     if os.environ.get("SUBMITIT_EXECUTOR") == "slurm":
         os.environ.pop(FOLDER, None)  # who cancels one job of a cluster means that one
-    if not os.path.isdir(os.environ.get(FOLDER, "")):
+    before, _folder = _folder, os.environ.get(FOLDER, "")
+    if _folder != before or not os.path.isdir(_folder):
         _noted = None  # what was noted was for a command that has ended
     if _in_main_thread():
         for signum in SIGNALS:

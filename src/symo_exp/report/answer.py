@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.cells import DEFAULTS, Compared
+from symo_exp.report.cells import DEFAULTS, Compared, settings_of
 from symo_exp.report.looks import (
     in_order,
     label_and_unit,
@@ -129,7 +129,8 @@ def other_settings(found: pd.DataFrame, variant: str) -> list[str]:
 
 def _task(variant: str) -> set[str]:
     """Return the settings of the system and of the data, with which errors are not comparable."""
-    return {word for word in variant.split(", ") if word.startswith(("system.", "data.", "draws="))}
+    own = "system.", "data.", "draws="
+    return {word for word in settings_of(variant) if word.startswith(own)}
 
 
 def contestants(runs: pd.DataFrame, compared: Compared) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -70,6 +71,11 @@ def last_compared(runs: pd.DataFrame, settings: str | None = None) -> Compared:
     started = last.started.fillna(pd.Timestamp(0, tz="UTC"))
     last = last[last[column] == last[column][started.idxmax()]]
     return Compared(str(last.variant.value_counts().idxmax()), tuple(sorted(set(last.variant))))
+
+
+def settings_of(variant: str) -> list[str]:
+    """Return the settings that a variant lists; values may have commas."""
+    return re.split(r", (?=[\w./]+=)", variant)
 
 
 def main_variant(rows: pd.DataFrame) -> str:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.cells import DEFAULTS, MEDIANS, cells
+from symo_exp.report.cells import DEFAULTS, MEDIANS, at_step, cells, settings_of, usual_steps
 from symo_exp.report.curves import SPREAD, Axis, panels
 from symo_exp.report.figures import Figure
 from symo_exp.report.looks import letters, measure_name, number, pair_names, short
@@ -25,7 +24,7 @@ KEYS = ["system", "settings", "n_traj", "method", "integrator", "coordinates"]
 def growth(runs: pd.DataFrame) -> tuple[list[ResultTable], list[Figure]]:
     """Return a table and a figure for each system run with several numbers of coordinates.
 
-    Settings of the system are not compared.
+    Settings of the system are not compared; runs with the usual time step of a system are shown.
     """
     tables, figures = [], []
     for (system, settings, n_traj), rows in _grown(runs):
@@ -41,7 +40,8 @@ def growth(runs: pd.DataFrame) -> tuple[list[ResultTable], list[Figure]]:
 
 def _grown(runs: pd.DataFrame) -> Iterator[tuple[tuple[str, str, float], pd.DataFrame]]:
     counts = runs[runs.metric == "coordinates"].set_index("run_id").value
-    found = cells(runs[(runs.source == "ours") & ~(runs.noise_std > 0)])
+    learned = runs[(runs.source == "ours") & ~(runs.noise_std > 0)]
+    found = cells(at_step(learned, usual_steps(learned)))
     of = runs.assign(coordinates=runs.run_id.map(counts)).dropna(subset="coordinates")
     of = of[["system", "variant", "coordinates"]].drop_duplicates(["system", "variant"])
     found = found.merge(of, on=["system", "variant"])
@@ -52,8 +52,7 @@ def _grown(runs: pd.DataFrame) -> Iterator[tuple[tuple[str, str, float], pd.Data
 
 
 def _without_system(variant: str) -> str:
-    words = re.split(r", (?=[\w./]+=)", variant)
-    return ", ".join(word for word in words if not word.startswith("system."))
+    return ", ".join(word for word in settings_of(variant) if not word.startswith("system."))
 
 
 def _table(key: str, title: str, rows: pd.DataFrame) -> ResultTable:

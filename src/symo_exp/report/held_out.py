@@ -13,6 +13,7 @@ from pathlib import PurePath
 import pandas as pd
 
 from symo_exp.evaluation.verdict import ERRORS, comparison, verdict
+from symo_exp.report.cells import settings_of
 from symo_exp.report.chosen import model_figures, parameters_table, search_table
 from symo_exp.report.document import Section
 from symo_exp.report.figures import Figure, Panel
@@ -104,10 +105,10 @@ def _section(name: str, rows: pd.DataFrame) -> Section:
 
 def _errors_table(medians: pd.DataFrame, key: str) -> ResultTable:
     """Return the errors and the verdict of each model, then the errors of the baselines."""
-    common = set.intersection(*(set(text.split(", ")) for text in medians.settings))
+    common = set.intersection(*(set(settings_of(text)) for text in medians.settings))
     lines = []
     for _, row in medians.iterrows():
-        own = ", ".join(word for word in row.settings.split(", ") if word not in common)
+        own = ", ".join(word for word in settings_of(row.settings) if word not in common)
         who = pair_name(row.method, row.integrator) + f" ({own})" * bool(own)
         lines.append([who, str(row.seeds), *_printed(row), verdict(_measures(row)) or "–"])
     for baseline, known in BASELINES.items():

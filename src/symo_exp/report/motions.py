@@ -85,7 +85,7 @@ def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> li
         for (system, time_step), here in told.groupby(["system", "time_step"]):
             tables = {
                 (row["method"], row["integrator"]): table
-                for row in here[here.seed == here.seed.min()].to_dict("records")
+                for row in here.drop_duplicates(["method", "integrator"]).to_dict("records")
                 if (table := _read(store, row["run_id"], row["files"], name)) is not None
             }
             if tables:

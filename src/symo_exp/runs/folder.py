@@ -127,13 +127,15 @@ class RunFolder:
         (self / OUTCOME).unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Delete everything that could be resumed.
+        """Delete everything that could be resumed, and the results.
 
         The outcome is the first: a process that is killed meanwhile leaves no finished run.
         """
         self.forget_outcome()
-        shutil.rmtree(self / CHECKPOINTS, ignore_errors=True)
-        for name in (SERIES, ABOUT, PUBLISHED):
+        for name in (CHECKPOINTS, STUDIES, PICTURES):
+            shutil.rmtree(self / name, ignore_errors=True)
+        results = MEASURES, PARAMETERS, POSTERIOR, ROLLOUTS, WINDOWS
+        for name in (SERIES, ABOUT, PUBLISHED, *results):
             (self / name).unlink(missing_ok=True)
 
     def has_results(self) -> bool:

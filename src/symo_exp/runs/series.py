@@ -41,9 +41,13 @@ class Series:
         """Write waiting rows; with ``settle`` flush them to the disk."""
         new = [name for row in self._waiting for name in row if name not in self._columns]
         if new:  # a quantity that was not there before: seldom, so the file is written anew
-            rows = read(self.path) + self._waiting
-            self._columns = [*self._columns, *dict.fromkeys(new)]
-            self._replace(rows)
+            before, rows = self._columns, read(self.path) + self._waiting
+            self._columns = [*before, *dict.fromkeys(new)]
+            try:
+                self._replace(rows)
+            except OSError:
+                self._columns = before
+                raise
         elif self._waiting:
             size = self.path.stat().st_size
             try:

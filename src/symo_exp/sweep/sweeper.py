@@ -7,7 +7,9 @@ sweep of one.
 
 from __future__ import annotations
 
+import copy
 import logging
+import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,16 +21,16 @@ from hydra.core.plugins import Plugins
 from hydra.core.utils import configure_log
 from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, debugging, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
-from symo_exp.job.job import changed_recordings, publish, spelled, typed
+from symo_exp.job.job import SWEEP, VARIED, changed_recordings, publish, spelled, typed
 from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
-from symo_exp.shell import python_command
+from symo_exp.shell import override_value, python_command
 from symo_exp.sweep import slurm
 from symo_exp.sweep.compose import Composer, Job, expand, labels
 from symo_exp.sweep.parent import parent
@@ -57,6 +59,7 @@ class Sweep:
         self._context, self._task, self._master = context, task, master
         self.composer = Composer(context.config_loader, master)
         self._cluster = slurm.Queue.of(master)
+        self._stopped = ""  # why the launcher stopped
 
     def run(
         self, arguments: Sequence[str], params: Mapping[str, Any], *, check_only: bool = False
@@ -241,7 +244,9 @@ class Sweep:
             died += [job for job in todo if job.folder.died()]
             waiting = [job for job in todo if job.folder.outcome().status == "waiting"]
             if len(waiting) == len(todo):
-                break  # nothing was started
+                if self._stopped:
+                    log.error("no run was started: %s", self._stopped)
+                break
             if died and stopping.requested() is None:
                 log.error("a worker was killed: %d runs are started again", len(died + waiting))
             todo = waiting
@@ -250,7 +255,7 @@ class Sweep:
     def _launch(self, jobs: Sequence[Job]) -> None:
         """Launch jobs and wait for those that the launcher left running."""
         launcher = Plugins.instance().instantiate_launcher(
-            hydra_context=self._context, task_function=self._task, config=self._master
+            hydra_context=self._context, task_function=self._task, config=self._for_jobs()
         )
         local = self._master.hydra.launcher._target_.endswith(".LocalLauncher")
 
@@ -261,7 +266,8 @@ class Sweep:
             except Exception as error:  # what it finished still counts
                 if debugging():
                     raise
-                log.debug("the launcher stopped: %s", one_line(error), exc_info=True)
+                log.debug("the launcher stopped", exc_info=True)
+                self._stopped = one_line(error)
 
         try:
             if self._cluster:
@@ -275,6 +281,18 @@ class Sweep:
             if self._cluster:
                 self._cluster.cancel()
             raise
+
+    def _for_jobs(self) -> DictConfig:
+        """Return the configuration with the environment that this command has for its jobs.
+
+        joblib reuses its workers, which have the environment of the command that started them.
+        """
+        config = copy.deepcopy(self._master)
+        with open_dict(config):
+            for name in (stopping.FOLDER, SWEEP, VARIED):
+                value = override_value(os.environ.get(name, ""), nested=True)
+                config.hydra.overrides.hydra.append(f"++hydra.job.env_set.{name}={value}")
+        return config
 
     def _sum_up(self, jobs: Sequence[Job], finished: Sequence[Job]) -> int:
         """Print what came of the command and return its exit code."""

@@ -13,7 +13,7 @@ import logging
 import math
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -145,7 +145,7 @@ class MlflowView:
     def _rows(self, folder: RunFolder, *, last: bool) -> list[dict[str, float]]:
         """Return the thinned series; with ``last`` its last row, too."""
         rows = read(folder / SERIES)
-        kept = [r for r in rows if r[EPOCH] < DENSE or r[EPOCH] % self._every == 0]
+        kept = [r for r in rows if r[EPOCH] < DENSE or (r[EPOCH] + 1) % self._every == 0]
         return kept + rows[-1:] if last and rows and rows[-1] not in kept else kept
 
     def show(self, varied: Sequence[str]) -> None:
@@ -189,7 +189,7 @@ class _Opened:
         self.run_id, self._client = run_id, connect(store)
         self._status = ""
         run = self._client.get_run(run_id)
-        self._tags = dict(run.data.tags)
+        self._tags, self._values = dict(run.data.tags), dict(run.data.metrics)
         self._sent: dict[str, int] = {
             name: max(row.step for row in self._client.get_metric_history(run_id, name))
             for name in run.data.metrics
@@ -197,22 +197,29 @@ class _Opened:
 
     def send_series(self, rows: list[dict[str, float]]) -> None:
         """Send the rows after those that the store has."""
-        from mlflow.entities import Metric
-
-        new = [
-            Metric(name, value, int(1e3 * row[TIME]), int(row[EPOCH]))
+        self._send(
+            (name, value, row[TIME], int(row[EPOCH]))
             for row in rows
             for name, value in row.items()
             if name not in (EPOCH, TIME) and row[EPOCH] > self._sent.get(name, -1)
-        ]
+        )
+
+    def send_measures(self, measures: dict[str, float]) -> None:
+        """Send final numbers that the store does not have, at step 0: the last of them counts."""
+        now = time.time()
+        new = {name: x for name, x in measures.items() if self._values.get(name) != x}
+        self._send((name, x, now, 0) for name, x in new.items())
+        self._values |= new
+
+    def _send(self, values: Iterable[tuple[str, float, float, int]]) -> None:
+        """Send values with their names, times [s since 1970] and steps."""
+        from mlflow.entities import Metric
+
+        new = [Metric(name, x, int(1e3 * at), step) for name, x, at, step in values]
         for start in range(0, len(new), BATCH):
             batch = new[start : start + BATCH]
             self._client.log_batch(self.run_id, metrics=batch, synchronous=True)
             self._sent |= {metric.key: metric.step for metric in batch}
-
-    def send_measures(self, measures: dict[str, float]) -> None:
-        """Send final numbers, at step 0."""
-        self.send_series([{EPOCH: 0, TIME: time.time(), **measures}])
 
     def upload(self, folder: RunFolder) -> None:
         """Send the files of the folder."""

@@ -96,10 +96,6 @@ class Checkpoint(callbacks.Checkpoint):
             raise stopping.Interrupted(signum)
 
     @override
-    def on_train_end(self, trainer: lightning.Trainer, pl_module: Any) -> None:
-        self._patience.close()
-
-    @override
     def on_exception(self, trainer: lightning.Trainer, pl_module: Any, exception: Any) -> None:
         self._patience.close()
 
@@ -108,6 +104,7 @@ class Checkpoint(callbacks.Checkpoint):
         # after ``on_train_end``, where an optimiser may restore the best weights
         self._complete = True
         self.write(trainer)
+        self._patience.close()
 
     def write(self, trainer: lightning.Trainer, *, resumable: bool = True) -> None:
         """Write the file now; one with weights alone cannot be resumed and is marked so."""

@@ -12,7 +12,7 @@ import lightning
 import torch
 from lightning.pytorch.plugins.environments import LightningEnvironment
 
-from symo_exp.checks import whole_number
+from symo_exp.checks import real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.training.allocator import keep_freed_memory
 from symo_exp.training.checkpoint import Checkpoint, WholeFiles
@@ -68,7 +68,7 @@ def make_trainer(
     checkpoint = Checkpoint(folder, checkpoint_every, run)
     bar: list[lightning.Callback] = [ProgressBar()] if progress else []
     if time_limit is not None:
-        bar.append(StopOverrun(time_limit))
+        bar.append(StopOverrun(real("trainer.time_limit", time_limit, above=0)))
     ours = [StopOnDivergence(checkpoint), checkpoint]
     return lightning.Trainer(
         accelerator=accelerator,
