@@ -461,6 +461,19 @@ def test_arrays_may_hold_many_trajectories() -> None:
         from_arrays({"q": q})
 
 
+@pytest.mark.parametrize("name", ["q", "v", "u", "torque"])
+@pytest.mark.parametrize("shape", [(39,), (39, 1), (41, 2), (3, 39, 2)])
+def test_a_signal_of_another_length_is_not_passed_over(name: str, shape: tuple[int, ...]) -> None:
+    """As of 40 states and the 39 inputs between them."""
+    plain = (3, 40, 1) if len(shape) == 3 else (40, 1)
+    arrays = {"t": np.arange(40.0), "q_0": np.zeros(plain), "mass": np.ones(5)}
+    assert "mass" not in from_arrays(arrays)
+    with pytest.raises(ValueError, match=rf"{name} has {shape[-2:][0]} rows, t 40; save arrays"):
+        from_arrays({**arrays, name: np.zeros(shape)})
+    with pytest.raises(ValueError, match=r"u_motor has 20 rows, t 40"):
+        from_arrays({**arrays, "u_motor": np.zeros(20)})
+
+
 def test_arrays_of_one_name_in_several_structures_are_kept_apart(tmp_path: Path) -> None:
     t = np.arange(4.0)
     log = {"left": {"t": t, "q": t + 1}, "right": {"t": t, "q": t + 2}, "rate": 100.0}

@@ -311,7 +311,7 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
     array of times, which is named ``t`` or ``time``, perhaps with its unit.
 
     Raises:
-        ValueError: If there is no array of times.
+        ValueError: If there is no array of times, or a signal has another length.
     """
     found = {name: np.asarray(x) for name, x in arrays.items()}
     found = {name: x for name, x in found.items() if x.dtype.kind in "biufUS" and x.size > 1}
@@ -329,11 +329,22 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
     for name, x in found.items():
         rows = _rows_of_many(x, count, nodes) if count else _rows_of_one(x, nodes)
         if rows is None:
+            _refuse_signal(name, x, times[0], nodes)
             continue
         many = rows.shape[1] > 1 or x.ndim == 3 or name in ("q", "v", "u")
         for i, column in enumerate(rows.T):
             columns[f"{name}_{i}" if many else name] = column
     return pd.DataFrame(columns)
+
+
+def _refuse_signal(name: str, x: np.ndarray, clock: str, nodes: int) -> None:
+    """Refuse an array that is left out if its name or its length is that of a signal."""
+    rows = min(x.shape, key=lambda size: abs(size - nodes))
+    if abs(rows - nodes) == 1 or re.match(r"[qvu](_|$)", name):
+        raise ValueError(
+            f"{name} has {rows} rows, {clock} {nodes}; save arrays of one length (repeat the last "
+            f"input), or leave {name} out of the file"
+        )
 
 
 def _rows_of_many(x: np.ndarray, count: int, nodes: int) -> np.ndarray | None:
