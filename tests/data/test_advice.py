@@ -13,6 +13,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from symo_exp.data.advice import omitting
 from symo_exp.data.header import headers
+from symo_exp.data.naming import names
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
@@ -173,6 +174,38 @@ def test_what_a_controller_wants_is_no_coordinate(tmp_path: Path) -> None:
     assert recorded_system(path, time_step=H, angular="all", columns=columns).names == ("arm",)
     named = {"q_arm_des": "q_arm_des"}  # the user says that it is one
     assert "q_arm_des" in headers(path, named)[0][1].names
+
+
+@pytest.mark.parametrize(
+    ("columns", "mend"),
+    [
+        ("q_theta q_theta_dot", {"v_theta": "q_theta_dot"}),
+        ("q_theta q_thetadot", {"v_theta": "q_thetadot"}),
+        ("q_theta q_omega", {"v_theta": "q_omega"}),
+        ("q_theta q_omega v_theta", {"q_omega": None}),
+        ("q_theta q_acc", {"q_acc": None}),
+        ("q_theta q_current", {"q_current": None}),
+        ("q_1 q_2 q_dot_1 q_dot_2", {"v_1": "q_dot_1", "v_2": "q_dot_2"}),
+        ("q_hip q_knee q_hip_vel", {"q_hip_vel": None}),
+        ("q_x q_theta_1 q_wrist q_motor q_z q_d q_throttle", None),
+        ("q_rate", None),
+        ("q_R_w q_R_x q_R_y q_R_z q_x q_y", None),
+    ],
+)
+def test_a_velocity_or_an_input_is_no_coordinate(
+    columns: str, mend: dict[str, str | None] | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T} | dict.fromkeys(columns.split(), Q)).to_csv(path, index=False)
+    if mend is None:
+        assert headers(path, None)[0][1].names == ("t", *columns.split())
+        return
+    with pytest.raises(ConfigError, match="no coordinate by its name") as error:
+        headers(path, None)
+    assert settings_of(str(error.value))["columns"] == mend
+    places = [x for x in columns.split() if x[0] == "q" and x not in {*mend, *mend.values()}]
+    assert names("q", headers(path, mend)[0][1].names) == tuple(x[2:] for x in places)
+    assert len(headers(path, dict(zip(columns.split(), columns.split(), strict=True)))) == 1
 
 
 def test_coordinates_of_other_names_are_not_passed_over(tmp_path: Path) -> None:

@@ -35,7 +35,17 @@ from symo_exp.data.formats import (
     suffix,
     table_of,
 )
-from symo_exp.data.naming import PLACE, is_wanted, kind_of_column, names, short_names
+from symo_exp.data.naming import (
+    PLACE,
+    SPEED,
+    is_no_place,
+    is_wanted,
+    kind_of_column,
+    names,
+    short_name,
+    short_names,
+    slope_of,
+)
 from symo_exp.errors import ConfigError
 
 KINDS = {"q": "coordinate", "v": "coordinate", "u": "input"}
@@ -154,6 +164,7 @@ def _doubtful(found: Sequence[str], new: Sequence[str], columns: Columns | None)
     unread = [name for name, ours in zip(found, new, strict=True) if name == ours]
     return (
         _set_points(read, new, given)
+        or _no_places(read, new, given)
         or _other_coordinates(read, unread, given)
         or _other_inputs(unread, new, given)
     )
@@ -166,6 +177,25 @@ def _set_points(read: Sequence[str], new: Sequence[str], given: Columns) -> str:
     return (
         f"{few(wanted)}: what a controller wants, as such names say, is no coordinate; rename "
         f"them, or leave them out, {omitting(wanted, given)}"
+    )
+
+
+def _no_places(read: Sequence[str], new: Sequence[str], given: Columns) -> str:
+    stems = names("q", new)
+    wrong = [name for name in read if is_no_place(name[2:], stems)]
+    if not 0 < len(wrong) < len(stems):
+        return ""
+    left = [stem for stem in stems if f"q_{stem}" not in wrong]
+    rates = {slope_of(x[2:], left) or short_name(x[2:], SPEED): x for x in wrong}
+    if len(left) == 1 and kind_of_column(wrong[0][2:]) == "v":
+        rates.setdefault(left[0], wrong[0])
+    found = {} if names("v", new) else {f"v_{stem}": rates[stem] for stem in left if stem in rates}
+    found = found if len(found) == len(left) else {}
+    others = [name for name in wrong if name not in found.values()]
+    return (
+        f"{few(wrong)}: no coordinate by its name, but a velocity, an acceleration or an input; "
+        f"read the others, {as_setting({**given, **found, **dict.fromkeys(others)})}, or rename "
+        "it if it is a coordinate"
     )
 
 

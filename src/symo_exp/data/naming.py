@@ -21,12 +21,16 @@ SPEED = re.compile(
     r"(?:d?dq|qd?d|dot|qvel|vel|velocity|velocities|speeds?|omega|rates?|rpm)(\d*)", re.I
 )
 """A word that says that a column is a velocity, and the number of the coordinate."""
+EFFORT = r"tau|torques?|moments?|forces?|efforts?|currents?|volt|volts|voltages?|pwm|duty"
+"""Words that only names of inputs have."""
 INPUT = re.compile(
-    r"(?:u|tau|torques?|moments?|forces?|efforts?|currents?|motors?|inputs?|cmd|commands?|controls?"
-    r"|ctrl|act|actions?|volt|volts|voltages?|pwm|duty|throttle|thrust|rudder|heat)(\d*)",
+    rf"(?:u|{EFFORT}|motors?|inputs?|cmd|commands?|controls?|ctrl|act|actions?|throttle|thrust"
+    r"|rudder|heat)(\d*)",
     re.I,
 )
 """A word of an input's name, and the number of the coordinate."""
+EFFORTS = re.compile(rf"(?:{EFFORT})\d*", re.I)
+"""A word of a name that is none of a coordinate."""
 WANTED = re.compile(
     r"(?:ref|reference|des|desired|set|setpoint|sp|target|goal|cmd|command|commanded|demand|error"
     r"|err)\d*",
@@ -64,6 +68,18 @@ def kind_of_column(name: str) -> str:
         if any(map(word.fullmatch, words)):
             return "-" if wanted and kind != "u" else kind
     return ""
+
+
+def is_no_place(stem: str, stems: Collection[str]) -> bool:
+    """Return whether a name is that of a velocity, an acceleration or an input.
+
+    Args:
+        stem: The name, without ``q_``.
+        stems: Names of all coordinates.
+    """
+    kind = kind_of_column(stem)
+    effort = kind == "u" and any(map(EFFORTS.fullmatch, _words(stem)))
+    return kind in ("v", "-") or effort or slope_of(stem, stems) is not None
 
 
 def is_wanted(name: str) -> bool:
