@@ -49,7 +49,7 @@ def settings_of(*words: str) -> list[Any]:
 
 def params_of(sweep: str) -> dict[str, Any]:
     """What a sweep varies, by its file and those that it changes."""
-    return dict(_compose(Command(["-cn", sweep])).params)
+    return dict(_kept_of(Command(["-cn", sweep])).params)
 
 
 def refusal(*words: str) -> str:
@@ -69,11 +69,8 @@ def planned(*words: str) -> Iterator[tuple[Sweep, list[Job]]]:
     hydras = [word for word in command.overrides if word.lstrip("+~").startswith("hydra")]
     settings = [word for word in command.overrides if word not in hydras]
     options = [word for word in command.options if word not in ("-m", "--multirun")]
-    key = (*options, *command.folders, *hydras)
     try:
-        if key not in _kept:
-            _kept[key] = _compose(Command([*options, *hydras]))
-        sweep, params, hydra = _kept[key]
+        sweep, params, hydra = _kept_of(Command([*options, *hydras]))
         GlobalHydra.instance().initialize(hydra)
         yield sweep, sweep.plan(settings, params)
     except BAD_INPUT as error:
@@ -81,6 +78,13 @@ def planned(*words: str) -> Iterator[tuple[Sweep, list[Job]]]:
         raise explained(error) from error
     finally:
         GlobalHydra.instance().clear()
+
+
+def _kept_of(command: Command) -> Kept:
+    key = (*command.options, *command.folders, *command.overrides)
+    if key not in _kept:
+        _kept[key] = _compose(command)
+    return _kept[key]
 
 
 def _compose(command: Command) -> Kept:

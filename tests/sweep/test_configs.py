@@ -1,5 +1,8 @@
 """Every file of the configuration composes, passes the checks and builds what it names."""
 
+import contextlib
+import itertools
+
 import pytest
 import torch
 
@@ -14,14 +17,24 @@ from tests.jobs import job_of, jobs_of, params_of, settings_of
 from tests.systems.models import PENDULUMS
 from tests.tables import choices, known_systems, systems, variational_integrators
 
-GROUPS = sorted({f.parent.name for f in CONF.glob("*/*.yaml")} - {"reference", "model"})
+GROUPS = {f.parent.name for f in CONF.glob("*/*.yaml")} - {"reference", "model"}
+"""But for what is built in every combination below."""
+BODIES = {"lagrangian": "rigid_body", "dissipation": "body_drag"}
+"""Choices for a machine that turns freely."""
+ALONE = {"data", "integrator", "objective", "optimizer", "preset", "system"}
+"""Groups whose choices call for others."""
 CHOICES = [
-    (group, choice)
-    for group in GROUPS
+    [f"{group}={choice}"]
+    for group in sorted(ALONE)
     for choice in choices(group)
     if choice not in (known_systems() if group == "system" else ())
 ]
-"""But for what is built in every combination below."""
+FREE = [
+    [f"{group}={choice}" for choice in choices(group) if choice not in ("gpu", *BODIES.values())]
+    for group in sorted(GROUPS - ALONE)
+]
+TOGETHER = [[word for word in row if word] for row in itertools.zip_longest(*FREE)]
+"""Choices that go with those of other groups, one of each group at a time."""
 SHIPPED = [*CONF.rglob("*.yaml"), *SWEEPS.glob("*.yaml")]
 
 
@@ -29,16 +42,17 @@ def build_all(*argv: str, folder) -> list:
     return [build(job.values, RunFolder(folder / str(i))) for i, job in enumerate(jobs_of(*argv))]
 
 
-@pytest.mark.parametrize(("group", "choice"), CHOICES)
-def test_every_choice_builds(group, choice, workplace):
-    words = [f"{group}={choice}"]
+BODY = ["system=rigid_body", *(f"{group}={choice}" for group, choice in BODIES.items())]
+
+
+@pytest.mark.parametrize("words", [*CHOICES, *TOGETHER, BODY], ids=" ".join)
+def test_every_choice_builds(words, workplace):
+    (group, _, choice), words = words[0].partition("="), [*words]
     if words == ["system=recorded"]:
         words += ["data=recorded", "system.time_step=0.1", "system.angular=all"]
     if words == ["system=mujoco"]:
         (workplace / "robot.xml").write_text(PENDULUMS)
         words.append("system.model=robot.xml")
-    if words[0] in ("lagrangian=rigid_body", "dissipation=body_drag"):
-        words.append("system=rigid_body")
     if words == ["system=gymnasium"]:
         pytest.importorskip("imageio")  # Gymnasium's own need
     if "data=recorded" in words:
@@ -49,12 +63,14 @@ def test_every_choice_builds(group, choice, workplace):
         words.append("model=residual" if choice == "none" else "model=node")
     if group == "optimizer":
         words.append("dtype=float64")  # some need it
-    if words == ["trainer=gpu"] and not torch.cuda.is_available():
-        with pytest.raises(ConfigError, match="no GPU"):
-            build_all(*words, folder=workplace)
-        return
     (parts,) = build_all(*words, folder=workplace)
     assert parts.model.coordinates == parts.system.coordinates
+
+
+def test_a_gpu_that_is_not_there_is_refused(workplace):
+    missing = pytest.raises(ConfigError, match="no GPU")
+    with contextlib.nullcontext() if torch.cuda.is_available() else missing:
+        build_all("trainer=gpu", folder=workplace)
 
 
 PRESETS = "default", "thesis"
