@@ -11,7 +11,6 @@ import pytest
 
 from symo_exp.__main__ import main
 from symo_exp.cli.command import CHECK_ONLY
-from symo_exp.job.moved import MOVED
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.sweeper import Sweep, watched
@@ -33,13 +32,13 @@ BAD = [
     ("n_traj=8", "n_traj", "data.n_traj"),
     ("modle=symo", "modle", "model"),
     ("+data.x=1", "data.x", "n_traj"),
-    ("++net.dept=2", "net.dept", "net.depth"),
     ("+optimizer.learning_rate=1", "optimizer.learning_rate", "lr"),
     ("+root.training.stoping=row", "root.training.stoping", "root.training.stopping"),
     ("+nonsense.deep.inside=1", "nonsense", "--cfg job shows all"),
     ("+data.solver.metod=RK45", "data.solver.metod", "data.solver.method"),
     ("hydra.sweep.dirr=x", "dirr", "did you mean hydra.sweep.dir"),
-    *((f"{old}=1", old, f"write {new}=") for old, new in MOVED.items()),
+    ("gradient_clip=1", "gradient_clip", "write learner.gradient_clip="),
+    ("model.width=1", "model.width", "write net.width="),
     # choices
     ("model=symoo", "symoo", "e2e_symo, l_node, node, residual, symo"),
     ("system=pendulun", "pendulun", "did you mean pendulum"),
@@ -66,7 +65,6 @@ BAD = [
     ("data.n_traj=0", "0", "1 to 128"),
     ("~resume", "resume", "cannot be deleted"),
     ("~model", "model", "-h lists those of model"),
-    ("~measures", "measures", "cannot be deleted"),
     ("data.n_traj=129", "129", "data.n_train_max=129"),
     ("data.n_traj=8.5", "8.5", "whole number"),
     ("data.n_traj=null", "null", "whole number"),
