@@ -17,6 +17,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.identify import rounds
 from symo_exp.identify.recordings import examine
 from symo_exp.identify.structures import ladder
+from symo_exp.identify.variations import with_half_the_step
 from symo_exp.report.__main__ import main as report
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.recorded import Recorded
@@ -166,6 +167,16 @@ def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so
     assert any("are cut there" in note for note in found.notes) == bool(gap)
     assert found.seconds == pytest.approx(3 * 6.0, abs=0.5)
     assert found.recordings == 3
+
+
+@pytest.mark.parametrize(("lost", "offered"), [(1, True), (4, False), (9, True)])
+def test_half_a_step_is_tried_where_it_cuts_recordings_no_more(lost, offered, workplace):
+    """Samples every 0.01 s, some of them lost; gaps are cut from 0.06 s, with half a step 0.03 s."""
+    frame = table(count=4, seconds=6.0, h=0.01)
+    frame[~frame.t.between(3.005, 3.005 + 0.01 * lost)].to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    assert found.time_step == 0.02
+    assert bool(with_half_the_step(ladder(found)[0], found)) == offered
 
 
 @pytest.mark.parametrize(

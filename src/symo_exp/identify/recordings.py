@@ -56,6 +56,7 @@ class Machine(Dynamics):
         time_step: That of the candidates [s].
         finest_step: Distance of the samples [s], the largest over recordings.
         seconds: Length of the training and validation part [s].
+        gap: Longest distance of the samples of this part [s], without those at which it is cut.
         recordings: How many there are in these parts that are not at rest.
         moves: Whether any coordinate moves by more than its noise.
         body: Whether it is a single rigid body that turns freely, and may move.
@@ -74,6 +75,7 @@ class Machine(Dynamics):
     seconds: float
     recordings: int
     moves: bool
+    gap: float = 0.0
     body: bool = False
     learned_inputs: int = 0
     known: bool = False
@@ -174,6 +176,7 @@ class _Examination:
             time_step=time_step,
             finest_step=finest,
             seconds=sum(one.samples.seconds for one in self.used),
+            gap=max(float(np.diff(one.samples.t).max()) for one in self.used),
             recordings=self.moving,
             moves=any_moves(self.used),
             body=self.body and not self.angles,

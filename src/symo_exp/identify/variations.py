@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from symo_exp.data.parts import LONGEST_GAP
 from symo_exp.identify.candidates import Candidate, left_open
 from symo_exp.identify.recordings import Machine
 from symo_exp.shell import override_value
@@ -94,9 +95,13 @@ def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
 
 
 def with_half_the_step(candidate: Candidate, machine: Machine) -> list[Candidate]:
-    """Return the variation with half of its time step, none if no recording has samples for it."""
+    """Return the variation with half of its time step, none if no recording has samples for it.
+
+    None either if recordings would be cut at more gaps: errors over shorter pieces are smaller.
+    """
     step = float(candidate.settings.get("system.time_step", machine.time_step)) / 2
-    if step < machine.finest_step * (1 - 1e-3):
+    cut = machine.gap > LONGEST_GAP * step * (1 + 1e-3)
+    if cut or step < machine.finest_step * (1 - 1e-3):
         return []
     count = round(machine.time_step / step)
     share = f"half {THE_STEP}" if count == 2 else f"1/{count} of {THE_STEP}"
