@@ -428,6 +428,21 @@ def test_a_clock_that_starts_anew_begins_a_recording(tmp_path: Path) -> None:
         np.testing.assert_allclose(one.samples.q[:, 0], table.q_0.iloc[rows], rtol=1e-12)
 
 
+@pytest.mark.parametrize("label", [{}, {"trajectory": 7}])
+def test_a_clock_that_is_set_back_by_a_part_of_its_time_is_refused(label, tmp_path: Path) -> None:
+    """Its times repeat earlier ones, and no other rows would tell of it."""
+    table = motion().assign(**label)
+    late = (table.t - 0.5 * (table.index >= 1500)).round(2)
+    table.assign(t=late).to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    with pytest.raises(ConfigError, match=r"goes back in time after t=14.99"):
+        read_recordings(tmp_path / "x.csv", system)
+    for order in (table.sample(frac=1, random_state=0), table[::-1]):
+        order.to_csv(tmp_path / "x.csv", index=False)
+        (found,) = read_recordings(tmp_path / "x.csv", system).recordings
+        np.testing.assert_allclose(found.samples.q[:, 0], table.q_0, rtol=1e-12)
+
+
 @pytest.mark.parametrize("name", ["run", "Trial_ID", "episode", "experiment no"])
 def test_a_column_of_recordings_needs_no_setting(name: str, tmp_path: Path) -> None:
     """The clock goes on from one to the next, so that nothing else tells them apart."""

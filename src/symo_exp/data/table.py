@@ -134,7 +134,9 @@ def _read(
         _check_seconds(where, table["t"].to_numpy())
     else:
         table["t"] *= seconds
-    table = _without_repeats(where, _numbered(table, notes), notes)
+    table = _numbered(table, notes)
+    _check_order(where, table)
+    table = _without_repeats(where, table, notes)
     recordings = tuple(_divided(where, table, wanted, len(inputs)))
     known = {*numbers, *OTHERS}
     unread = [c.lstrip(".") for c in head.names if c and c not in known and c[:8] != "__index_"]
@@ -176,9 +178,11 @@ def _divided(
                 f"{where}: rows without a {column}; give each row one, or leave out the column "
                 f"that is read as {column}"
             )
-    groups = [("", table)] if "trajectory" not in table else _groups(table)
-    for label, rows in groups:
-        _check_times(f"{where}: trajectory {label}", rows["t"].to_numpy())
+    for label, rows in _groups(table):
+        if len(rows) < FEWEST:
+            raise ConfigError(
+                f"{where}: trajectory {label} has {len(rows)} node(s); at least {FEWEST} are needed"
+            )
         parts = list(rows["split"].astype(str).str.lower().unique()) if "split" in rows else [""]
         if len(parts) > 1:
             raise ConfigError(
@@ -194,6 +198,9 @@ def _divided(
 
 
 def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    """Return the rows of each trajectory, by its name."""
+    if "trajectory" not in table:
+        return [("", table)]
     try:
         groups = table.groupby("trajectory", sort=False, observed=True)
         return [(str(name), rows) for name, rows in groups]
@@ -355,6 +362,18 @@ def _numbered(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
     return table.assign(trajectory=numbers)
 
 
+def _check_order(where: str, table: pd.DataFrame) -> None:
+    """Refuse a clock that was set back: that is a second recording."""
+    for label, rows in _groups(table):
+        t = rows["t"].to_numpy()
+        back = np.flatnonzero(np.diff(t) < 0)
+        if 0 < len(back) < len(t) / 4:
+            raise ConfigError(
+                f"{where}: trajectory {label} goes back in time after t={t[back[0]]:.6g}; give "
+                "each recording a number of its own in the column trajectory, or sort the rows by t"
+            )
+
+
 def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
     """Return the first row of each time; refuse a table in which many times repeat."""
     keys = table[["t"]]
@@ -372,18 +391,6 @@ def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.Da
         )
     notes.append(f"{told} and are left out")
     return table[~again]
-
-
-def _check_times(where: str, t: np.ndarray) -> None:
-    """Refuse a clock that was set back: that is a second recording."""
-    if len(t) < FEWEST:
-        raise ConfigError(f"{where} has {len(t)} node(s); at least {FEWEST} are needed")
-    back = np.flatnonzero(np.diff(t) < 0)
-    if 0 < len(back) < len(t) / 4:
-        raise ConfigError(
-            f"{where} goes back in time after t={t[back[0]]:.6g}; give each recording a number "
-            "of its own in the column trajectory, or sort the rows by t"
-        )
 
 
 def write_recordings(
