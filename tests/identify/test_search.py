@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 
 import numpy as np
 import pandas as pd
@@ -171,7 +172,7 @@ def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so
 
 @pytest.mark.parametrize(("lost", "offered"), [(1, True), (4, False), (9, True)])
 def test_half_a_step_is_tried_where_it_cuts_recordings_no_more(lost, offered, workplace):
-    """Samples every 0.01 s, some of them lost; gaps are cut from 0.06 s, with half a step 0.03 s."""
+    """Samples every 0.01 s, some of them lost; cut at gaps of 0.06 s, with half a step 0.03 s."""
     frame = table(count=4, seconds=6.0, h=0.01)
     frame[~frame.t.between(3.005, 3.005 + 0.01 * lost)].to_csv("mine.csv", index=False)
     found = examine({"path": "mine.csv"})
@@ -319,6 +320,51 @@ def test_an_input_that_acts_in_the_other_direction_is_told_and_turned(sign, work
         assert any(turned in note for note in machine.notes) == (sign < 0.0)
     assert (turned in found.settings) == (sign < 0.0)
     assert not any("input_matrix" in word for word in as_given.settings)
+
+
+@pytest.mark.parametrize("order", ["fffdd", "ddfff", "fdfdf"])
+@pytest.mark.parametrize("one", [False, True])
+def test_the_inertia_is_that_of_recordings_in_which_inputs_act(order, one, workplace):
+    """Free swings ("f") last longer than what is examined, also those that ``one`` begins with."""
+    t = np.arange(0.0, 25.0, 0.005)
+    free = pd.DataFrame({"t": t, "q_theta": 0.3 * np.cos(16.0 * np.pi / 25.0 * t)})
+    parts = [free.assign(u_theta=0.0) if each == "f" else driven() for each in f"{order}dd"]
+    frame = pd.concat(parts, keys=range(7), names=["trajectory"]).reset_index(level=0)
+    if one:
+        frame["trajectory"] = (frame.trajectory - 4).clip(0)
+        frame["split"] = frame.trajectory.map(["train", "val", "test"].__getitem__)
+        frame["t"] = 0.005 * np.arange(len(frame))
+    frame.to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    assert min(found.friction) > 0.0
+    settings = dict(setting.split("=") for setting in found.settings)
+    assert "system.scale.mass" not in settings
+    if not one:
+        assert float(settings["lagrangian.initial_inertia"]) == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize("seconds", [5.0, 10.0, 20.0])
+def test_an_input_that_never_acts_is_named_and_changes_nothing(seconds, workplace):
+    frame = driven()
+    frame["q_elbow"] = 0.4 * np.cos(2.9 * frame.t) + 0.3 * np.cos(4.3 * frame.t)
+    frame = frame[frame.t < seconds].rename(columns={"q_theta": "q_arm", "u_theta": "u_arm"})
+    frame.assign(u_elbow=0.0).to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    (mend,) = [
+        x
+        for note in found.notes
+        for x in note.split("u_elbow is always zero; leave it out by ")[1:]
+    ]
+    alone = examine({"path": "mine.csv", "columns": {"u_elbow": None}})
+    assert set(alone.settings) - set(found.settings) == {"system.input_matrix=[[1],[0]]"}
+    words = [
+        "-cn",
+        "machine",
+        "data.path=mine.csv",
+        "hydra.sweeper.check_only=true",
+        *shlex.split(mend),
+    ]
+    assert main(words) == 0
 
 
 def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):

@@ -253,6 +253,7 @@ def explained_power(
 def input_gains(motions: Sequence[Motion], coordinates: Coordinates, h: float) -> np.ndarray | None:
     """Return the weak accelerations (n, m) that a unit of each input adds, a mean over places.
 
+    They are 0 for inputs that never act, as for coordinates that never move.
     ``None`` as for ``explained_power``.
     """
 
@@ -377,8 +378,8 @@ def _regression(
 
     Returns:
         The mean square of leave-one-out errors over the mean square, of the coordinates that move,
-        and the coefficients (k, n), 0 for the others; ``None`` with fewer than 20 rows or without
-        motion.
+        and the coefficients (k, n), 0 for the others and of terms that are always zero; ``None``
+        with fewer than 20 rows or without motion.
     """
     paths = [(quasi_coordinates(q, coordinates), u) for q, u in motions]
     moves = moving(paths)
@@ -392,6 +393,7 @@ def _regression(
     error, found = _left_out(given, target[:, moves])
     coefficients = np.zeros((given.shape[1], n))
     coefficients[:, moves] = found
+    coefficients[~given.any(axis=0)] = 0.0  # of terms that are always zero: rounding errors
     return error, coefficients * size[:n] / size[n:, None]
 
 

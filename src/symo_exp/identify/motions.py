@@ -153,7 +153,8 @@ def dynamics(
     step = time_step / units.time
     scaled = _scaled(_pairs(motions, time_step, delay), coordinates._replace(units=units))
     start = _Start(units=units, friction=(DAMPING,) * coordinates.n)
-    if input_matrix is not None and left and 1.0 - left[delay] > POOR:
+    acts = any(bool(u.any()) for _, u in scaled)
+    if input_matrix is not None and acts and left and 1.0 - left[delay] > POOR:
         start = _start(scaled, coordinates, units, step, input_matrix, known=known)
         settings += start.settings
         notes += start.notes
@@ -413,8 +414,9 @@ def _unit(size: float, far: float) -> float:
 
 
 def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
+    """Return the first seconds of recordings, of those first in which inputs act."""
     found, total = [], 0.0
-    for one in recordings:
+    for one in sorted(recordings, key=lambda one: not one.samples.u.any()):
         if total >= seconds:
             break
         t = one.samples.t
@@ -531,13 +533,14 @@ def _inertia(
     """
     gains = input_gains(pairs, coordinates, h)
     assert gains is not None
-    moves = gains.any(axis=1)  # what never moves has no gains
+    moves, acts = gains.any(axis=1), gains.any(axis=0)  # what never moves or acts has no gains
+    gains, input_matrix = gains[:, acts], input_matrix[:, acts]
     if not coordinates.rotations:
         size = float(np.linalg.norm(gains))
         return (float(np.linalg.norm(input_matrix[moves])) / size if size > 0 else 1.0), 1.0
     turns = np.array(coordinates.turning)
     if not input_matrix.any():
-        size = float(np.abs(gains).max())
+        size = float(np.abs(gains).max(initial=0.0))
         return (1.0 / size if size > 0 else 1.0), USUAL_RADIUS
     mass, inertia = (
         float(np.linalg.norm(input_matrix[rows])) / max(float(np.linalg.norm(gains[rows])), 1e-300)

@@ -262,9 +262,11 @@ class _Examination:
         return self.data.get(name) is None
 
     def _tell_superfluous(self) -> None:
-        """Tell of coordinates that never move, or move as another one does."""
+        """Tell of coordinates that never move, or move as another one does, and of idle inputs."""
         self.notes += _told_still(self.used, self.flat, self.columns)
         self.notes += _told_together(self.used, self.flat, self.columns)
+        if self.known is None:
+            self.notes += _told_idle(self.used, self.inputs, self.columns)
 
     def _doubt_units(self) -> None:
         """Refuse units and angles that are open where another reading explains far more."""
@@ -405,6 +407,18 @@ def _told_still(
     told = "never moves" if len(still) == 1 else "never move"
     mend = omitting(still, columns)
     return [f"{few(still)} {told}; for a model without such a coordinate, give {mend}"]
+
+
+def _told_idle(
+    recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
+) -> list[str]:
+    """Return a line on the inputs that are always zero."""
+    acts = np.any([one.samples.u.any(axis=0) for one in recordings], axis=0)
+    idle = [f"u_{name}" for name, x in zip(names, acts, strict=True) if not x]
+    if not idle:
+        return []
+    told, them = ("is", "it") if len(idle) == 1 else ("are", "them")
+    return [f"{few(idle)} {told} always zero; leave {them} out by {omitting(idle, columns)}"]
 
 
 def _told_together(

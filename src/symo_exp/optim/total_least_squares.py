@@ -260,7 +260,7 @@ class TotalLeastSquares(EpochOptimizer):
             model.loss_and_gradients(samples.rows(rows))
             if all(p.grad is None or bool(p.grad.isfinite().all()) for p in early):
                 adam.step()
-            schedule.step()
+                schedule.step()
 
     @torch.no_grad()
     def _draw(self, generator: torch.Generator) -> None:
