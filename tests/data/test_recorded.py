@@ -166,7 +166,10 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
         (lambda t: t.drop(columns="trajectory").iloc[:9], "number trajectories apart"),
         (lambda t: t.assign(t=2 * t["t"]), "a sample every 0.1 s"),
         (lambda t: t[(t["t"] < 0.19) | (t["t"] > 0.32)], "nothing is left for train; train: gaps"),
-        (lambda t: t.iloc[[*range(9), *range(60)]].sort_values(["trajectory", "t"]), "9 of 69 rows"),
+        (
+            lambda t: t.iloc[[*range(9), *range(60)]].sort_values(["trajectory", "t"]),
+            "9 of 69 rows",
+        ),
         (lambda t: pd.concat([t, t.iloc[:2]]), "trajectory 0 goes back in time after t=0.45"),
         (lambda t: t.assign(q_x=t["q_x"].where(t.index % 9 > 0)), "most of them in column q_x"),
         (lambda t: t.assign(v_x=t["v_x"].where(t.index % 9 > 0, math.inf)), "in column v_x"),

@@ -191,11 +191,19 @@ def test_half_a_step_is_tried_where_it_cuts_recordings_no_more(lost, offered, wo
         (["data.path=null"], "expected a file"),
         (["data.path=log (1).csv"], "'data.path=\"log (1).csv\"'"),
         (["mine.csv"], "write data.path=mine.csv"),
+        *(
+            (["data.path=mine.csv", f"system.time_step={step}"], "system.time_step=")
+            for step in ("-1", "0", "nan", "abc")
+        ),
+        (["data.path=mine.csv", "data.time_unit=mins"], "data.time_unit='mins'"),
+        (["data.path=bursts.csv"], "nothing is left to choose and train models"),
     ],
 )
 def test_searches_that_cannot_be_made_are_refused_in_one_line(words, wanted, workplace, capsys):
     table().to_csv("mine.csv", index=False)
     table(name="a").to_csv("unclear.csv", index=False)
+    bursts = table(count=4, h=0.01)
+    bursts[bursts.t % 1.0 < 0.045].to_csv("bursts.csv", index=False)
     assert main(["-cn", "machine", *words]) == 2
     said = capsys.readouterr().err
     assert wanted in said

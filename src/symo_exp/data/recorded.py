@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from typing_extensions import Unpack, override
 
-from symo_exp.checks import one_of, real, whole_number
+from symo_exp.checks import real, whole_number
 from symo_exp.data.advice import Columns
 from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences, stacked
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, shown
-from symo_exp.data.header import UNITS, header
+from symo_exp.data.header import header
 from symo_exp.data.naming import names
 from symo_exp.data.parts import Parts, divided, uninterrupted, with_every_part, without
 from symo_exp.data.resample import Samples, resample
@@ -165,8 +165,6 @@ class RecordedData(DataModule):
         **options: Unpack[DataOptions],
     ) -> None:
         whole_number("data.n_integration", n_integration)
-        if time_unit is not None:
-            one_of("data.time_unit", time_unit, tuple(UNITS))
         where, space, h = shown(path), system.coordinates, system.time_step
         table = read_recordings(path, system, columns, time_unit)
         recordings: Sequence[Recording] = table.recordings

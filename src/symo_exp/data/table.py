@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import pandas as pd
 
+from symo_exp.checks import one_of
 from symo_exp.data.advice import OTHERS, Columns, as_setting, omitting
 from symo_exp.data.formats import Location, few, readable, shown, table_of
 from symo_exp.data.header import KINDS, UNITS, Header, headers
@@ -81,6 +82,8 @@ def read_recordings(
     Raises:
         ConfigError: If a file cannot be read or is not sound.
     """
+    if time_unit is not None:
+        one_of("data.time_unit", time_unit, tuple(UNITS))
     found = headers(path, columns)
     tables = []
     labels = _labels([file for file, _ in found])

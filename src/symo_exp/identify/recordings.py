@@ -287,6 +287,8 @@ class _Examination:
         _, note = uninterrupted([*self.used, *self.test], found)
         self.notes += [note] if note else []
         self.used, _ = uninterrupted(self.used, found)
+        if not self.used:
+            raise ConfigError(f"{self.where}: nothing is left to choose and train models; {note}")
         return found
 
     def _leave_out_shocks(self, time_step: float) -> None:

@@ -20,6 +20,7 @@ from hydra.core.utils import configure_log
 from joblib import effective_n_jobs
 from omegaconf import DictConfig, OmegaConf
 
+from symo_exp.checks import real
 from symo_exp.data.formats import content_of, files, shown
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
@@ -214,7 +215,7 @@ class Search:
             read,
             angular=_plain(system.get("angular")),
             input_matrix=_plain(system.get("input_matrix")),
-            time_step=system.time_step if chosen else None,
+            time_step=real("system.time_step", system.time_step, above=0) if chosen else None,
             rotations=_plain(system.get("rotations", [])),
             known=known,
         )
