@@ -149,6 +149,28 @@ def test_a_recording_with_a_pause_is_split_by_its_samples(pause: float) -> None:
         assert block.samples.t[0] == pytest.approx(start, abs=0.02 + 1e-3 * start)
 
 
+@pytest.mark.parametrize("pause", [0.05, 0.2, 0.5])
+def test_parts_of_a_recording_with_pauses_do_not_depend_on_the_time_step(pause: float) -> None:
+    """Candidates with different time steps are tested on the same samples."""
+    t = 0.01 * np.arange(4000)
+    later = t + pause * np.floor(t / 2.7)
+    whole = Recording("", "", Samples(later, np.sin(2 * t)[:, None], None, np.zeros((4000, 0))))
+    (expected, _), *others = (with_every_part([whole], h) for h in (0.01, 0.02, 0.05, 0.1))
+    for blocks, _ in others:
+        for block, other in zip(blocks, expected, strict=True):
+            np.testing.assert_array_equal(block.samples.t, other.samples.t)
+
+
+def test_copies_of_a_recording_are_left_out(tmp_path: Path, caplog) -> None:
+    """Nothing is tested on the samples that it is trained on, even if their clock is another."""
+    given = table()
+    copy = given[given.trajectory == "a"].assign(trajectory="f", split="train")
+    with caplog.at_level(logging.INFO):
+        data = read(pd.concat([given, copy.assign(t=copy.t + 7.0)]), tmp_path)
+    assert first(data, "train") == first(read(given, tmp_path), "train")
+    assert "copies are left out: f of a" in caplog.text
+
+
 def test_a_rest_in_which_an_input_acts_is_a_motion(tmp_path: Path) -> None:
     t = H * np.arange(1000)
     parts = [Recording("", "", Samples(t, np.sin(t.clip(0.0, 6.3))[:, None], None, u[:, None]))
@@ -160,10 +182,13 @@ def test_a_rest_in_which_an_input_acts_is_a_motion(tmp_path: Path) -> None:
 def test_a_recording_is_cut_at_gaps(tmp_path: Path, caplog) -> None:
     """Nothing is interpolated over a gap, and the pieces are what was recorded."""
     t = H * np.arange(200)
-    whole = pd.DataFrame({"t": t, "q_arm0": np.sin(t)})
-    parts = [whole.assign(trajectory=k, split=part) for k, part in enumerate(("val", "test"))]
+    parts = [
+        pd.DataFrame({"t": t, "q_arm0": np.cos(t + k), "trajectory": k, "split": part})
+        for k, part in enumerate(("val", "test"))
+    ]
     jitter = 0.2 * H * np.random.default_rng(0).random(len(t))
-    broken = whole.assign(t=t + jitter, q_arm0=np.sin(t + jitter), trajectory=2, split="train")
+    broken = pd.DataFrame({"t": t + jitter, "q_arm0": np.sin(t + jitter)})
+    broken = broken.assign(trajectory=2, split="train")
     broken = broken[~broken.t.between(5.0, 7.0) & ~broken.t.between(7.2, 9.0)]
     with caplog.at_level(logging.INFO):
         data = read(pd.concat([*parts, broken]), tmp_path)

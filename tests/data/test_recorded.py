@@ -136,6 +136,23 @@ def test_missing_velocities_are_central_differences(tmp_path: Path) -> None:
     assert 3 < errors[0] / errors[1] < 5
 
 
+@pytest.mark.parametrize(
+    "change", [{"t": lambda row: row.t + 1e-6}, {"q_x": lambda _: 1e300}, {"u_0": lambda _: -1e101}]
+)
+def test_a_repeated_time_and_a_huge_number_are_left_out(
+    change, table: pd.DataFrame, tmp_path: Path
+) -> None:
+    """A slope over a microsecond is that of noise, and powers of 1e300 overflow."""
+    table = table.drop(columns=["v_x", "v_theta"])
+    plain = recorded(stated("cartpole"), save(table, tmp_path))
+    row = table.iloc[[14]].assign(t=lambda x: x.t + 1e-9, q_theta=0.2).assign(**change)
+    changed = pd.concat([table, row]).sort_values(["trajectory", "t"], kind="stable")
+    again = recorded(stated("cartpole"), save(changed, tmp_path))
+    for part in ("train", "val", "test"):
+        for a, b in zip(getattr(plain, part), getattr(again, part), strict=True):
+            torch.testing.assert_close(a, b)
+
+
 def test_missing_inputs_are_zero(table: pd.DataFrame, tmp_path: Path) -> None:
     data = recorded(stated("cartpole"), save(table.drop(columns="u_0"), tmp_path))
     assert (data.train.u == 0).all()

@@ -112,6 +112,13 @@ def test_thinned_recordings_are_seen_from_beginning_to_end():
     assert np.diff(middles).max() < 1.5
 
 
+def test_thinned_pieces_of_short_recordings_have_nodes():
+    recordings = [recording("a", 10.0), recording("b", 0.3), recording("c", 0.05)]
+    pieces = thinned(recordings, 4.0, least=0.1)
+    assert [np.ptp(one.samples.t) for one in pieces] == pytest.approx([4.0, 0.12, 0.05], abs=0.15)
+    assert np.ptp(pieces[1].samples.t) >= 0.09
+
+
 @pytest.mark.parametrize("shortest", [1.0, 4.0])
 def test_thinned_pieces_are_not_too_short(shortest):
     recordings = [recording(str(k), 10.0) for k in range(20)]

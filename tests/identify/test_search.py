@@ -193,7 +193,7 @@ def test_half_a_step_is_tried_where_it_cuts_recordings_no_more(lost, offered, wo
         (["mine.csv"], "write data.path=mine.csv"),
         *(
             (["data.path=mine.csv", f"system.time_step={step}"], "system.time_step=")
-            for step in ("-1", "0", "nan", "abc")
+            for step in ("-1", "0", "nan", "abc", "1e-9")
         ),
         (["data.path=mine.csv", "data.time_unit=mins"], "data.time_unit='mins'"),
         (["data.path=bursts.csv"], "nothing is left to choose and train models"),
@@ -251,14 +251,23 @@ def test_a_search_takes_other_models_with_a_lagrangian(model, workplace, capsys)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_a_machine_at_rest_has_no_model_and_a_reason(noise, workplace, capsys):
-    frame = table()
+@pytest.mark.parametrize("count", [1, 5])
+def test_a_machine_at_rest_has_no_model_and_a_reason(noise, count, workplace, capsys):
+    frame = table(count, seconds=10.0 / count)
     frame["q_theta"] = noise * np.random.default_rng(0).normal(size=len(frame))
     frame.to_csv("rest.csv", index=False)
     assert main(["-cn", "machine", "data.path=rest.csv"]) == 1
     said = capsys.readouterr().out
     assert "verdict: no model" in said
     assert "nothing moves" in said
+
+
+@pytest.mark.parametrize("rate", [100, 500, 2000])
+def test_the_time_step_does_not_depend_on_noise_and_on_how_often_it_is_seen(rate, workplace):
+    t = np.arange(0.0, 20.0, 1.0 / rate)
+    q = 0.5 * np.sin(4.0 * t) + 0.01 * np.random.default_rng(0).normal(size=len(t))
+    pd.DataFrame({"t": t, "q_theta": q}).to_csv("mine.csv", index=False)
+    assert examine({"path": "mine.csv"}).time_step == 0.02
 
 
 @pytest.mark.parametrize(

@@ -87,13 +87,17 @@ def deal(durations: Sequence[float], count: int) -> list[list[int]]:
 
 
 def thinned(
-    recordings: Sequence[Recording], seconds: float, shortest: float = SHORTEST
+    recordings: Sequence[Recording],
+    seconds: float,
+    shortest: float = SHORTEST,
+    least: float = 0.0,
 ) -> list[Recording]:
     """Return a piece of each recording, the same share of all, that together last ``seconds``.
 
     Each begins elsewhere in its recording, since motions often differ along recordings. Where
     pieces would be shorter than ``shortest`` [s], or than the recordings if these are shorter, only
-    every so many recordings have one.
+    every so many recordings have one. No piece of a recording of ``least`` [s] is shorter than
+    this; those of shorter recordings are whole.
     """
     total = sum(one.samples.seconds for one in recordings)
     if seconds >= total:
@@ -106,7 +110,7 @@ def thinned(
     share = min(1.0, seconds / sum(one.samples.seconds for one in recordings))
     pieces = []
     for i, one in enumerate(recordings):
-        length = share * one.samples.seconds
+        length = min(one.samples.seconds, max(share * one.samples.seconds, least))
         low = (GOLDEN * i) % 1.0 * (one.samples.seconds - length)
         pieces.append(one._replace(samples=one.samples.between(low, low + length)))
     return pieces

@@ -266,7 +266,7 @@ def _in_blocks(
     recordings: Sequence[Recording], time_step: float, lacking: Sequence[str]
 ) -> tuple[list[Recording], str | None]:
     """Split recordings in time; blocks of parts that are not lacking are for training."""
-    clocks = [_recorded_time(one.samples.t, time_step) for one in recordings]
+    clocks = [_recorded_time(one.samples.t) for one in recordings]
     ends = [
         _moving(one.samples._replace(t=clock))
         for one, clock in zip(recordings, clocks, strict=True)
@@ -295,11 +295,14 @@ def _in_blocks(
     )
 
 
-def _recorded_time(t: np.ndarray, time_step: float) -> np.ndarray:
-    """Return the times after the first sample, without those of gaps."""
+def _recorded_time(t: np.ndarray) -> np.ndarray:
+    """Return the times after the first sample, without those of gaps.
+
+    They do not depend on the time step, so that candidates with different ones have the same parts.
+    """
     steps = np.diff(t)
-    gaps = steps > LONGEST_GAP * max(time_step, float(np.median(steps))) * (1 + 1e-3)
-    lost = np.where(gaps, steps - time_step, 0.0)
+    usual = float(np.median(steps))
+    lost = np.where(steps > LONGEST_GAP * usual * (1 + 1e-3), steps - usual, 0.0)
     return np.asarray(t - t[0] - np.concatenate([[0.0], np.cumsum(lost)]))
 
 
@@ -307,7 +310,8 @@ def _moving(samples: Samples) -> tuple[float, float]:
     """Return when a recording leaves and comes to rest [s], after its first sample.
 
     It is at rest where, for ``RESTS`` seconds at least, no coordinate moves by more than ``REST``
-    of its range until the end, or since the start, and no input acts.
+    of its range until the end, or since the start, and no input acts. If it never moves, it counts
+    as a whole.
     """
     t, q, acts = samples.t - samples.t[0], samples.q, np.asarray(samples.u.any(axis=1))
     least = REST * np.ptp(q, axis=0)
@@ -319,7 +323,7 @@ def _moving(samples: Samples) -> tuple[float, float]:
 
     start = t[max(at_rest(q, acts) - 1, 0)]
     end = t[min(len(t) - at_rest(q[::-1], acts[::-1]), len(t) - 1)]
-    start = start if start >= RESTS else 0.0
+    start = start if RESTS <= start < t[-1] else 0.0
     return float(start), float(end if t[-1] - end >= RESTS and end > start else t[-1])
 
 

@@ -21,7 +21,7 @@ from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, shown
 from symo_exp.data.header import header
 from symo_exp.data.naming import names
-from symo_exp.data.parts import Parts, divided, uninterrupted, with_every_part, without
+from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, with_every_part, without
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
@@ -179,10 +179,11 @@ class RecordedData(DataModule):
         if fold is not None:
             parts = folded(parts, fold)
         if seconds is not None:
-            parts["train"] = thinned(parts["train"], real("data.seconds", seconds, low=h))
+            most = real("data.seconds", seconds, low=h)
+            parts["train"] = thinned(parts["train"], most, least=FEWEST * h)
         if val_seconds is not None:
             most = real("data.val_seconds", val_seconds, low=h)
-            parts["val"] = thinned(parts["val"], most, VALIDATED)
+            parts["val"] = thinned(parts["val"], most, VALIDATED, FEWEST * h)
         parts, gaps = _cut_at_gaps(where, parts, h)
         available = len(parts["train"])
         n_traj = whole_number(
@@ -313,11 +314,11 @@ class Nodes:
             if not _equal(samples.t, h):
                 _check_steps(where, samples, h)
                 samples = self._resampled(samples)
-                if len(samples.t) < 3:
-                    raise ConfigError(
-                        f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; "
-                        "at least 3 are needed"
-                    )
+            if len(samples.t) < 3:
+                raise ConfigError(
+                    f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; at least 3 "
+                    "are needed"
+                )
             _, q, v, u = samples
             if v is None:
                 v = central_differences(torch.tensor(q), h, self.coordinates.space).numpy()

@@ -26,6 +26,10 @@ DROPPED = 0.05
 """Share of the rows, without a number or with an earlier time, up to which they are left out."""
 FEWEST = 3
 """Samples of a recording, at least."""
+REPEATED = 0.01
+"""Time between samples over the usual one up to which a time repeats an earlier one."""
+HUGE = 1e100
+"""Size of a number beyond which it is none of a measurement, and its powers overflow."""
 SLOW, FAST = 1.0, 5e-6
 """Times between samples from which, and up to which, the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
@@ -97,9 +101,26 @@ def read_recordings(
         if len(found) > 1:
             one = one._replace(recordings=tuple(_within(label, one.recordings)))
         tables.append(one._replace(notes=(*head.notes, *one.notes)))
-    recordings = [recording for one in tables for recording in one.recordings]
+    recordings, copies = _without_copies([each for one in tables for each in one.recordings])
     notes = dict.fromkeys(note for one in tables for note in one.notes)
-    return RecordingTable(tuple(recordings), tuple(notes))
+    return RecordingTable(tuple(recordings), (*notes, *copies))
+
+
+def _without_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
+    """Return the recordings without those that have the samples of an earlier one, and a line.
+
+    A model would be trained on the samples that it is validated and tested on. Recordings in which
+    nothing moves are no copies of each other.
+    """
+    kept: dict[object, Recording] = {}
+    copies = []
+    for i, one in enumerate(recordings):
+        q, u = one.samples.q, one.samples.u
+        first = kept.setdefault((q.tobytes(), u.tobytes()) if np.ptp(q, axis=0).any() else i, one)
+        if first is not one:
+            copies.append(f"{one.label} of {first.label}")
+    told = f"copies are left out: {few(copies)} (their samples are the same)"
+    return list(kept.values()), [told] if copies else []
 
 
 def _labels(files: Sequence[Path]) -> list[str]:
@@ -302,7 +323,8 @@ def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
                 "without units and separators of thousands"
             )
         given = values
-    return np.asarray(given.to_numpy(dtype=np.float64, na_value=np.nan))
+    found = np.asarray(given.to_numpy(dtype=np.float64, na_value=np.nan))
+    return np.where(np.abs(found) > HUGE, np.nan, found)
 
 
 def _without_gaps(
@@ -378,11 +400,15 @@ def _check_order(where: str, table: pd.DataFrame) -> None:
 
 
 def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
-    """Return the first row of each time; refuse a table in which many times repeat."""
-    keys = table[["t"]]
-    if "trajectory" in table:
-        keys = keys.assign(trajectory=table["trajectory"].astype(str))
-    again = keys.duplicated().to_numpy()
+    """Return the first row of each time; refuse a table in which many times repeat.
+
+    Times next to each other repeat, too: the slopes between their rows are those of the noise.
+    """
+    again = np.zeros(len(table), dtype=bool)
+    for _, rows in _groups(table):
+        t = rows["t"].sort_values(kind="stable")
+        steps = t.diff()
+        again[t.index] = steps <= REPEATED * np.nan_to_num(steps[steps > 0].median())
     if not again.any():
         return table
     told = f"{int(again.sum())} of {len(again)} rows repeat the time of an earlier one"

@@ -273,18 +273,24 @@ def fitting_time_step(
     usable = [h for h in STEPS if h >= finest * (1 - 1e-3)]
     if not usable:
         return float(f"{finest:.4g}")
-    speeds = [
-        np.abs(np.diff(r.samples.q, axis=0)) / np.diff(r.samples.t)[:, None] for r in recordings
-    ]
-    angular = np.array(coordinates.angular)
-    fast = np.quantile(np.concatenate(speeds)[:, angular], 0.999) if angular.any() else 0.0
     beginning = _beginning(recordings, EXAMINED)
 
     def resolves(h: float) -> bool:
-        slow = fast * h <= COARSE and _phase(beginning, h) <= COARSE
+        slow = _turn(recordings, coordinates, h) <= COARSE and _phase(beginning, h) <= COARSE
         return slow and _growth(beginning, coordinates, h) * h <= STEEP
 
     return next(filter(resolves, usable), usable[-1])
+
+
+def _turn(recordings: Sequence[Recording], coordinates: Coordinates, h: float) -> float:
+    """Return the change of angles in a time step that few are larger than [rad].
+
+    It is that of nodes, which have less noise than samples, whose noise would count as a speed.
+    """
+    angular = np.array(coordinates.angular)
+    motions = _motions(recordings, h) if angular.any() else ()
+    steps = [np.abs(np.diff(q[:, angular], axis=0)) for _, _, q in motions]
+    return float(np.quantile(np.concatenate(steps), 0.999)) if steps else 0.0
 
 
 def reversed_inputs(

@@ -284,6 +284,11 @@ class _Examination:
             found = fitting_time_step(paths, turns, finest)
             self.settings.append(f"system.time_step={found:g}")
             self.notes.append(f"time step: {found:g} s, samples every {finest:.3g} s")
+        elif found < finest * (1 - 1e-3):
+            raise ConfigError(
+                f"system.time_step={found:g} is shorter than the {finest:.3g} s between samples of "
+                f"{self.where}; give {finest:.3g} or more, or leave it out"
+            )
         _, note = uninterrupted([*self.used, *self.test], found)
         self.notes += [note] if note else []
         self.used, _ = uninterrupted(self.used, found)

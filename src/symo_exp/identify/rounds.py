@@ -471,14 +471,15 @@ class Rounds:
         if not math.isfinite(mine):
             trial.reasons[k] = (
                 "it was ended before its first validation" if math.isnan(mine)
-                else "it diverges, or no window of the held-out part moves"
+                else "no window of the held-out part moves"
             )  # fmt: skip
             return
         trial.errors[k] = max(mine, LEAST)
         self._folders[candidate.name, k] = folder
         if trial.parameters is None:
             trial.parameters = parameters_of(folder)
-        trial.overran += len(read(folder / SERIES)) < self._plan.effort.fewest(candidate)
+        ended = len(read(folder / SERIES)) < self._plan.effort.fewest(candidate)
+        (trial.overran.add if ended else trial.overran.discard)(k)
 
     def _ranked(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> list[Candidate]:
         """Return the candidates without failures, the best first."""

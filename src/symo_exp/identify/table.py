@@ -65,6 +65,6 @@ def _cells(trial: Trial, best: Trial | None) -> list[object]:
     return [
         trial.candidate.name, trial.candidate.rank, int(trial is best), f"{trial.mean():.5g}",
         f"{math.exp(mean):.4g}", f"{spread:.3g}", trial.parameters, f"{trial.seconds:.1f}",
-        trial.overran, errors, "; ".join(dict.fromkeys(trial.reasons.values())),
+        len(trial.overran), errors, "; ".join(dict.fromkeys(trial.reasons.values())),
         " ".join(trial.candidate.overrides()),
     ]  # fmt: skip

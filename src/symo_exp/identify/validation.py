@@ -36,14 +36,14 @@ class Trial:
     """A candidate and the results of its folds.
 
     ``errors`` are those of the folds that ended well, ``reasons`` say why the others did not;
-    ``overran`` is how many were ended by the clock.
+    ``overran`` are those that were ended by the clock.
     """
 
     candidate: Candidate
     errors: dict[int, float] = field(default_factory=dict)
     reasons: dict[int, str] = field(default_factory=dict)
     seconds: float = 0.0
-    overran: int = 0
+    overran: set[int] = field(default_factory=set)
     parameters: int | None = None
 
     @property
@@ -62,7 +62,7 @@ class Trial:
         """Return the result in words."""
         if self.reasons:
             return f"failed: {next(iter(self.reasons.values()))}"
-        ended = f", {self.overran} ran out of time" if self.overran else ""
+        ended = f", {len(self.overran)} ran out of time" if self.overran else ""
         folds = f"{len(self.errors)} fold(s), {self.seconds:.0f} s"
         return f"error {self.mean():.3g} over {folds}{ended}"
 
