@@ -552,6 +552,25 @@ def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, work
     examine({"path": "degrees.csv", "degrees": False})
 
 
+def test_degrees_of_a_pole_on_a_cart_are_asked_for(workplace):
+    """Half of the accelerations' power is that of the cart, which any reading explains."""
+    t, (x, q, v, w), rows = 0.01 * np.arange(3000), (0.0, 0.5, 0.0, 0.0), []
+    u = sum(np.sin(rate * t + rate**2) for rate in (2.3, 3.7, 5.1))
+    for force in 3.0 * u:
+        rows.append((x, q))
+        a = force - 4.0 * x - v
+        v, w = v + 0.01 * a, w - 0.01 * (20.0 * np.sin(q) + 2.0 * a * np.cos(q) + 0.2 * w)
+        x, q = x + 0.01 * v, q + 0.01 * w
+    place, turn = np.array(rows).T
+    frame = pd.DataFrame({"t": t, "q_cart": place, "q_pole": turn, "u_cart": 3.0 * u})
+    frame.to_csv("radians.csv", index=False)
+    frame.assign(q_pole=np.degrees(turn)).to_csv("degrees.csv", index=False)
+    assert examine({"path": "radians.csv"}).explained > 0.9
+    assert examine({"path": "degrees.csv", "degrees": False}).explained > 0.5
+    with pytest.raises(ConfigError, match="degrees=true or false"):
+        examine({"path": "degrees.csv"})
+
+
 @pytest.mark.parametrize(("gravity", "horizons"), [(25.0, [0.2, 0.4, 0.8]), (-25.0, None)])
 def test_errors_of_machines_that_a_controller_balances_count_over_shorter_times(
     gravity, horizons, workplace

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import POOR, SUSPECT
+from symo_exp.data.diagnose import SUSPECT
 from symo_exp.data.formats import few
 from symo_exp.data.naming import ANGLE, SLIDE, in_degrees, length_unit
 from symo_exp.data.table import Recording
@@ -18,6 +18,8 @@ from symo_exp.mechanics.types import Coordinates
 
 SPAN = 2 * np.pi
 """Range of a coordinate beyond which it is an angle."""
+WELL = 0.9
+"""Share of the accelerations' power above which no other reading of the numbers is likely."""
 WHOLE = 0.3
 """Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
 
@@ -114,7 +116,7 @@ def _ask(
         readings: Explained share of the accelerations' power by another reading and the present.
     """
     (reading, other), (present, plain) = readings.items()
-    if plain is None or other is None or plain > POOR or not 1 - other < SUSPECT * (1 - plain):
+    if plain is None or other is None or plain > WELL or not 1 - other < SUSPECT * (1 - plain):
         return
     told = ", ".join(f"q_{name} moves by {size:.3g}" for name, size in ranges.items())
     raise ConfigError(
