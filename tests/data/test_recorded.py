@@ -13,13 +13,13 @@ import torch
 from symo_exp.data.draws import uniform
 from symo_exp.data.recorded import RecordedData
 from symo_exp.data.simulate import generate
-from symo_exp.data.table import write_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
+from tests.data.small import write_recordings
 
 
 def trajectories(system: System, count: int = 6, steps: int = 9) -> Trajectories:

@@ -11,13 +11,13 @@ import torch
 
 from symo_exp.data.noise import add_noise
 from symo_exp.data.recorded import RecordedData
-from symo_exp.data.table import write_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import angle
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.recorded import Recorded
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
+from tests.data.small import write_recordings
 
 H = 0.04
 NAMES = ("x", "y", "z", "R_w", "R_x", "R_y", "R_z")

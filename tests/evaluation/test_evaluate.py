@@ -11,7 +11,6 @@ import torch
 from symo_exp.data.draws import uniform
 from symo_exp.data.recorded import RecordedData
 from symo_exp.data.simulate import generate
-from symo_exp.data.table import write_recordings
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.learned import LearnedQuantities
 from symo_exp.evaluation.motion import Motion
@@ -24,6 +23,7 @@ from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.mlp import MLP
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver
+from tests.data.small import write_recordings
 from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
 from tests.tables import arguments_of
 from tests.unknown import Unknown

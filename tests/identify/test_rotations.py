@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from symo_exp.data.diagnose import quasi_coordinates
-from symo_exp.data.table import write_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.structures import ladder
@@ -19,6 +18,7 @@ from symo_exp.identify.variations import variations
 from symo_exp.mechanics.types import Coordinates, Trajectories
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
+from tests.data.small import write_recordings
 from tests.jobs import planned
 
 H = 0.01

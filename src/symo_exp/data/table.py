@@ -19,7 +19,7 @@ from symo_exp.data.formats import Location, few, readable, shown, table_of
 from symo_exp.data.header import KINDS, UNITS, Header, headers
 from symo_exp.data.resample import Samples
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.types import Coordinates, Trajectories
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import System
 
 DROPPED = 0.05
@@ -420,31 +420,3 @@ def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.Da
         )
     notes.append(f"{told} and are left out")
     return table[~again]
-
-
-def write_recordings(
-    path: str | os.PathLike[str],
-    trajectories: Trajectories,
-    coordinates: Coordinates,
-    time_step: float,
-) -> None:
-    """Write trajectories as a table that ``read_recordings`` takes."""
-    count, nodes, _ = trajectories.q.shape
-    columns: dict[str, np.ndarray] = {
-        "trajectory": np.repeat(np.arange(count), nodes),
-        "t": np.tile(time_step * np.arange(nodes), count),
-    }
-    places = coordinates.space.to_quaternions(trajectories.q)
-    for field, x, names in (
-        ("q", places, coordinates.measured),
-        ("v", trajectories.v, coordinates.names),
-    ):
-        values = x.flatten(0, 1).numpy()
-        columns |= {f"{field}_{name}": values[:, i] for i, name in enumerate(names)}
-    u = trajectories.u.flatten(0, 1).numpy()
-    columns |= {f"u_{i}": u[:, i] for i in range(u.shape[1])}
-    table = pd.DataFrame(columns)
-    if Path(path).suffix == ".csv":
-        table.to_csv(path, index=False)
-    else:
-        table.to_parquet(path, index=False)
