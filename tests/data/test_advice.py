@@ -155,6 +155,32 @@ def test_the_suggested_columns_are_those_of_the_machine(kind: str, tmp_path: Pat
     np.testing.assert_allclose(samples.t - samples.t[0], T[: len(samples.t)], atol=1e-6)
 
 
+@pytest.mark.parametrize("write", ["to_csv", "to_parquet"])
+@pytest.mark.parametrize(
+    ("index", "suggested"),
+    [
+        (pd.Timestamp("2024-05-01") + pd.to_timedelta(T, "s"), True),
+        (pd.Index(T), True),
+        (np.arange(len(T))[::-1], False),
+        (np.arange(1, len(T) + 1) ** 2, False),
+    ],
+)
+def test_an_index_without_a_name_is_suggested_as_times(
+    index: pd.Index, suggested: bool, write: str, tmp_path: Path
+) -> None:
+    """Unless it numbers the rows, those that are left out not counted."""
+    path = tmp_path / write.replace("to_", "mine.")
+    getattr(pd.DataFrame({"q_arm": Q}, index=index), write)(path)
+    with pytest.raises(ConfigError, match="no column t with times") as error:
+        headers(path, None)
+    columns = settings_of(str(error.value)).get("columns")
+    assert (columns is not None) == suggested
+    if suggested:
+        system = recorded_system(path, time_step=H, angular="all", columns=columns)
+        (found,) = read_recordings(path, system, columns).recordings
+        np.testing.assert_allclose(found.samples.t, T, atol=1e-6)
+
+
 def test_a_missing_clock_is_suggested_beside_what_is_given(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     pd.DataFrame({"stamp of row": T, "theta": Q, "u_arm": U}).to_csv(path, index=False)

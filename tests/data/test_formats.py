@@ -45,6 +45,14 @@ def csv(name: str, change: Callable[[pd.DataFrame], pd.DataFrame] = lambda t: t,
     return write
 
 
+def parquet(change: Callable[[pd.DataFrame], pd.DataFrame]):
+    def write(folder: Path) -> object:
+        change(motion()).to_parquet(folder / "x.parquet", index=False)
+        return folder / "x.parquet"
+
+    return write
+
+
 def text(change: Callable[[list[str]], list[str]], **options):
     """A file of the motion with other lines."""
 
@@ -169,6 +177,10 @@ WRITERS: dict[str, tuple[Callable[[Path], object], dict]] = {
     "a unit in the name of a column that is given": (
         csv("x.csv", lambda t: t.assign(t=1e3 * t.t).rename(columns={"t": "Zeit [ms]"})),
         {"columns": {"t": "Zeit [ms]"}},
+    ),
+    "durations, whatever unit the name has": (
+        parquet(lambda t: t.assign(t=pd.to_timedelta(t.t, "s")).rename(columns={"t": "time_ms"})),
+        {},
     ),
     "degrees": (csv("x.csv", lambda t: t.assign(q_0=np.degrees(t.q_0))), {"degrees": True}),
     "npz": (lambda folder: arrays(folder, "x.npz"), {}),

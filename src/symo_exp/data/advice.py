@@ -42,6 +42,8 @@ RISES = 0.99
 """Share of the rows in which a clock rises."""
 STRIDE, ALIKE = 10, 0.95
 """Rows over which a column is compared with the sum of its rate, and their correlation at least."""
+UNNAMED = re.compile(r"$|__index_")
+"""The beginning of the name of an index that was written along without one."""
 KEY = re.compile(r"[\w/+.$%*@?| ()\[\]{}:=,\\-]+", re.ASCII)
 """Names of columns that can be typed as keys of a setting."""
 
@@ -67,7 +69,11 @@ def suggestion(
         and not re.match(r"[qvu]_.|__index_", theirs)
     ]  # fmt: skip
     mapping = dict(columns or {})
-    times = [x for x, ours in zip(found, new, strict=True) if ours == "t"] or _times(free, table)
+    times = (
+        [x for x, ours in zip(found, new, strict=True) if ours == "t"]
+        or _times(free, table)
+        or [x for x in found if UNNAMED.match(x) and found.count(x) == 1 and _measures(table[x])]
+    )
     if times and times[0] != "t":
         mapping["t"] = times[0]
     free = [name for name in free if not says_time(name) and is_number(table[name])]
@@ -145,6 +151,11 @@ def _is_clock(values: pd.Series) -> bool:
         warnings.simplefilter("ignore")  # words that are no dates
         dates = pd.to_datetime(values.iloc[:9], errors="coerce", utc=True, format="mixed")
     return bool(dates.notna().all() and dates.nunique() > 1)
+
+
+def _measures(values: pd.Series) -> bool:
+    """Return whether values are those of a clock and do not number the rows."""
+    return _is_clock(values) and values.dtype.kind not in "iu"
 
 
 def _movements(names: Sequence[str], table: pd.DataFrame) -> list[str]:

@@ -261,6 +261,8 @@ def _from_dates(
     times: pd.Series, seconds: float | None, notes: list[str]
 ) -> tuple[pd.Series, float | None]:
     """Return times and their unit [s]; dates and times of a clock are counted from the first."""
+    if pd.api.types.is_timedelta64_dtype(times):
+        return times.dt.total_seconds(), 1.0
     dated = pd.api.types.is_datetime64_any_dtype(times)
     numbers = times.isna() if dated else pd.to_numeric(times, errors="coerce")  # words among them
     if not dated and numbers.notna().any():
