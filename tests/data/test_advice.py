@@ -87,6 +87,10 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
          "comment": WORDS},
         {"t": "time", "q": "angle", "u": "torque"},
     ),
+    "counts beside radians, and of a clock": (
+        {"tick": T, "arm_counts": U, "arm [rad]": Q, "pwm_counts": U},
+        {"t": "tick", "q": "arm [rad]", "u": "pwm_counts"},
+    ),
     "what a controller wants": (
         {"time": T, "desired q": Q, "angle_ref": Q, "angle": Q, "torque_cmd": U, "torque_meas": U},
         {"t": "time", "q": "angle", "u": "torque_meas"},
@@ -257,6 +261,54 @@ def test_degrees_are_not_suggested_for_radians(tmp_path: Path) -> None:
         examine({"path": path, **given})
     pd.DataFrame({"t": T, "hip [deg]": Q, "x [m]": Q}).to_csv(path, index=False)
     assert advised(path)["degrees"] is True
+
+
+@pytest.mark.parametrize("name", ["hip [degrees]", "hip_degree", "hip in degs", "hip_deg"])
+def test_degrees_are_known_by_every_spelling(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, name: Q}).to_csv(path, index=False)
+    assert advised(path) == {"columns": {"q_hip": name}, "degrees": True}
+    pd.DataFrame({"t": T, f"q_{name}": np.degrees(Q)}).to_csv(path, index=False)
+    assert "data.degrees=true" in examine({"path": path}).settings
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "remedy"),
+    [
+        ("q_arm_mrad", "mrad", "rad = mrad / 1000"),
+        ("q_turns", "turns", "rad = 2 pi times turns"),
+        ("angle [rev]", "rev", "rad = 2 pi times turns"),
+        ("angle (turns)", "turns", "rad = 2 pi times turns"),
+        ("q_counts", "counts", "m = counts times the length of one"),
+        ("q_x_counts", "counts", "rad = 2 pi times counts over the counts of a turn"),
+        ("motor_ticks", "ticks", "rad = 2 pi times counts over the counts of a turn"),
+        ("encoderCounts", "counts", "rad = 2 pi times counts over the counts of a turn"),
+    ],
+)
+def test_other_units_than_radians_and_degrees_are_to_be_converted(
+    name: str, unit: str, remedy: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, name: Q, "load": U}).to_csv(path, index=False)
+    for columns in (None, {"q_arm": name}):
+        with pytest.raises(ConfigError, match=f"numbers in {unit}, .* are not read") as error:
+            headers(path, columns)
+        assert remedy in str(error.value)
+        assert name in str(error.value)
+        assert not settings_of(str(error.value))  # which no setting mends
+    pd.DataFrame({"t": T, "q_arm": Q, f"v_{name}": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=f"numbers in {unit}") as error:
+        headers(path, None)
+    assert headers(path, settings_of(str(error.value))["columns"])[0][1].names[1] == "q_arm"
+
+
+@pytest.mark.parametrize(
+    "name", ["return", "turns_table", "tick_1", "count_x", "discount", "revs2"]
+)
+def test_names_that_only_begin_like_a_unit_are_read(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, f"q_{name}": Q, "u_counts": U}).to_csv(path, index=False)
+    assert headers(path, None)[0][1].names == ("t", f"q_{name}", "u_counts")
 
 
 def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from symo_exp.data.formats import few
 from symo_exp.data.naming import (
+    CONVERSIONS,
     INPUT,
     PLACE,
     SPEED,
@@ -24,6 +25,7 @@ from symo_exp.data.naming import (
     short_names,
     slope_of,
     units_of_angles,
+    unread_unit,
 )
 from symo_exp.shell import override_value
 
@@ -62,12 +64,7 @@ def suggestion(
         table: The rows.
         columns: The setting so far.
     """
-    free = [
-        theirs
-        for theirs, ours in zip(found, new, strict=True)
-        if theirs == ours and theirs not in OTHERS and re.search(r"\w", theirs)
-        and not re.match(r"[qvu]_.|__index_", theirs)
-    ]  # fmt: skip
+    free = unnamed(found, new)
     mapping = dict(columns or {})
     times = (
         [x for x, ours in zip(found, new, strict=True) if ours == "t"]
@@ -77,7 +74,11 @@ def suggestion(
     if times and times[0] != "t":
         mapping["t"] = times[0]
     free = [name for name in free if not says_time(name) and is_number(table[name])]
+    unread = unread_places(free, table)
+    free = [name for name in free if name not in unread]
     if not names("q", new):
+        if unread and "q" not in map(kind_of_column, free):
+            return ""
         inputs = [] if names("u", new) else [name for name in free if kind_of_column(name) == "u"]
         mapping |= _places(free, table, inputs)
     mapped = [theirs for ours, theirs in mapping.items() if ours[:2] == "q_" and theirs]
@@ -88,9 +89,47 @@ def suggestion(
         text += " data.degrees=true"
     if mapped and not any(map(kind_of_column, mapped)):
         text += ", a guess, since no name says coordinate"
-    if silent := [x for x in free if x not in mapping.values() and _may_move(x, table[x])]:
+    silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
+    if silent := [*unread, *silent]:
         text += f", which leaves out {few(silent)}"
     return text
+
+
+def unnamed(found: Sequence[str], new: Sequence[str]) -> list[str]:
+    """Return the names of columns that this project gives none, but for those of an index.
+
+    Args:
+        found: Names of the file.
+        new: Names of this project.
+    """
+    return [
+        theirs
+        for theirs, ours in zip(found, new, strict=True)
+        if theirs == ours and theirs not in OTHERS and re.search(r"\w", theirs)
+        and not re.match(r"[qvu]_.|__index_", theirs)
+    ]  # fmt: skip
+
+
+def unread_places(columns: Sequence[str], table: pd.DataFrame) -> list[str]:
+    """Return columns of coordinates and velocities whose names end with units that are not read.
+
+    Columns that rise like the times of a clock are none: clocks count ticks as well.
+    """
+    return [
+        name for name in columns
+        if unread_unit(name) and kind_of_column(name) in ("q", "v", "")
+        and not _is_clock(table[name])
+    ]  # fmt: skip
+
+
+def converting(columns: Sequence[str]) -> str:
+    """Return what to do about columns whose names end with units that are not read."""
+    units = list(dict.fromkeys(map(unread_unit, columns)))
+    remedies = dict.fromkeys(CONVERSIONS[unit] for unit in units)
+    return (
+        f"{few(columns)}: numbers in {' and '.join(units)}, by their names, are not read; convert "
+        f"them in the file ({'; '.join(remedies)}) and rename the columns"
+    )
 
 
 def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> dict[str, str]:

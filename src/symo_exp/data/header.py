@@ -14,10 +14,13 @@ from symo_exp.data.advice import (
     OTHERS,
     Columns,
     as_setting,
+    converting,
     is_number,
     omitting,
     suggested_inputs,
     suggestion,
+    unnamed,
+    unread_places,
 )
 from symo_exp.data.formats import (
     IN_TIME,
@@ -45,6 +48,7 @@ from symo_exp.data.naming import (
     short_name,
     short_names,
     slope_of,
+    unread_unit,
 )
 from symo_exp.errors import ConfigError
 
@@ -151,10 +155,13 @@ def _lacking(
             "line that is no comment (#)"
         )
     lacking = "t with times" if names("q", new) else "q_<name> with a coordinate"
-    mend = suggestion(found, new, table, columns)
-    return f"no column {lacking}; it has {few(found)}; " + (
-        f"map them: {mend}" if mend else f"add it to the file{other}"
-    )
+    if mend := suggestion(found, new, table, columns):
+        mend = f"map them: {mend}"
+    elif not names("q", new) and (unread := unread_places(unnamed(found, new), table)):
+        mend = converting(unread)
+    else:
+        mend = f"add it to the file{other}"
+    return f"no column {lacking}; it has {few(found)}; {mend}"
 
 
 def _doubtful(found: Sequence[str], new: Sequence[str], columns: Columns | None) -> str:
@@ -167,6 +174,7 @@ def _doubtful(found: Sequence[str], new: Sequence[str], columns: Columns | None)
         or _no_places(read, new, given)
         or _other_coordinates(read, unread, given)
         or _other_inputs(unread, new, given)
+        or _other_units(found, new, given)
     )
 
 
@@ -219,6 +227,17 @@ def _other_inputs(unread: Sequence[str], new: Sequence[str], given: Columns) -> 
         f"no column u_<name> with an input, but {few(inputs)}; map them, {mend}, or leave them "
         f"out, {omitting(inputs, given)}"
     )
+
+
+def _other_units(found: Sequence[str], new: Sequence[str], given: Columns) -> str:
+    every = zip(new, found, strict=True)
+    read = {ours: theirs for ours, theirs in every if ours[:2] in ("q_", "v_")}
+    wrong = [theirs for theirs in read.values() if unread_unit(theirs)]
+    if not wrong:
+        return ""
+    rest = {ours for ours, theirs in read.items() if ours[:2] == "q_" and theirs not in wrong}
+    mend = omitting(wrong, {x: y for x, y in given.items() if y not in wrong})
+    return converting(wrong) + (f", or leave them out, {mend}" if rest else "")
 
 
 def renamed(

@@ -42,8 +42,20 @@ OTHER = re.compile(
     re.I,
 )
 """A word of the name of what is no coordinate, velocity or input."""
-UNIT = re.compile(r"(_| in | *[\[(])((?:m|mm|cm|rad|deg|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I)
+UNIT = re.compile(
+    r"(_| in | *[\[(])((?:mm?|cm|rad|deg(?:s|rees?)?|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I
+)
 """A unit at the end of a name, after an underscore or "in", or in brackets."""
+
+_OF_TURNS = dict.fromkeys(("turns", "rev", "revs", "revolutions"), "rad = 2 pi times turns")
+_OF_COUNTS = dict.fromkeys(
+    ("count", "counts", "tick", "ticks"),
+    "rad = 2 pi times counts over the counts of a turn, or m = counts times the length of one",
+)
+CONVERSIONS = {
+    "mrad": "rad = mrad / 1000", "rpm": "rad/s = 2 pi times rpm / 60", **_OF_TURNS, **_OF_COUNTS,
+}  # fmt: skip
+"""Units of coordinates and velocities that are not read, and how they become some that are."""
 
 
 def names(kind: str, columns: Sequence[str]) -> tuple[str, ...]:
@@ -64,7 +76,9 @@ def kind_of_column(name: str) -> str:
         if unit[2].lower().startswith(("n", "v", "a")):
             return "u"
         return "-" if wanted else "v" if unit[2].endswith("/s") else "q"
-    for kind, word in (("v", SPEED), ("q", PLACE), ("u", INPUT), ("q", PLACES)):
+    last = [("u", INPUT), ("q", PLACES)]  # a motor drives, but where it is counted, it is a place
+    last = last[::-1] if unread_unit(name) else last
+    for kind, word in (("v", SPEED), ("q", PLACE), ("u", EFFORTS), *last):
         if any(map(word.fullmatch, words)):
             return "-" if wanted and kind != "u" else kind
     return ""
@@ -115,7 +129,15 @@ def _short(stem: str) -> str:
 def _unit_of(name: str) -> str:
     """Return the unit that a name ends with, degrees as ``deg``; nothing if it ends with none."""
     unit = UNIT.search(name)
-    return unit[2].lower().replace("°", "deg") if unit else ""
+    return re.sub(r"°|deg\w+", "deg", unit[2].lower()) if unit else ""
+
+
+def unread_unit(name: str) -> str:
+    """Return the key in ``CONVERSIONS`` of the unit that a name ends with; else nothing."""
+    words = _words(name)
+    while words and words[-1] in ("s", "sec", "min", "per"):
+        words.pop()
+    return word if words and (word := words[-1].lower()) in CONVERSIONS else ""
 
 
 def in_degrees(name: str) -> bool:
