@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,18 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
     "arrays of ROS": (
         {"time": T, ".position[0]": Q, ".effort[0]": U},
         {"t": "time", "q": ".position[0]", "u": ".effort[0]"},
+    ),
+    "stamps of ROS beside times": (
+        {"__time": T, "/j/header/stamp": 1.7e9 + T, "/j/header/stamp/sec": 1_700_000_000 + T // 1,
+         "/j/header/stamp/nanosec": T % 1 * 1e9, "/j/position[0]": Q, "/j/effort[0]": U},
+        {"t": "__time", "q": "/j/position[0]", "u": "/j/effort[0]"},
+    ),
+    "a stamp of ROS": (
+        {".header.seq": range(len(T)), ".header.stamp": T, ".pose.position.x": Q, ".cmd.data": U},
+        {"t": ".header.stamp", "q": ".pose.position.x", "u": ".cmd.data"},
+    ),
+    "columns without a name": (
+        {"": WORDS, " ": WORDS, "time": T, "theta": Q}, {"t": "time", "q": "theta"},
     ),
     "units of another language": (
         {"Zeit [s]": T, "Größe [rad]": Q, "Moment [Nm]": U},
@@ -183,6 +196,24 @@ def test_an_index_without_a_name_is_suggested_as_times(
         system = recorded_system(path, time_step=H, angular="all", columns=columns)
         (found,) = read_recordings(path, system, columns).recordings
         np.testing.assert_allclose(found.samples.t, T, atol=1e-6)
+
+
+@pytest.mark.parametrize("stamp", ["header.stamp.", "/joints/header/stamp/", "stamp_"])
+@pytest.mark.parametrize("parts", [("sec", "nanosec"), ("secs", "nsecs")])
+def test_the_parts_of_a_stamp_are_to_be_added(
+    stamp: str, parts: tuple[str, str], tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.csv"
+    whole, rest = (f"{stamp}{part}" for part in parts)
+    stamps = {whole: 1_700_000_000 + T // 1, rest: T % 1 * 1e9}
+    said = f"add a column t with {whole} + 1e-9 * {rest} to the file"
+    pd.DataFrame({**stamps, "position": Q}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=re.escape(said)) as error:
+        headers(path, None)
+    assert settings_of(str(error.value))["columns"] == {"q_position": "position"}
+    pd.DataFrame({**stamps, "q_arm": Q}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        headers(path, None)
 
 
 def test_a_missing_clock_is_suggested_beside_what_is_given(tmp_path: Path) -> None:

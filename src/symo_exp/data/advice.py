@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shlex
 import warnings
@@ -24,6 +25,7 @@ from symo_exp.data.naming import (
     short_name,
     short_names,
     slope_of,
+    split_times,
     units_of_angles,
     unread_unit,
 )
@@ -53,38 +55,52 @@ KEY = re.compile(r"[\w/+.$%*@?| ()\[\]{}:=,\\-]+", re.ASCII)
 def suggestion(
     found: Sequence[str], new: Sequence[str], table: pd.DataFrame, columns: Columns | None
 ) -> str:
-    """Return settings that guess what the columns hold, beside those given; ``""`` without a guess.
+    """Return what makes a table readable: settings beside those given, or a change of the file.
 
-    Names say it first. Columns whose names say nothing are taken for times if they rise like those
-    of a clock, and for coordinates if no name says so.
+    The settings guess what the columns hold. Names say it first. Columns whose names say nothing
+    are taken for times if they rise like those of a clock, and for coordinates if no name says so.
 
     Args:
         found: Names of the file.
         new: Names of this project.
         table: The rows.
         columns: The setting so far.
+
+    Returns:
+        Nothing without a guess.
     """
-    free = unnamed(found, new)
+    every = list(zip(found, new, strict=True))
+    free = [
+        theirs for theirs, ours in every
+        if theirs == ours and theirs not in OTHERS and re.search(r"\w", theirs)
+        and not re.match(r"[qvu]_.|__index_", theirs)
+    ]  # fmt: skip
     mapping = dict(columns or {})
+    stamps = split_times(free)
+    free = [name for name in free if name not in itertools.chain(*stamps)]
     times = (
-        [x for x, ours in zip(found, new, strict=True) if ours == "t"]
+        [x for x, ours in every if ours == "t"]
         or _times(free, table)
         or [x for x in found if UNNAMED.match(x) and found.count(x) == 1 and _measures(table[x])]
     )
+    added = ""
     if times and times[0] != "t":
         mapping["t"] = times[0]
+    elif stamps and not times:
+        seconds, rest = stamps[0]
+        added = f"add a column t with {seconds} + 1e-9 * {rest} to the file"
     free = [name for name in free if not says_time(name) and is_number(table[name])]
-    unread = unread_places(free, table)
+    unread = _unread_places(free, table)
     free = [name for name in free if name not in unread]
     if not names("q", new):
         if unread and "q" not in map(kind_of_column, free):
-            return ""
+            return converting(unread)
         inputs = [] if names("u", new) else [name for name in free if kind_of_column(name) == "u"]
         mapping |= _places(free, table, inputs)
     mapped = [theirs for ours, theirs in mapping.items() if ours[:2] == "q_" and theirs]
     if mapping == dict(columns or {}) or not (mapped or names("q", new)):
-        return ""
-    text = as_setting(mapping)
+        return added
+    text = (f"{added}, and " if added else "") + f"map them: {as_setting(mapping)}"
     if units_of_angles(mapped) == {"deg"}:
         text += " data.degrees=true"
     if mapped and not any(map(kind_of_column, mapped)):
@@ -95,22 +111,7 @@ def suggestion(
     return text
 
 
-def unnamed(found: Sequence[str], new: Sequence[str]) -> list[str]:
-    """Return the names of columns that this project gives none, but for those of an index.
-
-    Args:
-        found: Names of the file.
-        new: Names of this project.
-    """
-    return [
-        theirs
-        for theirs, ours in zip(found, new, strict=True)
-        if theirs == ours and theirs not in OTHERS and re.search(r"\w", theirs)
-        and not re.match(r"[qvu]_.|__index_", theirs)
-    ]  # fmt: skip
-
-
-def unread_places(columns: Sequence[str], table: pd.DataFrame) -> list[str]:
+def _unread_places(columns: Sequence[str], table: pd.DataFrame) -> list[str]:
     """Return columns of coordinates and velocities whose names end with units that are not read.
 
     Columns that rise like the times of a clock are none: clocks count ticks as well.

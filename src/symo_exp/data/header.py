@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -19,8 +20,6 @@ from symo_exp.data.advice import (
     omitting,
     suggested_inputs,
     suggestion,
-    unnamed,
-    unread_places,
 )
 from symo_exp.data.formats import (
     IN_TIME,
@@ -48,6 +47,7 @@ from symo_exp.data.naming import (
     short_name,
     short_names,
     slope_of,
+    split_times,
     unread_unit,
 )
 from symo_exp.errors import ConfigError
@@ -149,18 +149,13 @@ def _lacking(
     """
     with readable(file):
         table = table_of(file).set_axis(pd.Index(found), axis=1)
-    if not any(is_number(table[name]) for name in found):
+    if not any(is_number(values) for _, values in table.items()):  # also those without a name
         return (
             f"no column has numbers; the line of names is {few(found)}; names are in the first "
             "line that is no comment (#)"
         )
     lacking = "t with times" if names("q", new) else "q_<name> with a coordinate"
-    if mend := suggestion(found, new, table, columns):
-        mend = f"map them: {mend}"
-    elif not names("q", new) and (unread := unread_places(unnamed(found, new), table)):
-        mend = converting(unread)
-    else:
-        mend = f"add it to the file{other}"
+    mend = suggestion(found, new, table, columns) or f"add it to the file{other}"
     return f"no column {lacking}; it has {few(found)}; {mend}"
 
 
@@ -294,8 +289,9 @@ def _mapping(where: str, found: Sequence[str], columns: Columns | None) -> dict[
 
 def _aliases(found: Sequence[str], taken: set[str]) -> dict[str, str]:
     """Unambiguous other names of ``t``, ``trajectory`` and ``split``."""
+    parts = list(itertools.chain(*split_times(found)))
     others = {
-        "t": [name for name in found if TIME.fullmatch(name)],
+        "t": [name for name in found if TIME.fullmatch(name) and name not in parts],
         "trajectory": [name for name in found if TRAJECTORY.fullmatch(name)],
         "split": [name for name in found if name.lower() == "split"],
     }

@@ -56,6 +56,10 @@ CONVERSIONS = {
     "mrad": "rad = mrad / 1000", "rpm": "rad/s = 2 pi times rpm / 60", **_OF_TURNS, **_OF_COUNTS,
 }  # fmt: skip
 """Units of coordinates and velocities that are not read, and how they become some that are."""
+TIME_OF = re.compile(r".*(?:[./](?:t|times?)|[\W_](?:time)?stamps?)", re.I)
+"""Names of times in those of messages of ROS, such as ``header.stamp``."""
+STAMP_PART = re.compile(r"(.*stamp[\W_])(n|nano)?sec(?:ond)?s?", re.I)
+"""The beginning of a name of a part of such times, and whether it is that of nanoseconds."""
 
 
 def names(kind: str, columns: Sequence[str]) -> tuple[str, ...]:
@@ -166,4 +170,12 @@ def slope_of(stem: str, stems: Collection[str]) -> str | None:
 
 def says_time(name: str) -> bool:
     """Return whether a name is one of times, or ends with a unit of time, but for ``_s``."""
-    return bool(TIME.fullmatch(name) or ((match := IN_TIME.fullmatch(name)) and match[2]))
+    unit = IN_TIME.fullmatch(name)
+    return bool(TIME.fullmatch(name) or TIME_OF.fullmatch(name) or (unit and unit[2]))
+
+
+def split_times(columns: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the columns of seconds and of nanoseconds whose sums are the times of a stamp."""
+    parts = {match[0]: match for name in columns if (match := STAMP_PART.fullmatch(name))}
+    whole = {match[1]: name for name, match in parts.items() if not match[2]}
+    return [(whole[x[1]], name) for name, x in parts.items() if x[2] and x[1] in whole]
