@@ -40,7 +40,7 @@ def advised(path: Path) -> dict[str, Any]:
     with pytest.raises(ConfigError) as error:
         headers(path, None)
     assert "\n" not in str(error.value)
-    assert ("leaves out F_N" in str(error.value)) == ("F_N" in path.read_text())
+    assert ("leaves out L_N" in str(error.value)) == ("L_N" in path.read_text())
     return settings_of(str(error.value))
 
 
@@ -121,9 +121,16 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
         {"time": T, "distance": Q, "dtheta": U, "theta": U, "thetad": Q},
         {"t": "time", "q": "theta", "v": "thetad"},
     ),
-    "a force that is named by its unit alone": (
-        {"t": T, "x_mm": Q, "F_N": U, "serial": 7.0}, {"q": "x_mm"},
+    "an input that is named by its unit alone": (
+        {"t": T, "x_mm": Q, "L_N": U, "serial": 7.0}, {"q": "x_mm"},
     ),
+    "a force": ({"t": T, "x": Q, "F": U}, {"q": "x", "u": "F"}),
+    "a force in a unit": ({"t": T, "x_m": Q, "f_N": U}, {"q": "x_m", "u": "f_N"}),
+    "forces and filtered places": (
+        {"t": T, "x_f": Q, "theta_f": Q * Q, "F1": U, "F_2": Q},
+        {"q": "x_f theta_f", "u": "F1 F_2"},
+    ),
+    "one more letter": ({"t": T, "x": Q, "E": U}, {"q": "x"}),
     "names of MuJoCo": (
         {"time": T, "qpos_0": Q, "qvel_0": U, "ctrl_0": U, "vbus_voltage": Q},
         {"t": "time", "q": "qpos_0", "v": "qvel_0", "u": "ctrl_0"},
@@ -352,6 +359,9 @@ def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
 def test_names_of_inputs_are_not_passed_over(tmp_path: Path) -> None:
     """A machine with the columns t, q_arm and torque is not free."""
     path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_f": Q, "F": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=r"no column u_<name> with an input, but F;"):
+        headers(path, None)
     pd.DataFrame({"t": T, "q_arm": Q, "torque (Nm)": U, "note": U}).to_csv(path, index=False)
     with pytest.raises(ConfigError, match="no column u_<name> with an input") as error:
         headers(path, None)

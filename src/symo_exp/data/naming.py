@@ -31,6 +31,8 @@ INPUT = re.compile(
 """A word of an input's name, and the number of the coordinate."""
 EFFORTS = re.compile(rf"(?:{EFFORT})\d*", re.I)
 """A word of a name that is none of a coordinate."""
+FORCE = re.compile(r"f\d*", re.I)
+"""The first word of an input's name; as a last word it may say that a signal is filtered."""
 WANTED = re.compile(
     r"(?:ref|reference|des|desired|set|setpoint|sp|target|goal|cmd|command|commanded|demand|error"
     r"|err)\d*",
@@ -82,6 +84,8 @@ def kind_of_column(name: str) -> str:
         return "-" if wanted else "v" if unit[2].endswith("/s") else "q"
     last = [("u", INPUT), ("q", PLACES)]  # a motor drives, but where it is counted, it is a place
     last = last[::-1] if unread_unit(name) else last
+    if any(map(FORCE.fullmatch, words[:1])):
+        last = [("u", FORCE), *last]
     for kind, word in (("v", SPEED), ("q", PLACE), ("u", EFFORTS), *last):
         if any(map(word.fullmatch, words)):
             return "-" if wanted and kind != "u" else kind
