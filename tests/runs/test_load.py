@@ -242,6 +242,8 @@ def test_missing_files_of_a_run_are_named(folder, tmp_path):
     assert "has the run been trained?" in sentence(folder)
     assert "neither a run folder nor" in sentence("no/such/run")
     assert "no config.yaml, but run in it has one" in sentence(folder.parent)
+    (folder.parent / "best").symlink_to(folder.name, target_is_directory=True)
+    assert sentence(folder.parent).endswith(f"whose best run is {folder.parent / 'best'}")
     assert "no tracking store" in sentence("0" * 32, directory=tmp_path / "none")
     assert not (tmp_path / "none").exists()
 

@@ -41,12 +41,12 @@ from symo_exp.identify.validation import (
     with_least_noise,
 )
 from symo_exp.process import phases
-from symo_exp.runs.folder import CANDIDATES, SERIES, RunFolder
+from symo_exp.runs.folder import BEST, CANDIDATES, SERIES, RunFolder
 from symo_exp.runs.series import read
 from symo_exp.sweep.sweeper import Sweep
 from symo_exp.systems.base import System
 
-BEST, PLAN = "best", "plan.json"
+PLAN = "plan.json"
 FILES = [
     "path", "columns", "wrapped", "degrees", "time_unit", "train", "val", "test", "n_val", "n_test",
     "leave_out",

@@ -48,8 +48,8 @@ FILES = (
     STUDIES,
 )  # fmt: skip
 """Files of a run that a store keeps."""
-CANDIDATES = "candidates.csv"
-"""Of a search, beside the folders of its runs."""
+CANDIDATES, BEST = "candidates.csv", "best"
+"""Of a search, beside the folders of its runs; the second is a link to one."""
 ABOUT, OUTCOME, PUBLISHED, FOLDS = "run.json", "outcome.json", "published.json", "folds.json"
 
 DIED = "its process was killed, perhaps for want of memory"

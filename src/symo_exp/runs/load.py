@@ -15,7 +15,7 @@ from symo_exp.errors import ConfigError, first_line, shortened
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.uncertainty import ModelPosterior
 from symo_exp.runs import before
-from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR
+from symo_exp.runs.folder import BEST, CHECKPOINT, CONFIG, POSTERIOR
 
 
 def from_folder(
@@ -48,11 +48,13 @@ def from_folder(
 
 
 def require_run(folder: Path) -> None:
-    """Refuse a folder that is not that of a run; the error names runs in it, as of a sweep."""
+    """Refuse a folder that is not that of a run; the error names the best run or all runs in it."""
     if (folder / CONFIG).is_file():
         return
     reason = f"it has no {CONFIG}" if folder.is_dir() else "it does not exist"
-    if runs := sorted(path.parent.name for path in folder.glob(f"*/{CONFIG}")):
+    if (folder / BEST / CONFIG).is_file():
+        reason += f"; it is the folder of a search, whose best run is {folder / BEST}"
+    elif runs := sorted(path.parent.name for path in folder.glob(f"*/{CONFIG}")):
         verb = "has" if len(runs) == 1 else "have"
         reason += f", but {shortened(', '.join(runs))} in it {verb} one"
     raise ConfigError(f"{folder} is not a run folder: {reason}")
