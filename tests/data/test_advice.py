@@ -168,7 +168,7 @@ def test_the_suggested_columns_are_those_of_the_machine(kind: str, tmp_path: Pat
     assert theirs == expected
     places = {ours[2:]: name for ours, name in given["columns"].items() if ours[0] == "q"}
     inputs = [ours[2:] for ours in given["columns"] if ours[0] == "u"]
-    matrix = np.zeros((len(places), len(inputs))).tolist()
+    matrix = np.ones((len(places), len(inputs))).tolist()
     system = Recorded(
         names=list(places), inputs=inputs, angular="none", input_matrix=matrix, time_step=H
     )

@@ -227,6 +227,11 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
             "keep one, by data.columns; a row for each coordinate, such as system.input_matrix=[[1",
         ),
         ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
+        (
+            {},
+            {"matrix": [[0, 0.0], [0, 0]]},
+            "zeros drive nothing; give the entries, such as system.input_matrix=[[1,0],[0,1]]",
+        ),
         ({}, {"columns": {"q_arm2": "gone"}}, "q_arm2=gone, but"),
         ({}, {"columns": {"leg": "note"}}, "leg=note is not allowed"),
         ({}, {"columns": {"v_a": "note", "v_b": "note"}}, "one column has two names"),

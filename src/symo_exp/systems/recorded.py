@@ -28,7 +28,8 @@ class Recorded(System):
         angular: Coordinates that are angles [rad]: ``"all"``, ``"none"`` or their names.
         inputs: Names of the inputs.
         input_matrix: ``B`` (n, m) of the generalised force ``B u``. ``None``: the identity, with
-            an input for each coordinate; (n, 0) without inputs.
+            an input for each coordinate; (n, 0) without inputs. Zeros only beside a rotation,
+            where a body learns how its inputs act.
         scale: Units of ``length`` [m], ``time`` [s] and ``mass`` [kg] in which learned parts of a
             model have their parameters, and settings their initial values, for motions that are
             far from 1 in those of the SI.
@@ -51,7 +52,7 @@ class Recorded(System):
         rotations, flat = _rotations(self.rotations, names)
         angular = _angular(self.angular, flat) if flat else ()
         freedoms = Coordinates.of(flat, (False,) * len(flat), rotations).names
-        matrix = _matrix(self.input_matrix, freedoms, inputs)
+        matrix = _matrix(self.input_matrix, freedoms, inputs, zeros=bool(rotations))
         vars(self).update(
             names=names, angular=angular, rotations=rotations, inputs=inputs, input_matrix=matrix,
             scale=_scale(self.scale),
@@ -106,7 +107,9 @@ def _scale(given: object) -> Units:
     return Units(**{x: real(f"system.scale.{x}", value, above=0.0) for x, value in named.items()})
 
 
-def _matrix(given: object, names: tuple[str, ...], inputs: tuple[str, ...]) -> torch.Tensor:
+def _matrix(
+    given: object, names: tuple[str, ...], inputs: tuple[str, ...], *, zeros: bool
+) -> torch.Tensor:
     n, m = len(names), len(inputs)
     if given is None and m in (0, n):
         return torch.eye(n, m, dtype=torch.float64)
@@ -114,12 +117,18 @@ def _matrix(given: object, names: tuple[str, ...], inputs: tuple[str, ...]) -> t
         matrix = torch.tensor([[float(x) for x in row] for row in given], dtype=torch.float64)  # type: ignore[attr-defined]
     except (TypeError, ValueError):
         matrix = torch.empty(0, 0)
-    if tuple(matrix.shape) == (n, m) and matrix.isfinite().all():
-        return matrix
+    told = f"system.input_matrix={'null' if given is None else given}"
     example = [[int(i == j) for j in range(m)] for i in range(n)]
+    such = f"such as system.input_matrix={str(example).replace(' ', '')}"
+    if tuple(matrix.shape) == (n, m) and matrix.isfinite().all():
+        if m and not (zeros or matrix.any()):
+            raise ConfigError(
+                f"{told}: zeros drive nothing; give the entries, {such}, or leave the inputs out, "
+                "by data.columns"
+            )
+        return matrix
     hint = "; of the voltage, the current and the torque of a motor, keep one, by data.columns"
     raise ConfigError(
-        f"system.input_matrix={'null' if given is None else given}: say how the {m} input(s) "
-        f"({', '.join(inputs)}) drive the {n} coordinate(s) ({', '.join(names)}){hint * (m > n)}; "
-        f"a row for each coordinate, such as system.input_matrix={str(example).replace(' ', '')}"
+        f"{told}: say how the {m} input(s) ({', '.join(inputs)}) drive the {n} coordinate(s) "
+        f"({', '.join(names)}){hint * (m > n)}; a row for each coordinate, {such}"
     )
