@@ -198,7 +198,11 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
             "turns q_theta by 5.78 rad",
         ),
         (lambda t: t.iloc[:20], "has 2 trajectories, too few"),
-        (lambda t: t.iloc[[1, 0, *range(2, 10)]].drop(columns="trajectory"), "sort the rows by t"),
+        (lambda t: t.iloc[:2].drop(columns="trajectory"), "the recording has 2 node(s); at least"),
+        (
+            lambda t: t.iloc[[1, 0, *range(2, 10)]].drop(columns="trajectory"),
+            "the recording goes back in time after t=0.05; give each",
+        ),
     ],
 )
 def test_malformed_tables_are_refused_in_one_line(
@@ -210,6 +214,7 @@ def test_malformed_tables_are_refused_in_one_line(
     assert message in str(error.value)
     assert str(error.value).startswith(f"data.path={path}")
     assert "\n" not in str(error.value)
+    assert "  " not in str(error.value)  # a recording without a name is called otherwise
 
 
 def test_too_many_training_trajectories_are_refused(table: pd.DataFrame, tmp_path: Path) -> None:

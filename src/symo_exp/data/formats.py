@@ -76,6 +76,11 @@ def few(words: Sequence[object]) -> str:
     return f"{text}, and {len(words) - 12} more" if len(words) > 12 else text
 
 
+def titled(label: str) -> str:
+    """Return how messages call a trajectory, which has no name if it is alone."""
+    return f"trajectory {label}" if label else "the recording"
+
+
 @contextmanager
 def readable(path: Location) -> Iterator[None]:
     """Turn errors of reading a file into a ``ConfigError``."""

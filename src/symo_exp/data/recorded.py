@@ -18,7 +18,7 @@ from symo_exp.data.advice import Columns
 from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences, stacked
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
-from symo_exp.data.formats import Location, shown
+from symo_exp.data.formats import Location, shown, titled
 from symo_exp.data.header import header
 from symo_exp.data.naming import names
 from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, with_every_part, without
@@ -303,7 +303,7 @@ class Nodes:
         Raises:
             ConfigError: If angles are wrapped or samples too far apart.
         """
-        where, h = f"{self.where}: trajectory {recording.label}", self.time_step
+        where, h = f"{self.where}: {titled(recording.label)}", self.time_step
         with np.errstate(over="ignore", invalid="ignore"):
             samples = lagging(delayed(recording.samples, self.input_delay), self.input_lag)
             if self.wrapped:

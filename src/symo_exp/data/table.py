@@ -15,7 +15,7 @@ import pandas as pd
 
 from symo_exp.checks import one_of
 from symo_exp.data.advice import OTHERS, Columns, as_setting, omitting
-from symo_exp.data.formats import Location, few, readable, shown, table_of
+from symo_exp.data.formats import Location, few, readable, shown, table_of, titled
 from symo_exp.data.header import KINDS, UNITS, Header, headers
 from symo_exp.data.resample import Samples
 from symo_exp.errors import ConfigError
@@ -205,12 +205,12 @@ def _divided(
     for label, rows in _groups(table):
         if len(rows) < FEWEST:
             raise ConfigError(
-                f"{where}: trajectory {label} has {len(rows)} node(s); at least {FEWEST} are needed"
+                f"{where}: {titled(label)} has {len(rows)} node(s); at least {FEWEST} are needed"
             )
         parts = list(rows["split"].astype(str).str.lower().unique()) if "split" in rows else [""]
         if len(parts) > 1:
             raise ConfigError(
-                f"{where}: trajectory {label} is in the splits {few(parts)}; a trajectory "
+                f"{where}: {titled(label)} is in the splits {few(parts)}; a trajectory "
                 "belongs to one of them"
             )
         rows = rows.sort_values("t", kind="stable")
@@ -396,7 +396,7 @@ def _check_order(where: str, table: pd.DataFrame) -> None:
         back = np.flatnonzero(np.diff(t) < 0)
         if 0 < len(back) < len(t) / 4:
             raise ConfigError(
-                f"{where}: trajectory {label} goes back in time after t={t[back[0]]:.6g}; give "
+                f"{where}: {titled(label)} goes back in time after t={t[back[0]]:.6g}; give "
                 "each recording a number of its own in the column trajectory, or sort the rows by t"
             )
 

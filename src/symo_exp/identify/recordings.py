@@ -13,7 +13,7 @@ import numpy as np
 from symo_exp.data.advice import Columns, omitting
 from symo_exp.data.diagnose import ROUNDING, noise_of, quasi_coordinates
 from symo_exp.data.folds import any_moves, at_rest
-from symo_exp.data.formats import few, shown
+from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
 from symo_exp.data.naming import in_degrees, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
@@ -340,7 +340,7 @@ def _quaternions(names: Sequence[str]) -> tuple[str, ...]:
 
 def _turned(where: str, recording: Recording, space: Coordinates) -> Recording:
     """Return a recording with rotation matrices instead of quaternions."""
-    where = f"{where}: trajectory {recording.label}"
+    where = f"{where}: {titled(recording.label)}"
     return recording._replace(samples=turned(where, recording.samples, space))
 
 
