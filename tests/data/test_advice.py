@@ -104,6 +104,7 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
         {"tick": T, "arm_counts": U, "arm [rad]": Q, "pwm_counts": U},
         {"t": "tick", "q": "arm [rad]", "u": "pwm_counts"},
     ),
+    "a speed in another unit": ({"t": T, "th": Q, "motor_rpm": U}, {"q": "th"}),
     "what a controller wants": (
         {"time": T, "desired q": Q, "angle_ref": Q, "angle": Q, "torque_cmd": U, "torque_meas": U},
         {"t": "time", "q": "angle", "u": "torque_meas"},

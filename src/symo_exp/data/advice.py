@@ -93,8 +93,9 @@ def suggestion(
     unread = _unread_places(free, table)
     free = [name for name in free if name not in unread]
     if not names("q", new):
-        if unread and "q" not in map(kind_of_column, free):
-            return converting(unread)
+        places = [name for name in unread if kind_of_column(name) != "v"]
+        if places and "q" not in map(kind_of_column, free):
+            return converting(places)
         inputs = [] if names("u", new) else [name for name in free if kind_of_column(name) == "u"]
         mapping |= _places(free, table, inputs)
     mapped = [theirs for ours, theirs in mapping.items() if ours[:2] == "q_" and theirs]
