@@ -41,7 +41,8 @@ class SymoExpSweeper(Sweeper):
 
     def run(self, sweep: Any, arguments: list[str]) -> int:
         """Run the jobs of these overrides and return the exit code."""
-        code: int = sweep.run(arguments, self.params or {}, check_only=self.check_only)
+        params = {} if self.params is None else self.params
+        code: int = sweep.run(arguments, params, check_only=self.check_only)
         return code
 
 

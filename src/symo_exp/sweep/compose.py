@@ -52,7 +52,13 @@ def expand(arguments: Sequence[str], params: Mapping[str, Any]) -> list[list[str
         params: Settings that a sweep file varies. A key such as ``model,integrator`` has a list of
             pairs; of these the ones are taken that agree with the command line, and where none
             agrees, the values of the command line alone.
+
+    Raises:
+        ConfigError: If ``params`` are no mapping, or a list of pairs has something else.
     """
+    if not isinstance(params, Mapping) or not all(isinstance(key, str) for key in params):
+        told = f"hydra.sweeper.params={params}: expected settings with their values"
+        raise ConfigError(f"{told}, such as hydra.sweeper.params={{seed: '0,1,2'}}")
     single = {key: value for key, value in params.items() if "," not in key}
     axes: dict[tuple[str, ...], list[list[str]]] = {tuple(key.split(",")): [] for key in params}
     given = [f"{key}={value}" for key, value in single.items()]

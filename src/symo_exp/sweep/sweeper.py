@@ -53,9 +53,21 @@ def watched() -> Iterator[list[RunFolder]]:
 
 
 class Sweep:
-    """All jobs of one command."""
+    """All jobs of one command.
+
+    Args:
+        context: How Hydra composes configurations.
+        task: The function that does a job.
+        master: The configuration of the command.
+
+    Raises:
+        ConfigError: If the launcher is to do no job at a time.
+    """
 
     def __init__(self, context: HydraContext, task: TaskFunction, master: DictConfig) -> None:
+        if master.hydra.launcher.get("n_jobs") == 0:
+            told = "expected the number of jobs at a time, or -1 for one on each core"
+            raise ConfigError(f"hydra.launcher.n_jobs=0: {told}")
         self._context, self._task, self._master = context, task, master
         self.composer = Composer(context.config_loader, master)
         self._cluster = slurm.Queue.of(master)
