@@ -57,6 +57,20 @@ def test_a_store_becomes_tables_figures_and_a_page(store, tmp_path, capsys):
         assert (again / "tables" / table.name).read_text() == table.read_text()
 
 
+def test_a_report_replaces_the_files_of_the_one_before_and_no_others(tmp_path):
+    def report(place, system, *words):
+        place.mkdir(exist_ok=True)
+        out = made(place, [row(system=system, n_traj=n) for n in (8, 32)], *words)
+        return {str(path.relative_to(out)) for path in out.rglob("*.*")}
+
+    before = report(tmp_path, "pendulum", "--formats", "svg")
+    assert "figures/data_size_pendulum_errors.svg" in before
+    mine = {"figures/mine.svg", "tables/mine.tex"}
+    for name in mine:
+        (tmp_path / "out" / name).write_text("of somebody else")
+    assert report(tmp_path, "acrobot") == report(tmp_path / "alone", "acrobot") | mine
+
+
 def test_of_several_experiments_the_last_is_reported_and_the_option_named(
     tmp_path, monkeypatch, capsys
 ):
@@ -212,6 +226,8 @@ def test_each_method_s_study_of_the_lowest_seed_is_drawn(store, tmp_path):
             late = 2 * (method == "node")  # whose lowest seed is that of no other
             add(swing(seed, nodes=5), method=method, integrator=integrator, seed=seed + late)
     add_run(store, method="l_node", integrator="rk4")  # it did no study
+    other = {"test_mse": 1e-6, "long_term_fast_mse": 0.1}  # of a study with a longer name
+    add_run(store, metrics=other, method="symo", seed=0)
     add(None, method="e2e_symo", seed=1)  # its file is gone
     runs = read_runs(store)
     (found,) = studied(runs, ["long_term", "forced"], store)

@@ -9,11 +9,16 @@ from symo_exp.report.document import Report
 from symo_exp.report.runs import save_runs
 from symo_exp.report.tables import latex, markdown_table
 
+WRITTEN = ".written"
+"""The file beside a report that lists its files."""
+
 
 def write_report(
     report: Report, out: Path, *, formats: Sequence[str], page: bool = True
 ) -> list[Path]:
     """Write the files of a report below ``out``, replacing those of an earlier one.
+
+    Files of the earlier one that this report lacks are deleted; no other files are.
 
     Args:
         report: The content to write.
@@ -38,7 +43,18 @@ def write_report(
 
         for figure in report.figures:
             files += draw_charts(figure, out / "figures", formats)
+    _delete_former(out, [path.relative_to(out).as_posix() for path in files])
     return files
+
+
+def _delete_former(out: Path, names: Sequence[str]) -> None:
+    """Delete the files of the earlier report that are not among ``names``, which are listed."""
+    listed = out / WRITTEN
+    before = listed.read_text(encoding="utf-8").splitlines() if listed.exists() else []
+    for name in set(before) - set(names):
+        if (out / name).resolve().is_relative_to(out.resolve()):  # the list may have been edited
+            (out / name).unlink(missing_ok=True)
+    listed.write_text("\n".join(names) + "\n", encoding="utf-8")
 
 
 def markdown_report(report: Report, *, pictures: bool) -> str:

@@ -76,18 +76,22 @@ def motion_figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | No
 def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> list[Studied]:
     """Return the studies of the runs: for each system and method that of the lowest seed.
 
-    Only the files of runs that have a measure of the study are read.
+    Runs without its file are passed over: it is gone, or the measure of a study with a longer name,
+    such as ``forced_fast``, begins in the same way.
     """
     found = []
     for name in names:
         told = runs[runs.metric.str.startswith(f"{name}_") & (runs.files != "")]
         told = told.drop_duplicates("run_id").sort_values("seed", kind="stable")
         for (system, time_step), here in told.groupby(["system", "time_step"]):
-            tables = {
-                (row["method"], row["integrator"]): table
-                for row in here.drop_duplicates(["method", "integrator"]).to_dict("records")
-                if (table := _read(store, row["run_id"], row["files"], name)) is not None
-            }
+            tables: dict[Pair, pd.DataFrame] = {}
+            for row in here.to_dict("records"):
+                pair = row["method"], row["integrator"]
+                if pair in tables:
+                    continue
+                table = _read(store, row["run_id"], row["files"], name)
+                if table is not None:
+                    tables[pair] = table
             if tables:
                 found.append(Studied(name, str(system), float(time_step), tables))
     return found
