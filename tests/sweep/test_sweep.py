@@ -4,12 +4,17 @@ import contextlib
 import io
 import re
 import shutil
+import signal
 
 import pytest
 
 from symo_exp.__main__ import main
+from symo_exp.process.stopping import Interrupted
 from symo_exp.runs.folder import RunFolder
+from symo_exp.sweep.compose import Job
+from symo_exp.sweep.parent import parent
 from symo_exp.sweep.sweeper import Sweep
+from symo_exp.tracking.nowhere import Nowhere
 from symo_exp.tracking.page import NOTE
 from tests.tiny import TINY, copy_store
 
@@ -78,3 +83,20 @@ def test_finished_jobs_are_not_repeated(swept, workplace, capsys, monkeypatch):
     monkeypatch.setattr(Sweep, "launch_all", lambda *_: pytest.fail("it started"))
     assert main([*words, "optimizer.lr=1e-4"]) == 0  # the same run outside of the sweep
     assert "finished already" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(28, "No space left on device"), ("failed", "OSError: [Errno 28] No space left")),
+        (Interrupted(signal.SIGINT), ("interrupted", "interrupted by SIGINT")),
+    ],
+)
+def test_a_sweep_that_ends_early_tells_why_in_words(error, told, tmp_path):
+    """Not in the notation of Python."""
+    job = Job("seed=0", [], None, {}, {}, RunFolder(tmp_path / "run"))
+    with pytest.raises(type(error)), parent([job], "sweep", "", Nowhere()):
+        raise error
+    (folder,) = map(RunFolder, (tmp_path / ".sweeps").iterdir())
+    assert folder.outcome().status == told[0]
+    assert folder.outcome().reason.startswith(told[1])

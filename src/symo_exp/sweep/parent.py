@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
+from symo_exp.errors import first_line, one_line
 from symo_exp.job.job import SWEEP, VARIED, publish
 from symo_exp.job.lines import MEASURES
 from symo_exp.process import stopping
@@ -37,8 +38,11 @@ def parent(jobs: Sequence[Job], name: str, command: str, tracker: Any) -> Iterat
         tracker.show(varied)
         try:
             yield
+        except Exception as error:
+            folder.record("failed", f"{type(error).__name__}: {one_line(error)}")
+            raise
         except BaseException as error:
-            folder.record("failed" if isinstance(error, Exception) else "interrupted", repr(error))
+            folder.record("interrupted", first_line(error))
             raise
         else:
             signum = stopping.requested()
