@@ -1,14 +1,18 @@
 """A resumed training ends with the same bits, whatever files are left."""
 
 import os
+import resource
 import shutil
 import zipfile
+from contextlib import contextmanager
+from unittest import mock
 
 import pytest
 import torch
 
 import symo_exp
 from symo_exp.runs.series import EPOCH, read
+from symo_exp.training import resuming
 from symo_exp.training.divergence import DivergenceError
 from symo_exp.training.learner import Learner
 from tests.models.methods import learned
@@ -182,6 +186,41 @@ def test_without_a_valid_checkpoint_training_starts_anew(whole, folder, caplog):
     assert go(SYMO, folder) == whole
     assert len(refused(caplog)) == 2
     assert resumed(caplog) == []
+
+
+@contextmanager
+def no_more_files():
+    """The process may open no further file."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def no_memory():
+    """Loading takes more memory than there is."""
+    return mock.patch("torch.load", side_effect=MemoryError)
+
+
+@pytest.mark.parametrize(("lacks", "error"), [(no_more_files, OSError), (no_memory, MemoryError)])
+def test_a_checkpoint_that_cannot_be_read_for_now_stays(
+    lacks, error, whole, folder, monkeypatch, caplog
+):
+    latest = resuming.latest
+
+    def latest_now(*given):
+        with lacks():
+            return latest(*given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(resuming, "latest", latest_now)
+        with pytest.raises(error):
+            go(SYMO, folder)
+    assert refused(caplog) == []
+    assert go(SYMO, folder) == whole
+    assert resumed(caplog) == [3]
 
 
 def test_after_training_only_the_evaluation_is_repeated(whole, folder, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import zipfile
 from contextlib import suppress
@@ -29,12 +30,22 @@ class Saved(NamedTuple):
 
 
 def latest(folder: Path, run: str, model: torch.nn.Module) -> Saved | None:
-    """Return the last checkpoint, else the previous one, else ``None``, and log the reason."""
+    """Return the last checkpoint, else the previous one, else ``None``, and log the reason.
+
+    Args:
+        folder: Folder of the checkpoints.
+        run: Digest of the run that they have to belong to.
+        model: Module whose weights they have to fit.
+
+    Raises:
+        OSError: If the system does not read a file, which may be intact and stays.
+        MemoryError: If its content finds no room.
+    """
     for path in (folder / LAST, folder / PREVIOUS):
-        if not path.exists():
-            continue
         try:
             return Saved(path, _read(path, run, model))
+        except FileNotFoundError:
+            continue
         except _UnsoundError as error:
             log.warning("checkpoint %s is not used: %s", path, error)
             with suppress(OSError):  # else it would replace the previous one
@@ -47,18 +58,20 @@ class _UnsoundError(Exception):
 
 
 def _read(path: Path, run: str, model: torch.nn.Module) -> dict[str, Any]:
+    content = io.BytesIO(path.read_bytes())  # at once: all later errors are those of the content
     try:
-        if path.stat().st_size == 0:
+        if not content.getbuffer():
             raise _UnsoundError("it is empty")
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(content) as archive:
             damaged = archive.testzip()  # checks all its parts
         if damaged is not None:
             raise _UnsoundError(f"{damaged} in it is damaged")
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        content.seek(0)
+        state = torch.load(content, map_location="cpu", weights_only=True)
     except zipfile.BadZipFile:
         raise _UnsoundError("it is not a complete file") from None
     except Exception as error:  # damaged in another way, or of another program
-        if isinstance(error, _UnsoundError):
+        if isinstance(error, _UnsoundError | MemoryError):
             raise
         raise _UnsoundError(f"it cannot be read ({first_line(error)})") from None
     wanted = {"state_dict", "run", "complete", "resumable", "random", "optimizer_states"}
