@@ -251,6 +251,17 @@ def test_the_same_command_gives_the_same_numbers(again):
     assert again.joinpath("outcome.json").stat().st_mtime_ns != known
 
 
+def test_the_time_of_a_run_is_that_of_all_its_starts(again):
+    folder = RunFolder(again)
+    before, hour = folder.outcome().seconds, 3600.0
+    folder.record("interrupted", "interrupted by SIGINT", hour)
+    assert main(ONE) == 0
+    assert folder.outcome().status == "finished"
+    assert before + hour < folder.outcome().seconds < 2 * hour
+    assert main([*ONE, "resume=false"]) == 0
+    assert 0.0 < folder.outcome().seconds < hour
+
+
 def test_a_finished_command_ends_without_the_heavy_libraries(again):
     done = subprocess.run([sys.executable, "-c", LIGHT, *ONE], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

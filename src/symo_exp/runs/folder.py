@@ -52,6 +52,7 @@ CANDIDATES, BEST = "candidates.csv", "best"
 """Of a search, beside the folders of its runs; the second is a link to one."""
 ABOUT, OUTCOME, PUBLISHED, FOLDS = "run.json", "outcome.json", "published.json", "folds.json"
 
+NOT_STARTED = "it did not run"
 DIED = "its process was killed, perhaps for want of memory"
 
 
@@ -115,12 +116,24 @@ class RunFolder:
         try:
             return Outcome(**self._read(OUTCOME))
         except TypeError:
-            return Outcome("waiting", "it did not run")
+            return Outcome("waiting", NOT_STARTED)
 
     def record(self, status: Status, reason: str = "", seconds: float = 0.0) -> None:
-        """Write the status, and of a running one the process."""
+        """Write the status, and of a running one the process.
+
+        Args:
+            status: How the run stands.
+            reason: Why it did not finish.
+            seconds: Of work since the last record; those before are kept.
+        """
         process = this_process() if status == "running" else {}
-        self._write(OUTCOME, asdict(Outcome(status, reason, seconds, process)))
+        spent = self.outcome().seconds + seconds
+        self._write(OUTCOME, asdict(Outcome(status, reason, spent, process)))
+
+    def await_start(self) -> None:
+        """Record that the run, if it was started before, waits to be started again."""
+        if (self / OUTCOME).exists():
+            self.record("waiting", NOT_STARTED)
 
     def forget_outcome(self) -> None:
         """Delete the outcome."""

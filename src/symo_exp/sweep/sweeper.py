@@ -349,10 +349,10 @@ def _labelled(error: ConfigError, label: str) -> ConfigError:
 
 
 def _clear(job: Job) -> None:
-    """Forget the former outcome and, with ``resume=false``, all that could be resumed."""
+    """Forget how the run ended before and, with ``resume=false``, all that could be resumed."""
     if job.folder.in_use():
         return  # another command is at it
     if not job.values["resume"]:
         job.folder.clear()
     elif job.folder.outcome().status != "finished":  # else it is only studied further
-        job.folder.forget_outcome()
+        job.folder.await_start()
