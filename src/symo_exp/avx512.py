@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import ctypes
 import logging
-import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-from symo_exp.files import write_whole
+from symo_exp.files import user_cache, write_whole
 
 SOURCE = "int mkl_serv_intel_cpu_true(void) { return 1; }\n"
 
@@ -57,8 +56,7 @@ def use_avx512(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
 
 def _library() -> Path:
     """Return the library, compiled at its first use."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser()
-    path = cache / "symo_exp" / "mkl_serv_intel_cpu_true.so"
+    path = user_cache() / "mkl_serv_intel_cpu_true.so"
     if not path.exists():
         compiler = next(filter(shutil.which, ("cc", "gcc", "clang")), None)
         if compiler is None:

@@ -1,4 +1,4 @@
-"""Atomic writing of files, also at a power failure."""
+"""Atomic writing of files, also at a power failure, and the folder of those kept for all runs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+
+
+def user_cache() -> Path:
+    """Return the folder for what later commands of the user need not compute again."""
+    return Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "symo_exp"
 
 
 def write_whole(path: Path, write: Callable[[Path], object], *, keep: Path | None = None) -> None:

@@ -1,9 +1,12 @@
 """Decisions about which parts of a training are compiled."""
 
+import os
 from types import SimpleNamespace
 
 import pytest
+from torch._inductor.runtime import cache_dir_utils
 
+from symo_exp.compile import kernel_cache
 from symo_exp.training import compiling
 from symo_exp.training.compiling import COLD, WARM, CompileTraining, watches_much
 from tests.models.methods import learner, windows
@@ -52,6 +55,18 @@ def test_a_short_training_is_compiled_if_its_kernels_are_cached(trained):
     assert not trained(WARM - 1)[0]
     assert trained(WARM, rows=9)[0]  # kernels are for any number of rows
     assert not trained(COLD, mode=False)[0]
+
+
+def test_kernels_are_kept_where_the_user_says_or_in_the_users_own_cache(monkeypatch, tmp_path):
+    """Not in the folder of temporary files that PyTorch names when it is imported."""
+    monkeypatch.delenv("TORCHINDUCTOR_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert kernel_cache() == tmp_path / "symo_exp" / "kernels"
+    cache_dir_utils.cache_dir()  # PyTorch sets the variable
+    assert "TORCHINDUCTOR_CACHE_DIR" in os.environ
+    assert kernel_cache() == tmp_path / "symo_exp" / "kernels"
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path / "mine"))
+    assert kernel_cache() == tmp_path / "mine"
 
 
 def test_a_resumed_training_stays_eager_or_compiled(trained):

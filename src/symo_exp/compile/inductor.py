@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from symo_exp.errors import first_line
+from symo_exp.files import user_cache
 from symo_exp.mechanics.rows import Rowwise
 
 OPTIONS = {
@@ -50,9 +51,18 @@ def compiler_available() -> bool:
 
 
 def kernel_cache() -> Path:
-    """Return the folder of compiled kernels."""
+    """Return the folder of compiled kernels: the one of ``TORCHINDUCTOR_CACHE_DIR``, else our own.
+
+    PyTorch sets the variable when it is imported to a folder of temporary files, which a restart
+    deletes and another user of the machine may have made.
+    """
     own = os.environ.get("TORCHINDUCTOR_CACHE_DIR")
-    return Path(own) if own else Path.home() / ".cache" / "symo_exp" / "kernels"
+    if own:
+        from torch._inductor.runtime.cache_dir_utils import default_cache_dir
+
+        if own != default_cache_dir():
+            return Path(own)
+    return user_cache() / "kernels"
 
 
 def stand_ins(fixed: Sequence[Tensor], batched: Sequence[Tensor], rows: int | None) -> list[Tensor]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import time
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ from pathlib import Path
 from symo_exp.data.folds import VALIDATED
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.horizon import EVERY, HORIZONS, LONG, RUN_IN
-from symo_exp.files import write_whole
+from symo_exp.files import user_cache, write_whole
 from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.recordings import Machine
 
@@ -380,8 +379,7 @@ def keep_plan(file: Path, plan: Plan) -> None:
 
 def machine_speed() -> float:
     """Return the speed of a core of this machine, measured once and kept in the user's cache."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser()
-    file = cache / "symo_exp" / "speed.json"
+    file = user_cache() / "speed.json"
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
         if kept["reference"] == REFERENCE:  # else measured by another version
