@@ -11,7 +11,7 @@ from symo_exp.runs.series import Series
 from symo_exp.tracking import publish
 from symo_exp.tracking.nowhere import Nowhere
 from symo_exp.tracking.publish import MlflowView
-from symo_exp.tracking.store import connect
+from symo_exp.tracking.store import connect, is_away
 from tests.tiny import copy_store
 
 PARAMETERS = {"model": "symo", "seed": 3, "data.n_traj": 8}
@@ -177,7 +177,7 @@ def test_a_store_that_is_away_says_so_soon(folder):
     with pytest.raises(ConfigError) as caught:
         away.publish(folder)
     assert time.monotonic() - start < 3.0
-    assert away.is_away(caught.value)
+    assert is_away(caught.value)
     assert not folder.published()
 
 

@@ -39,6 +39,7 @@ from symo_exp.runs.folder import (
 from symo_exp.runs.load import from_folder
 from symo_exp.runs.recordings import divided_recordings
 from symo_exp.runs.series import Series
+from symo_exp.tracking.store import is_away
 from symo_exp.training import resuming
 from symo_exp.training.recording import SeriesRecorder
 
@@ -203,7 +204,7 @@ def _announce(tracker: Any, folder: RunFolder) -> None:
     try:
         tracker.publish(folder)
     except Exception as error:
-        if not tracker.is_away(error):
+        if not is_away(error):
             raise
         log.warning("the run starts without its tracking store: %s", error)
 

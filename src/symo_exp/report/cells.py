@@ -78,12 +78,6 @@ def settings_of(variant: str) -> list[str]:
     return re.split(r", (?=[\w./]+=)", variant)
 
 
-def main_variant(rows: pd.DataFrame) -> str:
-    """Return the defaults if any run has them, otherwise the most frequent settings."""
-    variants = rows[rows.source == "ours"].variant.value_counts()
-    return "" if "" in variants or variants.empty else str(variants.idxmax())
-
-
 def usual_steps(rows: pd.DataFrame) -> dict[str, float]:
     """Return the time step of each system that most of its learned runs have, or all its runs."""
     learned = rows[rows.source == "ours"].dropna(subset="time_step")

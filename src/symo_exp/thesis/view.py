@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from symo_exp.report.cells import Compared, at_step, cells, last_compared, main_variant
+from symo_exp.report.cells import Compared, at_step, cells, last_compared
 from symo_exp.report.document import Report, Section
 from symo_exp.report.overview import sections
 from symo_exp.thesis import chapter, published
@@ -27,7 +27,7 @@ def thesis_report(
         settings: The settings of the answer; the defaults, or the most frequent ones, if not given.
     """
     every = tuple(sorted(set(runs[runs.source == "ours"].variant)))
-    compared = Compared(main_variant(runs), every)
+    compared = Compared(chapter.main_variant(runs), every)
     if settings is not None:
         compared = last_compared(runs, settings)
     variant, found = compared.variant, cells(runs)

@@ -15,10 +15,6 @@ class Nowhere:
     def check(self) -> None:
         """Do nothing: there is no store to reach."""
 
-    def is_away(self, error: BaseException) -> bool:
-        """Return false."""
-        return False
-
     def is_published(self, folder: RunFolder) -> bool:
         """Return true: there is nothing to publish."""
         return True

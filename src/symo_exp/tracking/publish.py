@@ -71,10 +71,6 @@ class MlflowView:
         """Refuse a store that cannot be reached or written; fast."""
         check(self.store, self._timeout)
 
-    def is_away(self, error: BaseException) -> bool:
-        """Return whether an error says that the store does not work now."""
-        return is_away(error)
-
     def is_published(self, folder: RunFolder) -> bool:
         """Return whether this store has all of the run, without importing MLflow."""
         return folder.published().get("store") == str(self.store)
@@ -154,7 +150,7 @@ class MlflowView:
             self.check()
             show(self.store, experiment_id(self.store, self._experiment), varied)
         except Exception as error:
-            if not self.is_away(error):
+            if not is_away(error):
                 raise
 
     def page(self) -> str:
@@ -163,7 +159,7 @@ class MlflowView:
             self.check()
             return page(self.store, experiment_id(self.store, self._experiment))
         except Exception as error:
-            if not self.is_away(error):
+            if not is_away(error):
                 raise
             return ""
 
