@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import re
 import shutil
 import signal
@@ -9,6 +10,7 @@ import signal
 import pytest
 
 from symo_exp.__main__ import main
+from symo_exp.job import job
 from symo_exp.process.stopping import Interrupted
 from symo_exp.runs.folder import RunFolder
 from symo_exp.sweep.compose import Job
@@ -16,6 +18,8 @@ from symo_exp.sweep.parent import parent
 from symo_exp.sweep.sweeper import Sweep
 from symo_exp.tracking.nowhere import Nowhere
 from symo_exp.tracking.page import NOTE
+from symo_exp.tracking.publish import MlflowView
+from symo_exp.tracking.store import connect
 from tests.tiny import TINY, copy_store
 
 SWEPT = [*TINY, "pictures=false", "experiment=study", "model=node", "-m"]
@@ -85,6 +89,39 @@ def test_finished_jobs_are_not_repeated(swept, workplace, capsys, monkeypatch):
     assert "finished already" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 1)])
+def test_a_signal_beside_the_training_ends_the_sweep_and_keeps_what_is_finished(
+    moment, finished, workplace, store, monkeypatch, capsys
+):
+    """Before a job begins, or while its results go to the store: the command sums up as usual."""
+    changed, published, words = job.changed_recordings, MlflowView.publish, [*SWEPT, "seed=0,1"]
+
+    def changed_stopped(*given, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        return changed(*given, **options)
+
+    def published_stopped(view, folder):
+        if folder.outcome().status == "finished":
+            os.kill(os.getpid(), signal.SIGINT)
+        return published(view, folder)
+
+    with monkeypatch.context() as patch:
+        if moment == "before":
+            patch.setattr(job, "changed_recordings", changed_stopped)
+        else:
+            patch.setattr(MlflowView, "publish", published_stopped)
+        assert main(words) == 130
+    known = {path: path.stat().st_mtime_ns for path in workplace.rglob("metrics.json")}
+    assert len(known) == finished
+    assert capsys.readouterr().out.count("\nwaiting: seed=") == 2 - finished
+
+    assert main(words) == 0  # the rest, and what the store lacks
+    assert known == {path: path.stat().st_mtime_ns for path in known}
+    client = connect(store)
+    runs = client.search_runs([client.get_experiment_by_name("study").experiment_id])
+    assert [run.info.status for run in runs] == ["FINISHED"] * 3  # with the sweep
+
+
 @pytest.mark.parametrize(
     ("error", "told"),
     [
@@ -94,8 +131,8 @@ def test_finished_jobs_are_not_repeated(swept, workplace, capsys, monkeypatch):
 )
 def test_a_sweep_that_ends_early_tells_why_in_words(error, told, tmp_path):
     """Not in the notation of Python."""
-    job = Job("seed=0", [], None, {}, {}, RunFolder(tmp_path / "run"))
-    with pytest.raises(type(error)), parent([job], "sweep", "", Nowhere()):
+    one = Job("seed=0", [], None, {}, {}, RunFolder(tmp_path / "run"))
+    with pytest.raises(type(error)), parent([one], "sweep", "", Nowhere()):
         raise error
     (folder,) = map(RunFolder, (tmp_path / ".sweeps").iterdir())
     assert folder.outcome().status == told[0]

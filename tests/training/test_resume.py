@@ -3,6 +3,7 @@
 import os
 import resource
 import shutil
+import signal
 import zipfile
 from contextlib import contextmanager
 from unittest import mock
@@ -11,6 +12,7 @@ import pytest
 import torch
 
 import symo_exp
+from symo_exp.process import stopping
 from symo_exp.runs.series import EPOCH, read
 from symo_exp.training import resuming
 from symo_exp.training.divergence import DivergenceError
@@ -228,6 +230,23 @@ def test_after_training_only_the_evaluation_is_repeated(whole, folder, monkeypat
         patch.setattr("symo_exp.job.recipe.evaluate", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             go(SYMO, folder)
+    monkeypatch.setattr("lightning.Trainer.fit", lambda *_, **__: pytest.fail("it trains again"))
+    assert go(SYMO, folder) == whole
+
+
+def test_a_stop_after_the_last_epoch_waits_for_the_last_checkpoint(whole, workplace, monkeypatch):
+    """What follows training is interrupted at once, but not before its result is on the disk."""
+    end, folder = Learner.on_train_end, workplace / "run"
+
+    def end_stopped(model):
+        end(model)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with monkeypatch.context() as patch, stopping.command(), stopping.urgent():
+        patch.setattr(Learner, "on_train_end", end_stopped)
+        with pytest.raises(stopping.Interrupted):
+            go(SYMO, folder)
+    assert not (folder / "metrics.json").exists()
     monkeypatch.setattr("lightning.Trainer.fit", lambda *_, **__: pytest.fail("it trains again"))
     assert go(SYMO, folder) == whole
 
