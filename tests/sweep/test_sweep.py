@@ -10,7 +10,7 @@ import signal
 import pytest
 
 from symo_exp.__main__ import main
-from symo_exp.job import job
+from symo_exp.job import job, recipe
 from symo_exp.process.stopping import Interrupted
 from symo_exp.runs.folder import RunFolder
 from symo_exp.sweep.compose import Job
@@ -120,6 +120,24 @@ def test_a_signal_beside_the_training_ends_the_sweep_and_keeps_what_is_finished(
     client = connect(store)
     runs = client.search_runs([client.get_experiment_by_name("study").experiment_id])
     assert [run.info.status for run in runs] == ["FINISHED"] * 3  # with the sweep
+
+
+def test_a_signal_while_a_job_is_built_is_not_taken_for_bad_input(workplace, monkeypatch):
+    """Libraries answer an interruption of theirs with an error of their own."""
+    build = recipe.build
+
+    def build_stopped(settings, folder):
+        if folder.outcome().status == "running":  # not when the command checks the job
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except BaseException as error:
+                raise KeyError("flag") from error
+        return build(settings, folder)
+
+    monkeypatch.setattr(recipe, "build", build_stopped)
+    assert main([*SWEPT, "logger=none", "seed=0"]) == 130
+    (outcome,) = (RunFolder(file.parent).outcome() for file in workplace.rglob("outcome.json"))
+    assert (outcome.status, outcome.reason) == ("interrupted", "interrupted by SIGINT")
 
 
 @pytest.mark.parametrize(

@@ -164,11 +164,13 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
             with first_import("symo_exp.job.recipe"):
                 from symo_exp.job.recipe import build, perform
 
-            parts = build(settings.values, folder)
-            tracker = parts.tracker
-            words = typed(hydras) if hydras.sweeper._target_ == OURS else None
-            choices, asked = dict(hydras.runtime.choices), list(hydras.overrides.task)
-            about = describe_job(settings, choices, asked, words)
+            with stopping.urgent(False):  # OmegaConf would make an error of its own of the signal
+                parts = build(settings.values, folder)
+                tracker = parts.tracker
+                words = typed(hydras) if hydras.sweeper._target_ == OURS else None
+                choices, asked = dict(hydras.runtime.choices), list(hydras.overrides.task)
+                about = describe_job(settings, choices, asked, words)
+            stopping.raise_if_requested()
             perform(parts, settings.values, folder, about, trained=trained)
         except stopping.Interrupted as error:
             time_is_up = error.signum == stopping.TIME_IS_UP
