@@ -66,7 +66,7 @@ def test_a_run_is_finished_without_its_store_and_published_later(store, tmp_path
     client, (run,) = stored(tmp_path)
     assert run.info.status == "FINISHED"
     steps = [row.step for row in client.get_metric_history(run.info.run_id, "train_loss")]
-    assert steps == sorted({*range(100), *range(100, 400, 5), 399})
+    assert steps == [*range(100), *range(104, 400, 5)]
     assert "test_mse" in run.data.metrics
     assert {f.path for f in client.list_artifacts(run.info.run_id)} >= {
         "config.yaml",
