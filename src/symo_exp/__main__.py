@@ -10,7 +10,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 
-from symo_exp.errors import ConfigError, debugging
+from symo_exp.errors import ConfigError, debugging, first_line
 from symo_exp.process import stopping
 
 
@@ -27,8 +27,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debugging():
             raise
-        kind = type(error).__name__
-        print(f"symo_exp: {kind}: {error} (SYMO_EXP_DEBUG=1 shows where)", file=sys.stderr)
+        told = f"{type(error).__name__}: {first_line(error)}"
+        print(f"symo_exp: {told} (SYMO_EXP_DEBUG=1 shows where)", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("symo_exp: interrupted", file=sys.stderr)

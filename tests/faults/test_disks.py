@@ -59,7 +59,7 @@ def fill(disk, free=0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("free", [0, 16, 64, 256, 1024, 1536, 2048, 2560])
+@pytest.mark.parametrize("free", [0, 16, 64, 256, 1024, 1100, 1536, 2048, 2560])
 def test_a_run_on_a_full_disk_leaves_whole_files_and_ends_the_same(free, disk, whole):
     filler = fill(disk, free * 1024)
     command = Command(disk, *WORDS, output=disk.parent / "output")

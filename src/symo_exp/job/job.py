@@ -197,7 +197,8 @@ def _end(folder: RunFolder, tracker: Any, status: Any, reason: str, seconds: flo
     try:
         folder.record(status, reason, seconds)
     except OSError as error:  # a full disk
-        log.error("%s: the status of the run (%s) cannot be written: %s", folder, status, error)
+        told = f"{status}: {reason}" if reason else status
+        log.error("%s: the status of the run (%s) cannot be written: %s", folder, told, error)
         with suppress(OSError):
             folder.forget_outcome()
         return

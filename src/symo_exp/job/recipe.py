@@ -15,7 +15,7 @@ from hydra.utils import instantiate
 
 from symo_exp import code
 from symo_exp.checks import whole_number
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, first_line
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.intervals import Predicted
 from symo_exp.evaluation.parameters import physical_parameters
@@ -206,7 +206,7 @@ def _announce(tracker: Any, folder: RunFolder) -> None:
     except Exception as error:
         if not is_away(error):
             raise
-        log.warning("the run starts without its tracking store: %s", error)
+        log.warning("the run starts without its tracking store: %s", first_line(error))
 
 
 def _warn_of_friction(parts: Parts) -> None:

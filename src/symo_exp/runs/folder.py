@@ -52,7 +52,7 @@ CANDIDATES, BEST = "candidates.csv", "best"
 """Of a search, beside the folders of its runs; the second is a link to one."""
 ABOUT, OUTCOME, PUBLISHED, FOLDS = "run.json", "outcome.json", "published.json", "folds.json"
 
-NOT_STARTED = "it did not run"
+NOT_STARTED = "it did not run, or could not record how it ended"
 DIED = "its process was killed, perhaps for want of memory"
 
 
