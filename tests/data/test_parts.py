@@ -203,6 +203,17 @@ def test_a_recording_is_cut_at_gaps(tmp_path: Path, caplog) -> None:
     assert "too short are left out" in said[0]
 
 
+def test_a_recording_without_a_name_is_told_as_such(tmp_path: Path) -> None:
+    t = H * np.arange(200)
+    alone = pd.DataFrame({"t": t, "q_arm0": np.sin(t)})
+    with pytest.raises(ConfigError, match="has no trajectory z; it has one without a name"):
+        read(alone, tmp_path, test=["z"])
+    with pytest.raises(ConfigError, match=r"leave_out: \['z', 0, 1\]: .* of one without a name"):
+        read(alone, tmp_path, leave_out=[["z", 0, 1]])
+    with pytest.raises(ConfigError, match="leaves nothing of the recording"):
+        read(alone, tmp_path, leave_out=[[0, 99]])
+
+
 def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> None:
     data = read(table().drop(columns="split"), tmp_path, val=["b"], test=["c"])
     assert first(data, "train") == pytest.approx([np.sin(k) for k in (0, 3, 4)])

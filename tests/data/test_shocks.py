@@ -157,7 +157,7 @@ def test_nothing_is_interpolated_over_what_is_left_out(length, tmp_path, caplog)
         ([[0, 1]], "of run's 0, run's 1"),
         ([["run's 0", 2, 1]], "expected [[NAME,FROM,TO],...]"),
         ([["run's 0", "a", 1]], "expected [[NAME,FROM,TO],...]"),
-        ([["run's 0", 0, 99]], "leaves nothing of the trajectory run's 0"),
+        ([["run's 0", 0, 99]], "leaves nothing of trajectory run's 0"),
     ],
 )
 def test_stretches_that_are_none_are_refused(given, message, tmp_path) -> None:

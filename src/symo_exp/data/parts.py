@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from symo_exp.checks import whole_number
-from symo_exp.data.formats import few
+from symo_exp.data.formats import few, titled
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
@@ -78,7 +78,7 @@ def divided(
             raise ConfigError(
                 f"{where}: no trajectory for {part}; its column split has {given}, expected "
                 f"{', '.join(PARTS)}; name some by data.{part}=[...] of "
-                f"{few([r.label for r in recordings])}"
+                f"{_named([r.label for r in recordings])}"
             )
     return parts
 
@@ -102,7 +102,7 @@ def _by_name(
     everything = [label for labels in listed.values() for label in labels]
     for label in everything:
         if label not in there:
-            raise ConfigError(f"{where} has no trajectory {label}; it has {few(there)}")
+            raise ConfigError(f"{where} has no trajectory {label}; it has {_named(there)}")
         if everything.count(label) > 1:
             raise ConfigError(f"{where}: trajectory {label} is named twice, by data.train/val/test")
     rest = [r for r in recordings if r.label not in everything]
@@ -112,6 +112,11 @@ def _by_name(
     for part, labels in listed.items():
         parts[part] = [r for r in recordings if r.label in labels]
     return parts
+
+
+def _named(labels: Sequence[str]) -> str:
+    """Return the names of trajectories; a recording that is alone has none."""
+    return few(list(filter(None, labels))) or "one without a name"
 
 
 def _counted(recordings: Sequence[Recording]) -> str:
@@ -202,7 +207,7 @@ def without(
         one = found[name]
         kept = np.abs(one.samples.t - starts[name] - (low + high) / 2) > half
         if kept.sum() < 2:
-            raise ConfigError(f"data.leave_out leaves nothing of the trajectory {name}".rstrip())
+            raise ConfigError(f"data.leave_out leaves nothing of {titled(name)}")
         found[name] = one._replace(samples=one.samples.rows(kept))
     return tuple(found.values())
 
@@ -216,7 +221,7 @@ def _checked_stretches(given: object, names: Sequence[str]) -> Iterator[tuple[st
             raise ConfigError(f"data.leave_out: {one}: {wanted}")
         name = str(one[0]) if len(one) == 3 else names[0]
         if name not in names or (len(one) == 2 and len(names) > 1):
-            raise ConfigError(f"data.leave_out: {one}: {wanted}, of {few(names)}")
+            raise ConfigError(f"data.leave_out: {one}: {wanted}, of {_named(names)}")
         low, high = one[-2:]
         numbers = all(isinstance(x, int | float) for x in (low, high))
         if not (numbers and -np.inf < low <= high < np.inf):
