@@ -53,16 +53,11 @@ def compiler_available() -> bool:
 def kernel_cache() -> Path:
     """Return the folder of compiled kernels: the one of ``TORCHINDUCTOR_CACHE_DIR``, else our own.
 
-    PyTorch sets the variable when it is imported to a folder of temporary files, which a restart
-    deletes and another user of the machine may have made.
+    When its compiler is imported, PyTorch sets the variable to ``torchinductor_<user>`` below the
+    folder of temporary files, which a restart deletes and another user may have made.
     """
-    own = os.environ.get("TORCHINDUCTOR_CACHE_DIR")
-    if own:
-        from torch._inductor.runtime.cache_dir_utils import default_cache_dir
-
-        if own != default_cache_dir():
-            return Path(own)
-    return user_cache() / "kernels"
+    given = Path(os.environ.get("TORCHINDUCTOR_CACHE_DIR") or "torchinductor_")
+    return user_cache() / "kernels" if given.name.startswith("torchinductor_") else given
 
 
 def stand_ins(fixed: Sequence[Tensor], batched: Sequence[Tensor], rows: int | None) -> list[Tensor]:
