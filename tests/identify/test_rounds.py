@@ -1,5 +1,7 @@
 """Decisions between candidates that held-out errors do not tell apart, by the noise of the fits."""
 
+from dataclasses import replace
+
 import pytest
 
 from symo_exp.identify import plan as plans
@@ -162,6 +164,27 @@ def test_simpler_structures_have_what_makes_another_one_the_best(worse, fine, dr
     chosen = search.refine().candidate
     assert (chosen.settings["lagrangian"] == "planar") == (worse == 1.0)
     assert told(chosen.settings)[0] == 1.0
+
+
+def test_a_model_that_needs_no_springs_is_simplified_further_without_them(prepared):
+    """With springs, or with dry friction, the simpler structure has larger errors."""
+
+    def told(settings):
+        if settings["dissipation"] == "none":
+            return 3.0, 2e-3
+        plain = settings["dissipation"] == "viscous" and "springs" not in settings
+        return (1.0 if plain or settings["lagrangian"] == "relative" else 3.0), 1e-3
+
+    one = replace(machine(2, 60.0), stiffness=((1.0, 0.0), (0.0, 1.0)))
+    search, _, _ = prepared(told, one, budget=1e5)
+    search.screen(ladder(one))
+    best = search.best()
+    assert best.candidate.settings["lagrangian"] == "relative"
+    assert "springs" in best.candidate.settings
+    chosen = search.reduce_structure(search.reduce_forces(best)).candidate
+    assert chosen.settings["lagrangian"] == "planar"
+    assert "springs" not in chosen.settings
+    assert chosen.name == "rigid links, relative angles, viscous friction"
 
 
 @pytest.fixture

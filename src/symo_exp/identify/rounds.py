@@ -214,17 +214,23 @@ class Rounds:
 
         Structures with more parameters also represent errors of the integrator. If the best
         candidate is in the midpoint rule, a simpler structure is therefore integrated more finely
-        as well.
+        as well. Where the best candidate has no springs, simpler structures are tried without them.
         """
+
+        def like_best(structure: Candidate) -> Candidate:
+            sprung = "springs" in best.candidate.settings
+            return structure if sprung else next(without_springs(structure), structure)
+
         tried = [c for c in structures(self._machine) if c.name in self._trials]
-        mine = [c for c in tried if f"{best.candidate.name}, ".startswith(f"{c.name}, ")]
+        named = f"{best.candidate.name}, "
+        mine = [c for c in tried if named.startswith(f"{like_best(c).name}, ")]
         if not mine:
             return best
         base = max(mine, key=lambda c: len(c.name))
         simpler = self._simpler(tried, self._trials[base.name], range(self._plan.first))
         simplest = sorted(simpler, key=lambda c: c.rank)[:1]
         for structure in distinct_candidates([*simplest, *simpler[:SIMPLER]], self._given):
-            given = joined(base, structure, best.candidate)
+            given = joined(like_best(base), like_best(structure), best.candidate)
             fine = finer(given, self._machine) if of_higher_order(given) else ()
             for candidate in (given, *list(fine)[:1]):
                 trial = self._at_least_as_good(candidate, best, self._beaten)
