@@ -23,6 +23,7 @@ from symo_exp.data.diagnose import (
     quasi_coordinates,
     spring_slopes,
 )
+from symo_exp.data.folds import thinned
 from symo_exp.data.recorded import delayed, lagging
 from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.shocks import shocks
@@ -60,6 +61,8 @@ CONTRADICTED = 2.0
 EXAMINED, NODES = 60.0, 3000
 """Length of the training part that delay and speeds are estimated from [s], and its nodes at
 least."""
+SPREAD = 600.0
+"""Length of the pieces, from the whole recordings, that the fastest turn is found in [s]."""
 REST = 0.05
 """Velocity below which dry friction fades, over the root mean square of a coordinate's."""
 USUAL_REST = 0.1
@@ -273,10 +276,10 @@ def fitting_time_step(
     usable = [h for h in STEPS if h >= finest * (1 - 1e-3)]
     if not usable:
         return float(f"{finest:.4g}")
-    beginning = _beginning(recordings, EXAMINED)
+    beginning, spread = _beginning(recordings, EXAMINED), thinned(recordings, SPREAD)
 
     def resolves(h: float) -> bool:
-        slow = _turn(recordings, coordinates, h) <= COARSE and _phase(beginning, h) <= COARSE
+        slow = _turn(spread, coordinates, h) <= COARSE and _phase(beginning, h) <= COARSE
         return slow and _growth(beginning, coordinates, h) * h <= STEEP
 
     return next(filter(resolves, usable), usable[-1])
