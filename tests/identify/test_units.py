@@ -19,8 +19,8 @@ FACTORS = [(1.0, 1.0), (1e3, 1.0), (1e-6, 1e-6), (1e-5, 1.0), (0.03, 1e4)]
 REST = 0.1
 """Velocity below which dry friction fades [m/s]."""
 SHORT = [
-    "preset=recorded", "data=recorded", "system=recorded", "data.fold=[0,3]", "optimizer.starts=1",
-    "optimizer.start=20", "trainer.validate_every=${optimizer.epochs}", "trainer.compile=false",
+    "preset=recorded", "data=recorded", "system=recorded", "data.fold=[0,3]", "optimizer.start=20",
+    "trainer.validate_every=${optimizer.epochs}", "trainer.compile=false",
     "pictures=false", "measures=false", "logger=none",
 ]  # fmt: skip
 EPOCHS = 15
@@ -52,8 +52,8 @@ def errors(length, force, folder):
         sprung(length, force).to_csv("mine.csv", index=False)
         machine, found = examine({"path": "mine.csv"}), {}
         for k, candidate in enumerate(ladder(machine)[:2]):
-            words = [*SHORT, "data.path=mine.csv", *machine.settings, f"experiment=of_{k}",
-                     f"optimizer.epochs={EPOCHS}"]  # fmt: skip
+            effort = f"optimizer.starts={candidate.starts}", f"optimizer.epochs={EPOCHS}"
+            words = [*SHORT, "data.path=mine.csv", *machine.settings, f"experiment=of_{k}", *effort]
             rest = f"dissipation.rest_velocity={REST * length / machine.units.length}"
             assert main([*words, *candidate.overrides(), rest]) == 0
             (run,) = Path(f"outputs/of_{k}").iterdir()
