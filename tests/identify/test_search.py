@@ -534,12 +534,14 @@ def test_turns_of_a_coordinate_named_position_are_asked_for(gravity, asked, work
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 2.5])
-def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, workplace):
-    """Swings of a pendulum."""
+@pytest.mark.parametrize("gusts", [0.0, 6.0])
+def test_angles_that_are_explained_in_degrees_only_are_asked_for(amplitude, gusts, workplace):
+    """Swings of a pendulum, which the wind may move as well."""
     t, q, v, swings = 0.01 * np.arange(2000), amplitude, 0.0, []
-    for _ in t:
+    wind = gusts * np.random.default_rng(0).normal(size=len(t) // 20).repeat(20)
+    for force in wind:
         swings.append(q)
-        v -= 0.01 * 9.81 * np.sin(q)
+        v += 0.01 * (force - 9.81 * np.sin(q))
         q += 0.01 * v
     for name, factor in (("radians", 1.0), ("degrees", 180.0 / np.pi)):
         frame = pd.DataFrame({"t": t, "q_theta": factor * np.array(swings)})

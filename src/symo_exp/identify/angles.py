@@ -20,6 +20,9 @@ SPAN = 2 * np.pi
 """Range of a coordinate beyond which it is an angle."""
 WELL = 0.9
 """Share of the accelerations' power above which no other reading of the numbers is likely."""
+MUCH = 0.3
+"""Share of the power that another reading explains in addition where it is likely, although
+something else moves the machine, too, or regressions represent it badly."""
 WHOLE = 0.3
 """Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
 
@@ -116,7 +119,9 @@ def _ask(
         readings: Explained share of the accelerations' power by another reading and the present.
     """
     (reading, other), (present, plain) = readings.items()
-    if plain is None or other is None or plain > WELL or not 1 - other < SUSPECT * (1 - plain):
+    if plain is None or other is None or plain > WELL:
+        return
+    if not (1 - other < SUSPECT * (1 - plain) or other - plain > MUCH):
         return
     told = ", ".join(f"q_{name} moves by {size:.3g}" for name, size in ranges.items())
     raise ConfigError(
