@@ -56,7 +56,7 @@ def test_every_choice_builds(words, workplace):
     if words == ["system=gymnasium"]:
         pytest.importorskip("imageio")  # Gymnasium's own need
     if "data=recorded" in words:
-        rows = [f"{i},{0.1 * k},{0.01 * k},0" for i in range(3) for k in range(5)]
+        rows = [f"{i},{0.1 * k},{0.01 * k * (i + 1)},0" for i in range(3) for k in range(5)]
         (workplace / "mine.csv").write_text("\n".join(["trajectory,t,q_theta,u_0", *rows]))
         words.append("data.path=mine.csv")
     if group == "integrator" and choice not in variational_integrators():

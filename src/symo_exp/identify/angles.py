@@ -18,8 +18,9 @@ from symo_exp.mechanics.types import Coordinates
 
 SPAN = 2 * np.pi
 """Range of a coordinate beyond which it is an angle."""
-WELL = 0.9
-"""Share of the accelerations' power above which no other reading of the numbers is likely."""
+WELL = 0.75
+"""Share of the explained power above which no other reading is asked for: springs are explained
+better in degrees, whose sines are straight, although they act on angles in radians."""
 MUCH = 0.3
 """Share of the power that another reading explains in addition where it is likely, although
 something else moves the machine, too, or regressions represent it badly."""
