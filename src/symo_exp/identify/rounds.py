@@ -484,8 +484,10 @@ class Rounds:
         self._folders[candidate.name, k] = folder
         if trial.parameters is None:
             trial.parameters = parameters_of(folder)
-        ended = len(read(folder / SERIES)) < self._plan.effort.fewest(candidate)
-        (trial.overran.add if ended else trial.overran.discard)(k)
+        if len(read(folder / SERIES)) < self._plan.effort.fewest(candidate):
+            trial.overran.add(k)
+        else:
+            trial.overran.discard(k)  # the fold was fitted again, and that fit is kept
 
     def _ranked(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> list[Candidate]:
         """Return the candidates without failures, the best first."""
