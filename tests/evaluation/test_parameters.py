@@ -29,7 +29,7 @@ from tests.tables import arguments_of
 SIGMA = 1e-3
 
 
-def vanished_friction():
+def vanished_friction(*, known=True):
     """The table of friction whose dry part vanished in the second coordinate."""
     system = SYSTEMS["acrobot"]
     found = LearnedDissipation(coordinates=system.coordinates, coulomb=True)
@@ -40,13 +40,14 @@ def vanished_friction():
     dry = [p is found.coulomb_root for p in parameters for _ in p.flatten()].index(True)
     everything = torch.eye(len(mean), dtype=torch.float64)
     free = everything[:, dry + 1 : dry + 2]
-    known = Posterior(mean, 1e-3 * everything, free, SIGMA, SIGMA, 100)
-    return physical_parameters(found, system.coordinates, parameters, known)
+    posterior = Posterior(mean, 1e-3 * everything, free, SIGMA, SIGMA, 100)
+    return physical_parameters(found, system.coordinates, parameters, posterior if known else None)
 
 
-def test_friction_that_vanished_is_reported_as_none():
+@pytest.mark.parametrize("known", [True, False])
+def test_friction_that_vanished_is_reported_as_none(known):
     """A square root that goes to zero leaves the residuals alone, like a direction that is free."""
-    rows = vanished_friction()
+    rows = vanished_friction(known=known)
     none = [row for row in rows if row.note == "none was found"]
     assert [(row.value, row.determined) for row in none] == [(0.0, "no")]
     assert "no" not in {row.determined for row in rows if row not in none}

@@ -138,3 +138,20 @@ def test_a_prior_determines_parameters_that_data_do_not():
     )
     assert found.free.shape[1] == 1  # of the data
     assert found.directions[2].norm() == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("own", [1e-2, 1.0, 1e3])
+def test_without_its_prior_a_parameter_is_as_uncertain_as_if_it_had_none(own):
+    """``own`` is the precision of the prior of one parameter over that of the data."""
+    problem, data = Falling(), motions(1e-2, 2e-3)
+    with torch.no_grad():
+        problem.theta.copy_(torch.tensor([2.0, -0.5]))
+
+    def of(precision):
+        alpha = torch.tensor([precision, 0.0]).double()
+        return posterior(problem.residuals, [problem.theta], data, epsilon=0.2, precision=alpha)
+
+    free = of(0.0).directions.norm(dim=1)
+    held = of(own / float(free[0]) ** 2)
+    assert held.directions.norm(dim=1)[0] < free[0] * (1.0 + own) ** -0.45
+    torch.testing.assert_close(held.without_prior().norm(dim=1), free, rtol=0.05, atol=0.0)

@@ -156,12 +156,15 @@ def _there(numbers: _Numbers) -> Bool[Tensor, " numbers"]:
 
 def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
     """Return a row for each number, then those of combinations that are determined."""
+    there = _there(numbers)
     if posterior is None:
         return [
             Parameter(name, float(value), unit, math.nan, "unknown", "no posterior")
-            for name, unit, value, _ in zip(*numbers, strict=True)
+            if present
+            else _absent(name, unit)
+            for name, unit, value, present in zip(*numbers[:3], there, strict=True)
         ]
-    along, there = _free(numbers, posterior), _there(numbers)
+    along = _free(numbers, posterior)
     partners = _partners(along)
     rows = []
     for i, (name, unit, value, slope) in enumerate(zip(*numbers, strict=True)):
@@ -169,7 +172,7 @@ def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
             note = f"determined only together with {_others(numbers.names, partners[i], i)}"
             rows.append(Parameter(name, float(value), unit, math.nan, "no", note))
         elif not there[i]:
-            rows.append(Parameter(name, 0.0, unit, math.nan, "no", "none was found"))
+            rows.append(_absent(name, unit))
         else:
             rows.append(_certain(name, unit, value, slope, posterior))
     free = [i for i, own in enumerate(partners) if own]
@@ -178,11 +181,16 @@ def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
     return rows + sums + _products(numbers.only(free), along[free], posterior)
 
 
+def _absent(name: str, unit: str) -> Parameter:
+    """Return the row of a number that vanished."""
+    return Parameter(name, 0.0, unit, math.nan, "no", "none was found")
+
+
 def _certain(
     name: str, unit: str, value: Tensor, slope: Tensor, posterior: Posterior, note: str = ""
 ) -> Parameter:
     """Return the row of a number or of a combination that is determined."""
-    deviation = float((slope @ posterior.directions.double()).norm())
+    deviation = float((slope @ posterior.without_prior().double()).norm())
     if deviation <= abs(float(value)):
         return Parameter(name, float(value), unit, deviation, "yes", note)
     note = note or "the standard deviation exceeds the value"

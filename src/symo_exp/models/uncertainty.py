@@ -64,7 +64,7 @@ class ModelPosterior:
     @staticmethod
     def of_state(state: dict[str, Any]) -> ModelPosterior:
         """Return it from what ``state`` gave."""
-        fields = {name: state[name] for name in Posterior._fields}
+        fields = {name: state[name] for name in Posterior._fields if name in state}
         if state.get("error") is not None:
             log.warning(
                 "intervals of this run, of an earlier version, are those of the parameters alone; "

@@ -37,6 +37,8 @@ SINGULAR = 1e-8
 """Singular values below this share of the largest belong to directions without information."""
 TINY = 1e-13
 """Size of a parameter's derivatives, relative to the largest, below which they are rounding."""
+LEAST = 1e-12
+"""Share of the information that counts as none."""
 LARGEST = 1.0
 """Standard deviation of a direction in parameters, beyond which samples do not go."""
 
@@ -51,6 +53,8 @@ class Posterior(NamedTuple):
         noise: ``σ̂``, standard deviation of the nodes over the units of the coordinates.
         model_noise: ``ε̂ σ̂``, that of the residuals.
         residuals: Number of residuals.
+        by_data: Share of the information about each parameter that is not the prior's; ``None``
+            in runs of earlier versions.
     """
 
     mean: Float[Tensor, " p"]
@@ -59,6 +63,16 @@ class Posterior(NamedTuple):
     noise: float
     model_noise: float
     residuals: int
+    by_data: Float[Tensor, " p"] | None = None
+
+    def without_prior(self) -> Float[Tensor, "p k"]:
+        """Return the directions, each parameter as uncertain as without a prior of its own.
+
+        Taking the prior of precision ``α`` out of a variance ``s²`` leaves ``s² / (1 − α s²)``.
+        """
+        if self.by_data is None:
+            return self.directions
+        return self.directions / self.by_data.clamp_min(LEAST).sqrt().unsqueeze(1)
 
     def informed(self) -> Float[Tensor, "p k"]:
         """Return the directions without their parts that data have no information about.
@@ -215,5 +229,6 @@ def _of_estimate(
     meat = meat + variance**2 * basis.T @ (alpha.unsqueeze(1) * basis)
     stretch, turn = torch.linalg.eigh(0.5 * (meat + meat.T))
     directions = basis @ turn * stretch.clamp_min(0.0).sqrt()
+    by_data = (1.0 - variance * alpha * basis.square().sum(1)).clamp(0.0, 1.0)
     noise = variance**0.5
-    return Posterior(mean, directions, free, noise, own**0.5 * noise, len(flat))
+    return Posterior(mean, directions, free, noise, own**0.5 * noise, len(flat), by_data)
