@@ -1,5 +1,6 @@
 """The command of the report, of complete runs, unfinished runs and none."""
 
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -207,6 +208,22 @@ def test_errors_of_several_time_steps_are_apart():
     assert accuracy[~others]["test MSE"].tolist() == ["1.00e-5"] * 2
     (over_n,) = (table.rows for key, table in tables.items() if key.startswith("growth"))
     assert over_n["one-step error over motion"].tolist() == ["0.1"] * 2
+
+
+ALONE = {
+    "noise": row(noise_std=0.01),
+    "the true system": row(method="true_ode", integrator="rk4", n_traj="", noise_std=""),
+    "no measures": row({}),
+    "one measure": row({"test_mse": 1e-3}),
+    "no size": row(n_traj=""),
+    "no root": row(MEASURES | {"test_mse": math.nan, "integration_mse": math.inf}),
+}
+
+
+@pytest.mark.parametrize("kind", ALONE)
+def test_runs_of_one_kind_alone_are_reported(kind):
+    report = general_report(tidy([ALONE[kind]]), "it")
+    assert "1 run: 1 finished." in [line for s in report.sections for line in s.text]
 
 
 def test_settings_may_have_lists():

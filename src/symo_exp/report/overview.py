@@ -133,15 +133,15 @@ def accuracy(found: pd.DataFrame) -> ResultTable:
     seeds = learned.groupby(keys, dropna=False).seeds.max().astype(str)
     wide = medians(learned, keys, ACCURACY).reset_index()
     usual = wide.system.map(usual_steps(learned))
-    others = [
-        f", time step {h:g} s" * bool(abs(h - usually) > 0)
-        for h, usually in zip(wide.time_step, usual, strict=True)
+    settings = [
+        (variant or DEFAULTS) + f", time step {h:g} s" * bool(abs(h - usually) > 0)
+        for variant, h, usually in zip(wide.variant, wide.time_step, usual, strict=True)
     ]
     rows = pd.DataFrame(
         {
             "system": wide.system,
             "n": wide.n_traj.map(number),
-            "settings": wide.variant.replace("", DEFAULTS) + others,
+            "settings": settings,
             "method": pair_names(wide),
             "seeds": seeds.to_numpy(),
         }
