@@ -95,11 +95,6 @@ class Predictions:
         """Measured velocities; NaN after the end of a trajectory."""
         return self.windows.v[:, self.windows.lead :]
 
-    @property
-    def span(self) -> float:
-        """Length of the longest window [s]."""
-        return (self.q.shape[1] - 1) * self.time_step
-
     def errors(self, units: Float[Tensor, " n"] | float = 1.0) -> Float[Tensor, "windows steps"]:
         """Return the mean squared error over coordinates at each predicted node.
 

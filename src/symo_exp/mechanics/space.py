@@ -419,12 +419,6 @@ def of_quaternion(q: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
     ).unflatten(-1, (3, 3))  # fmt: skip
 
 
-def angle(start: Float[Tensor, "*batch 3 3"], end: Float[Tensor, "*batch 3 3"]) -> Tensor:
-    """Return the angle between rotations [rad], accurate from 0 to half a turn."""
-    w, v = quaternion(start.mT @ end).split((1, 3), dim=-1)
-    return 2.0 * torch.atan2(v.norm(dim=-1), w.squeeze(-1))
-
-
 def polynomial(
     phi: Float[Tensor, "rows 3"],
     s: Float[Tensor, " rows"],
