@@ -17,7 +17,7 @@ import numpy as np
 from filelock import FileLock
 
 from symo_exp.errors import ConfigError
-from symo_exp.files import write_whole
+from symo_exp.files import write_text, write_whole
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +74,7 @@ class Cache:
                     return found
                 arrays = dict(make())
                 text = json.dumps(recipe, sort_keys=True, indent=1) + "\n"
-                write_whole(path.with_suffix(".json"), lambda f: f.write_text(text, "utf-8"))
+                write_text(path.with_suffix(".json"), text)
                 write_whole(path, lambda file: _save(file, recipe, arrays))
         except OSError as error:
             raise self._refusal(error.strerror or str(error)) from error

@@ -7,13 +7,14 @@ import math
 import re
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from symo_exp.data.folds import VALIDATED
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.horizon import EVERY, HORIZONS, LONG, RUN_IN
-from symo_exp.files import user_cache, write_whole
+from symo_exp.files import read_json, user_cache, write_text
 from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.recordings import Machine
 
@@ -353,46 +354,30 @@ def make_plan(
 
 def kept_plan(file: Path, key: str) -> Plan | None:
     """Return the plan of an earlier start of the same search."""
+    kept = read_json(file)
     try:
-        kept = json.loads(file.read_text(encoding="utf-8"))
         names, effort = tuple(kept.pop("names")), Effort(**kept.pop("effort"))
         found = Plan(**kept, names=names, effort=effort)
-    except (OSError, ValueError, TypeError, KeyError):
+    except (TypeError, KeyError):
         return None
     return found if found.key == key else None
 
 
-def kept_recordings(file: Path) -> str | None:
-    """Return the digest of the recordings of an earlier search, ``None`` where it is unknown."""
-    try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["recordings"]) or None
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
-
-
 def keep_plan(file: Path, plan: Plan) -> None:
     """Write the plan where the same command finds it."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(asdict(plan), indent=1) + "\n"
-    write_whole(file, lambda whole: whole.write_text(text, encoding="utf-8"))
+    write_text(file, json.dumps(asdict(plan), indent=1) + "\n")
 
 
 def machine_speed() -> float:
     """Return the speed of a core of this machine, measured once and kept in the user's cache."""
     file = user_cache() / "speed.json"
-    try:
-        kept = json.loads(file.read_text(encoding="utf-8"))
-        if kept["reference"] == REFERENCE:  # else measured by another version
-            return float(kept["speed"])
-    except (OSError, ValueError, TypeError, KeyError):
-        pass
+    kept = read_json(file)
+    known = kept.get("speed")
+    if kept.get("reference") == REFERENCE and isinstance(known, float):  # of this version
+        return known
     speed = float(f"{REFERENCE / min(exercise() for _ in range(2)):.2g}")
-    text = json.dumps({"speed": speed, "reference": REFERENCE})
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, lambda whole: whole.write_text(text, encoding="utf-8"))
-    except OSError:
-        pass  # a home that cannot be written: it is measured again
+    with suppress(OSError):  # a home that cannot be written: it is measured again
+        write_text(file, json.dumps({"speed": speed, "reference": REFERENCE}))
     return speed
 
 

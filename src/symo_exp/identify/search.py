@@ -24,6 +24,7 @@ from symo_exp.checks import real
 from symo_exp.data.formats import content_of, files, shown
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.verdict import comparison, verdict
+from symo_exp.files import read_json
 from symo_exp.identify import plan as plans
 from symo_exp.identify.candidates import Candidate, distinct_candidates, with_lagrangian
 from symo_exp.identify.doubts import doubts, hopeless
@@ -235,7 +236,7 @@ class Search:
 
     def _check_kept(self, recordings: str) -> None:
         """Refuse to go on with the runs of other recordings, whose folders have the same names."""
-        if plans.kept_recordings(self._folder / PLAN) in (None, recordings):
+        if read_json(self._folder / PLAN).get("recordings") in (None, "", recordings):
             return
         raise ConfigError(
             f"{shown(_plain(self._master.data.path))}: {os.path.relpath(self._folder)} has a "

@@ -34,7 +34,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from symo_exp.files import write_whole
+from symo_exp.files import read_json, write_text, write_whole
 from symo_exp.runs.outcome import About, Outcome, Status, this_process
 
 log = logging.getLogger(__name__)
@@ -222,7 +222,7 @@ class RunFolder:
         import yaml
 
         text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
-        write_whole(self / CONFIG, lambda file: file.write_text(text, encoding="utf-8"))
+        write_text(self / CONFIG, text)
 
     def config(self) -> dict[str, Any]:
         """Return the resolved settings; none before the run starts."""
@@ -284,15 +284,10 @@ class RunFolder:
             self._write(PUBLISHED, dict(store))
 
     def _read(self, name: str) -> dict[str, Any]:
-        try:
-            found = json.loads((self / name).read_text(encoding="utf-8"))
-            return found if isinstance(found, dict) else {}
-        except (OSError, ValueError):
-            return {}
+        return read_json(self / name)
 
     def _write(self, name: str, content: Mapping[str, Any]) -> None:
-        text = json.dumps(dict(content), indent=1, default=str) + "\n"
-        write_whole(self / name, lambda file: file.write_text(text, encoding="utf-8"))
+        write_text(self / name, json.dumps(dict(content), indent=1, default=str) + "\n")
 
 
 def _finite(measures: Mapping[str, float]) -> dict[str, float | str]:

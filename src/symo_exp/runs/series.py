@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from symo_exp.files import write_whole
+from symo_exp.files import write_text
 
 EPOCH, TIME = "epoch", "time"
 """The first columns: the number of the epoch, and when it ended [s since 1970]."""
@@ -68,8 +68,7 @@ class Series:
             self._replace(rows)
 
     def _replace(self, rows: list[Row]) -> None:
-        text = ",".join(self._columns) + "\n" + self._text(rows)
-        write_whole(self.path, lambda file: file.write_text(text, encoding="utf-8"))
+        write_text(self.path, ",".join(self._columns) + "\n" + self._text(rows))
 
     def _text(self, rows: list[Row]) -> str:
         out = io.StringIO()

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from symo_exp.errors import ConfigError
-from symo_exp.files import write_whole
+from symo_exp.files import write_text
 from symo_exp.mechanics.bodies import Joint, freedoms_of, of_pseudo_inertia
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.scaled import Scale, ScaledDissipation, ScaledLagrangian
@@ -93,7 +93,7 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
             friction=along,
             comments=missing,
         )
-    write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     return path
 
 
