@@ -123,13 +123,10 @@ def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
         if base.settings.get(key) != value and settings.get(key) != "true":
             settings[key] = value
     added = other.name.removeprefix(f"{base.name}, ")
-    return Candidate(
+    return replace(
+        one,
         name=f"{one.name}, {added}",
         rank=one.rank + other.rank - base.rank,
         settings=settings,
         cost=one.cost * other.cost / base.cost,
-        starts=one.starts,
-        growth=one.growth,
-        forces=one.forces,
-        drawn=one.drawn,
     )

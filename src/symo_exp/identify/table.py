@@ -9,11 +9,11 @@ from pathlib import Path
 
 from symo_exp.files import write_whole
 from symo_exp.identify.validation import Trial, compared
+from symo_exp.sweep.table import aligned
 
 
 def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int) -> str:
     """Return a row for each candidate, the chosen one marked; failures with their reasons."""
-    head = ("", "error", "folds", "parameters", "time")
     rows = [
         (
             f"{trial.candidate.name}{' *' if trial is best else ''}",
@@ -24,11 +24,8 @@ def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int) ->
         )
         for trial in trials
     ]
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    lines = []
-    for name, *cells in (head, *rows):
-        numbers = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
-        lines.append("  ".join([name.ljust(widths[0]), *numbers]))
+    names, *columns = zip(("", "error", "folds", "parameters", "time"), *rows, strict=True)
+    lines = aligned(names, columns)
     if best is not None:
         lines.append("* chosen; error: geometric mean of those over several times [m, rad]")
     lines += [

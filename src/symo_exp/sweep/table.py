@@ -33,7 +33,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     columns.append(["time", *(f"{outcome.seconds:.0f} s" for outcome in outcomes)])
     room = WIDTH - sum(max(map(len, column)) + 2 for column in columns)
     names = [_fitted(name, max(room, 12)) for name in ("", *map(brief, labels))]
-    lines = _aligned(names, columns)
+    lines = aligned(names, columns)
     if shown:
         units = [unit for name, unit in UNITS.items() if name in shown]
         told = "; ".join([*["* the best"] * (len(folders) > 1), *units])
@@ -48,7 +48,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     return "\n".join([*lines, *parameters, *verdicts, *failures])
 
 
-def _aligned(names: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
+def aligned(names: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
     """Return a line for each name and its cells, names on the left and cells on the right."""
     first = [name.ljust(max(map(len, names))) for name in names]
     others = [[cell.rjust(max(map(len, column))) for cell in column] for column in columns]
