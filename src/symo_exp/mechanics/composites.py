@@ -196,10 +196,6 @@ class BodiesExpansion(Expansion):
             return found
         return found._replace(qq=found.qq - torch.diag_embed(self._springs[1]))
 
-    @override
-    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        return self._lagrangian.gradients(q, v)
-
 
 def _strict(lower: Float[Tensor, "batch n n"]) -> Float[Tensor, "batch n n"]:
     """Return a matrix without its diagonal."""

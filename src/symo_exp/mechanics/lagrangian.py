@@ -61,6 +61,8 @@ class Expansion(Rowwise, ABC):
 
     values: Gradients
     """Gradients at the point, without a graph."""
+    _lagrangian: Lagrangian
+    """``ℒ``; without it a subclass has ``gradients`` of its own."""
 
     @abstractmethod
     def mass(self) -> Float[Tensor, "batch n n"]:
@@ -82,12 +84,12 @@ class Expansion(Rowwise, ABC):
         """Return ``∂F_d/∂v``, or its stiff part, without a graph."""
         raise TypeError("there is no dissipation")
 
-    @abstractmethod
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
         """Return the gradients as differentiable functions of ``q``, ``v`` and the parameters.
 
         ``q`` and ``v`` must have the values of this point; they carry the graph.
         """
+        return self._lagrangian.gradients(q, v)
 
 
 class Lagrangian(ABC):
@@ -212,10 +214,6 @@ class AutodiffExpansion(Expansion):
         place = q.detach().unsqueeze(1)
         qq, vq = (self._lagrangian.space.pull(place, x) for x in (qq, vq))
         return Curvature(qq, vq, vq.mT)
-
-    @override
-    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        return self._lagrangian.gradients(q, v)
 
 
 def matvec(

@@ -132,6 +132,7 @@ class RigidBodyExpansion(Expansion):
     """
 
     parts = ("_lagrangian", "_q", "_v", "values")
+    _lagrangian: RigidBodyLagrangian
 
     def __init__(
         self, lagrangian: RigidBodyLagrangian, q: Tensor, v: Tensor, values: Gradients | None = None
@@ -154,10 +155,6 @@ class RigidBodyExpansion(Expansion):
     @torch.no_grad()
     def curvature(self, before: Expansion | None = None) -> Curvature:
         return self._lagrangian.curvature(self._q, self._v, self._body)
-
-    @override
-    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        return self._lagrangian.gradients(q, v)
 
 
 class _Motion(NamedTuple):

@@ -259,10 +259,6 @@ class KnownExpansion(Expansion):
     def curvature(self, before: Expansion | None = None) -> Curvature:
         return self._at.curvature()
 
-    @override
-    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        return self._lagrangian.gradients(q, v)
-
 
 class KnownFriction(nn.Module, Dissipation):
     """A system's own friction, its coefficients as parameters, beside its fixed drag.

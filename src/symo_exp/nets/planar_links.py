@@ -203,6 +203,7 @@ class PlanarExpansion(Expansion):
     """``ℒ`` of planar links around ``(q, v)``; ``v`` is that of ``s``."""
 
     parts = ("_lagrangian", "_links", "_v")
+    _lagrangian: PlanarLinks
 
     def __init__(self, lagrangian: PlanarLinks, links: _Links, v: Tensor) -> None:
         self._lagrangian, self._links, self._v = lagrangian, links, v
@@ -220,10 +221,6 @@ class PlanarExpansion(Expansion):
         turn, found = self._lagrangian.turn, self._links.curvature(self._v)
         vq = turn.T @ found.vq @ turn
         return Curvature(self._lagrangian.symmetric(found.qq), vq, vq.mT)
-
-    @override
-    def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        return self._lagrangian.gradients(q, v)
 
 
 def _quarter(x: Float[Tensor, "*batch xy"]) -> Float[Tensor, "*batch xy"]:

@@ -227,6 +227,7 @@ class StructuredExpansion(Expansion):
     """``ℒ`` around ``(q, v)``; all derivatives share one forward and one transposed pass."""
 
     parts = ("_lagrangian", "_passes")
+    _lagrangian: StructuredLagrangian
 
     def __init__(self, lagrangian: StructuredLagrangian, passes: _Passes) -> None:
         self._lagrangian, self._passes = lagrangian, passes
