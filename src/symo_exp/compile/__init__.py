@@ -73,9 +73,9 @@ def compile_rollout(model: DynamicsModel) -> DynamicsModel:
     the tolerance of the roots. If a step cannot be compiled, a line is logged and nothing changes.
     """
     flow = model.flow
-    if not model.learns or not (
-        isinstance(flow, ExplicitFlow) or (isinstance(flow, VariationalFlow) and _branch_free(flow))
-    ):
+    variational = isinstance(flow, VariationalFlow) and isinstance(flow.rollout_root, Newton)
+    known = isinstance(flow, ExplicitFlow) or (variational and not flow.space.rotations)
+    if not (model.learns and known):
         log.warning("a step of this rollout is not a fixed sequence of operations: not compiled")
         return model
 
@@ -90,11 +90,6 @@ def compile_rollout(model: DynamicsModel) -> DynamicsModel:
 
     _install(model.compiled, "rollout", step, flow.advance)
     return model
-
-
-def _branch_free(flow: VariationalFlow) -> bool:
-    """Return whether steps without branches are known: rotations have none."""
-    return isinstance(flow.rollout_root, Newton) and not flow.space.rotations
 
 
 def _install(

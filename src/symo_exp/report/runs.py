@@ -107,7 +107,8 @@ def load_runs(
     Raises:
         ConfigError: A path cannot be read or has no run, or no run has a name that is asked for.
     """
-    return _asked(pd.concat([_load(path) for path in paths]), experiments, systems, seeds)
+    found = [_load_folders(path) if path.is_dir() else _load_table(path) for path in paths]
+    return _asked(pd.concat(found), experiments, systems, seeds)
 
 
 def tidy(runs: Iterable[Row]) -> pd.DataFrame:
@@ -197,10 +198,6 @@ def _parameters(told: Mapping[str, Any]) -> dict[str, Any]:
         "recording": told.get("data.path"),
         **row,
     }
-
-
-def _load(path: Path) -> pd.DataFrame:
-    return _load_folders(path) if path.is_dir() else _load_table(path)
 
 
 def _load_folders(path: Path) -> pd.DataFrame:
