@@ -6,6 +6,7 @@ Keys and values are in ``test_main``, tables in ``data``, damaged checkpoints in
 
 import pytest
 
+from symo_exp.errors import ConfigError
 from tests.jobs import refusal
 
 NODE = "_target_: symo_exp.models.node.NODE\n"
@@ -112,3 +113,7 @@ def test_an_invalid_place_is_refused(typed, wanted, refused, workplace):
     (workplace / "file").write_text("in the way")
     (workplace / "folder").mkdir()
     assert wanted in refused("model=node", *typed.split())
+
+
+def test_a_refusal_is_one_line_whatever_words_it_repeats():
+    assert str(ConfigError("data.path=a\n  b: no\tfile\n")) == "data.path=a b: no file"

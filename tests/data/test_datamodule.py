@@ -262,7 +262,6 @@ def test_bad_values_are_refused_before_anything_is_made(changes: dict, message: 
     with pytest.raises(ConfigError) as error:
         small(**changes)
     assert str(error.value).startswith(message)
-    assert "\n" not in str(error.value)
 
 
 def test_a_system_whose_equations_are_unknown_cannot_be_simulated() -> None:

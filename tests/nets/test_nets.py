@@ -33,9 +33,8 @@ def test_angles_are_periodic_and_translations_are_not(learned):
 
 def test_harmonics_of_rotations_are_refused():
     coordinates = Coordinates.of(("a",), (True,), ("R",))
-    with pytest.raises(ConfigError, match="harmonics are of angles") as error:
+    with pytest.raises(ConfigError, match="harmonics are of angles"):
         NetworkLagrangian(coordinates=coordinates, width=4, harmonics=1)
-    assert "\n" not in str(error.value)
 
 
 def test_forces_on_free_bodies_turn_with_them():

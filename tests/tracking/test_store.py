@@ -34,9 +34,8 @@ def test_configuration_then_environment_then_sqlite(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("uri", ["file:./mlruns", "mlruns", "/tmp/mlruns", "ftp://x", "sqlite://"])
 def test_a_uri_of_no_use_is_refused(uri, tmp_path):
-    with pytest.raises(ConfigError, match=r"tracking URI .*sqlite:///") as caught:
+    with pytest.raises(ConfigError, match=r"tracking URI .*sqlite:///"):
         find(uri, tmp_path)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_password_is_not_shown():
@@ -48,7 +47,6 @@ def refused(store: Store, timeout: float = 0.5) -> str:
     with pytest.raises(ConfigError) as caught:
         check(store, timeout)
     assert time.monotonic() - start < timeout + 2
-    assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
@@ -100,9 +98,8 @@ def test_a_foreign_file_is_not_touched(tmp_path):
 def test_a_store_of_a_newer_mlflow_is_refused(store):
     with sqlite3.connect(store.database) as database:
         database.execute("update alembic_version set version_num = 'from_the_future'")
-    with pytest.raises(ConfigError, match="cannot be opened") as caught:
+    with pytest.raises(ConfigError, match="cannot be opened"):
         connect(store)
-    assert "\n" not in str(caught.value)
 
 
 def test_an_experiment_is_created_once_and_keeps_its_artifacts_beside_the_database(store):

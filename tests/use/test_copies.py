@@ -157,9 +157,8 @@ def test_rewards_and_actions_may_have_any_form(copies):
 def test_models_of_recordings_need_a_box_and_may_have_a_reward():
     system = Recorded(time_step=0.05, names=("a", "b"), angular="all", inputs=("0", "1"))
     model = model_of(system)
-    with pytest.raises(ConfigError, match=r"box=dict\(q=") as caught:
+    with pytest.raises(ConfigError, match=r"box=dict\(q="):
         environment(model)
-    assert "\n" not in str(caught.value)
     box = {"q": [[-1, 1]] * 2, "v": [[-2, 2]] * 2, "u": [[-3, 3]] * 2}
     env = environment(model, box=box, reward=lambda q, v, u: q[:, 0])
     state, _ = env.reset(seed=0)
