@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -305,17 +306,71 @@ def test_bad_parameters_are_refused_in_one_line(name: str, changes: dict, key: s
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("name", "value", "told"),
     [
-        ("mass_matrix", lambda self, q: torch.ones_like(q)),
-        ("mass_matrix", lambda self, q: torch.ones(1, 1, dtype=q.dtype)),
-        ("potential", lambda self, q: q),
-        ("potential", lambda self, q: q.sum()),
+        ("mass_matrix", lambda self, q: torch.ones_like(q), r"shape \(17, 1\) .* \(17, 1, 1\)"),
+        ("mass_matrix", lambda self, q: torch.ones(1, 1, dtype=q.dtype), r"shape \(1, 1\)"),
+        ("mass_matrix", lambda self, q: np.eye(1), "returns ndarray: expected a tensor"),
+        ("mass_matrix", lambda self, q: -torch.ones_like(q)[..., None], "not positive definite"),
+        ("mass_matrix", lambda self, q: q.unsqueeze(-1), "not positive definite at q=.-"),
+        ("potential", lambda self, q: q, r"expected \(17,\)"),
+        ("potential", lambda self, q: q.sum(), r"shape \(\)"),
+        ("potential", lambda self, q: q[:, 1], "fails: IndexError: index 1"),
+        ("potential", lambda self, q: q[:, 0].float(), "has dtype torch.float32"),
+        ("potential", lambda self, q: q[:, 0].log(), "is not finite at q=.-"),
+        ("potential", lambda self, q: q.numpy()[:, 0], "fails: RuntimeError: Can't call numpy"),
+        ("potential", lambda self, q: q.detach()[:, 0] ** 2, "other derivatives"),
+        ("potential", lambda self, q: q[:, 0] * q.detach()[:, 0], "other derivatives"),
     ],
 )
-def test_a_term_of_a_wrong_shape_is_refused(name: str, value: object) -> None:
+def test_equations_that_define_no_motion_are_refused(name: str, value: object, told: str) -> None:
     side = ((-1.0, 1.0),)
     wrong = type("Wrong", (Spring,), {name: value})
     system = wrong(time_step=0.05, box=SamplingBox(side, side, side))
-    with pytest.raises(ConfigError, match=rf"Wrong\.{name}\(q\) has shape .* expected \(3"):
+    with pytest.raises(ConfigError, match=rf"Wrong\.{name}\(q\) .*{told}"):
         system.identity()
+
+
+def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
+    skew = torch.tensor([[0.0, 0.1], [0.0, 0.0]], dtype=torch.float64)
+    wrong = type(
+        "Wrong", (Cartpole,), {"mass_matrix": lambda s, q: Cartpole.mass_matrix(s, q) + skew}
+    )
+    given = {f.name: getattr(stated("cartpole"), f.name) for f in dataclasses.fields(Cartpole)}
+    with pytest.raises(ConfigError, match=r"Wrong\.mass_matrix\(q\) is not symmetric"):
+        _ = wrong(**given).lagrangian
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_equations_with_kinks_and_in_any_unit_are_accepted(size: float) -> None:
+    """A stop from the middle of the range on, and dry weight."""
+    side = ((-size, size),)
+
+    def potential(self: Spring, q: Tensor) -> Tensor:
+        x = q[:, 0] / size
+        return size**2 * (torch.where(x > 0, 50 * x**2, x**2) + x.abs())
+
+    system = type("Stop", (Spring,), {"potential": potential})(
+        time_step=0.05, box=SamplingBox(side, side, side)
+    )
+    assert system.lagrangian is system
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("coordinates", Coordinates(("x", "y"), (False,)), "names=.*angular=.*expected different"),
+        ("coordinates", Coordinates(("x", "x"), (False, True)), "expected different names"),
+        ("coordinates", ("x",), "expected Coordinates"),
+        ("input_matrix", torch.ones(1), r"is \(1,\): expected a tensor with a row for each"),
+        ("input_matrix", torch.ones(2, 1), r"is \(2, 1\): expected .* 1 coordinate"),
+        ("input_matrix", [[1.0]], "is list: expected a tensor"),
+    ],
+)
+def test_coordinates_and_inputs_that_do_not_fit_are_refused(
+    name: str, value: object, told: str
+) -> None:
+    side = ((-1.0, 1.0),)
+    wrong = type("Wrong", (Spring,), {name: value})
+    with pytest.raises(ConfigError, match=rf"Wrong\.{name}.*{told}"):
+        wrong(time_step=0.05, box=SamplingBox(side, side, side))

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.errors import ConfigError, first_line
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import FLAT, Space
 
@@ -214,6 +215,41 @@ class AutodiffExpansion(Expansion):
         place = q.detach().unsqueeze(1)
         qq, vq = (self._lagrangian.space.pull(place, x) for x in (qq, vq))
         return Curvature(qq, vq, vq.mT)
+
+
+def evaluated(lagrangian: Lagrangian, q: Float[Tensor, "batch N"], n: int) -> dict[str, Tensor]:
+    """Return ``mass_matrix(q)`` and ``potential(q)`` of a class that may be a user's, by name.
+
+    Args:
+        lagrangian: The Lagrangian.
+        q: Configurations, not as many as there are coordinates.
+        n: Number of coordinates.
+
+    Raises:
+        ConfigError: If a function fails or returns no tensor of the right shape and precision.
+    """
+    found: dict[str, Tensor] = {}
+    for name, shape in (("mass_matrix", (len(q), n, n)), ("potential", (len(q),))):
+        told = f"{type(lagrangian).__name__}.{name}(q)"
+        try:
+            value = getattr(lagrangian, name)(q)
+        except Exception as error:
+            kind = type(error).__name__
+            raise ConfigError(f"{told} fails: {kind}: {first_line(error)}") from error
+        if not isinstance(value, Tensor):
+            raise ConfigError(f"{told} returns {type(value).__name__}: expected a tensor")
+        if tuple(value.shape) != shape:
+            raise ConfigError(
+                f"{told} has shape {tuple(value.shape)} for q of shape {tuple(q.shape)}: "
+                f"expected {shape}"
+            )
+        if value.dtype != q.dtype:
+            raise ConfigError(
+                f"{told} has dtype {value.dtype} for q of {q.dtype}: expected that of q; "
+                "new tensors have it by dtype=q.dtype"
+            )
+        found[name] = value
+    return found
 
 
 def matvec(

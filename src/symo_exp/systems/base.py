@@ -29,6 +29,7 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems import complex_step
 from symo_exp.systems.box import Range, SamplingBox
 from symo_exp.systems.box import checked as checked_box
+from symo_exp.systems.equations import check_equations
 
 VIEW = ((1.0, 0.35, 0.0), (0.0, 0.3, 1.0))
 """Right and up of a picture in world axes: bodies from the front, a little from above."""
@@ -171,13 +172,28 @@ class System(ABC):
         return self.coordinates.space.of_vector(x), v, u
 
     def __post_init__(self) -> None:
-        checked: dict[str, object] = {
-            name: _physical(f"system.{name}", getattr(self, name))
-            for name in ("time_step", *self.units())
-        }
+        for name in ("time_step", *self.units()):
+            vars(self)[name] = _physical(f"system.{name}", getattr(self, name))
+        self._check_dimensions()
         if self.box is not None:
-            checked["box"] = checked_box(self.box, *self.input_matrix.shape)
-        vars(self).update(checked)
+            vars(self)["box"] = checked_box(self.box, *self.input_matrix.shape)
+
+    def _check_dimensions(self) -> None:
+        """Refuse coordinates and an input matrix that do not fit each other."""
+        kind, names, matrix = type(self).__name__, self.coordinates, self.input_matrix
+        if not isinstance(names, Coordinates):
+            raise ConfigError(f"{kind}.coordinates={names!r}: expected Coordinates(names, angular)")
+        if len(names.angular) != names.n or len(set(names.names)) != names.n:
+            raise ConfigError(
+                f"{kind}.coordinates has names={names.names} and angular={names.angular}: "
+                "expected different names and, for each, True or False"
+            )
+        shape = tuple(matrix.shape) if isinstance(matrix, Tensor) else type(matrix).__name__
+        if not isinstance(matrix, Tensor) or matrix.ndim != 2 or len(matrix) != names.n:
+            raise ConfigError(
+                f"{kind}.input_matrix is {shape}: expected a tensor with a row for each of the "
+                f"{names.n} coordinate(s) and a column for each input"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,22 +237,10 @@ class LagrangianSystem(System, Lagrangian):
     @cached_property
     def lagrangian(self) -> Lagrangian:
         """The true Lagrangian, with the friction where there is any."""
-        self._check_shapes()
+        count = self.coordinates.n + 16  # no number of coordinates
+        x, _, _ = self.box.points(count, seed=0)
+        check_equations(self, self.space.of_vector(x), x - x.roll(1, 0))
         return DissipativeLagrangian(self, self.dissipation) if self.dissipation else self
-
-    def _check_shapes(self) -> None:
-        """Refuse a mass matrix or a potential of a wrong shape."""
-        n = self.coordinates.n
-        batch = n + 2  # no size of one state
-        q, _, _ = self.points(batch, seed=0)
-        with torch.no_grad():
-            found = {"mass_matrix": self.mass_matrix(q), "potential": self.potential(q)}
-        for name, wanted in (("mass_matrix", (batch, n, n)), ("potential", (batch,))):
-            if tuple(found[name].shape) != wanted:
-                raise ConfigError(
-                    f"{type(self).__name__}.{name}(q) has shape {tuple(found[name].shape)} for q "
-                    f"of shape {tuple(q.shape)}: expected {wanted}"
-                )
 
     @cached_property
     def dissipation(self) -> Dissipation | None:
