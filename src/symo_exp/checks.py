@@ -46,3 +46,11 @@ def one_of(key: str, value: object, choices: Sequence[str]) -> str:
     if value not in choices:
         raise ConfigError(f"{key}={value!r}: expected one of {', '.join(choices)}")
     return str(value)
+
+
+def instance(key: str, value: object, kind: type) -> None:
+    """Raise ``ConfigError`` unless ``value`` is of a class, such as that which a user extends."""
+    if not isinstance(value, kind):
+        raise ConfigError(
+            f"{key}: {type(value).__name__} does not inherit from {kind.__module__}.{kind.__name__}"
+        )

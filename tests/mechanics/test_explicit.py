@@ -3,8 +3,9 @@
 import pytest
 import torch
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.euler_lagrange import acceleration
-from symo_exp.mechanics.explicit import ClassicalRK4
+from symo_exp.mechanics.explicit import ClassicalRK4, RungeKutta
 from symo_exp.systems.chain import ChainPendulum
 from tests.mechanics.motions import DURATION, force_at, order, reference, start
 from tests.tables import explicit_integrators
@@ -50,3 +51,21 @@ def test_explicit_steps_are_not_symplectic(name):
 
     area = torch.linalg.det(torch.autograd.functional.jacobian(step, x).reshape(2, 2))
     assert abs(area.item() - 1.0) > 1e-6
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"b": (0.5,)},
+        {"b": (0.5, 0.25, 0.25)},
+        {"b": (0.5, 0.6)},
+        {"c": (0.0, 0.5)},
+        {"a": ((0.5,), (1.0,))},
+        {"a": ((),)},
+    ],
+)
+def test_a_tableau_that_is_none_of_an_explicit_method_is_refused(changes):
+    heun = {"a": ((), (1.0,)), "b": (0.5, 0.5), "c": (0.0, 1.0)}
+    RungeKutta(name="heun", order=2, **heun)
+    with pytest.raises(ConfigError, match=r"the tableau of heun has .*: expected "):
+        RungeKutta(name="heun", order=2, **heun | changes)

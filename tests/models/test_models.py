@@ -9,10 +9,12 @@ import torch
 from torch.nn.utils import parameters_to_vector
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.explicit import ClassicalRK4, DormandPrince5
+from symo_exp.mechanics.explicit import RK4, ClassicalRK4, DormandPrince5
+from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.roots import Newton
-from symo_exp.mechanics.types import Windows
-from symo_exp.models.flows import ExplicitFlow
+from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.variational import VariationalMidpoint
+from symo_exp.models.flows import ExplicitFlow, VariationalFlow
 from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.training.learner import Learner
@@ -352,3 +354,57 @@ def test_a_rollout_from_a_start_that_is_not_finite_is_refused(bad):
             model.rollout(**start, steps=3)
         with pytest.raises(ConfigError, match=f"{name} is not finite: "):
             model.rollout(**{key: x[1] for key, x in start.items()}, steps=3)
+
+
+class Plain(Lagrangian):
+    """Masses and springs, without parameters to train."""
+
+    def __init__(self, *, coordinates):
+        super().__init__()
+        self.n = coordinates.n
+
+    def mass_matrix(self, q):
+        return torch.eye(self.n, dtype=q.dtype).expand(len(q), -1, -1)
+
+    def potential(self, q):
+        return q.square().sum(-1)
+
+
+class Masses(torch.nn.Module, Plain):
+    """The same with a mass to train."""
+
+    def __init__(self, *, coordinates):
+        super().__init__()
+        self.n, self.mass = coordinates.n, torch.nn.Parameter(torch.ones(()))
+
+    def mass_matrix(self, q):
+        return self.mass * super().mass_matrix(q)
+
+
+WIDE = type("Wide", (Masses,), {"potential": lambda self, q: q})
+VECTOR = type("Vector", (Masses,), {"mass_matrix": lambda self, q: torch.ones(self.n)})
+TURNED = Coordinates.of(rotations=("R",))
+
+
+@pytest.mark.parametrize("method", ["l_node", "symo", "e2e_symo"])
+@pytest.mark.parametrize(
+    ("kind", "told", "changes"),
+    [
+        (Plain, r"lagrangian: Plain has to inherit from torch\.nn\.Module and symo_exp\..*", {}),
+        (WIDE, r"Wide\.potential\(q\) has shape .* expected \(4,\)", {}),
+        (VECTOR, r"Vector\.mass_matrix\(q\) has shape \(2,\)", {}),
+        (Masses, "Masses.space is .*define a property space", {"coordinates": TURNED}),
+    ],
+)
+def test_a_lagrangian_of_a_user_that_cannot_be_learned_is_refused(method, kind, told, changes):
+    assert make(method, "midpoint", 2, lagrangian=Masses).learns
+    with pytest.raises(ConfigError, match=told):
+        make(method, "midpoint", 2, lagrangian=kind, **changes)
+
+
+def test_an_integrator_of_another_kind_is_refused():
+    node, symo = (make(method, "midpoint", 2) for method in ("node", "symo"))
+    with pytest.raises(ConfigError, match=r"VariationalMidpoint does not .*\.RungeKutta$"):
+        ExplicitFlow(node.flow.field, VariationalMidpoint(), H)
+    with pytest.raises(ConfigError, match=r"integrator: RK4 does not .*\.VariationalIntegrator$"):
+        VariationalFlow(symo.lagrangian, RK4(), H, symo.input_matrix, root=symo.flow.root)

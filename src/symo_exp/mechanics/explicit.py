@@ -4,11 +4,13 @@ Rotations take the steps of Munthe-Kaas (1998): the method integrates ``φ̇ = J
 at the start of a step, which keeps its order.
 """
 
+import math
 from collections.abc import Callable
 
 from jaxtyping import Float
 from torch import Tensor
 
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import FLAT, Space
 
 Acceleration = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -28,6 +30,9 @@ class RungeKutta:
         a: Rows of ``A``, strictly lower triangular.
         b: Weights.
         c: Nodes.
+
+    Raises:
+        ConfigError: If this is no tableau of an explicit method.
     """
 
     def __init__(
@@ -39,6 +44,17 @@ class RungeKutta:
         b: tuple[float, ...],
         c: tuple[float, ...],
     ) -> None:
+        if not len(a) == len(b) == len(c) or [len(row) for row in a] != list(range(len(a))):
+            raise ConfigError(
+                f"the tableau of {name} has a={a}, b={b}, c={c}: expected as many rows of a as "
+                "entries of b and c, and in row i of a the i weights before its diagonal, from 0 on"
+            )
+        sums = [*map(sum, a), sum(b)]
+        if not all(math.isclose(x, y, abs_tol=1e-9) for x, y in zip(sums, (*c, 1.0), strict=True)):
+            raise ConfigError(
+                f"the tableau of {name} has sums {sums} of the rows of a and of b: expected the "
+                f"entries of c and 1, {[*c, 1.0]}"
+            )
         self.name, self.order = name, order
         self._a, self._b, self._c = a, b, c
 

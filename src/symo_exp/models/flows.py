@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.checks import one_of
+from symo_exp.checks import instance, one_of
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.chart import Controlled
 from symo_exp.mechanics.explicit import RungeKutta
@@ -242,6 +242,8 @@ class ExplicitFlow(Flow):
         rollout_integrator: RungeKutta | None = None,
     ) -> None:
         super().__init__(time_step)
+        for rule in (integrator, rollout_integrator or integrator):
+            instance("integrator", rule, RungeKutta)
         one_of("model.sensitivity", sensitivity, ("direct", "adjoint"))
         if sensitivity == "adjoint" and integrator.name not in FIXED_STEP:
             raise ConfigError(
@@ -322,6 +324,7 @@ class VariationalFlow(Flow):
         rollout_root: RootFinder | None = None,
     ) -> None:
         super().__init__(time_step)
+        instance("integrator", integrator, VariationalIntegrator)
         self.lagrangian, self.space = lagrangian, lagrangian.space
         self.integrator = on_space(integrator, self.space)
         self.root, self.evaluation_root = root, evaluation_root or root

@@ -5,8 +5,12 @@ from __future__ import annotations
 import copy
 from typing import Protocol, TypeVar, runtime_checkable
 
+import torch
+from torch import nn
+
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
-from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.lagrangian import Lagrangian, evaluated
 from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
@@ -47,9 +51,14 @@ def learned_lagrangian(
     dissipation: MakesDissipation | None,
     springs: MakesSprings | None,
 ) -> Lagrangian:
-    """Return a new Lagrangian, with springs and a dissipation if there are factories of them."""
+    """Return a new Lagrangian, with springs and a dissipation if there are factories of them.
+
+    Raises:
+        ConfigError: If the Lagrangian is a class of a user that cannot be learned.
+    """
     scaled, plain = coordinates.units != SI, coordinates._replace(units=SI)
     conservative = lagrangian(coordinates=plain)
+    _check(conservative, plain)
     if springs is not None:
         conservative = SprungLagrangian(conservative, springs(coordinates=plain))
     if scaled:
@@ -60,6 +69,23 @@ def learned_lagrangian(
     if scaled:
         friction = ScaledDissipation(friction, coordinates)
     return DissipativeLagrangian(conservative, friction)
+
+
+def _check(lagrangian: object, coordinates: Coordinates) -> None:
+    """Refuse a Lagrangian that has no parameters to train, or terms of a wrong shape."""
+    kind, space, n = type(lagrangian).__name__, coordinates.space, coordinates.n
+    if not isinstance(lagrangian, nn.Module) or not isinstance(lagrangian, Lagrangian):
+        raise ConfigError(
+            f"lagrangian: {kind} has to inherit from torch.nn.Module and "
+            f"{Lagrangian.__module__}.Lagrangian"
+        )
+    if lagrangian.space != space:
+        raise ConfigError(
+            f"lagrangian: {kind}.space is {lagrangian.space}, and that of the system is {space}; "
+            "define a property space that returns coordinates.space"
+        )
+    with torch.no_grad():
+        evaluated(lagrangian, space.of_vector(torch.zeros(n + 2, n)), n)
 
 
 def in_units(method: Method, coordinates: Coordinates) -> Method:
