@@ -35,6 +35,7 @@ from tests.tables import arguments_of
         (LearnedDissipation, {"joints": "chain"}),
         (LearnedDissipation, {"rest_velocity": 0.0}),
         (LearnedDissipation, {"start": 0.0}),
+        (LearnedDissipation, {"width": -1}),
         (LearnedDrag, {"speeds": 0}),
         (MachineFriction, {"least_rest_velocity": 0.0}),
         (MachineFriction, {"least_rest_velocity": 0.2}),

@@ -81,6 +81,11 @@ def test_an_inertia_that_is_not_positive_is_refused():
         StructuredLagrangian(angular=(True,), width=4, initial_inertia=0.0)
 
 
+def test_a_negative_number_of_harmonics_is_refused():
+    with pytest.raises(ConfigError, match=r"lagrangian\.harmonics=-1"):
+        StructuredLagrangian(angular=(True,), width=4, harmonics=-1)
+
+
 def test_default_initialisation_is_that_of_the_published_code():
     """Hidden layers Xavier-uniform with the gain 5/3 of tanh, the last as PyTorch has it."""
     learned = StructuredLagrangian(angular=(True, True), width=256, initial_inertia=None)

@@ -84,6 +84,7 @@ def test_any_parameters_are_a_possible_body(coordinates: Coordinates) -> None:
         ),
         ({"coordinates": PIVOT, "initial_inertia": 0.0}, r"lagrangian\.initial_inertia=0"),
         ({"coordinates": PIVOT, "radius": -0.1}, r"lagrangian\.radius=-0.1"),
+        ({"coordinates": PIVOT, "learned_inputs": -1}, r"lagrangian\.learned_inputs=-1"),
         ({"coordinates": PIVOT, "input_width": 4}, r"set lagrangian\.learned_inputs"),
     ],
 )

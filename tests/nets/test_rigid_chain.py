@@ -71,7 +71,10 @@ def test_a_negative_initial_inertia_is_refused():
         RigidChain(coordinates=named((True,)), initial_inertia=-1.0)
 
 
-@pytest.mark.parametrize("axes", [[[0, 0, 1]], [[0, 0, 1], [0, 1]], [[0, 0, 0], [0, 1, 0]], [1, 2]])
+@pytest.mark.parametrize(
+    "axes",
+    [[[0, 0, 1]], [[0, 0, 1], [0, 1]], [[0, 0, 0], [0, 1, 0]], [1, 2], 3, [["x"] * 3, [0, 1, 0]]],
+)
 def test_invalid_axes_are_refused(axes):
     with pytest.raises(ConfigError, match="expected 2 rows of three numbers"):
         RigidChain(coordinates=named((True, True)), axes=axes)

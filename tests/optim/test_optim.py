@@ -241,6 +241,12 @@ def test_single_precision_is_refused(kind):
         kind(learner("node", "rk4", 1).float().parameters())
 
 
+@pytest.mark.parametrize(("name", "value"), [("iterations", 0), ("history", -1), ("history", 0)])
+def test_lbfgs_needs_steps_and_a_history(name, value):
+    with pytest.raises(ConfigError, match=f"optimizer.{name}={value}: expected a whole number"):
+        LBFGS([torch.zeros(1, requires_grad=True)], **{name: value})
+
+
 def test_a_training_stops_when_the_optimizer_is_finished(tmp_path):
     torch.manual_seed(0)
     model = learner(

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.checks import one_of, real
+from symo_exp.checks import one_of, real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation, chord_excess
 from symo_exp.mechanics.lagrangian import matvec, vecmat
@@ -60,6 +60,7 @@ class LearnedDissipation(nn.Module, Dissipation):
         one_of("dissipation.joints", joints, ("own", "neighbours"))
         real("dissipation.rest_velocity", rest_velocity, above=0)
         real("dissipation.start", start, above=0)
+        whole_number("dissipation.width", width, low=0)
         n = coordinates.n
         found = torch.eye(n)
         if joints == "neighbours":

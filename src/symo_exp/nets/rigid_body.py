@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from typing_extensions import override
 
-from symo_exp.checks import real
+from symo_exp.checks import real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Curvature, Gradients, Rates, jacobian, matvec
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
@@ -62,6 +62,7 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         if initial_inertia is not None:
             real("lagrangian.initial_inertia", initial_inertia, above=0)
         real("lagrangian.radius", radius, above=0)
+        whole_number("lagrangian.learned_inputs", learned_inputs, low=0)
         if input_width and not learned_inputs:
             raise ConfigError(
                 f"lagrangian.input_width={input_width}: a network for the input matrix needs the "

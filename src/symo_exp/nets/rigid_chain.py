@@ -136,8 +136,10 @@ def _directions(given: Any, n: int) -> Float[Tensor, "n 3"]:
     """Return the given axes, or random ones."""
     if given is None:
         return torch.randn(n, 3)
-    listed = [list(row) if isinstance(row, Sequence) else [] for row in given]
-    if len(listed) == n and all(len(row) == 3 for row in listed):
+    rows = given if isinstance(given, Sequence) else ()
+    listed = [list(row) if isinstance(row, Sequence) else [] for row in rows]
+    numbers = all(isinstance(x, int | float) for row in listed for x in row)
+    if len(listed) == n and numbers and all(len(row) == 3 for row in listed):
         found = torch.tensor(listed, dtype=torch.get_default_dtype())
         if bool(found.isfinite().all()) and bool(found.norm(dim=1).min() > 0.0):
             return found

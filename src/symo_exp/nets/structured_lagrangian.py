@@ -29,7 +29,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from typing_extensions import override
 
-from symo_exp.checks import real
+from symo_exp.checks import real, whole_number
 from symo_exp.mechanics.lagrangian import (
     Curvature,
     Expansion,
@@ -89,6 +89,7 @@ class StructuredLagrangian(nn.Module, Lagrangian):
         super().__init__()
         if initial_inertia is not None:
             real("lagrangian.initial_inertia", initial_inertia, above=0)
+        whole_number("lagrangian.harmonics", harmonics, low=0)
         self.embedding = Embedding(angular=angular, relative=relative, rotations=rotations)
         self.head = FactorHead(len(angular) + 3 * rotations, squares=squares)
         self.net = MLP(

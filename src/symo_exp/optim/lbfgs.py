@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from typing_extensions import override
 
+from symo_exp.checks import whole_number
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Problem, concatenated
 
@@ -32,6 +33,8 @@ class LBFGS(EpochOptimizer):
         patience: int = 20,
     ) -> None:
         super().__init__(params, patience=patience)
+        whole_number("optimizer.iterations", iterations)
+        whole_number("optimizer.history", history)
         self._inner = torch.optim.LBFGS(
             self.parameters, max_iter=iterations, history_size=history,
             tolerance_grad=0.0, tolerance_change=0.0, line_search_fn="strong_wolfe",
