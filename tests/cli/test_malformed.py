@@ -32,7 +32,10 @@ YAML = {
         NODE + "integrator: {_target_: symo_exp.tracking.store.os.mkdir, path: harm}\n",
         "store.os.mkdir is refused",
     ),
-    "positional": (NODE + "_args_: [1, 2]\ninteger: 3\n", "model.integer is not a setting"),
+    "positional": (
+        NODE + "_args_: [1, 2]\ninteger: 3\n",
+        "not a setting; did you mean model.integrator",
+    ),
     "dangling": (NODE + "net: ${nowhere}\n", "'nowhere' not found"),
     "circle": (NODE + "net: ${model.integrator}\nintegrator: ${model.net}\n", "model.net"),
 }
@@ -44,6 +47,10 @@ STORE = "is not supported by MLflow"
 PLACES = [
     ("output_dir=", f"output_dir='' {FOLDER}"),
     ("output_dir=3", f"output_dir=3 {FOLDER}"),
+    (
+        "experiment=2024",
+        "experiment=2024 is not the name of a folder; if it is, give \"experiment='2024'\"",
+    ),
     ("output_dir=file", "file cannot be written (Not a directory); choose another"),
     ("output_dir=file/below", "file cannot be written (Not a directory); choose another"),
     ("experiment=", f"experiment='' {FOLDER}"),

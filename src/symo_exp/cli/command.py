@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Sequence
@@ -160,8 +161,17 @@ def _check_word(override: str) -> None:
     group, _, value = override.removeprefix("~").partition("=")
     if group.lstrip("+") == "hydra.mode" and value != "MULTIRUN":
         raise ConfigError(f"{override} goes around the checks; leave it out: one run needs no -m")
-    if (override[0] == "~" or value == "null") and (CONF / group).is_dir():
+    if (override[0] == "~" or not _names(value)) and (CONF / group).is_dir():
         raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
+
+
+def _names(value: str) -> bool:
+    """Return whether a value may name a file, and not a number, a boolean or a list of these."""
+    try:
+        found = json.loads(value.lower())
+    except ValueError:
+        return True
+    return isinstance(found, list) and all(isinstance(name, str) for name in found)
 
 
 def _listed_sweeps(file: Path) -> list[str]:

@@ -55,7 +55,8 @@ def _explained_alone(error: BaseException) -> ConfigError | None:
         name, parent = error.full_key, error.parent_node
         if name and isinstance(parent, DictConfig):
             groups = [] if "." in name else [x.name for x in CONF.iterdir() if x.is_dir()]
-            return unknown_key(name, dict.fromkeys(groups) | unresolved(parent))
+            there = dict.fromkeys(groups) | unresolved(parent)
+            return unknown_key(name, there, there.get("_target_"))
     return None
 
 

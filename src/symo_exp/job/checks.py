@@ -78,7 +78,8 @@ def _check_node(
         name = f"{prefix}{key}"
         if key not in _INSTANTIATE_KEYS:
             if key not in hints:
-                raise unknown_key(name, {**hints, **known})
+                others = {k: x for k, x in {**hints, **known}.items() if k != key}
+                raise unknown_key(name, others)
             _check_value(references.get(name, name), value, hints[key])
         if name not in references and not _free(hints.get(key)):
             files = known.get(key)
@@ -96,12 +97,13 @@ def _check_value(name: str, value: Any, hint: Any) -> None:
         raise ConfigError(f"{name}={override_value(value)} has the wrong type: {problem}")
 
 
-def unknown_key(name: str, siblings: Mapping[str, Any]) -> ConfigError:
+def unknown_key(name: str, siblings: Mapping[str, Any], maker: str | None = None) -> ConfigError:
     """Return the error for a setting that does not exist, with the closest names.
 
     Args:
         name: The dotted name.
         siblings: The settings that exist beside it.
+        maker: The class that has them, if it may take others than those in the files.
     """
     if name in MOVED:
         return ConfigError(f"{name} is not a setting any more; write {MOVED[name]}=...")
@@ -112,6 +114,8 @@ def unknown_key(name: str, siblings: Mapping[str, Any]) -> ConfigError:
     if not hint:
         which = f"{parent} has" if parent else "there are"
         hint = f"; {which}: {', '.join(sorted(there)) or 'nothing that can be set'}"
+        if maker is not None:
+            hint += f"; if {maker} takes it, write +{name}=..."
     return ConfigError(f"{name} is not a setting{hint} (--cfg job shows all)")
 
 
@@ -182,7 +186,9 @@ def check_names(output_dir: Any, experiment: Any, folder: Any) -> None:
     names = {"output_dir": output_dir, "hydra's dir": folder, "experiment": experiment}
     for name, value in names.items():
         if not isinstance(value, str) or not value or "\0" in value:
-            raise ConfigError(f"{name}={value!r} is not the name of a folder")
+            plain = isinstance(value, int | float)
+            hint = f"; if it is, give \"{name}='{value}'\"" if plain else ""
+            raise ConfigError(f"{name}={value!r} is not the name of a folder{hint}")
     for part in experiment.split("/"):
         if not part or part.startswith(".") or not part.isprintable():
             raise ConfigError(
