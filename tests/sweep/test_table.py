@@ -41,6 +41,19 @@ def test_the_table_fits_and_the_best_of_each_column_is_marked(tmp_path):
     assert units.startswith("* the best; MSE in m², rad²; energy in J²; inertia in kg²")
 
 
+def test_the_best_is_marked_for_each_system(tmp_path):
+    """Errors of a cartpole are no better than larger ones of an acrobot."""
+    found = {"cartpole": (1e-6, 2e-6), "acrobot": (3e-2, 4e-2), "pendulum": (1e-9,)}
+    folders = []
+    for system, errors in found.items():
+        for i, error in enumerate(errors):
+            folders.append(made(tmp_path / f"{system}{i}", test_mse=error))
+            folders[-1].describe(About("SyMo", {"system": system}))
+    _, *rows, units = table([f"{folder}" for folder in folders], folders).splitlines()
+    assert ["*" in row for row in rows] == [True, False, True, False, False]
+    assert units.startswith("* the best of its system; MSE")
+
+
 def test_a_single_run_has_no_room_for_marks_and_its_name_is_whole(tmp_path):
     values = {"train_mse": 3.39e-18, "test_mse": 5.23e-18, "integration_mse": 9.76e-12,
               "energy_mse": 1.11e-15, "inertia_mse": 4.16e-15}  # fmt: skip

@@ -22,21 +22,27 @@ SECONDS = 0.5
 
 
 def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
-    """Return a row per run, the best marked; reason and log of those that did not finish."""
+    """Return a row per run, the best of each system marked; reasons of those that did not finish.
+
+    Errors of different systems have nothing to do with each other.
+    """
     outcomes = [folder.outcome() for folder in folders]
     found = [
         folder.measures() if outcome.status == "finished" else {}
         for folder, outcome in zip(folders, outcomes, strict=True)
     ]
     shown = [name for name in MEASURES if any(name in measures for measures in found)]
-    columns = [_column(name, found) for name in shown]
+    abouts = [folder.about() for folder in folders]
+    systems = [about and about.parameters.get("system") for about in abouts]
+    columns = [_column(name, found, systems) for name in shown]
     columns.append(["time", *(f"{outcome.seconds:.0f} s" for outcome in outcomes)])
     room = WIDTH - sum(max(map(len, column)) + 2 for column in columns)
     names = [_fitted(name, max(room, 12)) for name in ("", *map(brief, labels))]
     lines = aligned(names, columns)
     if shown:
         units = [unit for name, unit in UNITS.items() if name in shown]
-        told = "; ".join([*["* the best"] * (len(folders) > 1), *units])
+        best = "* the best" + " of its system" * (len(set(systems)) > 1)
+        told = "; ".join([*[best] * (len(folders) > 1), *units])
         lines += textwrap.wrap(told, WIDTH)
     verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
     parameters = parameter_lines(folders[0]) if len(folders) == 1 and found[0] else []
@@ -65,14 +71,18 @@ def _verdicts(names: Sequence[str], found: Sequence[Mapping[str, float]]) -> lis
     return lines
 
 
-def _column(name: str, found: Sequence[Mapping[str, float]]) -> list[str]:
+def _column(
+    name: str, found: Sequence[Mapping[str, float]], systems: Sequence[object]
+) -> list[str]:
     values = [measures.get(name, math.nan) for measures in found]
-    there = [x for x in values if not math.isnan(x)]
-    best = min(there) if len(there) > 1 else math.nan
+    there: dict[object, list[float]] = {system: [] for system in systems}
+    for system, x in zip(systems, values, strict=True):
+        there[system] += [] if math.isnan(x) else [x]
+    best = {system: min(xs) for system, xs in there.items() if len(xs) > 1}
     unmarked = " " * (len(found) > 1)  # no place for a mark where there is nothing to compare
     cells = [
-        f"{written(x)}{'*' if x == best else unmarked}" if name in measures else "- "
-        for x, measures in zip(values, found, strict=True)
+        f"{written(x)}{'*' if x == best.get(system) else unmarked}" if name in measures else "- "
+        for x, measures, system in zip(values, found, systems, strict=True)
     ]
     return [MEASURES[name] + unmarked, *cells]
 
