@@ -10,6 +10,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.evaluation.learned import LearnedQuantities
 from symo_exp.evaluation.motion import Motion
 from symo_exp.evaluation.phase_space import log_volume
+from symo_exp.evaluation.study import Finding
 from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.lagrangian import Lagrangian
@@ -184,3 +185,24 @@ def test_a_method_without_a_lagrangian_has_no_learned_quantities():
 def test_invalid_settings_are_refused(wrong, wanted):
     with pytest.raises(ConfigError, match=rf"study\.x.*{wanted}"):
         Motion(**{"name": "x", "steps": 3, **wrong})
+
+
+def test_a_finding_takes_tensors_and_carries_no_gradient():
+    x = torch.ones(3, requires_grad=True)
+    found = Finding(columns={"x": 2 * x}, measures={"a_sum": x.sum()})
+    assert found.columns["x"].numpy().tolist() == [2.0, 2.0, 2.0]
+    assert found.measures == {"a_sum": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"columns": {"x": torch.ones(3), "y": torch.ones(4)}}, "shapes .*equal lengths"),
+        ({"columns": {"x": torch.ones(3, 2)}}, "expected one dimension"),
+        ({"measures": {"a": "text"}}, "the measure a='text': expected a number"),
+        ({"measures": {"a": torch.ones(2)}}, "the measure a=.*: expected a number"),
+    ],
+)
+def test_a_finding_that_is_no_table_or_number_is_refused(given, told):
+    with pytest.raises(ConfigError, match=told):
+        Finding(**given)

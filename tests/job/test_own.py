@@ -23,7 +23,7 @@ FILES = {
 }
 """Files that the pages ask to write, by their paths."""
 ADDED = {
-    "system": "system=spring model=symo",
+    "system": "system=spring model=symo system.viscous=[0.1]",
     "integrator": "integrator=heun model=node",
     "objective": "objective=bounded model=symo",
     "method": "model=reversible integrator=rk4",

@@ -49,6 +49,24 @@ def test_a_finished_run_is_studied_without_training_it_again(workplace, capsys):
     assert (folder / "studies" / "forced.json").stat().st_mtime_ns > done
 
 
+WRONG = """
+class Wrong:
+    def __call__(self, model, system, data, *, remember):
+        return {"wrong_error": 1.0}
+"""
+
+
+def test_a_study_of_a_user_that_returns_no_finding_is_named(workplace, capsys):
+    (workplace / "mine" / "study").mkdir(parents=True)
+    (workplace / "mine" / "wrong_study.py").write_text(WRONG)
+    file = "# @package study.wrong\n# Wrong.\n_target_: wrong_study.Wrong\n"
+    (workplace / "mine" / "study" / "wrong.yaml").write_text(file)
+    words = ["--config-dir", "mine", "code=mine", "study=wrong", "model=true_ode", "measures=false"]
+    assert main([*words, *TINY, "pictures=false", "logger=none"]) == 2
+    told = "study=wrong: its result: dict does not inherit from symo_exp.evaluation.study.Finding"
+    assert told in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("word", "wanted"),
     [("study=[forced,forcd]", "forced"), ("study=forced study.forced.steps=0", "at least 1"),

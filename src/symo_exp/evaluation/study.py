@@ -21,7 +21,10 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
+import torch
 from torch import Tensor
+
+from symo_exp.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -31,14 +34,33 @@ class Finding:
     Attributes:
         columns: Columns of a table, of equal length.
         measures: Values by name.
+
+    Raises:
+        ConfigError: If columns do not form a table, or a measure is no number.
     """
 
     columns: dict[str, Tensor] = field(default_factory=dict)
     measures: dict[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        columns = {key: torch.as_tensor(x).detach().cpu() for key, x in self.columns.items()}
+        shapes = {key: tuple(x.shape) for key, x in columns.items()}
+        if len(set(shapes.values())) > 1 or any(len(shape) != 1 for shape in shapes.values()):
+            raise ConfigError(f"columns of shapes {shapes}: expected one dimension, equal lengths")
+        measures = {key: _number(key, x) for key, x in self.measures.items()}
+        vars(self).update(columns=columns, measures=measures)
+
     def named(self, name: str) -> Finding:
         """Return the same with a prefix of the measures."""
         return Finding(self.columns, {f"{name}_{key}": x for key, x in self.measures.items()})
+
+
+def _number(name: str, value: object) -> float:
+    """Return a measure as a float, of a tensor with one entry, too."""
+    try:
+        return float(value.detach() if isinstance(value, Tensor) else value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ConfigError(f"the measure {name}={value!r}: expected a number") from error
 
 
 Arrays = Mapping[str, np.ndarray]

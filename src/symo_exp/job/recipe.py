@@ -14,7 +14,7 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 
 from symo_exp import code
-from symo_exp.checks import whole_number
+from symo_exp.checks import instance, whole_number
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.intervals import Predicted
@@ -22,7 +22,7 @@ from symo_exp.evaluation.parameters import physical_parameters
 from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.rollouts import Rollouts
-from symo_exp.evaluation.study import afresh
+from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.evaluation.uncertainty import posterior_of
 from symo_exp.optim.base import EpochOptimizer
 from symo_exp.process import phases, stopping
@@ -309,6 +309,11 @@ def _study(settings: Mapping[str, Any], folder: RunFolder, parts: Parts) -> None
     for name in folder.missing_studies(asked):
         phases.say(f"study {name}")
         parts.data.setup()  # once
-        found = make(asked, name)(parts.model, parts.system, parts.data, remember=remember)
+        study = make(asked, name)
+        try:
+            found = study(parts.model, parts.system, parts.data, remember=remember)
+            instance("its result", found, Finding)
+        except ConfigError as error:
+            raise ConfigError(f"study={name}: {error}") from error
         columns = {key: x.numpy() for key, x in found.columns.items()}
         folder.write_study(name, asked[name], found.measures, columns)
