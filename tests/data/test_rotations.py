@@ -95,6 +95,7 @@ def test_velocities_come_from_poses_and_times_are_resampled(tmp_path: Path) -> N
         (lambda f: f.assign(q_R_w=1.01 * f.q_R_w + 0.2), {}, "expected a unit quaternion"),
         (lambda f: f, {"rotations": ["S"]}, "no column q_S_w, q_S_x, q_S_y, q_S_z"),
         (lambda f: f, {"rotations": 3}, r"system\.rotations=3"),
+        (lambda f: f, {"rotations": []}, r"are a quaternion .*give system\.rotations=\[R\]"),
         (lambda f: f.rename(columns={"v_R_x": "v_S_x"}), {}, "v_S_x belongs to no coordinate"),
     ],
 )

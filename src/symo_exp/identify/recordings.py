@@ -39,7 +39,7 @@ from symo_exp.identify.motions import (
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.shell import override_value
 from symo_exp.systems.base import System
-from symo_exp.systems.recorded import Recorded
+from symo_exp.systems.recorded import Recorded, quaternions
 
 TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
@@ -192,7 +192,7 @@ class _Examination:
 
     def _name_rotations_and_inputs(self) -> None:
         """Infer ``rotations`` and ``input_matrix`` from the names of the columns."""
-        if not self.rotations and (found := _quaternions(self.names)):
+        if not self.rotations and (found := quaternions(self.names)):
             self.rotations = found
             self.settings.append(f"system.rotations={override_value(list(found))}")
             self.notes.append(f"rotations: {', '.join(found)}, each a quaternion, by their names")
@@ -330,12 +330,6 @@ class _Examination:
 
 def _matrix_setting(matrix: Sequence[Sequence[float]]) -> str:
     return f"system.input_matrix={str(matrix).replace(' ', '')}"
-
-
-def _quaternions(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the rotations whose quaternions are among the columns."""
-    stems = [name.removesuffix("_w") for name in names if name.endswith("_w")]
-    return tuple(stem for stem in stems if {f"{stem}_{part}" for part in "wxyz"} <= set(names))
 
 
 def _turned(where: str, recording: Recording, space: Coordinates) -> Recording:

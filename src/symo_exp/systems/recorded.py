@@ -82,7 +82,20 @@ def _rotations(given: object, names: tuple[str, ...]) -> tuple[tuple[str, ...], 
             f"system.rotations={list(rotations)}: no column {', '.join(missing)}; a rotation R has "
             "the four q_R_w, q_R_x, q_R_y, q_R_z of its quaternion"
         )
-    return rotations, tuple(name for name in names if name not in parts)
+    flat = tuple(name for name in names if name not in parts)
+    if left := quaternions(flat):
+        columns = ", ".join(f"q_{left[0]}_{part}" for part in "wxyz")
+        raise ConfigError(
+            f"system.rotations={list(rotations)}: {columns} are a quaternion by their names; give "
+            f"system.rotations=[{','.join((*rotations, *left))}], or other names by data.columns"
+        )
+    return rotations, flat
+
+
+def quaternions(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the rotations whose quaternions are among coordinates."""
+    stems = [name.removesuffix("_w") for name in names if name.endswith("_w")]
+    return tuple(stem for stem in stems if {f"{stem}_{part}" for part in "wxyz"} <= set(names))
 
 
 def _angular(given: object, names: tuple[str, ...]) -> tuple[str, ...]:
