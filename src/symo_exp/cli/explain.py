@@ -56,7 +56,8 @@ def _explained_alone(error: BaseException) -> ConfigError | None:
         if name and isinstance(parent, DictConfig):
             groups = [] if "." in name else [x.name for x in CONF.iterdir() if x.is_dir()]
             there = dict.fromkeys(groups) | unresolved(parent)
-            return unknown_key(name, there, there.get("_target_"))
+            target = str(there.get("_target_", "symo_exp."))
+            return unknown_key(name, there, None if target.startswith("symo_exp.") else target)
     return None
 
 

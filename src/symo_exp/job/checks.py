@@ -103,7 +103,7 @@ def unknown_key(name: str, siblings: Mapping[str, Any], maker: str | None = None
     Args:
         name: The dotted name.
         siblings: The settings that exist beside it.
-        maker: The class that has them, if it may take others than those in the files.
+        maker: The class that has them, if it may take others than those in its file.
     """
     if name in MOVED:
         return ConfigError(f"{name} is not a setting any more; write {MOVED[name]}=...")
