@@ -51,6 +51,5 @@ def one_of(key: str, value: object, choices: Sequence[str]) -> str:
 def instance(key: str, value: object, kind: type) -> None:
     """Raise ``ConfigError`` unless ``value`` is of a class, such as that which a user extends."""
     if not isinstance(value, kind):
-        raise ConfigError(
-            f"{key}: {type(value).__name__} does not inherit from {kind.__module__}.{kind.__name__}"
-        )
+        given = "null" if value is None else type(value).__name__
+        raise ConfigError(f"{key} is {given}: expected a {kind.__module__}.{kind.__name__}")

@@ -63,7 +63,7 @@ def test_a_study_of_a_user_that_returns_no_finding_is_named(workplace, capsys):
     (workplace / "mine" / "study" / "wrong.yaml").write_text(file)
     words = ["--config-dir", "mine", "code=mine", "study=wrong", "model=true_ode", "measures=false"]
     assert main([*words, *TINY, "pictures=false", "logger=none"]) == 2
-    told = "study=wrong: its result: dict does not inherit from symo_exp.evaluation.study.Finding"
+    told = "study=wrong: its result is dict: expected a symo_exp.evaluation.study.Finding"
     assert told in capsys.readouterr().err
 
 

@@ -404,7 +404,9 @@ def test_a_lagrangian_of_a_user_that_cannot_be_learned_is_refused(method, kind, 
 
 def test_an_integrator_of_another_kind_is_refused():
     node, symo = (make(method, "midpoint", 2) for method in ("node", "symo"))
-    with pytest.raises(ConfigError, match=r"VariationalMidpoint does not .*\.RungeKutta$"):
+    with pytest.raises(ConfigError, match=r"VariationalMidpoint: expected a .*\.RungeKutta$"):
         ExplicitFlow(node.flow.field, VariationalMidpoint(), H)
-    with pytest.raises(ConfigError, match=r"integrator: RK4 does not .*\.VariationalIntegrator$"):
+    with pytest.raises(
+        ConfigError, match=r"integrator is RK4: expected a .*\.VariationalIntegrator$"
+    ):
         VariationalFlow(symo.lagrangian, RK4(), H, symo.input_matrix, root=symo.flow.root)
