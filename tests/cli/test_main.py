@@ -40,11 +40,8 @@ BAD = [
     ("gradient_clip=1", "gradient_clip", "write learner.gradient_clip="),
     ("model.width=1", "model.width", "write net.width="),
     ("optimizer.betas=[0.9,0.99]", "optimizer.betas", "write +optimizer.betas="),
-    (
-        "preset=thesis lagrangian=known",
-        "lagrangian.initial_inertia",
-        "lagrangian has: coordinates, fixed",
-    ),
+    ("preset=joints optimizer=lbfgs", "LBFGS does not", "~optimizer.shortest ~optimizer.huber"),
+    ("preset=thesis lagrangian=known", "lagrangian.initial_inertia", "KnownLagrangian does not"),
     # choices
     ("model=symoo", "symoo", "e2e_symo, l_node, node, residual, symo"),
     ("system=pendulun", "pendulun", "did you mean pendulum"),

@@ -34,7 +34,7 @@ YAML = {
     ),
     "positional": (
         NODE + "_args_: [1, 2]\ninteger: 3\n",
-        "not a setting; did you mean model.integrator",
+        "does not take it; did you mean model.integrator",
     ),
     "dangling": (NODE + "net: ${nowhere}\n", "'nowhere' not found"),
     "circle": (NODE + "net: ${model.integrator}\nintegrator: ${model.net}\n", "model.net"),

@@ -77,9 +77,10 @@ def _check_node(
     for key, value in node.items():
         name = f"{prefix}{key}"
         if key not in _INSTANTIATE_KEYS:
+            if key not in hints and key in known and name not in MOVED:
+                raise _not_taken(key, node, hints, prefix)
             if key not in hints:
-                others = {k: x for k, x in {**hints, **known}.items() if k != key}
-                raise unknown_key(name, others)
+                raise unknown_key(name, {**hints, **known})
             _check_value(references.get(name, name), value, hints[key])
         if name not in references and not _free(hints.get(key)):
             files = known.get(key)
@@ -87,6 +88,23 @@ def _check_node(
                 if isinstance(item, Mapping):
                     there = files if isinstance(files, Mapping) else {}
                     _check_node(item, there, references, f"{name}.")
+
+
+def _not_taken(
+    key: str, node: Mapping[str, Any], hints: Mapping[str, Any], prefix: str
+) -> ConfigError:
+    """Return the error for a setting of a file that a class does not take.
+
+    A preset has settings of the choices that it makes, which the command line may replace.
+    """
+    others = [k for k in node if k not in hints and k not in _INSTANTIATE_KEYS]
+    mend = " ".join(f"~{prefix}{k}" for k in others if node[k] is not None)  # which Hydra deletes
+    return ConfigError(
+        f"{prefix}{key} is set by a file, and {node['_target_']} does not take it"
+        f"{did_you_mean([f'{prefix}{s}' for s in similar(key, hints)])}"
+        + f"; to leave out what it does not take: {mend}"
+        * bool(mend)
+    )
 
 
 def _check_value(name: str, value: Any, hint: Any) -> None:
