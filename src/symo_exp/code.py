@@ -5,10 +5,11 @@ A configuration is data and must not run anything else.
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import pkgutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,29 @@ def locate(target: Any, where: str, homes: tuple[str, ...] = COMMANDS) -> Callab
     if not homely and not (callable(made) and (module.startswith(function) or _owns(made))):
         raise ConfigError(f"{where}={target} is refused: {allowed}")
     return made
+
+
+def digests(folder: str | Path | None) -> dict[str, str]:
+    """Return digests of the modules of a folder that are imported, by their files below it."""
+    if folder is None:
+        return {}
+    home = Path(str(folder)).expanduser().absolute()
+    loaded = (getattr(module, "__file__", None) for module in list(sys.modules.values()))
+    paths = [Path(file) for file in loaded if file]
+    return {
+        str(path.relative_to(home)): _digest(path) for path in paths if path.is_relative_to(home)
+    }
+
+
+def changed(folder: str | Path | None, before: Mapping[str, str]) -> list[str]:
+    """Return the files that have another content than they had when ``digests`` were taken."""
+    home = Path(str(folder)).expanduser()
+    files = [name for name in before if (home / name).is_file()]
+    return [name for name in files if _digest(home / name) != before[name]]
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
 
 
 def _modules() -> set[str]:

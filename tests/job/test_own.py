@@ -174,3 +174,22 @@ def test_learning_a_system_with_friction_as_one_without_is_warned_of(
 ):
     assert main(["system=pendulum", *words.split(), *QUIET, "measures=false"]) == 0
     assert ("learns no friction" in "".join(capsys.readouterr())) == told
+
+
+def test_results_of_code_that_has_changed_since_are_warned_of(mine, capsys):
+    file, other = mine / "changing_system.py", mine / "other.py"
+    file.write_text(FILES["mine_system.py"])
+    other.write_text("")
+    yaml = FILES["system/spring.yaml"].replace("mine_system", "changing_system")
+    (mine / "system" / "spring.yaml").write_text(yaml)
+    words = ["--config-dir", "mine_own", "code=mine_own", "system=spring", "measures=false", *QUIET]
+    words += ["model=true_variational"]
+    assert main(words) == 0
+    assert "changed since" not in "".join(capsys.readouterr())
+    other.write_text("not = used\n")
+    file.write_text(file.read_text().replace("0.5 * self.stiffness", "0.25 * self.stiffness"))
+    assert main(words) == 0
+    told = "".join(capsys.readouterr())
+    assert "changing_system.py: changed since 1 run(s) were started; resume=false" in told
+    assert "other.py" not in told
+    assert "finished already" in told

@@ -14,6 +14,7 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from symo_exp import code
 from symo_exp.errors import ConfigError, Refused, debugging, first_line, one_line
 from symo_exp.imports import first_import
 from symo_exp.job.config import Settings, resolve
@@ -262,6 +263,7 @@ def describe_job(
         sweep=os.environ.get(SWEEP, ""),
         tags={**revision_tags(), COMMAND: spelled(words)},
         recordings=recordings_of(settings.values),
+        code=code.digests(settings.values["code"]),
     )
 
 

@@ -32,7 +32,8 @@ class About:
 
     ``parameters`` are flat. ``variant`` names the settings that differ from the files that ship,
     beyond those with columns in tables. ``sweep`` is the identity of the first sweep of the run.
-    ``recordings`` is a digest of their content, nothing without any.
+    ``recordings`` is a digest of their content, nothing without any. ``code`` has the digests of
+    the user's modules, by their files below the folder ``code=FOLDER``.
     """
 
     name: str
@@ -41,6 +42,7 @@ class About:
     sweep: str = ""
     tags: dict[str, str] = field(default_factory=dict)
     recordings: str = ""
+    code: dict[str, str] = field(default_factory=dict)
     started: float = field(default_factory=time.time)
     identity: str = field(default_factory=lambda: uuid.uuid4().hex)
 

@@ -23,6 +23,7 @@ from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from symo_exp import code
 from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, debugging, one_line
 from symo_exp.imports import first_import
@@ -91,6 +92,7 @@ class Sweep:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
         _publish_missing(finished)
+        _warn_of_code([job for job in jobs if job.values["resume"]])
         if finished and len(jobs) > 1:
             print(f"{len(finished)} of {len(jobs)} runs are finished already", flush=True)
         if not todo:
@@ -329,6 +331,21 @@ def _publish_missing(finished: Sequence[Job]) -> None:
         tracker = instantiate(job.values["logger"])
         if not tracker.is_published(job.folder):
             publish(tracker, job.folder)
+
+
+def _warn_of_code(jobs: Sequence[Job]) -> None:
+    """Log which results are, or begin, with modules of the user that have changed since."""
+    old, files = 0, set()
+    for job in jobs:
+        about = job.folder.about() if job.folder.has_results() else None
+        changed = code.changed(job.values["code"], about.code) if about and about.code else []
+        old += bool(changed)
+        files.update(changed)
+    if old:
+        log.warning(
+            "%s: changed since %d run(s) were started; resume=false starts them anew, "
+            "experiment=NAME makes others beside them", ", ".join(sorted(files)), old,
+        )  # fmt: skip
 
 
 def _tell_one(folder: RunFolder, *, was_finished: bool) -> None:
