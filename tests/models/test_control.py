@@ -103,6 +103,19 @@ def test_inverse_dynamics_takes_the_nearest_possible_motion(method, integrator, 
     assert (least.max() < 1e-9) == (n == 1)
 
 
+@pytest.mark.parametrize(("method", "integrator"), [("node", "rk4"), ("symo", "midpoint")])
+def test_configurations_that_are_not_finite_leave_the_controls_of_other_rows(method, integrator):
+    model = make(method, integrator, 2)
+    _, path = motion(model, windows(2))
+    good = model.inverse_dynamics(*path)
+    bad = [q.clone() for q in path]
+    for k, q in enumerate(bad):
+        q[k, 0] = torch.nan
+    found = model.inverse_dynamics(*bad)
+    assert found[:3].isnan().all()
+    torch.testing.assert_close(found[3:], good[3:])
+
+
 @pytest.mark.parametrize(("method", "integrator"), [("l_node", "rk4"), ("symo", "midpoint")])
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_inverse_dynamics_of_a_small_machine_finds_the_same_controls(method, integrator, n):

@@ -69,7 +69,9 @@ def inverse_dynamics(flow: Flow, q_prev: Tensor, q: Tensor, q_next: Tensor) -> T
         slope = torch.linalg.solve_ex(a[:, :n, n:], b[:, :n])[0]
         to_go = space.difference(second.q, q_next) - matvec(by_v[:, :n], shift)
         reach = relative((by_u[:, :n] - by_v[:, :n] @ slope).mT, flow.sizes).mT
-        du = matvec(torch.linalg.pinv(reach), relative(to_go, flow.sizes))
+        # Rows that are not finite stay so by ``to_go``; ``pinv`` refuses the batch for one of them.
+        inverse = torch.linalg.pinv(reach.nan_to_num(0.0, 0.0, 0.0))
+        du = matvec(inverse, relative(to_go, flow.sizes))
         dv = shift - matvec(slope, du)
         u, v = u + du, v + dv
         still = matvec(by_u[:, :n], du).abs() + off.abs()
