@@ -344,6 +344,15 @@ def test_states_may_be_data_frames():
     assert torch.equal(model.energy(q.iloc[0], v.iloc[0]), model.energy(data.q[0], data.v[0]))
 
 
+@FLOWS
+def test_a_batch_may_be_empty(method, integrator, n):
+    model, none = make(method, integrator, n), torch.zeros(0, n)
+    assert model.rollout(none, none, steps=12).q.shape == (0, 13, n)
+    assert model.step(none, none).q.shape == (0, n)
+    assert model.linearize(none, none).A.shape == (0, 2 * n, 2 * n)
+    assert model.inverse_dynamics(none, none, none).shape == (0, 1)
+
+
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_a_rollout_from_a_start_that_is_not_finite_is_refused(bad):
     model, data = make("node", "midpoint", 2), windows(2)

@@ -23,7 +23,7 @@ def tanh_jet_layer(
 
 def _value(x: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the layer's jet, ``z`` without the bias, and ``h``, for the derivative."""
-    z = (x.flatten(0, 1) @ weight.T).view(*x.shape[:2], -1)
+    z = (x.flatten(0, 1) @ weight.T).unflatten(0, x.shape[:2])
     h = torch.tanh(z[0] + bias)
     return torch.cat((h.unsqueeze(0), z[1:] * (1.0 - h * h))), z, h
 
