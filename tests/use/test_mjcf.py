@@ -213,6 +213,16 @@ def learned_body(coordinates, **given):
     return found if coordinates.n > 3 else DissipativeLagrangian(found, friction.double())
 
 
+def held_body(system):
+    """A free body on springs, with the same friction in all directions."""
+    springs = LinearSprings(coordinates=system.coordinates, start=np.diag([1.0, 2.0, 3.0]).tolist())
+    with torch.no_grad():
+        springs.preload.copy_(torch.tensor([0.5, -0.5, 1.0]))
+    lagrangian = SprungLagrangian(learned_body(system.coordinates), springs.double())
+    friction = LearnedDissipation(coordinates=system.coordinates).double()
+    return DissipativeLagrangian(lagrangian, friction)
+
+
 def turning_cases():
     for name, system in TURNING.items():
         n = system.coordinates.n
@@ -231,6 +241,8 @@ def turning_cases():
             )
             model = model_of(found, system.coordinates, matrix)
             yield pytest.param((model, system.linkage.joints), id=f"learned {name} {learned}")
+    model = model_of(held_body(system), system.coordinates, system.input_matrix)
+    yield pytest.param((model, system.linkage.joints), id="on springs")
 
 
 @pytest.mark.parametrize("case", list(turning_cases()))

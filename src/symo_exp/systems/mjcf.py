@@ -223,14 +223,16 @@ def _free(
 ) -> dict[int, int]:
     """Return the ball joint of each slide of the free bodies that one free joint can move.
 
-    A free joint has no reference and the same friction and armature in all directions.
+    A free joint has no reference and no spring, and the same friction and armature in all
+    directions.
     """
     places = freedoms_of(joints)
     found: dict[int, int] = {}
     for start, ball in mechanism.get("free", ()):
         parts = [joints[i] for i in range(start, ball + 1)]
         own = {damping[k] for part in places[start : ball + 1] for k in part}
-        same = len(own) == 1 and len({(x.armature, x.friction) for x in parts}) == 1
+        alike = {(x.armature, x.friction, x.stiffness) for x in parts}  # a ball joint has no spring
+        same = len(own) == 1 and len(alike) == 1
         at = [x.reference for x in parts[:3]]
         if (
             same
