@@ -373,6 +373,35 @@ def test_links_in_a_plane_of_any_number_are_bodies_if_the_machine_is(name, tmp_p
     np.testing.assert_allclose(found, links.mass_matrix(q)[0].detach(), rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("angular", [(True,), (True, True), (False, True)])
+@pytest.mark.parametrize("weightless", ["all", "last"])
+def test_links_without_a_weight_are_bodies_of_possible_sizes(angular, weightless, tmp_path):
+    """On vertical axes, or balanced: what is learned of their weight is almost zero."""
+    n = len(angular)
+    lagrangian = planar(angular)
+    links = lagrangian.conservative
+    with torch.no_grad():
+        if weightless == "all":
+            links.weights *= 1e-9
+        else:
+            links.weights[n - 1 :: n] *= 1e-9
+            links.points.view(n, -1)[-1] *= 1e-9
+    coordinates = Coordinates(tuple("abc"[:n]), angular)
+    model = model_of(lagrangian, coordinates, torch.eye(n).double())
+    theirs = mujoco.MjModel.from_xml_path(str(symo_exp.export(model, tmp_path / "machine.xml")))
+    data, mass = mujoco.MjData(theirs), np.zeros((n, n))
+    q = torch.linspace(0.5, 1.0, n).double()[None]
+    data.qpos[:] = q[0].numpy()
+    mujoco.mj_forward(theirs, data)
+    for i, unit in enumerate(np.eye(n)):
+        mujoco.mj_mulM(theirs, data, mass[i], unit)
+    expected = links.rates(q, torch.zeros_like(q))
+    np.testing.assert_allclose(mass, expected.mass[0].detach(), rtol=1e-9, atol=1e-12)
+    assert abs(theirs.body_ipos).max() < 1e3
+    if all(angular):
+        np.testing.assert_allclose(data.qfrc_bias, -expected.q[0].detach(), rtol=1e-6, atol=0)
+
+
 def test_three_learned_links_that_are_no_bodies_are_refused(tmp_path):
     angular = (True,) * 3
     coordinates = Coordinates(("a", "b", "c"), angular)

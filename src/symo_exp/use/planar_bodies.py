@@ -26,6 +26,9 @@ from symo_exp.systems.base import Linkage
 
 EARTH = 9.81
 """Gravity where data leave it open [m/s²]."""
+FAR = 100.0
+"""Largest length of a pendulum that is as slow as the links under this gravity, and largest radius
+of gyration of a link where its mass is left open, in units of length of the coordinates."""
 AGREEMENT = 1e-9
 """Largest difference of ``C`` and ``w`` from those of rigid links, relative to their sizes."""
 
@@ -56,8 +59,7 @@ def planar_bodies(links: PlanarLinks, coordinates: Coordinates) -> Linkage:
             more need not be.
     """
     learned = _read(links, coordinates)
-    earth = EARTH / coordinates.units.size("m/s^2")
-    gravity, moments = _gravity_and_moments(learned, earth)
+    gravity, moments = _gravity_and_moments(learned, coordinates)
     vectors = [_vector(learned, moments, k) for k in range(learned.n)]
     _require_rigid(learned, gravity, moments, vectors)
     carried = [*_carried(learned, moments, vectors), 0.0]
@@ -89,7 +91,7 @@ def planar_bodies(links: PlanarLinks, coordinates: Coordinates) -> Linkage:
 def constant_forces(links: PlanarLinks, coordinates: Coordinates) -> list[str]:
     """Return a line for each force along a slide that is not the weight of what it carries."""
     learned = _read(links, coordinates)
-    gravity, _ = _gravity_and_moments(learned, EARTH / coordinates.units.size("m/s^2"))
+    gravity, _ = _gravity_and_moments(learned, coordinates)
     lines = []
     for k in range(learned.slides):
         force = -learned.weights[k].real - gravity.real * learned.inertias[k]
@@ -119,10 +121,20 @@ def _read(links: PlanarLinks, coordinates: Coordinates) -> _Learned:
     return _Learned(products.tolist(), inertias.tolist(), weights.tolist(), rotors, slides)
 
 
-def _gravity_and_moments(learned: _Learned, earth: float) -> tuple[complex, list[complex]]:
-    """Return ``γ`` and ``s``; ``s`` of slides is zero."""
+def _gravity_and_moments(
+    learned: _Learned, coordinates: Coordinates
+) -> tuple[complex, list[complex]]:
+    """Return ``γ`` and ``s``; ``s`` of slides is zero.
+
+    Without a slide, ``γ`` is that of the earth, or less where the links hardly have a weight, as on
+    vertical axes: bodies with so small moments under it would be thousands of kilometres long.
+    """
     hinges = range(learned.slides, learned.n)
     if not learned.slides:
+        earth = EARTH / coordinates.units.size("m/s^2")
+        squared = max(abs(w) / h for w, h in zip(learned.weights, learned.inertias, strict=True))
+        if 0.0 < FAR * squared < earth:
+            earth = squared  # that of a pendulum with the unit length
         return -1j * earth, [1j * w / earth for w in learned.weights]
     moments = [0j] * learned.slides + [-1j * learned.products[0][k] for k in hinges]
     power = sum(abs(s) ** 2 for s in moments)
@@ -162,10 +174,11 @@ def _require_rigid(
 
 
 def _carried(learned: _Learned, moments: list[complex], vectors: list[complex]) -> list[float]:
-    """Return the mass that each joint carries: at most twice the least possible one.
+    """Return the mass that each joint carries: twice the least possible one, or near it.
 
     From the last link inwards: a link has a positive inertia about its centre if its mass is large
-    enough, and leaves one to the link before if it is small enough.
+    enough, and leaves one to the link before if it is small enough. The least possible mass of a
+    balanced link is almost zero.
     """
     found: list[float] = []
     for k in reversed(range(learned.slides, learned.n)):
@@ -183,7 +196,7 @@ def _carried(learned: _Learned, moments: list[complex], vectors: list[complex]) 
                 "and .urdf require; learn with lagrangian=rigid, or write .pt2"
             )
         if least > beyond:
-            chosen = min(2.0 * least, math.sqrt(least * most))
+            chosen = min(max(2.0 * least, own / FAR**2), math.sqrt(least * most))
         else:  # a link without a first moment of its own: any mass
             chosen = beyond + (0.5 * (most - beyond) if math.isfinite(most) else own)
         found.insert(0, chosen)
