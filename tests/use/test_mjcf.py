@@ -411,6 +411,22 @@ def test_three_learned_links_that_are_no_bodies_are_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("length", [1e-6, 1e-3])
+def test_a_body_too_light_for_a_file_is_reported(length, tmp_path):
+    """MuJoCo refuses it, so that the file has a heavier one."""
+    coordinates = Coordinates(("q",), (True,), units=Units(length=length, mass=1e-3))
+    chain = ScaledLagrangian(RigidChain(coordinates=Coordinates(("q",), (True,))), coordinates)
+    model = model_of(chain.double(), coordinates, torch.eye(1).double())
+    file = symo_exp.export(model, tmp_path / "mirror.xml")
+    theirs = mujoco.MjModel.from_xml_path(str(file))
+    data, mass = mujoco.MjData(theirs), np.zeros(1)
+    mujoco.mj_forward(theirs, data)
+    mujoco.mj_mulM(theirs, data, mass, np.ones(1))
+    learned = chain.mass_matrix(torch.zeros(1, 1).double()).item()
+    same = mass[0] == pytest.approx(learned, rel=1e-9, abs=0.0)
+    assert ("body of q is heavier in this file: at least 1e-13" in file.read_text()) != same
+
+
 def test_a_constant_force_along_a_slide_is_reported(tmp_path, caplog):
     angular = (False, True)
     coordinates = Coordinates(("x", "a"), angular)

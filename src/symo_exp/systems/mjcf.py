@@ -20,6 +20,8 @@ from symo_exp.mechanics.bodies import Joint, freedoms, freedoms_of
 
 POINT = 1e-13
 """Least mass [kg] and inertia [kg m^2] of a body that moves: MuJoCo refuses zero."""
+NOTICED = 1e-6
+"""Relative change of a body that is reported."""
 LAMINA = 1e-13
 """Share of the largest moment by which the sum of the others exceeds it at least."""
 
@@ -284,6 +286,24 @@ def unwritten(mechanism: Mapping[str, Any]) -> list[str]:
     names, columns = mechanism["inputs"]["names"], _columns(joints, mechanism["inputs"])
     moves = [_moves(joints, column, mechanism) for column in columns]
     return [str(name) for name, move in zip(names, moves, strict=True) if move is None]
+
+
+def raised(mechanism: Mapping[str, Any]) -> list[str]:
+    """Return the names of joints whose bodies are so light that a file holds heavier ones."""
+    found = []
+    for joint in (Joint(**joint) for joint in mechanism["joints"]):
+        arm, inertia = np.subtract(joint.centre, joint.anchor), np.array(joint.inertia)
+        lever = arm @ arm * np.eye(3) - np.outer(arm, arm)
+        along = np.eye(3) if joint.axes is not None else np.outer(joint.axis, joint.axis)
+        body = joint.mass, inertia
+        more = max(POINT - joint.mass, 0.0), _positive(inertia) - inertia
+        own, added = (
+            mass if joint.slides else float(np.sum(along * (turned + mass * lever)))
+            for mass, turned in (body, more)
+        )
+        if joint.mass > 0.0 and added > NOTICED * (own + joint.armature):
+            found.append(joint.name)
+    return found
 
 
 def _columns(joints: Sequence[Joint], inputs: Mapping[str, Any]) -> np.ndarray:

@@ -26,7 +26,7 @@ from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 from symo_exp.systems.base import LagrangianSystem, Linkage
-from symo_exp.systems.mjcf import mjcf, unwritten, urdf
+from symo_exp.systems.mjcf import POINT, mjcf, raised, unwritten, urdf
 from symo_exp.use.planar_bodies import constant_forces, planar_bodies
 
 log = logging.getLogger(__name__)
@@ -80,6 +80,8 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
         "inputs": _inputs(model, lagrangian, inverse),
         "free": found.free,
     }
+    least = f"the body of {{}} is heavier in this file: at least {POINT:g} kg and kg m^2"
+    missing += [least.format(name) for name in raised(mechanism)]
     missing += [f"the input {name} is not in this file" for name in unwritten(mechanism)]
     for line in missing:
         log.warning("%s: %s", path.name, line)
