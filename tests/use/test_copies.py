@@ -148,10 +148,25 @@ def test_rewards_and_actions_may_have_any_form(copies):
         for wrong in (np.zeros((count, 2)), ["left"] * count, None):
             with pytest.raises(ConfigError, match=rf"expected numbers of shape \({count}, 1\)"):
                 env.step(wrong)
-    env = environment(system, copies, reward=lambda q, v, u: -(q**2))
-    env.reset(seed=0)
-    with pytest.raises(ConfigError, match=rf"reward has shape \({count}, 1\): expected"):
-        env.step(np.zeros((count, 1)))
+    for reward in (lambda q, v, u: -(q**2), lambda q, v, u: None, lambda q, v, u: "high"):
+        env = environment(system, copies, reward=reward)
+        env.reset(seed=0)
+        with pytest.raises(ConfigError, match=r"reward has shape .* expected numbers of shape"):
+            env.step(np.zeros((count, 1)))
+
+
+def test_actions_of_several_copies_and_inputs_are_not_reshaped():
+    """A row for each input in the place of one for each copy has as many numbers."""
+    system = SYSTEMS["quadrotor"]
+    m = system.input_matrix.shape[1]
+    envs, one = environment(system, 3), environment(system)
+    envs.reset(seed=0)
+    one.reset(seed=0)
+    for wrong in (np.zeros((m, 3)), np.zeros(3 * m)):
+        with pytest.raises(ConfigError, match=rf"expected numbers of shape \(3, {m}\)"):
+            envs.step(wrong)
+    assert envs.step(np.zeros((3, m)))[1].shape == (3,)
+    assert one.observation_space.contains(one.step(np.zeros((m, 1)))[0])
 
 
 def test_models_of_recordings_need_a_box_and_may_have_a_reward():

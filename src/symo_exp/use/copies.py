@@ -85,19 +85,20 @@ class Copies:
             q_next, v_next, found = (x.cpu() for x in self._motion(q, v, u))
             found = (found & q_next.isfinite().all(1) & v_next.isfinite().all(1))[:, None]
             q, v = q_next.double().where(found, q), v_next.double().where(found, v)
-            reward = np.asarray(self._reward(q, v, u), dtype=np.float64)
-        if reward.shape not in ((), (len(states),)):
+            reward = np.asarray(self._reward(q, v, u))
+        if reward.dtype.kind not in "biuf" or reward.shape not in ((), (len(states),)):
             raise ConfigError(
-                f"the reward has shape {reward.shape}: expected ({len(states)}), one number for "
-                "each copy"
+                f"the reward has shape {reward.shape} and type {reward.dtype}: expected numbers of "
+                f"shape ({len(states)}), one for each copy"
             )
-        reward = np.broadcast_to(reward, len(states)).copy()
+        reward = np.broadcast_to(reward.astype(np.float64), len(states)).copy()
         return torch.cat((q, v), dim=1).numpy(), reward, ~found[:, 0].numpy()
 
     def _clipped(self, actions: Any, count: int) -> np.ndarray:
-        """Return actions (count, m) within their range; with one input, (count,) will do."""
+        """Return actions (count, m) within their range; of one copy or input in any shape."""
         given, shape = np.asarray(actions), (count, *self.actions.shape)
-        if given.dtype.kind not in "biuf" or given.size != math.prod(shape):
+        fits = given.shape == shape or (given.size == math.prod(shape) and min(shape) < 2)
+        if given.dtype.kind not in "biuf" or not fits:
             raise ConfigError(
                 f"action of shape {given.shape} and type {given.dtype}: expected numbers of shape "
                 f"{shape}, a row for each copy"
