@@ -185,8 +185,10 @@ def test_models_of_recordings_need_a_box_and_may_have_a_reward():
     model.system = None
     with pytest.raises(ConfigError, match=r"environment\(model, system="):
         environment(model)
+    with pytest.raises(ConfigError, match=r"Pendulum has 1 .* the model, which has 2 and 2"):
+        environment(model, system=SYSTEMS["pendulum"])
     with pytest.raises(ConfigError, match="copies=0"):
-        environment(model, 0, system=SYSTEMS["acrobot"])
+        environment(model, 0, system=system, box=box)
 
 
 @pytest.mark.parametrize("flat", [(), ("x", "y", "z")])

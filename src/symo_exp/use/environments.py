@@ -244,12 +244,26 @@ def environment(
         raise ConfigError(
             "the system of this model is not known: give it, environment(model, system=...)"
         )
+    if isinstance(subject, DynamicsModel):
+        _require_same_sizes(subject, system)
     if box is not None:
         system = dataclasses.replace(system, box=box)
     options = {"max_episode_steps": MAX_EPISODE_STEPS, **options}
     if copies is None:
         return Environment(system, **options)
     return VectorEnvironment(system, copies, **options)
+
+
+def _require_same_sizes(model: DynamicsModel, system: System) -> None:
+    sizes = [
+        (x.coordinates.width, x.coordinates.n, x.input_matrix.shape[1]) for x in (model, system)
+    ]
+    if sizes[0] != sizes[1]:
+        (_, n, m), (_, others, inputs) = sizes
+        raise ConfigError(
+            f"{type(system).__name__} has {others} coordinate(s) and {inputs} input(s): expected "
+            f"the system of the model, which has {n} and {m} and the same rotations"
+        )
 
 
 def _step_of(model: DynamicsModel) -> TimeStep:
