@@ -5,7 +5,9 @@ import shlex
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from symo_exp.shell import override_value, python_command
@@ -72,6 +74,14 @@ def test_a_value_is_spelled_as_the_command_line_reads_it(value):
     (override,) = OverridesParser.create().parse_overrides([f"key={override_value(value)}"])
     assert override.value() == value
     assert type(override.value()) is type(value)
+
+
+@pytest.mark.parametrize(
+    "value", [np.eye(2, 3), np.arange(2), np.float64(1e-7), np.bool_(True), torch.ones(1, 2)]
+)
+def test_arrays_and_tensors_are_lists(value):
+    (override,) = OverridesParser.create().parse_overrides([f"key={override_value([value])}"])
+    assert override.value() == [value.tolist()]
 
 
 @pytest.mark.parametrize("path", ["logs/my file, größe.csv", "logs/mine.csv", "a=b/[1].csv"])

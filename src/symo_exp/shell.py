@@ -30,10 +30,12 @@ def install_command(extra: str) -> str:
 
 
 def override_value(value: Any, *, nested: bool = False) -> str:
-    """Write a value as in an override of Hydra.
+    """Write a value as in an override of Hydra; an array or a tensor is a list.
 
     A string that is not nested is unchanged; a path is quoted where it needs to be.
     """
+    if hasattr(value, "tolist"):  # of NumPy, PyTorch or pandas
+        value = value.tolist()
     if isinstance(value, Mapping):
         items = (f"{key}: {override_value(x, nested=True)}" for key, x in value.items())
         return "{" + ", ".join(items) + "}"

@@ -88,7 +88,8 @@ def run(*words: str, **settings: Any) -> Run | list[Run]:
     Args:
         *words: Words of the command line.
         **settings: Settings and choices of files by name; numbers, truth values, ``None``, lists,
-            dictionaries and paths are written as on the command line, strings are unchanged.
+            arrays, dictionaries and paths are written as on the command line, strings are
+            unchanged.
 
     Returns:
         The run; with ``-m``, or if ``-cn NAME`` makes several, a list of all runs in order.
