@@ -174,7 +174,11 @@ class DynamicsModel(nn.Module):
         return Interval(*(x[0] for x in found)) if given.single else found
 
     def sample(self, count: int, *, seed: int = 0) -> list[DynamicsModel]:
-        """Return ``count`` models with parameters drawn from the posterior."""
+        """Return ``count`` models with parameters drawn from the posterior.
+
+        Those of a network may be far off: some of its weights are so uncertain that predictions are
+        not linear in them, as ``rollout_interval`` takes them to be.
+        """
         count = whole_number("count", count, low=0)
         return sample(self, known(self.posterior), count, seed)
 
