@@ -79,9 +79,9 @@ def planar(angular, relative=True):
     return DissipativeLagrangian(links, perturbed(friction))
 
 
-def sprung(angular):
-    """Rigid links with a spring on every joint."""
-    found = rigid(angular)
+def sprung(angular, links=rigid):
+    """Links with a spring on every joint."""
+    found = links(angular)
     springs = LinearSprings(coordinates=Coordinates(tuple(map(str, angular)), angular))
     with torch.no_grad():
         diagonal = springs.places.diagonal()
@@ -89,6 +89,15 @@ def sprung(angular):
         springs.preload.uniform_(-1.0, 1.0)
     lagrangian = SprungLagrangian(found.conservative, springs.double())
     return DissipativeLagrangian(lagrangian, found.dissipation)
+
+
+def pushed(angular):
+    """Links in a plane on springs, with a constant force along the slide."""
+    found = sprung(angular, planar)
+    if not all(angular):
+        with torch.no_grad():
+            found.conservative.conservative.weights[0] -= 3.0
+    return found
 
 
 UNITS = Units(length=2.0, time=0.5, mass=3.0)
@@ -108,10 +117,11 @@ LEARNED = {
     "rigid": rigid,
     "planar": planar,
     "absolute": partial(planar, relative=False),
+    "pushed": pushed,
     "sprung": sprung,
     "scaled": scaled,
 }
-PLANAR = ("planar", "absolute")
+PLANAR = ("planar", "absolute", "pushed")
 
 
 def model_of(lagrangian, coordinates, matrix, system=None):

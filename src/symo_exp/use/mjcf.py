@@ -62,12 +62,20 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
         raise ConfigError(f"{path.name}: a URDF has no ball joints, as this model has; write .xml")
     inverse = torch.linalg.inv(found.matrix)
     damping, friction, missing = passive(dissipation, found.matrix.shape[0])
+    constant = torch.zeros(len(inverse)).double()
     if isinstance(lagrangian, PlanarLinks):
-        missing += constant_forces(lagrangian, model.coordinates)
+        forces = constant_forces(lagrangian, model.coordinates)
+        constant = units.size("N") * torch.tensor(forces).double()
     damping = inverse.T @ scale.matrix(damping, 1) @ inverse
     friction = [_unit_direction(c, scale.force(torch.tensor(a).double())) for c, a in friction]
     if springs is not None:
-        found = found._replace(joints=_with_springs(found.joints, springs, scale, inverse, missing))
+        joints = _with_springs(found.joints, springs, scale, inverse, constant, missing)
+        found = found._replace(joints=joints)
+    missing += [
+        f"the constant force of {force:.6g} N along {joint.name} is not in this file"
+        for joint, force in zip(found.joints, constant.tolist(), strict=False)
+        if force
+    ]
     damping, friction = _of_balls(found.joints, damping, friction, missing)
     along: Coupled = [(c, _tidy(torch.tensor(a).double() @ inverse)) for c, a in friction]
     if not torch.equal(found.matrix, torch.eye(len(inverse)).double()):
@@ -255,9 +263,13 @@ def _with_springs(
     springs: LinearSprings,
     scale: Scale,
     inverse: Tensor,
+    constant: Tensor,
     missing: list[str],
 ) -> list[Joint]:
-    """Return the joints with the springs that act on one of them alone."""
+    """Return the joints with the springs that act on one of them alone.
+
+    They take over the ``constant`` force along their joint, which becomes zero.
+    """
     flat, turns = len(springs.preload), len(inverse) - len(springs.preload)
     matrix = nn.functional.pad(springs.matrix.double(), (0, turns, 0, turns))
     stiffness = inverse.T @ scale.matrix(matrix, 0) @ inverse
@@ -272,7 +284,9 @@ def _with_springs(
             total = joint.stiffness + float(stiffness[k, k])
             force = joint.stiffness * joint.rest + float(preload[k])
             if total > 0.0:
-                joint = joint._replace(stiffness=total, rest=force / total)
+                rest = (force + float(constant[k])) / total
+                joint = joint._replace(stiffness=total, rest=rest)
+                constant[k] = 0.0
             elif total < 0.0 or force != 0.0:
                 missing.append(f"the force of the spring of {joint.name} is not in this file")
         sprung.append(joint)

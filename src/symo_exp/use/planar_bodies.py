@@ -88,18 +88,17 @@ def planar_bodies(links: PlanarLinks, coordinates: Coordinates) -> Linkage:
     return Linkage(joints, _in_space(gravity), matrix)
 
 
-def constant_forces(links: PlanarLinks, coordinates: Coordinates) -> list[str]:
-    """Return a line for each force along a slide that is not the weight of what it carries."""
+def constant_forces(links: PlanarLinks, coordinates: Coordinates) -> list[float]:
+    """Return the force along each joint that is not the weight of what it carries, zero of hinges.
+
+    It is in the units of the coordinates.
+    """
     learned = _read(links, coordinates)
     gravity, _ = _gravity_and_moments(learned, coordinates)
-    lines = []
+    forces = [0.0] * learned.n
     for k in range(learned.slides):
-        force = -learned.weights[k].real - gravity.real * learned.inertias[k]
-        force *= coordinates.units.size("N")
-        if force:
-            name = coordinates.names[k]
-            lines.append(f"the constant force of {force:.6g} N along {name} is not in this file")
-    return lines
+        forces[k] = -learned.weights[k].real - gravity.real * learned.inertias[k]
+    return forces
 
 
 def _read(links: PlanarLinks, coordinates: Coordinates) -> _Learned:
