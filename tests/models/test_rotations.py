@@ -23,6 +23,7 @@ from symo_exp.nets.drag import LearnedBodyDrag
 from symo_exp.nets.rigid_body import LearnedRigidBody
 from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.table import system as stated
+from symo_exp.use.environments import environment
 from tests.tables import arguments_of
 
 ROOT = Newton(tolerance=1e-12, max_iterations=30)
@@ -136,6 +137,24 @@ def test_features_that_rotations_lack_are_refused_in_one_line() -> None:
         ExplicitFlow(field, RK4(), 0.1, sensitivity="adjoint")
     with pytest.raises(ConfigError, match=r"q0 has shape|q has shape"):
         model.rollout(v, v, steps=1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_motion_does_not_start_from_a_matrix_that_is_no_rotation(name: str) -> None:
+    system = stated(name)
+    model, flat = model_of(system, "explicit"), system.coordinates.n - 3
+    q, v, _ = system.points(2, seed=0)
+    mirror = torch.eye(3, dtype=torch.float64) * torch.tensor([1.0, 1.0, -1.0])
+    for wrong in (torch.zeros(3, 3), 1.1 * torch.eye(3), mirror):
+        bad = q.clone()
+        bad[1, flat:] = wrong.flatten()
+        with pytest.raises(ConfigError, match="q0 has no rotation matrix in row 1") as caught:
+            model.rollout(bad, v, steps=1)
+        assert "\n" not in str(caught.value)
+        env = environment(model, system=system)
+        with pytest.raises(ConfigError, match="expected rotation matrices"):
+            env.reset(options={"q": bad[1].numpy()})
+    assert model.rollout(q.float(), v, steps=1).converged.all()
 
 
 def learned(kind: str, free: bool) -> DynamicsModel:

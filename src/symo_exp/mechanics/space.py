@@ -25,6 +25,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+LOOSE = 0.01
+"""Largest entry of ``R Rᵀ − I`` of a matrix that is taken for a rotation: single precision loses
+1e-7 in a step."""
 TERMS = 16
 """Terms of a series: exact to rounding up to half a turn, to 1e-12 up to a whole one."""
 
@@ -226,6 +229,12 @@ class Space:
         pitch = -torch.asin(turn[..., 2, 0].clamp(-1.0, 1.0))
         yaw = torch.atan2(turn[..., 1, 0], turn[..., 0, 0])
         return torch.cat((flat, torch.stack((roll, pitch, yaw), -1).flatten(-2)), dim=-1)
+
+    def rotates(self, q: Float[Tensor, "*batch N"]) -> Bool[Tensor, "*batch"]:
+        """Return which configurations have rotation matrices, up to ``LOOSE``."""
+        turn = self.rotation_matrices(q)
+        off = (turn @ turn.mT - torch.eye(3).to(turn)).abs().amax((-2, -1))
+        return ((off < LOOSE) & (torch.linalg.det(turn) > 0.0)).all(-1)
 
     def normalised(self, q: Float[Tensor, "*batch N"]) -> Float[Tensor, "*batch N"]:
         """Return configurations with the rotations next to their nine entries."""

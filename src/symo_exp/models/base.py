@@ -122,13 +122,11 @@ class DynamicsModel(nn.Module):
             ``q`` and ``v`` (B, T+1, n) and ``converged`` (B, T), without B for a single state.
 
         Raises:
-            ConfigError: If a start is not finite.
+            ConfigError: If a start is not finite or has a rotation that is none.
         """
         given = Inputs(self.input_matrix, q0, self.flow.space)
         v, controls = given.finite("v0", given.state("v0", v0)), given.controls(u, steps)
-        rollout = self.flow.rollout(
-            given.finite("q0", given.q), v, controls, self.compiled.get("rollout")
-        )
+        rollout = self.flow.rollout(given.start("q0"), v, controls, self.compiled.get("rollout"))
         return Rollout(*(x[0] for x in rollout)) if given.single else rollout
 
     def rollout_slopes(self, q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor] | None:

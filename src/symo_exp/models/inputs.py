@@ -31,7 +31,7 @@ class Inputs:
 
     def __init__(self, like: Tensor, q: Array, space: Space = FLAT) -> None:
         self._like, (self._n, self._m) = like, like.shape
-        self._width = space.stored(self._n)
+        self._space, self._width = space, space.stored(self._n)
         self._tracked = False
         q, size = self._numbers("q", q), self._width
         if q.ndim not in (1, 2) or q.shape[-1] != size:
@@ -78,6 +78,23 @@ class Inputs:
             where = "" if self.single else f" in row {row}"
             raise ConfigError(f"{name} is not finite{where}: {x[row].tolist()}")
         return x
+
+    def start(self, name: str) -> Tensor:
+        """Return the configurations, from which a motion starts.
+
+        Raises:
+            ConfigError: If a number is not finite, or a rotation is none.
+        """
+        q = self.finite(name, self.q)
+        if not (fits := self._space.rotates(q)).all():
+            row = int((~fits).nonzero()[0, 0])
+            where = "" if self.single else f" in row {row}"
+            raise ConfigError(
+                f"{name} has no rotation matrix{where}: {q[row].tolist()}; expected the nine "
+                "entries of each rotation at the end, row by row (Space.of_quaternions of "
+                "symo_exp.mechanics.space converts quaternions)"
+            )
+        return q
 
     def _numbers(self, name: str, x: Array) -> Tensor:
         try:

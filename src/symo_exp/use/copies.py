@@ -54,18 +54,23 @@ class Copies:
         self, random: np.random.Generator, count: int, options: Mapping[str, Any] | None = None
     ) -> np.ndarray:
         """Return states (count, N + n) to start from; rotations are drawn as rotation vectors."""
-        given, parts = options or {}, []
+        given, parts, space = options or {}, [], self.system.coordinates.space
         if unknown := set(given) - {"q", "v"}:
             raise ConfigError(f"reset options {sorted(unknown)}: expected q and v")
         for name in ("q", "v"):
             low, high = np.array(getattr(self.box, name)).T
             drawn = random.uniform(low, high, size=(count, len(low)))
             if name == "q":  # the entries of rotations
-                drawn = self.system.coordinates.space.of_vector(torch.from_numpy(drawn)).numpy()
+                drawn = space.of_vector(torch.from_numpy(drawn)).numpy()
             part, size = np.asarray(given.get(name, drawn), dtype=np.float64), drawn.shape[1]
             if part.shape not in (drawn.shape, (size,)) or not np.isfinite(part).all():
                 raise ConfigError(
                     f"reset option {name}={given[name]}: expected {size} finite number(s)"
+                )
+            if name == "q" and not space.rotates(torch.tensor(part)).all():
+                raise ConfigError(
+                    f"reset option q={given[name]}: expected rotation matrices, row by row, after "
+                    "the lengths and angles"
                 )
             parts.append(np.broadcast_to(part, drawn.shape))
         return np.concatenate(parts, axis=1)
@@ -83,7 +88,8 @@ class Copies:
         q, v = torch.from_numpy(states).split(widths, dim=1)
         with torch.no_grad():
             q_next, v_next, found = (x.cpu() for x in self._motion(q, v, u))
-            found = (found & q_next.isfinite().all(1) & v_next.isfinite().all(1))[:, None]
+            found = found & q_next.isfinite().all(1) & v_next.isfinite().all(1)
+            found = (found & self.system.coordinates.space.rotates(q_next))[:, None]
             q, v = q_next.double().where(found, q), v_next.double().where(found, v)
             reward = np.asarray(self._reward(q, v, u))
         if reward.dtype.kind not in "biuf" or reward.shape not in ((), (len(states),)):
