@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import symo_exp
+from symo_exp.compile.inductor import stand_ins, trace
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
@@ -167,6 +168,22 @@ def test_a_variational_step_reports_roots_that_were_not_found(name, iterations, 
     assert not found.all()
     for mine, theirs in zip(state, model.step(*given), strict=False):
         torch.testing.assert_close(mine[found], theirs[found])
+
+
+def test_the_known_equations_of_a_model_file_are_the_same_operations_for_any_batch():
+    """Of which a file consists: neither numbers of rows nor constants decide about them."""
+    system = SYSTEMS["mujoco"]
+    lagrangian = KnownLagrangian(system=system)
+    q, v, _ = system.points(3, seed=0)
+
+    def derivatives(q, v):
+        at = lagrangian.expand(q, v)
+        return [*at.values, at.mass(), *at.curvature()]
+
+    graph = trace(derivatives, stand_ins((), (q, v), 3), {})
+    for rows in (1, 3):
+        for mine, theirs in zip(graph(q[:rows], v[:rows]), derivatives(q, v), strict=True):
+            torch.testing.assert_close(mine, theirs[:rows])
 
 
 def test_impossible_exports_are_refused_in_one_line(tmp_path, monkeypatch):

@@ -220,9 +220,10 @@ class Multibody(LagrangianSystem):
         if not self.closed_form:
             return super().expand(q, v)
         at = self._composites(q)
-        stiffness = self._numbers[4].to(q)
-        springs = self._spring_force(q), stiffness.expand_as(v)
-        return BodiesExpansion(self, at, at.motion(v), v, springs if stiffness.any() else None)
+        springs = None
+        if any(joint.stiffness for joint in self.joints):  # not its value, which a trace lacks
+            springs = self._spring_force(q), self._numbers[4].to(q).expand_as(v)
+        return BodiesExpansion(self, at, at.motion(v), v, springs)
 
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
@@ -274,9 +275,9 @@ class Multibody(LagrangianSystem):
     def _composites(self, q: Float[Tensor, "batch n"]) -> Composites:
         """Return the bodies at a configuration, where there are no ball joints."""
         at, bodies = self._tree.poses(q), self._pseudo_inertias.to(q)
-        armature, gravity = (self._numbers[k].to(q).expand(len(q), -1) for k in (3, 6))
+        armature, gravity = (self._numbers[k].to(q).expand(q.shape[0], -1) for k in (3, 6))
         pose = torch.cat((at.turn, at.shift.unsqueeze(-1)), dim=-1)
-        last = torch.eye(4).to(q)[3:].expand(len(q), len(bodies), 1, 4)
+        last = torch.eye(4).to(q)[3:].expand(q.shape[0], len(bodies), 1, 4)
         pose = torch.cat((pose, last), dim=-2)
         placed = pose @ bodies @ pose.mT
         return Composites(self._tree.branches, self._tree.twists(at), placed, armature, gravity)
