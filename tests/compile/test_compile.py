@@ -375,6 +375,18 @@ def test_a_fault_of_ours_is_raised_and_not_taken_for_one_of_the_compiler(caplog)
     assert said(caplog) == []
 
 
+def test_operations_that_depend_on_values_are_not_compiled(caplog):
+    """As those of a network of a user's own may."""
+    model, data = make("node", "midpoint", 1), windows(1)
+    net = model.flow.field.net
+    forward = net.forward
+    net.forward = lambda x: forward(x) if (x < 1e3).any() else x
+    expected = model.rollout(data.q, data.v, steps=3)
+    compile_rollout(model)
+    torch.testing.assert_close(model.rollout(data.q, data.v, steps=3), expected)
+    assert said(caplog) == ["the rollout is not compiled: its operations depend on values"]
+
+
 class Counted(Residual):
     """An objective of a user's own, with a statistic."""
 

@@ -38,7 +38,7 @@ flatten, unflatten = pytree.tree_flatten, pytree.tree_unflatten
 
 
 class CompilerError(RuntimeError):
-    """Raised if the compiler fails, and not the function that it compiles."""
+    """Raised if the compiler fails, or a function has no fixed sequence of operations."""
 
 
 class OpenRowsError(Exception):
@@ -109,14 +109,19 @@ def trace(
 
     Raises:
         OpenRowsError: If the operations depend on a number of rows that was left open.
+        CompilerError: If they depend on values.
     """
     from torch._dispatch.python import enable_python_dispatcher
     from torch.fx.experimental.proxy_tensor import make_fx
+    from torch.fx.experimental.symbolic_shapes import GuardOnDataDependentSymNode
 
     mode = _mode(example)
     known = len(mode.shape_env.guards)  # the compiler has left its own there
-    with mode, enable_python_dispatcher():
-        graph = make_fx(function, decomposition_table=kernels)(*example)
+    try:
+        with mode, enable_python_dispatcher():
+            graph = make_fx(function, decomposition_table=kernels)(*example)
+    except GuardOnDataDependentSymNode as error:
+        raise CompilerError("its operations depend on values") from error
     if len(mode.shape_env.guards) > known:
         raise OpenRowsError("its operations depend on the number of rows")
     return graph
