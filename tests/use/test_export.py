@@ -181,6 +181,8 @@ def test_the_known_equations_of_a_model_file_are_the_same_operations_for_any_bat
         return [*at.values, at.mass(), *at.curvature()]
 
     graph = trace(derivatives, stand_ins((), (q, v), 3), {})
+    checks = [node for node in graph.graph.nodes if "check_errors" in str(node.target)]
+    assert not checks  # kernels with such operations are not kept for later processes
     for rows in (1, 3):
         for mine, theirs in zip(graph(q[:rows], v[:rows]), derivatives(q, v), strict=True):
             torch.testing.assert_close(mine, theirs[:rows])

@@ -90,6 +90,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
         if not self.numbers and not self.bodies:
             raise ConfigError("lagrangian.fixed: at least one constant has to be free")
         self.given = {name: known[name] for name in (*self.numbers, *self.bodies)}
+        self._roots = {name: _upper(known[name].value) for name in self.bodies}
         upper = torch.triu_indices(4, 4)
         place = torch.full((4, 4), TRIANGLE)
         place[upper[0], upper[1]] = torch.arange(TRIANGLE)
@@ -197,7 +198,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
             own = factors[TRIANGLE * i : TRIANGLE * (i + 1)]
             square = torch.cat((own, torch.zeros_like(own[:1])))[self.place]
             factor = torch.triu(square, 1) + torch.diag(square.diagonal().exp())
-            root = _upper(self.given[name].value).to(factors) @ factor
+            root = self._roots[name].to(factors) @ factor
             found[name] = root @ root.mT
         return found
 
