@@ -137,7 +137,7 @@ def _program(step: FixedStep, model: DynamicsModel, *, exact: bool) -> Any:
         # Derivatives that the step takes become operations here; ``torch.export`` loses them.
         graph = trace(step, stand_ins((), example, rows), {})
         for node, name in zip(graph.graph.find_nodes(op="placeholder"), ARGUMENTS, strict=True):
-            node.target = name  # callers may give arguments by name
+            node.target = name  # as the arguments are called in the file
         simplify(graph)
         batch = torch.export.Dim("batch", min=1)
         return torch.export.export(graph, example, dynamic_shapes=({0: batch},) * 4, strict=False)
