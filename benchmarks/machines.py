@@ -251,14 +251,15 @@ def identify(number: int, folder: Path, budget: str, extra: list[str]) -> dict[s
 
 
 def summary(table: pd.DataFrame) -> str:
-    """Return how many machines have a model, and its errors at 0.5 s over those of the truth."""
+    """Return how many machines have a verdict, and errors at 0.5 s over those of the truth."""
     found = table[table.code == 0].set_index("machine")
     worse = list(found.index[~(found["rmse_0.5s"] < found["constant_velocity_rmse_0.5s"])])
     times = (found["rmse_0.5s"] / found["true_rmse_0.5s"]).sort_values()
     largest = ", ".join(f"{ratio:.2g} (machine {i})" for i, ratio in times[::-1][:5].items())
+    without = int(found.verdict.str.startswith("no model").sum())
     return (
-        f"{len(found)} of {len(table)} machines have a model, {len(worse)} of them no better than "
-        f"constant velocity at 0.5 s{': ' * bool(worse)}{', '.join(map(str, worse))}\n"
+        f"{len(found)} of {len(table)} machines have a verdict, {without} of them \"no model\"; no "
+        f"better than constant velocity at 0.5 s: {', '.join(map(str, worse)) or 'none'}\n"
         f"error at 0.5 s over that of the true system: median {times.median():.2g}, "
         f"largest {largest}"
     )

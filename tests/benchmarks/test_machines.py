@@ -85,10 +85,13 @@ def test_the_true_system_is_a_reference_in_the_recorded_coordinates(number):
 
 
 def test_the_summary_counts_failures_and_ranks_errors_over_those_of_the_truth():
-    rows = [(3, 0, 2.0, 9.0, 1.0), (4, 1, np.nan, np.nan, np.nan), (5, 0, 6.0, 5.0, 1.5)]
-    columns = ["machine", "code", "rmse_0.5s", "constant_velocity_rmse_0.5s", "true_rmse_0.5s"]
-    said = summary(pd.DataFrame(rows, columns=columns))
-    assert said.startswith("2 of 3 machines have a model, 1 of them")
+    rows = [
+        (3, 0, "good", 2.0, 9.0, 1.0), (4, 1, "", np.nan, np.nan, np.nan),
+        (5, 0, "no model; not usable", 6.0, 5.0, 1.5),
+    ]  # fmt: skip
+    errors = ["rmse_0.5s", "constant_velocity_rmse_0.5s", "true_rmse_0.5s"]
+    said = summary(pd.DataFrame(rows, columns=["machine", "code", "verdict", *errors]))
+    assert said.startswith('2 of 3 machines have a verdict, 1 of them "no model"')
     assert "at 0.5 s: 5\n" in said
     assert said.endswith("median 3, largest 4 (machine 5), 2 (machine 3)")
 
