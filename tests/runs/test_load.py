@@ -217,6 +217,13 @@ def test_a_configuration_runs_nothing_but_models(folder, change, wanted, monkeyp
     assert not (tmp_path / "harm").exists()
 
 
+@pytest.mark.parametrize("part", ["system", "model"])
+def test_settings_that_another_version_has_are_named(folder, part):
+    said = edited(folder, lambda c: c[part].update(later=1))
+    assert "config.yaml does not fit this version of symo_exp: " in said
+    assert "'later'" in said
+
+
 def test_weights_of_another_shape_are_refused(folder):
     assert "does not fit" in edited(folder, lambda c: c["model"]["lagrangian"].update(width=9))
 

@@ -9,6 +9,7 @@ from typing import Any
 import hydra.utils
 import torch
 import yaml
+from hydra.errors import InstantiationException
 
 from symo_exp import code
 from symo_exp.errors import ConfigError, first_line, shortened
@@ -28,13 +29,7 @@ def from_folder(
     config = _read_config(folder / CONFIG)
     plan = before.model_settings(config["model"])
     _check([config["system"], plan], folder)
-    system = hydra.utils.instantiate(config["system"])
-    build = hydra.utils.instantiate({**plan, "_partial_": True})
-    model: DynamicsModel = build(
-        coordinates=system.coordinates,
-        input_matrix=system.input_matrix,
-        time_step=system.time_step,
-    )
+    system, model = _built(config["system"], plan, folder)
     if model.learns:
         _set_weights(model, folder)
     try:
@@ -58,6 +53,25 @@ def require_run(folder: Path) -> None:
         verb = "has" if len(runs) == 1 else "have"
         reason += f", but {shortened(', '.join(runs))} in it {verb} one"
     raise ConfigError(f"{folder} is not a run folder: {reason}")
+
+
+def _built(
+    system: Mapping[str, Any], model: Mapping[str, Any], folder: Path
+) -> tuple[Any, DynamicsModel]:
+    """Return the system and the model of a configuration, maybe of another version."""
+    try:
+        found = hydra.utils.instantiate(system)
+        build = hydra.utils.instantiate({**model, "_partial_": True})
+        return found, build(
+            coordinates=found.coordinates,
+            input_matrix=found.input_matrix,
+            time_step=found.time_step,
+        )
+    except Exception as error:
+        cause = (isinstance(error, InstantiationException) and error.__cause__) or error
+        raise ConfigError(
+            f"{folder / CONFIG} does not fit this version of symo_exp: {first_line(cause)}"
+        ) from error
 
 
 def _set_weights(model: DynamicsModel, folder: Path) -> None:
