@@ -42,6 +42,8 @@ NOT_RUN = {
     "results/uncertainty/coverage.py": "takes minutes to an hour and has no budget to cut",
     "results/uncertainty/recordings.py": "needs a run with a posterior, which takes minutes",
     "import drifts": "takes ten minutes for each order",
+    "results/machines/drift.py": "needs a recording that is not in this repository",
+    "[SETTING=VALUE ...] RUN": "results/noise/README.md gives it with runs",
     "results/thesis/draws.py": "simulates 256 long trajectories; tests/test_results.py runs it",
 }
 """Parts of commands that are not run here, and why."""
