@@ -258,7 +258,7 @@ def summary(table: pd.DataFrame) -> str:
     largest = ", ".join(f"{ratio:.2g} (machine {i})" for i, ratio in times[::-1][:5].items())
     without = int(found.verdict.str.startswith("no model").sum())
     return (
-        f"{len(found)} of {len(table)} machines have a verdict, {without} of them \"no model\"; no "
+        f'{len(found)} of {len(table)} machines have a verdict, {without} of them "no model"; no '
         f"better than constant velocity at 0.5 s: {', '.join(map(str, worse)) or 'none'}\n"
         f"error at 0.5 s over that of the true system: median {times.median():.2g}, "
         f"largest {largest}"
