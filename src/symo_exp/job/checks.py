@@ -99,12 +99,10 @@ def _not_taken(
     """
     others = [k for k in node if k not in hints and k not in _INSTANTIATE_KEYS]
     mend = " ".join(f"~{prefix}{k}" for k in others if node[k] is not None)  # which Hydra deletes
-    return ConfigError(
-        f"{prefix}{key} is set by a file, and {node['_target_']} does not take it"
-        f"{did_you_mean([f'{prefix}{s}' for s in similar(key, hints)])}"
-        + f"; to leave out what it does not take: {mend}"
-        * bool(mend)
-    )
+    close = did_you_mean([f"{prefix}{name}" for name in similar(key, hints)])
+    hint = f"; to leave out what it does not take: {mend}" if mend else ""
+    maker = node["_target_"]
+    return ConfigError(f"{prefix}{key} is set by a file, and {maker} does not take it{close}{hint}")
 
 
 def _check_value(name: str, value: Any, hint: Any) -> None:

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import lightning
 import torch
-from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 
 from symo_exp import code
@@ -36,7 +35,7 @@ from symo_exp.runs.folder import (
     About,
     RunFolder,
 )
-from symo_exp.runs.load import from_folder
+from symo_exp.runs.load import from_folder, raised_by_constructor
 from symo_exp.runs.recordings import divided_recordings
 from symo_exp.runs.series import Series
 from symo_exp.tracking.store import is_away
@@ -180,7 +179,7 @@ def make(settings: Mapping[str, Any], group: str, **given: Any) -> Any:
     except ConfigError:
         raise
     except Exception as error:
-        cause = (isinstance(error, InstantiationException) and error.__cause__) or error
+        cause = raised_by_constructor(error)
         if isinstance(cause, ConfigError):
             raise cause from error
         raise ConfigError(f"{group}: {cause}") from error

@@ -68,10 +68,17 @@ def _built(
             time_step=found.time_step,
         )
     except Exception as error:
-        cause = (isinstance(error, InstantiationException) and error.__cause__) or error
+        cause = raised_by_constructor(error)
+        if isinstance(cause, ConfigError):  # of another kind, such as a package that is missing
+            raise cause from error
         raise ConfigError(
             f"{folder / CONFIG} does not fit this version of symo_exp: {first_line(cause)}"
         ) from error
+
+
+def raised_by_constructor(error: BaseException) -> BaseException:
+    """Return the error of a constructor that Hydra called, without Hydra's own around it."""
+    return (isinstance(error, InstantiationException) and error.__cause__) or error
 
 
 def _set_weights(model: DynamicsModel, folder: Path) -> None:
