@@ -365,11 +365,16 @@ def test_a_model_without_bodies_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", PLANAR_SYSTEMS)
-def test_links_in_a_plane_of_any_number_are_bodies_if_the_machine_is(name, tmp_path):
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_links_in_a_plane_of_any_number_are_bodies_as_far_as_the_machine_is(
+    name, noise, tmp_path, caplog
+):
     system = PLANAR_SYSTEMS[name]
     links, n = links_of(system), system.coordinates.n
+    torch.manual_seed(0)
     with torch.no_grad():
         links.inertias.fill_(0.1)  # of a body, which points have not
+        links.points += noise * links.points.abs().max() * torch.randn_like(links.points)
     model = model_of(links, system.coordinates, torch.eye(n).double())
     theirs = mujoco.MjModel.from_xml_path(str(symo_exp.export(model, tmp_path / "machine.xml")))
     data, mass = mujoco.MjData(theirs), np.zeros((n, n))
@@ -380,7 +385,11 @@ def test_links_in_a_plane_of_any_number_are_bodies_if_the_machine_is(name, tmp_p
     for i, unit in enumerate(np.eye(n)):
         mujoco.mj_mulM(theirs, data, mass[i], unit)
     found = a.numpy().T @ mass @ a.numpy()
-    np.testing.assert_allclose(found, links.mass_matrix(q)[0].detach(), rtol=1e-8, atol=1e-8)
+    expected = links.mass_matrix(q)[0].detach().numpy()
+    apart = float(abs(found - expected).max()) / abs(expected).max()
+    rigid = "not exactly rigid" not in caplog.text
+    assert apart < (1e-8 if rigid else 20.0 * noise)
+    assert rigid == (not noise or n < 3)
 
 
 @pytest.mark.parametrize("angular", [(True,), (True, True), (False, True)])

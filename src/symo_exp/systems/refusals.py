@@ -29,7 +29,7 @@ def refusals(model: Any) -> Iterator[str]:
         ("nhistory", "delay"), ("na", "actuator with a state of its own"),
     ):  # fmt: skip
         if getattr(model, count, 0):
-            yield f"{getattr(model, count)} {what}(s), which are not supported"
+            yield f"{getattr(model, count)} {what}(s) are not supported; remove them"
     for name in ("jnt_stiffnesspoly", "dof_dampingpoly"):
         if np.any(getattr(model, name, 0)):
             yield f"{name} is not zero: only linear springs and dampers are supported"
@@ -59,7 +59,10 @@ def _actuators(model: Any, mj: Any) -> Iterator[str]:
             elif joint == "free" and model.actuator_gear[i, :3].any():
                 yield f"{name} acts on a free body in world axes; let it act at a site of the body"
         if (model.actuator_gaintype[i], model.actuator_biastype[i]) != (0, 0):
-            yield f"{name} is not a motor (force proportional to its control)"
+            yield (
+                f"{name} is not a motor (force proportional to its control); in a copy of the "
+                "file, write <motor> instead, whose control is the force"
+            )
         strongest = abs(model.actuator_gainprm[i, 0]) * controls(model, i)
         if model.actuator_forcelimited[i] and not _within(strongest, model.actuator_forcerange[i]):
             yield f"{name} has a forcerange that its ctrlrange exceeds; narrow the ctrlrange"

@@ -27,7 +27,7 @@ from symo_exp.nets.rigid_chain import RigidChain
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
 from symo_exp.systems.base import LagrangianSystem, Linkage
 from symo_exp.systems.mjcf import POINT, mjcf, raised, unwritten, urdf
-from symo_exp.use.planar_bodies import constant_forces, planar_bodies
+from symo_exp.use.planar_bodies import constant_forces, distance_from_rigid, planar_bodies
 
 log = logging.getLogger(__name__)
 
@@ -66,6 +66,11 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
     if isinstance(lagrangian, PlanarLinks):
         forces = constant_forces(lagrangian, model.coordinates)
         constant = units.size("N") * torch.tensor(forces).double()
+        if distance := distance_from_rigid(lagrangian, model.coordinates):
+            missing.append(
+                "the learned links are not exactly rigid: they differ from those in this file by "
+                f"{distance:.2g} of their inertia or weight"
+            )
     damping = inverse.T @ scale.matrix(damping, 1) @ inverse
     friction = [_unit_direction(c, scale.force(torch.tensor(a).double())) for c, a in friction]
     if springs is not None:

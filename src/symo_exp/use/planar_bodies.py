@@ -30,7 +30,10 @@ FAR = 100.0
 """Largest length of a pendulum that is as slow as the links under this gravity, and largest radius
 of gyration of a link where its mass is left open, in units of length of the coordinates."""
 AGREEMENT = 1e-9
-"""Largest difference of ``C`` and ``w`` from those of rigid links, relative to their sizes."""
+"""Differences of ``C`` and ``w`` from those of rigid links, relative to their sizes, that are due
+to rounding."""
+NEAR = 0.1
+"""Largest such difference of links that rigid ones approximate."""
 
 
 class _Learned(NamedTuple):
@@ -50,18 +53,24 @@ class _Learned(NamedTuple):
 
 
 def planar_bodies(links: PlanarLinks, coordinates: Coordinates) -> Linkage:
-    """Return rigid bodies with the inertia and potential of learned links.
+    """Return rigid bodies with the inertia and potential of learned links, or near them.
 
-    Constant forces along slides are not in them (``constant_forces``).
+    Constant forces along slides are not in them (``constant_forces``), and of three links or more
+    what is not that of rigid ones (``distance_from_rigid``).
 
     Raises:
-        ConfigError: If the learned inertia is not one of rigid bodies, which that of three links or
-            more need not be.
+        ConfigError: If the learned inertia is not near one of rigid bodies.
     """
+    distance = distance_from_rigid(links, coordinates)
+    if distance > NEAR:
+        raise ConfigError(
+            f"the learned links differ from rigid bodies by {distance:.2g} of their inertia or "
+            "weight, which is possible with three or more joints of lagrangian=planar; learn with "
+            "lagrangian=rigid, or write .pt2"
+        )
     learned = _read(links, coordinates)
     gravity, moments = _gravity_and_moments(learned, coordinates)
     vectors = [_vector(learned, moments, k) for k in range(learned.n)]
-    _require_rigid(learned, gravity, moments, vectors)
     carried = [*_carried(learned, moments, vectors), 0.0]
     joints, at = [], 0j
     for k, name in enumerate(coordinates.names):
@@ -99,6 +108,26 @@ def constant_forces(links: PlanarLinks, coordinates: Coordinates) -> list[float]
     for k in range(learned.slides):
         forces[k] = -learned.weights[k].real - gravity.real * learned.inertias[k]
     return forces
+
+
+def distance_from_rigid(links: PlanarLinks, coordinates: Coordinates) -> float:
+    """Return the largest difference of ``C`` and ``w`` from those of ``planar_bodies``.
+
+    It is relative to their sizes, and zero if it is due to rounding, as that of one or two links.
+    """
+    learned = _read(links, coordinates)
+    gravity, moments = _gravity_and_moments(learned, coordinates)
+    heaviest = max(map(abs, learned.weights))
+    found = 0.0
+    for j in range(learned.slides, learned.n):
+        if heaviest:
+            apart = abs(learned.weights[j] + gravity.conjugate() * moments[j])
+            found = max(found, apart / heaviest)
+        for k in range(learned.slides, j):
+            vector = _vector(learned, moments, k)
+            apart = abs(learned.products[k][j] - vector.conjugate() * moments[j])
+            found = max(found, apart / math.sqrt(learned.inertias[k] * learned.inertias[j]))
+    return found if found > AGREEMENT else 0.0
 
 
 def _read(links: PlanarLinks, coordinates: Coordinates) -> _Learned:
@@ -151,25 +180,6 @@ def _vector(learned: _Learned, moments: list[complex], k: int) -> complex:
         return 0j
     matched = sum(learned.products[k][j] * moments[j].conjugate() for j in beyond)
     return (matched / power).conjugate()
-
-
-def _require_rigid(
-    learned: _Learned, gravity: complex, moments: list[complex], vectors: list[complex]
-) -> None:
-    largest = max(map(abs, learned.weights))
-    apart = [0.0]
-    for j in range(learned.slides, learned.n):
-        off = abs(learned.weights[j] + gravity.conjugate() * moments[j])
-        apart.append(off / largest if largest else 0.0)
-        for k in range(learned.slides, j):
-            off = abs(learned.products[k][j] - vectors[k].conjugate() * moments[j])
-            apart.append(off / math.sqrt(learned.inertias[k] * learned.inertias[j]))
-    if max(apart) > AGREEMENT:
-        raise ConfigError(
-            f"the learned links differ from rigid bodies by {max(apart):.1g} of their inertia or "
-            "weight, which is possible with three or more joints of lagrangian=planar; learn with "
-            "lagrangian=rigid, or write .pt2"
-        )
 
 
 def _carried(learned: _Learned, moments: list[complex], vectors: list[complex]) -> list[float]:
