@@ -176,6 +176,26 @@ def test_learning_a_system_with_friction_as_one_without_is_warned_of(
     assert ("learns no friction" in "".join(capsys.readouterr())) == told
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("system=mujoco system.model=sprung.xml", True),
+        ("system=mujoco system.model=sprung.xml springs=linear dtype=float64", False),
+        ("system=pendulum", False),
+    ],
+)
+def test_learning_a_system_with_springs_on_angles_as_one_without_is_warned_of(
+    words, told, workplace, capsys
+):
+    (workplace / "sprung.xml").write_text(
+        '<mujoco><worldbody><body><joint name="a" axis="0 1 0" stiffness="2"/>'
+        '<geom pos="0 0 -0.5" size="0.1"/></body></worldbody></mujoco>'
+    )
+    command = ["model=symo", "dissipation=viscous", *words.split(), *QUIET, "measures=false"]
+    assert main(command) == 0
+    assert ("springs on angles" in "".join(capsys.readouterr())) == told
+
+
 def test_results_of_code_that_has_changed_since_are_warned_of(mine, capsys):
     file, other = mine / "changing_system.py", mine / "other.py"
     file.write_text(FILES["mine_system.py"])

@@ -117,6 +117,14 @@ MODELS = {
 }  # fmt: skip
 """Name to model, of those without a fluid."""
 IN_FLUIDS = {"diver": DIVER, "kite": KITE}
+SERVOS = mjcf(
+    '<body><joint name="rail" type="slide" axis="1 0 0" damping="0.5"/>'
+    '<geom size="0.1" mass="2"/><body><joint name="arm" axis="0 1 0" stiffness="1.5" '
+    'springref="0.3"/><geom pos="0 0 -0.4" size="0.1" mass="1"/></body></body>',
+    '<actuator><velocity joint="rail" kv="3" gear="0.5"/>'
+    '<position joint="arm" kp="20" kv="0.7" gear="2"/>'
+    '<general joint="arm" gainprm="4" biastype="affine" biasprm="0.6 -2 0"/></actuator>',
+)
 
 
 def compiled(text: str) -> Any:

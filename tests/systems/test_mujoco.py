@@ -105,9 +105,9 @@ def test_a_model_has_the_dynamics_of_mujoco(name: str) -> None:
     assert size > 1
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_simulated_motions_are_those_of_mujoco(name: str) -> None:
-    model, system = compiled(MODELS[name]), read(MODELS[name])
+@pytest.mark.parametrize("text", [*MODELS.values(), models.SERVOS], ids=[*MODELS, "servos"])
+def test_simulated_motions_are_those_of_mujoco(text: str) -> None:
+    model, system = compiled(text), read(text)
     # MuJoCo 3.3's RK4 is of order 2 on ball joints: with 2e-4 s its error exceeds 1e-8
     model.opt.integrator, model.opt.timestep = int(mujoco.mjtIntegrator.mjINT_RK4), 1e-4
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
@@ -219,9 +219,21 @@ MALFORMED = {
     "a tendon": (
         mjcf(TWO, '<tendon><fixed><joint joint="arm" coef="1"/></fixed></tendon>'), "tendon"
     ),
-    "a servo": (mjcf(HINGE, MOTOR.format('<position name="s" joint="arm"/>')), "s is not a motor"),
+    "a weak servo": (mjcf(HINGE, MOTOR.format(
+        '<position name="s" joint="arm" forcerange="-1 1"/>')), "s is a servo with a limited"),
+    "a servo of a weak joint": (
+        mjcf(HINGE.replace('"arm"', '"arm" actuatorfrcrange="-1 1"'),
+             MOTOR.format('<velocity joint="arm"/>')), "is a servo with a limited force"),
+    "a servo that pushes away": (mjcf(HINGE, MOTOR.format(
+        '<general joint="arm" biastype="affine" biasprm="0 1 0"/>')), "negative gain"),
+    "a constant force": (mjcf(HINGE, MOTOR.format(
+        '<general joint="arm" biastype="affine" biasprm="1 0 -1"/>')), "constant force"),
+    "a servo of a ball": (
+        mjcf('<body><joint type="ball" name="b"/><geom size="1"/></body>',
+             MOTOR.format('<position joint="b" gear="0 1 0"/>')), "not act on a hinge or slide",
+    ),
     "a damper": (mjcf(HINGE, MOTOR.format(
-        '<damper joint="arm" kv="1" ctrlrange="0 1"/>')), "is not a motor"),
+        '<damper joint="arm" kv="1" ctrlrange="0 1"/>')), "neither a motor"),
     "an activation": (mjcf(HINGE, MOTOR.format(
         '<general joint="arm" dyntype="integrator"/>')), "state of its own"),
     "a site's motor": (

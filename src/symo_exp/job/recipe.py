@@ -16,6 +16,7 @@ from symo_exp import code
 from symo_exp.checks import instance, whole_number
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
+from symo_exp.evaluation.forces import unlearned_forces
 from symo_exp.evaluation.intervals import Predicted
 from symo_exp.evaluation.parameters import physical_parameters
 from symo_exp.evaluation.recordings import RecordedPredictions
@@ -82,10 +83,11 @@ def perform(
     folder.describe(about)
     phases.say(f"{about.name}: opening the store")
     _announce(parts.tracker, folder)
-    if not trained:
-        _warn_of_friction(parts)
     phases.say(f"{about.name}: making the data")
     with default_dtype(settings["dtype"]):
+        if not trained:
+            for line in unlearned_forces(parts.model, parts.system):
+                log.warning(line)
         _train(parts, folder / CHECKPOINTS)
         drawn = not settings["pictures"] or ((folder / PICTURES).exists() and measured)
         if not measured or not drawn:
@@ -206,17 +208,6 @@ def _announce(tracker: Any, folder: RunFolder) -> None:
         if not is_away(error):
             raise
         log.warning("the run starts without its tracking store: %s", first_line(error))
-
-
-def _warn_of_friction(parts: Parts) -> None:
-    """Log that the system has friction where the model can learn none."""
-    model = parts.model
-    conserves = model.learns and model.lagrangian is not None and model.dissipation is None
-    if conserves and parts.system.dissipation is not None:
-        log.warning(
-            "the system loses energy and dissipation=none learns no friction: "
-            "give dissipation=viscous, friction or drag"
-        )
 
 
 def _train(parts: Parts, folder: Path) -> None:

@@ -33,6 +33,7 @@ from symo_exp.systems.refusals import (
     free_joint,
     joint_kind,
     joint_name,
+    motors_of,
     notes,
     refusals,
     site_of,
@@ -166,6 +167,9 @@ def _joints(model: Any, data: Any, i: int) -> list[dict[str, Any]]:
             } for k in range(3)
         ]  # fmt: skip
         return [*slides, shared | ball | {"name": f"{name}_R", "anchor": at, "base": one}]
+    own = float(model.jnt_stiffness[i]) * spring
+    push, stiffness, damping = _servos(model, i)
+    pull = own * float(model.qpos_spring[place]) + push
     return [
         shared
         | {
@@ -174,11 +178,23 @@ def _joints(model: Any, data: Any, i: int) -> list[dict[str, Any]]:
             "axis": data.xaxis[i].tolist(),
             "anchor": data.xanchor[i].tolist(),
             "reference": float(model.qpos0[place]),
-            "stiffness": float(model.jnt_stiffness[i]) * spring,
-            "rest": float(model.qpos_spring[place]),
+            "stiffness": own + stiffness,
+            "rest": pull / (own + stiffness) if own + stiffness else 0.0,
+            "damping": shared["damping"] + damping,
             "limits": model.jnt_range[i].tolist() if model.jnt_limited[i] else None,
         }
     ]
+
+
+def _servos(model: Any, joint: int) -> tuple[float, float, float]:
+    """Return ``f``, ``k`` and ``d`` of the force ``f − k q − d q̇`` of servos without a control."""
+    found = np.zeros(3)
+    for k in motors_of(model, joint):
+        if model.actuator_biastype[k]:
+            gear = model.actuator_gear[k, 0]
+            found += model.actuator_biasprm[k, :3] * (gear, -(gear**2), -(gear**2))
+    force, stiffness, damping = found.tolist()
+    return force, stiffness, damping
 
 
 def _effect(model: Any, data: Any, k: int) -> np.ndarray:

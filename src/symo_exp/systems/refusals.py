@@ -58,11 +58,15 @@ def _actuators(model: Any, mj: Any) -> Iterator[str]:
                 yield f"{name}: torques of {joint} joints act in their own axes; use joint="
             elif joint == "free" and model.actuator_gear[i, :3].any():
                 yield f"{name} acts on a free body in world axes; let it act at a site of the body"
-        if (model.actuator_gaintype[i], model.actuator_biastype[i]) != (0, 0):
+        servo = model.actuator_biastype[i] == int(mj.mjtBias.mjBIAS_AFFINE)
+        fixed = model.actuator_gaintype[i] == int(mj.mjtGain.mjGAIN_FIXED)
+        if not fixed or not (servo or model.actuator_biastype[i] == int(mj.mjtBias.mjBIAS_NONE)):
             yield (
-                f"{name} is not a motor (force proportional to its control); in a copy of the "
-                "file, write <motor> instead, whose control is the force"
+                f"{name} is neither a motor (force proportional to its control) nor a servo (also "
+                "to position and velocity); in a copy of the file, write <motor> instead"
             )
+        elif servo:
+            yield from _servo(model, i, name)
         strongest = abs(model.actuator_gainprm[i, 0]) * controls(model, i)
         if model.actuator_forcelimited[i] and not _within(strongest, model.actuator_forcerange[i]):
             yield f"{name} has a forcerange that its ctrlrange exceeds; narrow the ctrlrange"
@@ -70,6 +74,22 @@ def _actuators(model: Any, mj: Any) -> Iterator[str]:
         strongest = _range_of_force(model, model.jnt_dofadr[j])
         if not _within(strongest, model.jnt_actfrcrange[j]):
             yield f"joint {joint_name(model, j)}: its motors exceed actuatorfrcrange; raise it"
+
+
+def _servo(model: Any, i: int, name: str) -> Iterator[str]:
+    """Yield a line for each reason why a servo is not a spring and a damper on a joint."""
+    force, position, velocity = model.actuator_biasprm[i, :3]
+    if site_of(model, i) is not None or joint_kind(model, model.actuator_trnid[i, 0]) not in (
+        "hinge", "slide"
+    ):  # fmt: skip
+        yield f"{name} is a servo that does not act on a hinge or slide; write <motor> instead"
+    elif model.actuator_forcelimited[i] or model.jnt_actfrclimited[model.actuator_trnid[i, 0]]:
+        yield (
+            f"{name} is a servo with a limited force, which is not supported; in a copy of the "
+            "file, remove the limit, or write <motor> instead, whose control is the force"
+        )
+    if position > 0.0 or velocity > 0.0 or (force and not position):
+        yield f"{name} is a servo with a constant force or a negative gain, which is not supported"
 
 
 def notes(model: Any) -> Iterator[str]:
@@ -100,6 +120,12 @@ def site_of(model: Any, actuator: int) -> int | None:
     return int(model.actuator_trnid[actuator, 0]) if at_site else None
 
 
+def motors_of(model: Any, joint: int) -> list[int]:
+    """Return the actuators that act on a joint."""
+    at_joints = [k for k in range(model.nu) if site_of(model, k) is None]
+    return [k for k in at_joints if model.actuator_trnid[k, 0] == joint]
+
+
 def free_joint(model: Any, site: int) -> int | None:
     """Return the free joint of the body that a site is on, ``None`` if it has none."""
     body = model.body_weldid[model.site_bodyid[site]]
@@ -128,8 +154,7 @@ def controls(model: Any, i: int) -> np.ndarray:
 def _range_of_force(model: Any, dof: int) -> np.ndarray:
     """Largest force of all actuators of a coordinate together."""
     gear = model.actuator_gear[:, 0] * model.actuator_gainprm[:, 0]
-    moved = [k for k in range(model.nu) if site_of(model, k) is None]
-    of = [k for k in moved if model.jnt_dofadr[model.actuator_trnid[k, 0]] == dof]
+    of = motors_of(model, int(model.dof_jntid[dof]))
     each = [abs(gear[k]) * np.abs(controls(model, k)).max() for k in of]
     return np.array([-sum(each), sum(each)])
 
