@@ -73,7 +73,7 @@ class Joint(NamedTuple):
 
 
 def freedoms(joints: Sequence[Joint]) -> list[tuple[int, int | None]]:
-    """Return the joint of each degree of freedom, and its axis of a ball joint: flat ones first."""
+    """Return the joint and, of a ball joint, the axis of each degree of freedom, balls last."""
     flat = [(i, None) for i, joint in enumerate(joints) if joint.axes is None]
     balls = [(i, k) for i, joint in enumerate(joints) if joint.axes is not None for k in range(3)]
     return [*flat, *balls]

@@ -20,7 +20,7 @@ from symo_exp.mechanics.rows import Rowwise
 
 
 class ChainOrder:
-    """The order of joints each of which carries all bodies after it."""
+    """The order of joints in a chain, where each carries all bodies after it."""
 
     def outwards(self, x: Float[Tensor, "batch n a b"]) -> Float[Tensor, "batch n a b"]:
         """Return the sums over the bodies that each joint carries."""

@@ -369,7 +369,7 @@ class CondensedExpansion(DiscreteExpansion):
         return self
 
     def followed(self, slots: Slots, stationarity: Float[Tensor, "inner batch n"]) -> Slots:
-        """Return slot derivatives with those of ``c``, given the differentiable equations of it."""
+        """Return slot derivatives that include the motion of ``c``, given its equations."""
         if len(stationarity) == 0:
             return slots
         moved = matvec(self._condense()[1], _row(stationarity - stationarity.detach()))

@@ -29,9 +29,9 @@ class Gradients(NamedTuple):
 
 
 class Curvature(NamedTuple):
-    """Second derivatives of ``ℒ``, but for ``∂²ℒ/∂v² = H``.
+    """Second derivatives of ``ℒ``, except ``∂²ℒ/∂v² = H``.
 
-    With dissipation ``ℒ_q`` stands for ``ℒ_q + F_d``, and ``qv`` is no longer ``vqᵀ``.
+    With dissipation ``ℒ_q`` means ``ℒ_q + F_d``, and ``qv`` is no longer ``vqᵀ``.
     """
 
     qq: Float[Tensor, "batch n n"]
@@ -74,8 +74,8 @@ class Expansion(Rowwise, ABC):
         """Return the second derivatives at the point, without a graph.
 
         ``before`` is the expansion around the previous iterate of a root finder: where a force
-        bends sharply between them, as dry friction does, the slope of the chord may stand for its
-        derivative, so that iterates do not jump to and fro.
+        bends sharply between them, as dry friction does, the slope of the chord may replace its
+        derivative, so that iterates do not oscillate.
         """
 
     dissipates: ClassVar[bool] = False
@@ -123,7 +123,7 @@ class Lagrangian(ABC):
         """Return the potential energy ``V(q)`` [J]."""
 
     def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Return ``H(q)`` and ``V(q)``, of complex ``q``, too. Override it if they share work."""
+        """Return ``H(q)`` and ``V(q)``, also of complex ``q``. Override it if they share work."""
         return self.mass_matrix(q), self.potential(q)
 
     def kinetic(
@@ -222,7 +222,7 @@ def evaluated(lagrangian: Lagrangian, q: Float[Tensor, "batch N"], n: int) -> di
 
     Args:
         lagrangian: The Lagrangian.
-        q: Configurations, not as many as there are coordinates.
+        q: Configurations; their number differs from ``n``, so that shapes show the batch.
         n: Number of coordinates.
 
     Raises:

@@ -179,7 +179,7 @@ class Newton(RootFinder):
 
     With ``stopping="row"`` every row has its own status. Once most rows have converged only the
     others continue, and the step of a row is halved (``α``) until ``‖g‖`` decreases, so that one
-    bad row costs one row. A row whose step is lost in the rounding of ``x`` has converged, too: its
+    bad row costs one row. A row whose step is lost in the rounding of ``x`` has also converged: its
     ``‖g‖`` is as small as the precision allows. ``stopping="batch"`` is the rule of the thesis:
     undamped steps of all rows until ``‖g‖_F ≤ tolerance √(B n)``.
 
@@ -412,12 +412,12 @@ def joint_norm(residual: Float[Tensor, "batch n"], sizes: Sizes = None) -> Float
 
 
 def relative(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
-    """Return changes of coordinates over the units of these."""
+    """Return changes of coordinates, given in SI units, in the units of the coordinates."""
     return x if sizes is None else x / column_sizes(sizes, x)
 
 
 def absolute(x: Float[Tensor, "*batch k"], sizes: Sizes) -> Float[Tensor, "*batch k"]:
-    """Return changes of coordinates from those over the units of these."""
+    """Return changes of coordinates, given in the units of the coordinates, in SI units."""
     return x if sizes is None else x * column_sizes(sizes, x)
 
 

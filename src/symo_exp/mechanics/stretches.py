@@ -2,9 +2,9 @@
 
 The discrete Euler-Lagrange equations of a stretch of steps are solved together, by Newton's method
 on all of its nodes. Its Jacobian couples neighbouring nodes only: a step maps changes of
-``(q_k, p_k)`` to changes of ``(q_{k+1}, p_{k+1})``, one small product each, and what is costly,
-the evaluation of the Lagrangian, happens for all steps in one batch. The iterations are about as
-many as those of the worst single step, so that a stretch takes a fraction of the time of its steps.
+``(q_k, p_k)`` to changes of ``(q_{k+1}, p_{k+1})``, one small product each. The costly part, the
+evaluation of the Lagrangian, is done for all steps in one batch. The iterations are about as many
+as those of the worst single step, so that a stretch takes a fraction of the time of its steps.
 Changes of rotations are along ``Space.retract``.
 """
 
@@ -203,7 +203,7 @@ class StretchState(NamedTuple):
     length: Float[Tensor, " batch"]
     """Of the previous step."""
     lost: Bool[Tensor, " batch"]
-    """Rows of which a step was longer than the one before."""
+    """Rows in which a step was longer than the one before."""
 
 
 class StretchNewton(Rule[StretchPoint, StretchState]):

@@ -345,7 +345,7 @@ class DiscreteLagrangian:
 class MomentumMatching(Rowwise):
     """The equations ``g(q₁) = p + D₁L_d(q₀, q₁) + f⁻ = 0`` of a step, as a root problem.
 
-    An integrator that resolves the motion between them has its unknowns found alongside.
+    The unknowns of an integrator that resolves the motion between them are solved for as well.
 
     Args:
         discrete: ``L_d``.

@@ -9,9 +9,9 @@
 =============================  ================================================  ================
 
 Here ``(q̂, v̂)`` is the flow's prediction, ``g`` the discrete Euler-Lagrange residual, ``H`` the
-learned inertia, and ``q``, ``v`` are the data. Residuals are over the units of coordinates or of
-momenta (``system.scale``): the weight of lengths beside angles does not depend on metres. A further
-objective is one class and a file in ``conf/objective`` that names it.
+learned inertia, and ``q``, ``v`` are the data. Residuals are in units of coordinates or of momenta
+(``system.scale``), which set the weight of lengths relative to angles. A further objective is one
+class and a file in ``conf/objective`` that names it.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Objective(ABC):
         return False
 
     def as_forces(self, flow: Any, windows: Any) -> Objective | None:
-        """Return the objective that measures the same equations as forces, if it is of use."""
+        """Return the objective for the same equations as forces, ``None`` if it does not suit."""
         return None
 
 

@@ -83,7 +83,7 @@ def fitted_start(
     Errors are in the units of the coordinates.
 
     Levenberg-Marquardt for all rows at once, each with its own damping. Derivatives are central
-    differences of rollouts where a model does not know them, so that any model will do. A trial
+    differences of rollouts where a model does not know them, so that any model can be used. A trial
     that diverges is refused like one that is worse.
 
     Args:

@@ -129,7 +129,7 @@ def quantile(level: float) -> float:
 
 
 def extended(error: Float[Tensor, "nodes n"], nodes: int) -> Float[Tensor, "nodes n"]:
-    """Return an error for so many nodes; beyond its last it goes on growing linearly."""
+    """Return an error for so many nodes; beyond its last node it continues to grow linearly."""
     last = len(error) - 1
     if nodes <= len(error) or last == 0:
         return error[:nodes] if nodes <= len(error) else error[-1:].expand(nodes, -1)

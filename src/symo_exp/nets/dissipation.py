@@ -28,10 +28,10 @@ class LearnedDissipation(nn.Module, Dissipation):
     """``F_d = −Aᵀ (D A v + c ∘ tanh(A v / ε_v)) − L_D(q, v) L_D(q, v)ᵀ v``, dissipative by design.
 
     ``D = U diag(d) Uᵀ`` is positive semidefinite, ``U`` unit lower triangular, and ``c, d ≥ 0`` are
-    squares of parameters, whose slope falls with the root of the friction only: from a start that
-    is too small by orders of magnitude, least squares still find it. ``L_D`` is lower triangular, a
-    network with one hidden tanh layer that reads ``s(q)`` and ``v/5``. ``A`` maps coordinates to
-    joints.
+    squares of parameters. Their slope decreases only with the square root of the friction, so that
+    least squares find it from a start that is too small by orders of magnitude. ``L_D`` is lower
+    triangular, a network with one hidden tanh layer that reads ``s(q)`` and ``v/5``. ``A`` maps
+    coordinates to joints.
 
     Args:
         coordinates: The coordinates.

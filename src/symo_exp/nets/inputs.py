@@ -16,9 +16,10 @@ class LearnedInputs(nn.Module):
     """The input matrix ``B = B₀ + C`` near a given ``B₀``, whose largest entry is kept.
 
     Inputs in volts, amperes or per cent have unknown gains, and a motor may also drive a neighbour
-    of its coordinate. A factor of all entries cannot be told from one of the Lagrangian, therefore
-    one entry is held. Entries are in units of the largest one of their column, so that they are
-    about as large as each other, and are shrunk to zero unless the data contradict ``B₀``.
+    of its coordinate. A common factor of all entries cannot be distinguished from a factor of the
+    Lagrangian; therefore one entry is held. Entries are in units of the largest one of their
+    column, so that they are about as large as each other, and are shrunk to zero unless the data
+    contradict ``B₀``.
 
     Args:
         given: ``B₀`` (n, m) of the generalised force ``F = B u``.

@@ -26,10 +26,11 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
 
     ``Λ Λᵀ``, 4 x 4, is its pseudo-inertia about the origin, second moments, mass times centre and
     mass (Wensing, Kim and Slotine 2018), so that every ``Λ`` is a possible body. ``Λ``, the gravity
-    ``γ`` and, where they are learned, the input matrix in body axes are parameters. On a pivot the
-    products of ``γ`` and the first moment are determined, and with learned inputs or without any
-    all of them up to a common factor. There ``γ`` is zero at the start: along the axis of a
-    pendulum it has no torque about it, and one across it that a large inertia hides.
+    ``γ`` and, where they are learned, the input matrix in body axes are parameters. On a pivot only
+    products of ``γ`` and the first moment are determined; if there are no inputs, or these are
+    learned, everything is determined only up to a common factor. On a pivot ``γ`` is zero at the
+    start: gravity along the axis of a pendulum has no torque about this axis, and its torques about
+    the others are hidden by a large inertia.
 
     Networks of the position and the nine entries of the rotation can replace the potential of
     gravity and the constant input matrix.

@@ -56,7 +56,7 @@ class Problem(Equations, Protocol):
         ...
 
     def as_forces(self, windows: TrainingSamples) -> Equations | None:
-        """Return the same equations as forces, if they are of use."""
+        """Return the same equations as forces, ``None`` if these are not suitable."""
         ...
 
     def loss(self, windows: TrainingSamples) -> Float[Tensor, ""]:

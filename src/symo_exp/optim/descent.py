@@ -78,8 +78,8 @@ class Descent(ABC):
     """Trials of one step: the first that lowers the objective is accepted.
 
     A step that lowers it by less than half of what was predicted is halved as long as that helps,
-    until its share is at most ``shortest``. Damping shortens steps too, but first in the directions
-    that the residuals determine weakly, of which a curved valley consists.
+    until its share is at most ``shortest``. Damping also shortens steps, but first in the
+    directions that the residuals determine weakly, such as those of a curved valley.
 
     Args:
         objective: The objective at the start.

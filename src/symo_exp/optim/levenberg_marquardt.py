@@ -40,15 +40,15 @@ class LevenbergMarquardt(EpochOptimizer):
     diagonal itself, as in Marquardt's rule, parameters without influence diverge, and trainings end
     far from data that they could fit to rounding.) The step is accelerated (see ``descent``). ``λ``
     is multiplied by ``max(⅓, 1 − (2ρ − 1)³)`` after a step that lowers
-    ``‖r‖²`` by ``ρ`` of what was foreseen, and by 2, 4, 8, … after those that do not (Nielsen
-    1999); after eight of these the epoch ends. It is ``finished`` if no step lowers the loss
-    and ``λ`` passes 1e12.
+    ``‖r‖²`` by ``ρ`` times the predicted decrease, and by 2, 4, 8, … after steps that do not lower
+    it (Nielsen 1999); after eight of these the epoch ends. It is ``finished`` if no step lowers the
+    loss and ``λ`` passes 1e12.
 
     The first ``force_epochs`` minimise the residuals as forces, where the problem has them, each on
     as many samples as have eight equations for each parameter. Forces are linear in inertias and in
     friction, and a quadratic function of factors of these has hardly any poor minimum (Burer and
-    Monteiro 2003), while accelerations ``H⁻¹ F`` are also small with an infinite inertia, towards
-    which training on them can go. These epochs end early when no step lowers the loss.
+    Monteiro 2003), while accelerations ``H⁻¹ F`` are also small with an infinite inertia, which
+    training on them may approach. These epochs end early when no step lowers the loss.
 
     The system is solved by Cholesky in the space of the parameters or, for a wide network, in that
     of the residuals, whichever is smaller.

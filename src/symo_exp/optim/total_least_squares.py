@@ -47,8 +47,8 @@ class TotalLeastSquares(EpochOptimizer):
 
     ``y`` are the measured nodes of all trajectories, ``r(x; θ)`` the residuals of the model on
     three consecutive ones: the noise in the data is estimated with the model instead of being
-    learned (errors in variables, a weak constraint). With an ``input_weight`` the inputs are nodes,
-    too, with the additional term ``Σ|u − u_measured|²/σ_u²``. See ``smoothing`` for a step.
+    learned (errors in variables, a weak constraint). With an ``input_weight`` the inputs are also
+    unknown, with the additional term ``Σ|u − u_measured|²/σ_u²``. See ``smoothing`` for a step.
 
     The nodes are smoothed first and held for ``start`` epochs from each of several starts: the
     initial parameters, these after steps of Adam, and newly drawn ones after steps of Adam. The

@@ -20,7 +20,7 @@ def check_equations(
 
     Args:
         lagrangian: The inertia and the potential.
-        q: Configurations, not as many as there are coordinates.
+        q: Configurations; their number differs from that of the coordinates.
         way: Steps from them as long as the ranges of the coordinates.
 
     Raises:

@@ -1,8 +1,8 @@
 """Mechanisms written as model files: MJCF and URDF.
 
 A mechanism is what ``Multibody`` takes and ``symo_exp.systems.mujoco`` reads: joints, gravity and
-inputs. Every body of a file has the axes of the world where all coordinates have their reference
-values, but for those on ball joints, which have the axes that their rotations are of.
+inputs. At the reference values of all coordinates, every body of a file has the axes of the world;
+bodies on ball joints have the axes that their rotations refer to.
 """
 
 from __future__ import annotations
@@ -207,8 +207,8 @@ def _inertial(inside: _Frame, joint: Joint) -> None:
 def _positive(inertia: np.ndarray) -> np.ndarray:
     """Return an inertia that MuJoCo accepts, whatever its rounding.
 
-    It refuses a zero moment, such as a thin rod has, and moments of which the largest exceeds the
-    sum of the others by a rounding error, as that of a flat body may.
+    MuJoCo refuses a zero moment, such as that of a thin rod. It also refuses moments the largest of
+    which exceeds the sum of the others by a rounding error, as it may for a flat body.
     """
     least, middle, largest = np.linalg.eigvalsh(inertia)
     spare = LAMINA * largest - (least + middle - largest)

@@ -42,11 +42,11 @@ from symo_exp.systems.scene import scene
 @final
 @dataclass(frozen=True, kw_only=True)
 class Multibody(LagrangianSystem):
-    """Any tree of joints, ``T = ½ Σ_b m_b |ċ_b|² + ω_bᵀ I_b ω_b + ½ Σ_i a_i v_i²``.
+    """Any tree of joints, ``T = ½ Σ_b (m_b |ċ_b|² + ω_bᵀ I_b ω_b) + ½ Σ_i a_i v_i²``.
 
     With Jacobians ``J_b`` of a body's centre and ``W_b`` of its turning, and armature ``a``::
 
-        H = Σ_b m_b J_bᵀ J_b + W_bᵀ I_b W_b + diag(a)
+        H = Σ_b (m_b J_bᵀ J_b + W_bᵀ I_b W_b) + diag(a)
         V = −Σ_b m_b g · c_b + ½ Σ_i k_i (q_i − r_i)²
 
     ``mechanism`` describes it: ``joints`` (fields of ``Joint``), ``gravity``, ``inputs`` (names,
@@ -54,10 +54,10 @@ class Multibody(LagrangianSystem):
     one from a model. Its rows of the ``matrix`` are in the order of the coordinates, lengths and
     angles before ball joints. Those of ``free`` bodies, pairs of the first of three slides and a
     ball joint, are forces in body axes. ``viscous`` and ``coulomb`` are the joints' own unless
-    given, so is the ``box``, in parts: their ranges, half a turn [rad] or half a metre about the
-    reference where they have none, speeds and inputs to ±1. ``limits`` says what a joint limit
-    does: motions ``end`` there, or it is ``off``. ``model`` (a file) or ``id`` (an environment's)
-    is where the mechanism was found.
+    given. So are missing parts of the ``box``: the ranges of the joints (half a turn [rad] or half
+    a metre about the reference without a range), and speeds and inputs within ±1. Motions
+    ``end`` at joint limits, or ``limits`` are ``off``. ``model`` (a file) or ``id`` (an
+    environment's) is where the mechanism was found.
     """
 
     mechanism: Mapping[str, Any]

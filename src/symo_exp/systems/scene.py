@@ -19,7 +19,7 @@ AMBIENT, DIFFUSE = 0.5, 0.7
 
 
 class Scene:
-    """A model, its light and a camera that sees all of it but the floor at first.
+    """A model, its light and a camera that at first sees the whole model except the floor.
 
     Where bodies move freely, it follows the centre of mass.
     """

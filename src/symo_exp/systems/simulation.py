@@ -31,7 +31,7 @@ class Solver:
 
     Its error norm is a root mean square over all states; tolerances divided by √B make it
     bound every single trajectory as its tolerances would. The integrator stops at every node, which
-    therefore has no interpolation error, and goes on with the step size that it had.
+    therefore has no interpolation error, and continues with its last step size.
     """
 
     method: str = "DOP853"

@@ -98,7 +98,7 @@ class Learner(lightning.LightningModule):
         return self.objective.linearised(self.model.flow, windows, parameters)
 
     def as_forces(self, windows: TrainingSamples) -> Equations | None:
-        """Return the same equations as forces, if they are of use."""
+        """Return the same equations as forces, ``None`` if these are not suitable."""
         objective = self.objective.as_forces(self.model.flow, windows)
         return None if objective is None else Learner(self.model, objective=objective)
 
