@@ -184,7 +184,7 @@ def _numbers(values: pd.Series) -> pd.Series:
 
 
 def _is_clock(values: pd.Series) -> bool:
-    """Return whether values rise from row to row, but for restarts, or are dates."""
+    """Return whether values rise from row to row, except at restarts, or are dates."""
     if is_number(values):
         rises = _numbers(values).dropna().diff().iloc[1:]
         return bool((rises > 0).mean() > RISES)

@@ -63,7 +63,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         n_traj: Number of training trajectories, the first ones.
         noise_std: Standard deviation of the noise that is added to the training data.
         input_noise_std: That of the noise added to its inputs.
-        noise_test: Whether noise is added to the test data, too; validation data stay clean.
+        noise_test: Whether noise is also added to the test data; validation data stay clean.
         batch_size: Samples in a batch; ``None``: ``4 n_traj``.
         shuffle: Whether every epoch has a new order.
         seed: Decides the order.

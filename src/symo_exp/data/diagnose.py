@@ -410,7 +410,7 @@ def _table(
 
 
 def _shared(sizes: np.ndarray, coordinates: Coordinates) -> np.ndarray:
-    """Return sizes (n,), of which the components of a vector in body axes have the same."""
+    """Return sizes (n,), equal for the components of a vector in body axes."""
     found, flat = sizes.copy(), len(coordinates.flat)
     starts = [*range(flat, coordinates.n, 3), *(place for place, _ in coordinates.free)]
     for start in starts:
@@ -485,10 +485,10 @@ def acceleration_terms(
 ) -> np.ndarray:
     """Return terms of accelerations: places, viscous and dry friction, and products.
 
-    Forces and products of velocities are multiplied by all places. With rotations, of which all
-    velocities and forces are in body axes, there are the places of lengths, the entries of
-    rotations, to which gravity is proportional, linear and quadratic drag, products of velocities
-    and forces, which for one rigid body are all terms.
+    Forces and products of velocities are multiplied by all places. With rotations, all velocities
+    and forces are in body axes. There are the places of lengths, the entries of rotations, to which
+    gravity is proportional, linear and quadratic drag, products of velocities, and forces. For one
+    rigid body these are all terms.
     """
     products = [a * b for a, b in itertools.combinations_with_replacement(v.T, 2)]
     if coordinates.rotations:

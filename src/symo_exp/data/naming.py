@@ -123,7 +123,7 @@ def short_names(stems: Sequence[str], kind: re.Pattern[str] | None = None) -> li
 
 
 def short_name(stem: str, kind: re.Pattern[str]) -> str:
-    """Return a name without the word that says of which kind it is: ``1`` of ``q1``."""
+    """Return a name without the word that states its kind: ``1`` of ``q1``."""
     words = _words(stem)
     kept = [match[1] if (match := kind.fullmatch(word)) else word for word in words]
     return "_".join(filter(None, kept)) or _short(stem)
@@ -165,7 +165,7 @@ def units_of_angles(columns: Sequence[str]) -> set[str]:
 
 
 def slope_of(stem: str, stems: Collection[str]) -> str | None:
-    """Return the name of which a name is the derivative, such as ``x`` of ``dx`` or ``xdot``."""
+    """Return the name that a name is the derivative of, such as ``x`` of ``dx`` or ``xdot``."""
     for pattern in (r"d_?(.+)", r"(.+?)_?(?:dot|d|p)"):
         if (match := re.fullmatch(pattern, stem)) and match[1] in stems:
             return match[1]
@@ -173,7 +173,7 @@ def slope_of(stem: str, stems: Collection[str]) -> str | None:
 
 
 def says_time(name: str) -> bool:
-    """Return whether a name is one of times, or ends with a unit of time, but for ``_s``."""
+    """Return whether a name is one of times, or ends with a unit of time other than ``_s``."""
     unit = IN_TIME.fullmatch(name)
     return bool(TIME.fullmatch(name) or TIME_OF.fullmatch(name) or (unit and unit[2]))
 

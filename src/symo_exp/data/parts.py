@@ -155,9 +155,8 @@ def with_every_part(
 
     In time, a recording is cut into blocks with equal times of samples, gaps not counted, which
     belong to train, train, val, train and test, in turn. Neighbours of one part stay together;
-    between others a gap is left out. So is what it is at rest before it first moves and after it
-    last does, since no block could be predicted there. Recordings too short for this are returned
-    as they are.
+    between others a gap is left out. So are rests before the first and after the last motion, since
+    no block could be predicted there. Recordings too short for this are returned as they are.
     """
     given = {one.part for one in recordings} & set(PARTS)
     lacking = [part for part in PARTS if part not in given]

@@ -82,7 +82,7 @@ def recorded_system(
 
 @final
 class RecordedData(DataModule):
-    """Recorded trajectories in the place of simulated ones.
+    """Recorded trajectories instead of simulated ones.
 
     A table has one row a sample and the columns
 
@@ -101,7 +101,7 @@ class RecordedData(DataModule):
 
     Equal steps of ``system.time_step`` are taken as they are, other times resampled
     (``data.resample``). Trajectories may differ in length. Fewer than three without a split are
-    completed from each other (``data.parts.with_every_part``).
+    split in time (``data.parts.with_every_part``).
 
     Args:
         system: Whose motions were recorded.
@@ -128,7 +128,7 @@ class RecordedData(DataModule):
         val_seconds: Length of the validation part at most [s]; ``None``: all of it.
         input_delay: From the record of an input to its force [s].
         input_lag: Time constant with which the force follows the input [s], as that of a motor
-            its voltage.
+            follows its voltage.
         leave_out: Stretches of trajectories that are not used, ``[NAME, FROM, TO]`` each
             (``data.parts.without``); ``None``: none.
         batch_size: ``None``: an eighth of the samples.
@@ -382,7 +382,7 @@ def _check_turns(where: str, samples: Samples, coordinates: Coordinates) -> None
     if jumps.any():
         turns = np.where(jumps, np.abs(np.diff(samples.q, axis=0)).max(0), 0.0)
         name = coordinates.names[int(turns.argmax())]
-        mend = "data.wrapped=true unwraps them) and be in radians (data.degrees=true converts"
+        mend = "data.wrapped=true unwraps them) and must be in radians (data.degrees=true converts"
         if 300 < turns.max() < 400:
             mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
         raise ConfigError(
@@ -463,8 +463,8 @@ def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[st
         sweeps = np.concatenate([_sweeps(one.q[:, i]) for one in sampled])
         if angular and len(sweeps) >= SWINGS and np.median(sweeps) > 2 * np.pi:
             yield (
-                f"q_{name} swings to and fro by {np.median(sweeps):.3g} rad, more than a turn: if "
-                "angles are in degrees, give data.degrees=true"
+                f"q_{name} swings back and forth by {np.median(sweeps):.3g} rad, more than a turn: "
+                "if angles are in degrees, give data.degrees=true"
             )
         ratios = [_ratio(one, i) for one in sampled if one.v is not None]
         ratio = float(np.median(ratios)) if ratios else 1.0

@@ -47,10 +47,10 @@ def resample(samples: Samples, h: float) -> Samples:
 
     Configurations and measured velocities are those of cubic polynomials fitted by least squares
     to the samples within ``h / 2`` of a node, or ``h`` where these are too few or all on one side,
-    or of a cubic spline where those are, too; without measured velocities, the slopes of these.
-    Inputs, linear between samples, are averaged over ``h`` around a node, so that their impulse is
-    the recorded one. The first node is ``h / 2`` after the first sample, so that there are samples
-    on both sides, unless they are sparse.
+    or of a cubic spline where this also holds within ``h``; without measured velocities, the slopes
+    of these. Inputs, linear between samples, are averaged over ``h`` around a node, so that their
+    impulse is the recorded one. The first node is ``h / 2`` after the first sample, so that there
+    are samples on both sides, unless they are sparse.
     """
     t, q, v, u = samples
     lead = h / 2 if samples.step <= DENSE * h * (1 + 1e-3) else 0.0

@@ -404,7 +404,8 @@ def _check_order(where: str, table: pd.DataFrame) -> None:
 def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
     """Return the first row of each time; refuse a table in which many times repeat.
 
-    Times next to each other repeat, too: the slopes between their rows are those of the noise.
+    Times very close to each other also count as repeated: slopes between their rows are those of
+    the noise.
     """
     again = np.zeros(len(table), dtype=bool)
     for _, rows in _groups(table):

@@ -1,7 +1,7 @@
 """Measures of every run: one-step errors, long rollouts, energy and inertia, a function each.
 
-Measures that need the true Lagrangian are absent where the system has none. A measure of one's own
-is a study (``evaluation.study``).
+Measures that need the true Lagrangian are absent where the system has none. A measure of a user is
+a study (``evaluation.study``).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def evaluate(
     Args:
         model: The trained model.
         system: The system, whose true Lagrangian is used where it is known.
-        data: Its data; recordings are predicted in windows, too (``horizon``).
+        data: Its data; recordings are also predicted in windows (``horizon``).
         reference: A model to compare with on recordings.
     """
     model = model.for_evaluation()

@@ -36,7 +36,7 @@ HORIZONS = (0.5, 1.0, 2.0)
 EVERY, RUN_IN = 0.25, 0.2
 """Distance of the starts of windows, and length of the run-in before each [s]."""
 LONG = 2.0 * HORIZONS[-1]
-"""Length from which a recording counts as a whole, too [s]."""
+"""Length from which a recording is also compared as a whole [s]."""
 MOVES, SHARE, ABOVE_NOISE = 0.2, 0.05, 10.0
 """A coordinate moves in a window where its range exceeds so many rad or m, or this share of its
 range in the recordings if that is less, and so many times its noise."""
@@ -266,9 +266,9 @@ def whole_error(
     """Return the error over whole recordings of 4 s or more; ``None`` if there are none.
 
     It is the root mean square over recordings in ``units`` [rad, m] of the coordinates, each in
-    open loop from its first nodes and at most the standard deviation of its motion: then nothing is
-    known of where it is. A rollout ends where this is certain, as it soon is of a motion that is
-    chaotic.
+    open loop from its first nodes and at most the standard deviation of its motion, where nothing
+    is known of the configuration. A rollout ends where this bound is certain to be reached, as it
+    soon is for a chaotic motion.
     """
     h = model.time_step
     long = [one for one in trajectories if (len(one.q) - 1) * h >= LONG * (1 - 1e-9)]
@@ -315,7 +315,7 @@ def _mean_squares(
 
 
 def _sizes(units: Tensor | float) -> Sizes:
-    """Return units as numbers, of which a single one is that of all coordinates."""
+    """Return units as numbers; a single one is that of all coordinates."""
     return tuple(torch.as_tensor(units).reshape(-1).tolist())
 
 

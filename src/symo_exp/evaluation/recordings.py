@@ -124,11 +124,11 @@ def held_out_error(
 ) -> float:
     """Return the geometric mean of the errors up to horizons [s], infinite without a window.
 
-    ``units`` are those of the coordinates [rad, m], of which no one outweighs the others in units
-    in which they move by about one.
+    ``units`` are those of the coordinates [rad, m]; in units in which all coordinates move by about
+    one, none outweighs the others.
 
     Where there are recordings of 4 s or more, it includes the error over them as a whole
-    (``whole_error``), in which drifts show that windows of 2 s do not; not with shorter horizons,
+    (``whole_error``), which shows drifts that windows of 2 s do not; not with shorter horizons,
     which are for motions that cannot be predicted longer. ``place`` and ``iterations`` are those of
     ``predict``.
     """

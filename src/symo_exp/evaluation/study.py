@@ -56,7 +56,7 @@ class Finding:
 
 
 def _number(name: str, value: object) -> float:
-    """Return a measure as a float, of a tensor with one entry, too."""
+    """Return a measure, also a tensor with one entry, as a float."""
     try:
         return float(value.detach() if isinstance(value, Tensor) else value)  # type: ignore[arg-type]
     except (TypeError, ValueError, RuntimeError) as error:

@@ -114,7 +114,7 @@ def exclude(base: Candidate, one: Candidate, other: Candidate) -> bool:
 def joined(base: Candidate, one: Candidate, other: Candidate) -> Candidate:
     """Return the candidate that has what distinguishes ``one`` and ``other`` from ``base``.
 
-    What either switches on is on.
+    A switch that is on in either of them is on.
     """
     if other == base:
         return one

@@ -48,7 +48,7 @@ class Fits:
         self._experiment, self._seed, self._clock = experiment, seed, clock
 
     def check(self, candidates: Sequence[Candidate]) -> None:
-        """Build candidates, of which there is at least one, until one can be fitted.
+        """Build candidates, at least one, until one can be fitted.
 
         Raises:
             ConfigError: That of the first candidate, if all are refused.

@@ -223,8 +223,8 @@ class Plan:
         """Return how many fits to all data a chosen candidate has, from different seeds.
 
         Candidates whose starts are drawn have several minima, and the start with the smallest
-        residuals does not always lead to the deepest one. There are ``MOST_FITS`` if the time
-        suffices for these, else one for each core.
+        residuals does not always lead to the deepest one. There are ``MOST_FITS`` if there is time
+        for these, else one for each core, at least ``FEWEST_FITS``.
         """
         if not candidate.has_minima:
             return 1

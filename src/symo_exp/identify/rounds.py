@@ -299,7 +299,7 @@ class Rounds:
     def _no_better(self, fine: Trial, coarse: Trial, folds: Sequence[int]) -> bool:
         """Return whether a finer integration has larger errors for certain, or is not likelier.
 
-        Likelier by so little as a useless parameter makes a model does not count.
+        A gain in likelihood that a useless parameter would also give does not count.
         """
         return beats(coarse.errors, fine.errors, folds) or self._likelier(coarse, fine, folds, -1)
 
@@ -429,9 +429,9 @@ class Rounds:
         return self._folders[trial.candidate.name, fold]
 
     def _fit_again(self, candidates: Iterable[Candidate]) -> None:
-        """Fit folds again, from other seeds, that ended at another minimum.
+        """Fit folds that ended at another minimum again, from other seeds.
 
-        Of all fits to a fold that with the least noise is kept, which takes training data alone.
+        The fit to a fold with the least noise is kept, which depends on training data alone.
         """
         candidates = list(candidates)
         for attempt in range(1, FOLD_FITS):
@@ -450,8 +450,8 @@ class Rounds:
     def _at_other_minima(self, candidate: Candidate) -> list[int]:
         """Return the folds that ended with far more noise than another fold of the candidate.
 
-        None of candidates whose start is not drawn, which have no other minima, and of those with
-        far more noise than another candidate, which do not explain the motion.
+        There are none for candidates whose start is not drawn, which have no other minima, and for
+        those with far more noise than another candidate, which do not explain the motion.
         """
         mine = self.noises(self._trial(candidate))
         if not candidate.has_minima or not mine:

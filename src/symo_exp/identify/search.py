@@ -170,7 +170,7 @@ class Search:
         return 0
 
     def _replaced(self, candidates: Sequence[Candidate]) -> list[str]:
-        """Return the given settings that stand for other ones of candidates."""
+        """Return the given settings that replace those of candidates."""
         keys = {key for one in candidates for key in one.settings}
         keys |= {key.partition(".")[0] for key in keys} - {"system"}
         return [value for key, value in self._given.items() if key in keys]
@@ -235,7 +235,7 @@ class Search:
         raise self._unsuitable("system.scale", "system", "learns the constants of known equations")
 
     def _check_kept(self, recordings: str) -> None:
-        """Refuse to go on with the runs of other recordings, whose folders have the same names."""
+        """Refuse to continue with runs of other recordings, whose folders have the same names."""
         if read_json(self._folder / PLAN).get("recordings") in (None, "", recordings):
             return
         raise ConfigError(

@@ -118,8 +118,8 @@ def baseline_error(folder: RunFolder) -> float:
 def latest_stage(losses: Sequence[Mapping[int, float]]) -> int:
     """Return the last stage of a training that the best one does not beat by two standard errors.
 
-    Later stages trust the equations more. If these are right, parameters become more accurate by
-    it, which errors of predictions from noisy starts hardly show.
+    Later stages trust the equations more. If these are right, parameters become more accurate,
+    which errors of predictions from noisy starts hardly show.
 
     Args:
         losses: Those after the stages of each fold; stages that not all folds have do not count.

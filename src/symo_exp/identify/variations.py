@@ -97,7 +97,8 @@ def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
 def with_half_the_step(candidate: Candidate, machine: Machine) -> list[Candidate]:
     """Return the variation with half of its time step, none if no recording has samples for it.
 
-    None either if recordings would be cut at more gaps: errors over shorter pieces are smaller.
+    There is also none if recordings would be cut at more gaps: errors over shorter pieces are
+    smaller.
     """
     step = float(candidate.settings.get("system.time_step", machine.time_step)) / 2
     cut = machine.gap > LONGEST_GAP * step * (1 + 1e-3)
@@ -121,9 +122,9 @@ def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     """Yield variations with a delay of the inputs: what the motion shows, and half a sample.
 
     Digital controllers hold inputs between samples, so that they act half a sample after their
-    record. Delays that differ by little from another one or none are left out. Where all candidates
-    have the delay that the motion shows, none is the variation: regressions may represent a machine
-    badly.
+    record. Delays that differ little from another one or from zero are left out. Where all
+    candidates have the delay that the motion shows, the variation has no delay: regressions may
+    represent a machine badly.
     """
     if "data.input_delay" in candidate.settings:
         return
