@@ -1,9 +1,9 @@
 """Baseline (a): the four methods in plain PyTorch, every derivative by automatic differentiation.
 
-This is how the methods of the thesis are written when nothing but the equations is at hand: the
-Lagrangian is a scalar function, its derivatives are `torch.autograd.grad(create_graph=True)`, the
-Jacobian of Newton's method takes n further backward passes an iteration, L-NODE and NODE go
-through torchdiffeq's adjoint, and a rollout follows one trajectory at a time.
+The methods of the thesis are written as their equations: the Lagrangian is a scalar function, its
+derivatives are `torch.autograd.grad(create_graph=True)`, and the Jacobian of Newton's method takes
+n further backward passes an iteration. L-NODE and NODE use torchdiffeq's adjoint, and a rollout
+follows one trajectory at a time.
 
 Notation: q, v (B, n), u (B, m), step h; H(q) = L L^T + eps I, Lagrangian 1/2 v^T H v - V;
 discrete Lagrangian L_d(q0, q1) = h Lagrangian((q0 + q1)/2, (q1 - q0)/h).

@@ -233,7 +233,7 @@ def whole_fit(
     Both are of the same minute: on a busy machine the next one may be a quarter slower. The fit
     tracks and keeps checkpoints as a run does; the run is open before it and after it. It lasts at
     least so many `epochs` and `seconds`: a short one pays for its start and for the first hundred
-    epochs, every one of which is told to MLflow. The learning rate is 0: every fit is the same.
+    epochs, which are all sent to MLflow. The learning rate is 0: every fit is the same.
     """
     windows = Windows(*training_batch(case.name, 8 * batch).to(torch.float32))
     samples = _Samples(windows, batch)

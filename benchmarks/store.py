@@ -134,7 +134,7 @@ def write(store: Store, experiment: str, seconds: float) -> list[float]:
 
 
 def many_runs(store: Store, count: int) -> None:
-    """A store with that many runs: how large, and how long what is asked of it takes."""
+    """Size of a store with so many runs, and the time that it takes to answer."""
     assert store.database is not None
     place = store.database.parent
     view = MlflowView(experiment="thesis", directory=place, every_n_epochs=1)

@@ -2,7 +2,7 @@
 
 Record short motions of the true system under constant inputs, learn a model, plan on the model,
 follow the plan and hold the upright position. All gains come from ``model.linearize``. The
-controller is tested in the true environment, of which it has seen only the recorded motions::
+controller is tested in the true environment; it has seen only the recorded motions of it::
 
     python examples/swing_up.py --system cartpole --seed 0 --model symo --animation cartpole.webp
     python examples/swing_up.py --table results/control  # both systems, three methods, ten seeds

@@ -49,7 +49,7 @@ def locate(target: Any, where: str, homes: tuple[str, ...] = COMMANDS) -> Callab
 
     Raises:
         ConfigError: For any other name. The name alone proves nothing: ``symo_exp.x.os.system``
-            begins well, too.
+            also begins well.
     """
     mine = _modules()
     allowed = f"it may name a class of {', '.join((*homes, *mine))} (your own: code=FOLDER)"

@@ -67,7 +67,7 @@ def _interpreter() -> str:
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Compare folders, too: the interpreter of an environment is a link to one of another."""
+    """Compare folders as well: the interpreter of an environment is a link to one of another."""
     try:
         return one.samefile(other) and one.parent.samefile(other.parent)
     except OSError:

@@ -41,7 +41,7 @@ def explained(error: BaseException) -> ConfigError:
 
 
 def _explained_alone(error: BaseException) -> ConfigError | None:
-    """Return the refusal that one error of a chain stands for, ``None`` for any other error."""
+    """Return the refusal that one error of a chain means, ``None`` for any other error."""
     if isinstance(error, ConfigError):
         return error
     if twice := TWICE.match(str(error)):

@@ -51,8 +51,8 @@ def compile_training(learner: Trainable, *, validation: bool = False) -> None:
     """Compile the training step of a learner at its next call.
 
     Args:
-        learner: The learner, of which ``trains_compiled`` is true.
-        validation: Whether to compile the validation loss, too.
+        learner: The learner; ``trains_compiled`` is true of it.
+        validation: Whether to compile the validation loss as well.
     """
 
     def loss(*, open_rows: bool) -> Callable[..., Any]:

@@ -105,7 +105,7 @@ def trace(
     Args:
         function: The function.
         example: Its arguments.
-        kernels: Functions that take the place of operations.
+        kernels: Functions that replace operations.
 
     Raises:
         OpenRowsError: If the operations depend on a number of rows that was left open.

@@ -45,8 +45,8 @@ carry(StructuredExpansion)
 class Iterate(NamedTuple):
     """The equations at one iterate ``x``, and the step of Newton's method from there.
 
-    A compiler removes what its caller does not use: an ``Iterate`` of which only ``near`` and
-    ``expansion`` are read costs no Jacobian.
+    A compiler removes what its caller does not use: if only ``near`` and ``expansion`` of an
+    ``Iterate`` are read, it costs no Jacobian.
     """
 
     x: Float[Tensor, "batch k"]

@@ -119,7 +119,7 @@ def recordings_of(settings: Mapping[str, Any]) -> str:
 def changed_recordings(
     settings: Mapping[str, Any], folder: RunFolder, *, restarts: bool
 ) -> ConfigError | None:
-    """Return the refusal to go on with results of other recordings, ``None`` if there are none.
+    """Return the refusal to continue with results of other recordings, ``None`` if there are none.
 
     Args:
         settings: Resolved settings of the job.

@@ -138,7 +138,7 @@ def urgent(value: bool = True) -> Iterator[None]:
 
 @contextmanager
 def deaf_children() -> Iterator[None]:
-    """Keep SIGINT from processes started meanwhile, which are told by the file.
+    """Keep SIGINT from processes started meanwhile, which learn of it from the file.
 
     A blocked signal stays blocked in a child. This process still receives it in another thread.
     """

@@ -49,7 +49,7 @@ def html(report: Report) -> str:
 
 
 def toggles(figures: Sequence[Figure]) -> dict[str, dict[str, str]]:
-    """Return the methods, integrators and sources of which the figures show more than one.
+    """Return the methods, integrators and sources, each kind if the figures show more than one.
 
     The keys are the names in the data of the charts, the values are for a reader.
     """

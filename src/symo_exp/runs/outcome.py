@@ -16,7 +16,7 @@ Status = Literal["waiting", "running", "finished", "failed", "refused", "interru
 class Outcome:
     """The status of a run; one that did not finish has a reason.
 
-    ``seconds`` are those of all starts of the run together, but for those that were killed.
+    ``seconds`` are those of all starts of the run together, except those that were killed.
     ``process`` names the process for a person to find; only the lock says whether it lives.
     """
 

@@ -76,7 +76,7 @@ def expand(arguments: Sequence[str], params: Mapping[str, Any]) -> list[list[str
 
 
 def _rows(names: Sequence[str], values: Any) -> list[list[str]]:
-    """Return the overrides that each row of values stands for."""
+    """Return the overrides that each row of values means."""
     for row in values if isinstance(values, list | ListConfig) else [values]:
         if not isinstance(row, list | ListConfig) or len(row) != len(names):
             raise ConfigError(

@@ -34,7 +34,7 @@ def load(
 ) -> DynamicsModel:
     """Load the trained model of a run, in evaluation mode.
 
-    Of a run that has not finished it is the model of the last checkpoint, and a warning is logged.
+    If the run has not finished, this is the model of its last checkpoint, and a warning is logged.
 
     The model predicts batches: configurations ``q`` (B, n), velocities ``v`` (B, n) and inputs
     ``u`` (B, m) in SI units, one time step ``model.time_step`` apart; or single ones, without B:
@@ -43,7 +43,7 @@ def load(
       input, gives ``q`` and ``v`` (B, T+1, n) and ``converged`` (B, T);
     * ``symo_exp.compile_rollout(model)`` makes rollouts three to ten times faster after about a
       minute of compiling, for instance in predictive control;
-    * ``model.step(q, v, u, u_next)`` is one step of it;
+    * ``model.step(q, v, u, u_next)`` is one time step;
     * ``model.energy(q, v)``, ``mass_matrix(q)``, ``potential(q)``, ``momentum(q, v)``, where the
       method learns a Lagrangian;
     * ``model.for_evaluation()`` is a float64 copy with converged roots, which the measures use.

@@ -139,7 +139,7 @@ class MlflowView:
         return found[0] if found else None
 
     def _rows(self, folder: RunFolder, *, last: bool) -> list[dict[str, float]]:
-        """Return the thinned series; with ``last`` its last row, too."""
+        """Return the thinned series; with ``last`` also its last row."""
         rows = read(folder / SERIES)
         kept = [r for r in rows if r[EPOCH] < DENSE or (r[EPOCH] + 1) % self._every == 0]
         return kept + rows[-1:] if last and rows and rows[-1] not in kept else kept

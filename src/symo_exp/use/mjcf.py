@@ -301,7 +301,7 @@ def _with_springs(
 def _of_balls(
     joints: Sequence[Joint], damping: Tensor, friction: Coupled, missing: list[str]
 ) -> tuple[Tensor, Coupled]:
-    """Return friction of which that of a ball joint is the same about all axes.
+    """Return friction that is the same about all axes of each ball joint.
 
     Where it is not, or couples a ball joint with others, its mean is taken; ``missing`` says so.
     """
