@@ -37,30 +37,30 @@ $(INSTALLED): pyproject.toml constraints.txt
 demo: install ## train all four methods on the pendulum and print the results, some minutes
 	$(PY) -m symo_exp -cn demo
 
-test: install ## run the tests, but for the long proofs
+test: install ## run the tests, except the long ones
 	$(PY) -m pytest -n 2 --dist worksteal
 
-test-slow: install ## run the long proofs
+test-slow: install ## run the long tests
 	$(PY) -m pytest -m slow
 
-test-faults: install ## kill, interrupt and starve runs in every way: the long proof that nothing is lost
+test-faults: install ## kill, interrupt and starve runs, and check that nothing is lost; long
 	$(PY) -m pytest -m "slow or not slow" tests/faults tests/training tests/runs
 
 test-browser: install ## open the report's page in Chromium (apt-get install chromium chromium-driver)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	$(PY) -m pytest -m browser tests/browser
 
-test-slurm: install ## send sweeps through a SLURM of one node (root; Debian's packages)
+test-slurm: install ## run sweeps on a SLURM of one node (as root; Debian's packages)
 	@which $(SLURM) >/dev/null || [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null || \
 		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends slurmctld slurmd slurm-client munge; }
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[cluster]'
 	$(PY) -m pytest -m slurm tests/clusters
 
-test-server: install ## eight jobs at once through MLflow to PostgreSQL (apt-get install postgresql)
+test-server: install ## run eight jobs at once that write through MLflow to PostgreSQL (apt-get install postgresql)
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[server]'
 	$(PY) -m pytest -m server tests/clusters
 
-test-gpu: install ## train on a GPU, where a run has the measures of the processor
+test-gpu: install ## train on a GPU and compare the measures with those of the processor
 	$(PY) -m pytest -m gpu tests/models tests/training
 
 test-commands: install ## run every command of README, docs and docstrings, in short forms: an hour
@@ -95,13 +95,13 @@ audit: install ## look up known vulnerabilities of the versions in constraints.t
 	$(PY) -m pip install --quiet --constraint constraints.txt --editable '.[audit]'
 	$(BIN)/pip-audit --strict --no-deps --disable-pip --requirement constraints.txt
 
-smoke: install ## a sweep of a few epochs: does everything run?
+smoke: install ## run a sweep of a few epochs, to check that everything runs
 	$(PY) -m symo_exp -cn smoke
 
 bench: install ## measure speed, against other implementations where they are installed
 	$(PY) -m benchmarks
 
-bench-quick: install ## one system and one batch, in two minutes
+bench-quick: install ## measure one system and one batch, in two minutes
 	$(PY) -m benchmarks --quick
 
 rivals: ## fit open packages for system identification to the real machines, in .venv-rivals
