@@ -358,6 +358,34 @@ def test_orders_with_controls_and_friction(name: str, method: object) -> None:
     assert found == pytest.approx(order, abs=0.25)
 
 
+class Rod(Body):
+    """A thin rod that hangs from one end: its inertia about its axis is a 300th of the others."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        half = torch.tensor([0.0, 0.0, -0.5, 1.0], dtype=torch.float64)
+        self.pseudo = torch.outer(half, half) + torch.diag(
+            torch.tensor([6e-4, 6e-4, 1 / 12, 0.0], dtype=torch.float64)
+        )
+
+
+@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("stages", [2, 3, 5])
+def test_the_motion_of_a_rod_between_two_configurations_is_found(
+    stages: int, friction: bool
+) -> None:
+    """Gyroscopic terms about the thin axis are larger than its inertia."""
+    rod = damped(Rod(), 3) if friction else Rod()
+    space, rate = rod.space, drawn(3, rows=40, seed=1, scale=2.0)
+    q = space.of_vector(drawn(3, rows=40))
+    controls = Forces(*(drawn(3, rows=40, seed=k, scale=0.5) for k in (2, 3)))
+    controlled = Controlled(rod, torch.eye(3).double())
+    at = Geodesic(space=space, stages=stages).expand(
+        controlled, q, space.retract(q, 0.05 * rate), 0.05, controls
+    )
+    assert at.stationarity.abs().max() < 1e-12
+
+
 @pytest.mark.parametrize("stages", STAGES)
 def test_a_motion_has_no_residual_and_the_world_may_be_turned(stages: int) -> None:
     """Along its own trajectory, and about gravity, with the same momenta in body axes."""

@@ -27,11 +27,11 @@ from abc import abstractmethod
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import Self, override
 
-from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec
+from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec, solve
 from symo_exp.mechanics.roots import Rule, Sizes, as_actions, iterate, newton_step, relative
 from symo_exp.mechanics.rows import Rowwise, take_rows
 from symo_exp.mechanics.variational import (
@@ -45,6 +45,8 @@ from symo_exp.mechanics.variational import (
 
 TOLERANCE, MOST_UPDATES = 1e-12, 12
 """Of the inner coefficients, by default and in evaluation."""
+SLOW = 0.1
+"""Ratio of residuals after and before an update above which the update gains little."""
 
 
 class Galerkin(VariationalIntegrator):
@@ -55,8 +57,9 @@ class Galerkin(VariationalIntegrator):
     ``Σᵢ bᵢ Pⱼ Pₗ Hᵢ / h``, which is nearly diagonal and always regular, and with that of friction,
     until the last update is below ``tolerance`` of the displacement, both in the units of the
     coordinates (``sizes``). Each update gains two to three digits at usual step sizes. A row that
-    an update would make worse keeps its coefficients (untrained networks have such rows); with
-    friction it tries a part of the update.
+    an update would make worse keeps its coefficients (untrained networks have such rows). With
+    friction it tries a part of the update, with rotations one with the whole Hessian: about a thin
+    axis the other terms are larger than the inertia.
 
     Args:
         stages: Number of Gauss points.
@@ -114,7 +117,8 @@ class Galerkin(VariationalIntegrator):
         start = q0.new_zeros(q0.shape[0], (self.stages - 1) * q0.shape[1])
         if self.stages == 1:
             return problem.at(start).expansion
-        rule = InnerSteps(max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps), self.sizes)
+        tolerance = max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps)
+        rule = InnerSteps(tolerance, self.sizes, turns=self.space.rotations > 0)
         return iterate(problem, start, rule, self.max_iterations)[1].expansion
 
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
@@ -193,6 +197,11 @@ class InnerPoint(Rowwise):
         """Return the part of the inertia in ``W_cc`` and that of friction."""
         return self.expansion.inner_mass()
 
+    def exact_step(self) -> Float[Tensor, "batch inner*n"]:
+        """Return the step of Newton's method with all of ``W_cc``."""
+        whole = block_matrix(self.expansion.hessian()[1:-1, 1:-1])
+        return solve(whole, -self.residual)
+
     def reach(self, sizes: Sizes) -> Float[Tensor, " batch"]:
         """Return the size of the motion over the interval, in the units of the coordinates."""
         inner = relative(self.expansion.inner, sizes).abs().amax((0, -1))
@@ -204,7 +213,9 @@ class Inner(NamedTuple):
 
     step: Float[Tensor, "batch inner*n"]
     share: Float[Tensor, "batch 1"]
-    """Part of the step that is tried."""
+    """Part of the step that is tried; 0 in rows that are given up."""
+    exact: Bool[Tensor, " batch"]
+    """Rows whose steps have all of ``W_cc``."""
 
 
 class InnerSteps(Rule[InnerPoint, Inner]):
@@ -213,21 +224,26 @@ class InnerSteps(Rule[InnerPoint, Inner]):
     Args:
         tolerance: Bound on a step, relative to the motion over the interval.
         sizes: Units of the coordinates, in which lengths and angles are compared.
+        turns: Whether there are rotations; rows that refuse a step, or gain little by it, then try
+            the exact one.
     """
 
-    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
-        self._tolerance, self._sizes = tolerance, sizes
+    def __init__(self, tolerance: float, sizes: Sizes = None, *, turns: bool = False) -> None:
+        self._tolerance, self._sizes, self._turns = tolerance, sizes, turns
 
     @override
     def start(self, x: Tensor, at: InnerPoint) -> Inner:
-        return Inner(torch.zeros_like(x), torch.ones_like(x[:, :1]))
+        exact = torch.zeros(len(x), dtype=torch.bool, device=x.device)
+        return Inner(torch.zeros_like(x), torch.ones_like(x[:, :1]), exact)
 
     @override
     def active(self, x: Tensor, at: InnerPoint, state: Inner) -> tuple[Tensor, Inner]:
         step = newton_step(at)
+        if state.exact.any():
+            step = torch.where(state.exact.unsqueeze(-1), at.exact_step(), step)
         largest = relative(step, self._sizes).abs().amax(-1)
         active = ~(largest <= self._tolerance * at.reach(self._sizes))
-        return active, state._replace(step=step)
+        return active & (state.share > 0.0).squeeze(-1), state._replace(step=step)
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -244,14 +260,19 @@ class InnerSteps(Rule[InnerPoint, Inner]):
         after, before = (x.expansion.imbalance(self._sizes) for x in (there, at))
         better = after <= before
         accepted = better & (better & active).any()
-        if at.expansion.dissipates:
-            share = torch.where(better.unsqueeze(-1), 1.0, 0.25 * state.share)
-            state = state._replace(share=share)
+        if self.retries(at):
+            less = (0.25 if at.expansion.dissipates else 0.0) * state.share
+            if self._turns:  # first the exact step, then less of both
+                less = torch.where(state.exact.unsqueeze(-1), less, state.share)
+                slow = active & ~(after <= SLOW * before)
+                exact = torch.where(better, state.exact | slow, state.exact ^ active)
+                state = state._replace(exact=exact)
+            state = state._replace(share=torch.where(better.unsqueeze(-1), 1.0, less))
         return accepted, state
 
     @override
     def retries(self, at: InnerPoint) -> bool:
-        return at.expansion.dissipates
+        return at.expansion.dissipates or self._turns
 
 
 class Basis:
