@@ -57,7 +57,7 @@ def on_space(integrator: VariationalIntegrator, space: Space) -> VariationalInte
     if integrator.stages is None:
         raise ConfigError(
             f"integrator={integrator.name} moves lengths and angles only, and the system has "
-            "rotations; choose midpoint, galerkin4 or galerkin6"
+            "rotations; choose midpoint, galerkin4, galerkin6 or galerkin10"
         )
     if integrator.stages == 1:
         return GeodesicMidpoint(space)
