@@ -1,6 +1,7 @@
 """The page of the report in a browser, at the widths of a desktop and of a phone."""
 
 import os
+import re
 import shutil
 
 import pytest
@@ -244,6 +245,33 @@ def test_the_page_follows_the_light_or_dark_setting(light, darker, browser, addr
     assert (int(before[1:3], 16) < 128) == (darker == "ink")
     click(browser, "#theme")
     wait(browser, lambda: _fill(browser) not in ("", before))
+
+
+def test_paper_is_light_and_has_the_folded_tables(browser, address):
+    look_at(browser, address, 1600, light="dark")
+    charts(browser)
+    try:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        browser.execute_script("dispatchEvent(new Event('beforeprint'))")
+        script = """return [document.body, ...document.querySelectorAll('.view .mark-text text')]
+        .map((one) => getComputedStyle(one)).map((style) => [style.color, style.fill])"""
+        (ink, _), *texts = browser.execute_script(script)
+        assert sum(map(int, re.findall(r"\d+", ink))) < 200
+        assert {fill for _, fill in texts} == {ink}
+        assert browser.find_element("id", "unfinished").is_displayed()
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def test_a_page_without_charts_changes_between_light_and_dark(browser, tmp_path):
+    file = tmp_path / "index.html"
+    one = [row(system="pendulum", experiment="mine")]
+    file.write_text(html(general_report(tidy(one), "From a test.")), encoding="utf-8")
+    look_at(browser, file.as_uri(), 1600)
+    script = "return getComputedStyle(document.body).backgroundColor"
+    before = browser.execute_script(script)
+    click(browser, "#theme")
+    assert browser.execute_script(script) != before
 
 
 def _fill(browser) -> str:

@@ -127,7 +127,9 @@ def test_a_chart_becomes_a_file_that_is_the_same_again(form, tmp_path):
         assert first.read_bytes() == again.read_bytes()
 
 
-@pytest.mark.parametrize(("low", "high"), [(21.0, 29.0), (2.0, 9.0), (1.0, 1e3)])
+@pytest.mark.parametrize(
+    ("low", "high"), [(21.0, 29.0), (2.0, 9.0), (1.0, 1e3), (1.3, 130.0), (7.0, 4e3)]
+)
 def test_a_logarithmic_axis_has_labels_all_along(low, high, tmp_path):
     x = np.geomspace(low, high, 5)
     rows = pd.DataFrame({"x": x, "y": x, "method": "symo", "integrator": "", "source": "ours"})
@@ -138,6 +140,15 @@ def test_a_logarithmic_axis_has_labels_all_along(low, high, tmp_path):
     third = (high / low) ** (1 / 3)
     for k in range(3):
         assert ((labels >= low * third**k * 0.99) & (labels <= low * third ** (k + 1))).any(), k
+
+
+def test_data_without_noise_stand_at_zero(tmp_path):
+    (figure,) = [one for one in FIGURES if one.key == "noise_chain"]
+    (data, *_) = declare(figure, interactive=True)["datasets"].values()
+    assert {row["x"] for row in data} == {0.0, 0.01}
+    (file,) = draw_charts(figure, tmp_path, ["svg"])
+    across = re.split(r">noise σ[^<]*</text>", file.read_text())[0].rpartition("axis-grid")[2]
+    assert re.findall(r">([\d.]+)</text>", across) == ["0", "0.01"]
 
 
 def test_a_single_run_has_no_chart_of_one_point():
@@ -184,6 +195,14 @@ def test_the_page_holds_the_figures_and_needs_nothing_else(report, page):
     specs = json.loads(gzip.decompress(base64.b64decode(held["specs"])))
     there = {f.key: len(f.panels) for section in report.sections for f in section.figures}
     assert {key: len(spec["concat"]) for key, spec in specs.items()} == there
+
+
+def test_a_page_without_figures_has_what_its_buttons_need_and_says_nothing_of_charts(report, page):
+    bare = html(replace(report, sections=[replace(one, figures=()) for one in report.sections]))
+    assert 'id="theme"' in bare
+    assert 'getElementById("theme").addEventListener' in bare
+    assert len(bare) < 50_000 < len(page)  # without the libraries that draw
+    assert ["Charts: point" in text for text in (bare, page)] == [False, True]
 
 
 def test_the_page_begins_with_the_answer_and_ends_with_the_tables(page):
@@ -251,6 +270,9 @@ def test_a_constant_truth_leaves_room_to_see_the_others():
     truth, ours = rows("truth", [0.64, 0.64 + 1e-15]), rows("ours", [0.63, 0.65], "symo")
     low, high = Panel("", "", "", pd.concat([truth, ours]), y_log=False).limits()
     assert low < 0.63 < 0.65 < high
+    ours = rows("ours", [0.64, 0.64 + 1e-8], "symo")  # such an error would fill the axis
+    low, high = Panel("", "", "", pd.concat([truth, ours]), y_log=False).limits()
+    assert low < 0.635 < 0.645 < high
 
 
 def test_a_symplectic_integrator_keeps_the_volume_small_steps_first():

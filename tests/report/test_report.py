@@ -117,9 +117,9 @@ def test_the_answer_is_of_the_last_sweep_unless_other_settings_are_asked_for(tmp
                                                    ("fast", "b", "2026-01-02", 1))
             for seed in range(seeds) for method in ("symo", "node")]  # fmt: skip
     text = (made(tmp_path, rows) / "report.md").read_text()
-    assert "Settings of the answer and the figures: fast; 10 runs have other settings" in text
+    assert "and of figures that name no others: fast; 10 runs have other settings" in text
     asked = made(tmp_path, rows, "--settings", "trainer.max_epochs=2") / "report.md"
-    assert "answer and the figures: trainer.max_epochs=2; 2 runs" in asked.read_text()
+    assert "name no others: trainer.max_epochs=2; 2 runs" in asked.read_text()
 
 
 def test_run_folders_are_reported_where_there_is_no_store(tmp_path, monkeypatch):

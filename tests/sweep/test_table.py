@@ -41,6 +41,21 @@ def test_the_table_fits_and_the_best_of_each_column_is_marked(tmp_path):
     assert units.startswith("* the best; MSE in m², rad²; energy in J²; inertia in kg²")
 
 
+def test_no_two_runs_have_the_same_name_and_values_are_whole(tmp_path):
+    values = "0.1", "0.01", "0.001", "0.0001"
+    noises = [f"model=symo data.noise_std={x} seed=0" for x in values]
+    long = "model=symo optimizer.lr={} data.n_test=64 data.n_val=1 trainer.max_epochs=7500 seed=12"
+    simulated = {name: x for name, x in MEASURES.items() if name != "rmse_2s"}
+    for labels in (noises, [long.format(x) for x in values]):
+        folders = [made(tmp_path / f"{len(label)}{i}", **simulated)
+                   for i, label in enumerate(labels)]  # fmt: skip
+        names = [line[: line.index("1.23e-4")].strip()
+                 for line in table(labels, folders).splitlines()[1:5]]  # fmt: skip
+        assert len(set(names)) == 4
+        if labels == noises:
+            assert [name.split("=")[1].split()[0] for name in names] == list(values)
+
+
 def test_the_best_is_marked_for_each_system(tmp_path):
     """Errors of a cartpole are no better than larger ones of an acrobot."""
     found = {"cartpole": (1e-6, 2e-6), "acrobot": (3e-2, 4e-2), "pendulum": (1e-9,)}

@@ -226,20 +226,24 @@ def _points(said: alt.Chart, panel: Panel, channels: _Channels) -> alt.Chart:
 
 def _axes(panel: Panel) -> tuple[alt.X, dict[str, Any]]:
     """Return the x channel, and scale and axis of the y channel."""
-    x_limits = panel.x_limits()
-    if x_limits is None and panel.x_log:
-        there = panel.rows.x[panel.rows.x > 0]
-        x_limits = (there.min() / 1.15, there.max() * 1.15) if len(there) else None
-    across = _axis(panel.x_label, panel.x_log, x_limits, panel.ticks)
+    x_limits, zero = panel.x_limits(), 0.0
+    there = panel.rows.x[panel.rows.x > 0]
+    if x_limits is None and panel.x_log and len(there):
+        if (panel.rows.x == 0).any():
+            zero = there.min() / 4
+        x_limits = (-0.15 * zero or there.min() / 1.15, there.max() * 1.15)
+    across = _axis(panel.x_label, panel.x_log, x_limits, panel.ticks, zero)
     return alt.X("x:Q", **across), _axis(panel.y_label, panel.y_log, panel.limits())
 
 
 def _axis(
-    label: str, log: bool, limits: Range | None, ticks: Sequence[float] = ()
+    label: str, log: bool, limits: Range | None, ticks: Sequence[float] = (), zero: float = 0.0
 ) -> dict[str, Any]:
-    """Return scale and axis of a channel."""
+    """Return scale and axis of a channel; ``zero`` is where a logarithmic axis has its zero."""
     given = {"domain": list(limits), "nice": False} if limits else {"padding": 8}
     scale = alt.Scale(type="log", **given) if log else alt.Scale(zero=False, **given)
+    if zero:  # linear below it
+        scale = alt.Scale(type="symlog", constant=zero, **given)
     words: dict[str, Any] = {"title": label or None, "labelExpr": LABEL}
     if ticks:
         words["values"] = list(ticks)
@@ -253,8 +257,9 @@ def _axis(
 def _decades(limits: Range | None) -> dict[str, Any]:
     """Return the ticks and grid lines of a logarithmic axis, and its labels if they are special."""
     decades = math.log10(limits[1] / limits[0]) if limits else 0
-    # Vega draws the ticks between powers of ten where there are fewer powers than this
-    words = {"tickCount": min(int(decades), 6) if decades >= 2 else 10, "gridOpacity": FAINT}
+    # Vega draws the ticks between powers of ten where there are fewer powers than this; asked for
+    # two in almost three powers, it would draw one
+    words = {"tickCount": min(int(decades), 6) if decades >= 3 else 10, "gridOpacity": FAINT}
     if decades >= 1:  # within a power of ten Vega spaces the ticks evenly
         words["labelExpr"] = f"{ROUND} ? ({LABEL}) : ''"
     return words

@@ -46,7 +46,7 @@ class Axis(NamedTuple):
 
 
 SIZE = Axis("n_traj", "training trajectories", ticks=True)
-NOISE = Axis("noise_std", "noise σ [m, rad; m/s, rad/s]")
+NOISE = Axis("noise_std", "noise σ [m, rad; m/s, rad/s]", ticks=True)
 SECONDS = Axis("seconds", "training time [s]", mark="points")
 STEP = Axis("time_step", "time step [s]")
 ORDER = Axis("order", "order of the integrator", log=False, ticks=True)
@@ -95,16 +95,14 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
     """Return errors over the noise of the training data, for systems with several noises."""
     rows = _with_floors(found[(found.n_traj == AT) | (found.source == "floor")], NOISE)
     ours = rows[rows.source == "ours"].groupby("system").noise_std.unique()
-    caption = f"{SPREAD} σ = 0 stands at the left edge. Tested on clean data."
+    caption = f"{SPREAD} Tested on clean data."
     made = []
     for system, noises in ours[ours.map(len) > 1].items():
         here = rows[(rows.system == system)]
         # published noises may go far beyond
         here = here[here.noise_std.isin(noises) | (here.source == "floor")]
-        edge = here.x[here.x > 0].min() / 4  # where zero is drawn on the logarithmic axis
-        drawn = panels(here.assign(x=here.x.where(here.x > 0, edge)), NOISE, ERRORS)
         title = f"{system}: errors over the noise, {AT} trajectories"
-        made.append(Figure(f"noise_{system}", title, caption, drawn))
+        made.append(Figure(f"noise_{system}", title, caption, panels(here, NOISE, ERRORS)))
     return made
 
 
@@ -119,7 +117,10 @@ def speed(runs: pd.DataFrame) -> list[Figure]:
     words = zip(learned.variant, learned.n_traj, learned.seed, strict=True)
     said = [f"{v or DEFAULTS}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]
     learned = learned.assign(median=learned.value, text=said)
-    caption = "Every run; point at it for its settings. Processor time of all optimiser steps."
+    noisy = " without noise" * bool((runs.noise_std > 0).any())
+    caption = (
+        f"Every run{noisy}; point at it for its settings. Processor time of all optimiser steps."
+    )
     title = "Accuracy against the time of training"
     drawn = panels(learned, SECONDS, ("test_mse", "integration_mse"))
     return [Figure("speed", title, caption, drawn, columns=2)]

@@ -21,6 +21,8 @@ from symo_exp.report.looks import MEASURED, TRUTH, Look, Stroke, in_order, look,
 
 SMALLEST, LARGEST = 1e-33, 1e12
 """Limits of a logarithmic axis, even if a method has diverged."""
+CONSTANT = 1e-6
+"""Relative variation below which a truth counts as constant."""
 SHOULD = {"truth": TRUTH, "measured": MEASURED}
 """Sources of the motions that models should predict."""
 Range = tuple[float, float]
@@ -170,7 +172,10 @@ def _near(truth: np.ndarray, values: np.ndarray) -> Range | None:
         return None
     low, high = inside.min(), inside.max()
     # A constant truth, such as an energy, varies by rounding errors only.
-    room = max(0.5 * (high - low), abs(low), abs(high)) or 1.0
+    size = max(abs(low), abs(high))
+    room = max(0.5 * (high - low), size) or 1.0
     bottom, top = max(low - room, everything.min()), min(high + room, everything.max())
     edge = 0.04 * (top - bottom) or 1.0
+    if high - low < CONSTANT * size:  # an error that is much smaller would fill the axis
+        edge = max(edge, 0.01 * size)
     return float(bottom - edge), float(top + edge)

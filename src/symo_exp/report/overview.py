@@ -88,7 +88,8 @@ def warning(runs: pd.DataFrame) -> list[str]:
     count = without_result(runs).run_id.nunique()
     if runs.run_id.nunique() == count:
         return ["There are no finished runs yet."]
-    return [f"{count} runs have no result; the last section lists them."] if count else []
+    which = "1 run has no result" if count == 1 else f"{count} runs have no result"
+    return [f"{which}: see the last section."] if count else []
 
 
 def scope(runs: pd.DataFrame, compared: Compared) -> list[str]:
@@ -97,8 +98,10 @@ def scope(runs: pd.DataFrame, compared: Compared) -> list[str]:
     rest = (learned.variant != compared.variant).sum()
     if not (compared.variant or rest):
         return []
-    others = f"; {rest} runs have other settings, which the tables list" if rest else ""
-    return [f"Settings of the answer and the figures: {compared.variant or DEFAULTS}{others}."]
+    have = "1 run has" if rest == 1 else f"{rest} runs have"
+    others = f"; {have} other settings, which the tables list" if rest else ""
+    which = "Settings of the answer, and of figures that name no others"
+    return [f"{which}: {compared.variant or DEFAULTS}{others}."]
 
 
 def state(runs: pd.DataFrame) -> list[str]:
@@ -110,7 +113,7 @@ def state(runs: pd.DataFrame) -> list[str]:
     finished = each[each.status == "FINISHED"]
     lines = [f"{len(each)} {'runs' if len(each) > 1 else 'run'}: {told}."]
     if len(finished):
-        lines.append(f"Time of the finished ones together: {duration(finished.seconds.sum())}.")
+        lines.append(f"Processor time of their training: {duration(finished.seconds.sum())}.")
     if revisions := sorted({r[:10] for r in finished.revision if r}):
         lines.append(f"Revisions: {', '.join(revisions)}.")
     return lines

@@ -41,7 +41,7 @@ def html(report: Report) -> str:
         report=report,
         systems=sorted(filter(None, systems)),
         toggles=toggles(figures),
-        held=_held(figures) if figures else "",
+        held=_held(figures),
         bundle=_bundle() if figures else "",
         css=(WEB / "page.css").read_text(encoding="utf-8"),
         js=(WEB / "embed.js").read_text(encoding="utf-8"),

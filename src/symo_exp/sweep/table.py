@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 import threading
 import time
@@ -37,7 +38,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     columns = [_column(name, found, systems) for name in shown]
     columns.append(["time", *(f"{outcome.seconds:.0f} s" for outcome in outcomes)])
     room = WIDTH - sum(max(map(len, column)) + 2 for column in columns)
-    names = [_fitted(name, max(room, 12)) for name in ("", *map(brief, labels))]
+    names = ["", *_fitted([brief(label) for label in labels], max(room, 12))]
     lines = aligned(names, columns)
     if shown:
         units = [unit for name, unit in UNITS.items() if name in shown]
@@ -87,9 +88,22 @@ def _column(
     return [MEASURES[name] + unmarked, *cells]
 
 
-def _fitted(text: str, room: int) -> str:
+def _fitted(names: Sequence[str], room: int) -> list[str]:
+    """Return names cut to ``room`` columns, or to as many more as tell different ones apart."""
+    short = [_cut(name, room) for name in names]
+    return short if len(set(short)) == len(set(names)) else _fitted(names, room + 1)
+
+
+def _cut(text: str, room: int) -> str:
+    """Return a name cut in that of a setting, whose value is told whole, or else in the middle."""
+    over = len(text) - room
+    if over <= 0:
+        return text
+    key = max(re.findall(r"\w+(?==)", text), key=len, default="")
+    if len(key) > over + 1:
+        return text.replace(f"{key}=", f"{key[: -over - 1]}…=")
     half = (room - 1) // 2
-    return text if len(text) <= room else f"{text[:half]}…{text[len(text) - (room - half - 1) :]}"
+    return f"{text[:half]}…{text[len(text) - (room - half - 1) :]}"
 
 
 class Watch:

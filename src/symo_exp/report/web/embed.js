@@ -21,7 +21,7 @@ const elsewhere = (name) => Boolean(system?.value && name && name !== system.val
 const flip = (panel, axes) => {
   for (const { encoding } of panel.layer) {
     for (const axis of axes) {
-      const log = encoding[axis].scale.type === "log";
+      const log = encoding[axis].scale.type?.endsWith("log"); // or symlog, which has a zero
       encoding[axis].scale = log ? { zero: false } : { type: "log" };
     }
   }
@@ -106,7 +106,10 @@ darkness.addEventListener("change", again);
 
 let width = innerWidth;
 addEventListener("resize", () => { if (innerWidth !== width) { width = innerWidth; again(); } });
-addEventListener("beforeprint", () => charts.filter((chart) => !chart.dataset.drawn).forEach(draw));
+addEventListener("beforeprint", () => {
+  document.querySelectorAll(".folded").forEach((one) => { one.open = true; });
+  charts.filter((chart) => !chart.dataset.drawn).forEach(draw);
+});
 const nearby = new IntersectionObserver(
   (entries) => entries.filter((e) => e.isIntersecting && !e.target.dataset.drawn).forEach((e) => draw(e.target)),
   { rootMargin: "800px 0px" },
