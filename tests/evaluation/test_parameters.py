@@ -127,7 +127,7 @@ def slopes_of(values, parameters):
     return torch.stack([torch.cat([g.flatten() for g in of]) for of in gradients])
 
 
-def two_forces(sign):
+def two_forces(sign, spread=1e-3):
     """Two constant forces of which the sum or the difference is determined, and their table."""
     torch.manual_seed(0)
     coordinates = Coordinates(("x", "y"), (False, False))
@@ -139,7 +139,7 @@ def two_forces(sign):
     first, second = slopes_of((force, gravity), parameters)
     along = first / first.norm() ** 2 - sign * second / second.norm() ** 2
     mean = torch.cat([p.detach().flatten() for p in parameters])
-    everything = 1e-3 * torch.eye(len(mean)).double()
+    everything = spread * torch.eye(len(mean)).double()
     known = Posterior(mean, everything, (along / along.norm()).unsqueeze(1), SIGMA, SIGMA, 100)
     return force, gravity, physical_parameters(found, coordinates, parameters, known)
 
@@ -154,6 +154,12 @@ def test_of_two_forces_that_act_alike_the_sum_is_determined(sign):
     assert abs(row.value) == pytest.approx(abs((force + sign * gravity).item()))
     assert row.unit == "N"
     assert not [x for x in rows.values() if x.note == "product that is determined"]
+
+
+def test_a_note_on_a_combination_tells_of_a_deviation_above_its_value():
+    weak = [row for row in two_forces(1.0, spread=1e3)[2] if row.determined == "weakly"]
+    assert any(row.note.startswith("the combination that is determined, but") for row in weak)
+    assert all(row.note.endswith("the standard deviation exceeds the value") for row in weak)
 
 
 def test_without_a_posterior_determination_is_unknown():

@@ -193,7 +193,7 @@ def _certain(
     deviation = float((slope @ posterior.without_prior().double()).norm())
     if deviation <= abs(float(value)):
         return Parameter(name, float(value), unit, deviation, "yes", note)
-    note = note or "the standard deviation exceeds the value"
+    note += f"{', but ' * bool(note)}the standard deviation exceeds the value"
     return Parameter(name, float(value), unit, deviation, "weakly", note)
 
 
