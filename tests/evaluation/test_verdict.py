@@ -37,3 +37,5 @@ def test_only_models_of_recordings_have_a_verdict():
     assert comparison({"test_mse": 1.0}) is None
     for part in ("to 1 s 0.02", "constant velocity 1", "noise 0.001"):
         assert part in comparison(GOOD)
+    coarse = {name: 1e4 * x for name, x in GOOD.items()}  # in mm, and ten times as large
+    assert comparison(coarse) == "RMSE to 1 s 200 (constant velocity 10000, noise 10)"

@@ -183,6 +183,10 @@ def test_a_prediction_that_is_lost_is_not_painted_over_the_others():
             assert series(panel).get("ours", series(panel).get("truth")).y.max() < 5
     worst = pictures.trajectories(rollouts, "symo", "t").panels[2]
     assert worst.title.endswith("lost at 1.2 s")
+    assert "e+" not in worst.title
+    rollouts.q[0, 12:] = torch.inf
+    worst = pictures.trajectories(rollouts, "symo", "t").panels[2]
+    assert "MSE diverged, lost" in worst.title
     assert series(worst)["ours"].y.notna().sum() == 12
 
 

@@ -54,8 +54,8 @@ def verdict(measures: Mapping[str, float]) -> str | None:
     seconds, window = measures["usable_s"], measures.get("window_s", WINDOW)
     if math.isfinite(seconds) and seconds >= WHOLE * window:
         short = window < WHOLE * WINDOW
-        return f"good over the {window:.2g} s that the test recordings last" if short else "good"
-    return f"usable to {seconds:.2g} s" if seconds > 0 else "not usable, off from the start"
+        return f"good over the {_two(window)} s that the test recordings last" if short else "good"
+    return f"usable to {_two(seconds)} s" if seconds > 0 else "not usable, off from the start"
 
 
 def comparison(measures: Mapping[str, float]) -> str | None:
@@ -65,6 +65,11 @@ def comparison(measures: Mapping[str, float]) -> str | None:
     """
     if "rmse_1s" not in measures or "constant_velocity_rmse_1s" not in measures:
         return None
-    noise = f", noise {measures['noise']:.2g}" if "noise" in measures else ""
+    noise = f", noise {_two(measures['noise'])}" if "noise" in measures else ""
     baseline = measures["constant_velocity_rmse_1s"]
-    return f"RMSE to 1 s {measures['rmse_1s']:.2g} (constant velocity {baseline:.2g}{noise})"
+    return f"RMSE to 1 s {_two(measures['rmse_1s'])} (constant velocity {_two(baseline)}{noise})"
+
+
+def _two(x: float) -> str:
+    """Return two digits of a number, such as ``120`` or ``0.0021``."""
+    return f"{float(f'{x:.2g}'):g}"

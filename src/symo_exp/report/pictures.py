@@ -16,7 +16,7 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.report import recordings
 from symo_exp.report.animation import animate
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import MEASURED, TRUTH, coordinate_labels, error_unit, look
+from symo_exp.report.looks import MEASURED, TRUTH, coordinate_labels, error_unit, look, short
 from symo_exp.report.motions import (
     LONG,
     kept,
@@ -101,7 +101,10 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
         columns = f"q_{name}", f"q_true_{name}"
         for which, one in chosen.items():
             turns = angular and (flat <= at or np.ptp(one[columns[1]]) > 2 * np.pi)
-            said = ranked_as(which, len(errors)) + f"MSE {errors[one.trajectory.iloc[0]]:.2g}"
+            said = (
+                ranked_as(which, len(errors))
+                + f"MSE {short(float(errors[one.trajectory.iloc[0]]))}"
+            )
             shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
             shown = shown[shown.t <= LONG]
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))

@@ -15,7 +15,15 @@ import torch
 from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import MEASURED, TRUTH, Pair, coordinate_labels, error_unit, symbol
+from symo_exp.report.looks import (
+    MEASURED,
+    TRUTH,
+    Pair,
+    coordinate_labels,
+    error_unit,
+    short,
+    symbol,
+)  # fmt: skip
 from symo_exp.report.motions import over_time, points, ranked_as, ranking
 
 REFERENCE: Pair = ("reference", "")
@@ -47,7 +55,7 @@ def windows_figure(model: DynamicsModel, table: pd.DataFrame, method: str, title
     for name, label in zip(known.names, coordinate_labels(known), strict=True):
         for which, one in chosen.items():
             error = errors[one.window.iloc[0]]
-            said = f"{ranked_as(which, len(errors))}RMSE {error:.2g}"
+            said = f"{ranked_as(which, len(errors))}RMSE {short(error)}"
             panel = over_time({(method, ""): one}, f"q_{name}", f"q_true_{name}", label, said)
             banded = _with_interval(panel, one, name)
             above.append(_beside(banded, one, f"q_reference_{name}"))
