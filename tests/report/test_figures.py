@@ -154,7 +154,9 @@ def test_data_without_noise_stand_at_zero(tmp_path):
 def test_a_single_run_has_no_chart_of_one_point():
     table = runs()
     assert curves.speed(table)
-    assert not curves.speed(table[table.run_id == table.run_id.iloc[0]])
+    one = table[table.run_id == table.run_id.iloc[0]]
+    assert not curves.speed(one)
+    assert not curves.speed(pd.concat([one, one.assign(system="arm", run_id="another")]))
 
 
 def test_published_values_and_several_integrators_have_legends():

@@ -122,6 +122,17 @@ def test_the_answer_is_of_the_last_sweep_unless_other_settings_are_asked_for(tmp
     assert "name no others: trainer.max_epochs=2; 2 runs" in asked.read_text()
 
 
+def test_a_last_sweep_without_a_finished_run_leaves_the_answer_to_the_one_before(tmp_path):
+    rows = [row({"test_mse": 1.0 + i}, method=method, variant="fast", sweep="a")
+            for i, method in enumerate(("symo", "node"))]  # fmt: skip
+    rows.append(row(status="KILLED", variant="lr=7", sweep="b", started="2026-01-02"))
+    text = (made(tmp_path, rows) / "report.md").read_text()
+    assert "**SyMo** has the smallest test error" in text
+    assert "others: fast; 1 run has other settings, which the tables list." in text
+    assert "1 run has no result: see the last section." in text
+    assert "| pendulum | SyMo, midpoint | lr=7 | killed |" in text
+
+
 def test_run_folders_are_reported_where_there_is_no_store(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = add_folder(tmp_path / "outputs" / "mine" / "a", metrics={"long_term_mse": 0.1})
@@ -145,7 +156,7 @@ def test_unfinished_runs_and_empty_stores_are_reported(tmp_path):
     rows = [row(system="acrobot", status="FAILED", reason="out of memory")]
     text = (made(tmp_path, rows) / "report.md").read_text()
     assert "1 run: 1 failed." in text
-    assert "| acrobot | SyMo, midpoint | 32 | 0 | 0 | failed | out of memory |" in text
+    assert "| acrobot | SyMo, midpoint | defaults | failed | out of memory | 32 | 0 | 0 |" in text
     text = (made(tmp_path, []) / "report.md").read_text()
     assert "There are no finished runs yet" in text
 

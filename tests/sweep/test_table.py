@@ -80,6 +80,8 @@ def test_a_single_run_has_no_room_for_marks_and_its_name_is_whole(tmp_path):
 
 def test_measures_of_no_run_have_no_column_and_failures_have_a_reason(tmp_path):
     folders = [made(tmp_path / "a", test_mse=1.0), made(tmp_path / "b", status="failed")]
+    assert "log" not in table(["seed=0", "seed=1"], folders)  # it has none
+    (folders[1] / "symo_exp.log").touch()
     header, first, second, units, failed = table(["seed=0", "seed=1"], folders).splitlines()
     assert header.split() == ["test", "time"]
     assert first.split() == ["seed=0", "1", "12", "s"]  # nothing to be better than

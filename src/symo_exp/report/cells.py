@@ -54,6 +54,8 @@ def cells(runs: pd.DataFrame) -> pd.DataFrame:
 def last_compared(runs: pd.DataFrame, settings: str | None = None) -> Compared:
     """Return the settings asked for or those of the last sweep, without any sweep of the last run.
 
+    Sweeps without a finished run are passed over.
+
     Raises:
         ConfigError: No run has the settings asked for.
     """
@@ -64,6 +66,7 @@ def last_compared(runs: pd.DataFrame, settings: str | None = None) -> Compared:
             have = "; ".join(sorted({one or DEFAULTS for one in learned.variant})) or "none"
             raise ConfigError(f"--settings {settings}: no run has these; there are: {have}")
         return Compared(variant)
+    learned = learned[learned.metric != ""]
     if learned.empty:
         return Compared("")
     swept = learned[learned.sweep != ""]

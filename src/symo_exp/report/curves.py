@@ -109,10 +109,11 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
 def speed(runs: pd.DataFrame) -> list[Figure]:
     """Return errors against the time of training, a point for each run of any settings.
 
-    There is no figure of a single run.
+    There is no panel of a single run.
     """
-    learned = runs[(runs.source == "ours") & ~(runs.noise_std > 0)]
-    if learned.run_id.nunique() < 2:
+    learned = runs[(runs.source == "ours") & (runs.metric != "") & ~(runs.noise_std > 0)]
+    learned = learned[learned.groupby("system").run_id.transform("nunique") > 1]
+    if learned.empty:
         return []
     words = zip(learned.variant, learned.n_traj, learned.seed, strict=True)
     said = [f"{v or DEFAULTS}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]

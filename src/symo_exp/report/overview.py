@@ -113,7 +113,7 @@ def state(runs: pd.DataFrame) -> list[str]:
     finished = each[each.status == "FINISHED"]
     lines = [f"{len(each)} {'runs' if len(each) > 1 else 'run'}: {told}."]
     if len(finished):
-        lines.append(f"Processor time of their training: {duration(finished.seconds.sum())}.")
+        lines.append(f"Processor time of training: {duration(finished.seconds.sum())}.")
     if revisions := sorted({r[:10] for r in finished.revision if r}):
         lines.append(f"Revisions: {', '.join(revisions)}.")
     return lines
@@ -123,10 +123,11 @@ def unfinished(runs: pd.DataFrame) -> ResultTable:
     """Return a table of the runs that have not finished."""
     left = without_result(runs)
     left = left.assign(method=pair_names(left), status=left.status.str.lower())
+    left = left.assign(settings=left.variant.replace("", DEFAULTS))
     left = left.rename(columns={"n_traj": "n", "noise_std": "noise"})
     left[["n", "noise", "seed"]] = left[["n", "noise", "seed"]].map(number)
-    rows = left[["system", "method", "n", "noise", "seed", "status", "reason"]]
-    return ResultTable("unfinished", "Runs without a result", rows, words=2)
+    rows = left[["system", "method", "settings", "status", "reason", "n", "noise", "seed"]]
+    return ResultTable("unfinished", "Runs without a result", rows, words=5)
 
 
 def accuracy(found: pd.DataFrame) -> ResultTable:

@@ -48,9 +48,10 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
     parameters = parameter_lines(folders[0]) if len(folders) == 1 and found[0] else []
     failures = [
-        f"{outcome.status}: {label}: {outcome.reason} (log: {folder / LOG})"
+        f"{outcome.status}: {label}: {outcome.reason}{f' (log: {log})' * log.exists()}"
         for label, folder, outcome in zip(labels, folders, outcomes, strict=True)
         if outcome.status != "finished"
+        for log in [folder / LOG]
     ]
     return "\n".join([*lines, *parameters, *verdicts, *failures])
 
