@@ -151,6 +151,15 @@ def test_data_without_noise_stand_at_zero(tmp_path):
     assert re.findall(r">([\d.]+)</text>", across) == ["0", "0.01"]
 
 
+def test_published_values_are_hollow_beside_a_cloud(tmp_path):
+    at = pd.DataFrame({"x": [1.0, 2.0], "y": [1.0, 2.0], "method": "symo", "integrator": ""})
+    sources = {"points": "ours", "both": "published"}
+    panels = [Panel("", "x", "y", at.assign(source=s), mark=m) for m, s in sources.items()]
+    (file,) = draw_charts(Figure("k", "", "", panels), tmp_path, ["svg"])
+    marks = re.findall(r"<path [^>]*fill-opacity=.0. [^>]*>", file.read_text())
+    assert len([one for one in marks if "#0072B2" in one]) == 2
+
+
 def test_a_single_run_has_no_chart_of_one_point():
     table = runs()
     assert curves.speed(table)

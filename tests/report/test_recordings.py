@@ -69,6 +69,16 @@ def test_windows_show_prediction_measurement_and_reference(n):
     assert errors[chosen["worst"]] == errors.max()
 
 
+def test_the_title_of_windows_names_the_intervals_that_are_drawn():
+    model, _, found = recorded(1)
+    table = rows_of(found)
+    banded = table.assign(q_lower_theta_1=table.q_theta_1 - 0.1, q_upper_theta_1=table.q_theta_1)
+    for rows, there in ((table, False), (banded, True)):
+        (figure,) = recordings.recording_figures(model, rows, "symo", "run")
+        assert ("90 % intervals" in figure.title) == there
+        assert any(one.band for panel in figure.panels for one in panel.traces()) == there
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_dissipation_is_drawn_over_velocity_and_time(n):
     model, _, found = recorded(n, dissipation=DAMPED)

@@ -283,6 +283,8 @@ def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     write_candidates(tmp_path / CANDIDATES, [chosen, failed], chosen)
     best = recorded("arm.csv", "symo", 0.1, files=str(tmp_path / "best"))
     fold = recorded("arm.csv", "symo", 0.1, variant="recorded, data.fold=[0, 2]")
+    running = general_report(tidy([(fold[0], {"val_loss": 0.1})]), "it")
+    assert running.sections[0].text == ["**arm.csv**: not yet measured on the test part."]
     runs = tidy([best, (fold[0], {"val_loss": 0.1})])
     tables = {t.key: t for part in general_report(runs, "it").sections for t in part.tables}
     assert next(iter(tables["recording_arm_csv"].rows[""])) == "SyMo, midpoint"

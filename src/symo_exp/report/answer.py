@@ -28,10 +28,7 @@ DIVERGED = 30.0
 """The power of ten that ``logarithms`` returns for infinite values."""
 LEVEL = 0.022
 """Margin in powers of ten, a factor of 1.05, below which two methods are level."""
-AGAINST = (
-    "n: training trajectories. Medians over the seeds; × times the best. Darker is a better rank; "
-    "the best is framed."
-)
+AGAINST = "n: training trajectories. Medians over the seeds; × times the best, which is bold."
 
 
 class Question(NamedTuple):

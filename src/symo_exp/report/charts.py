@@ -73,7 +73,9 @@ def declare(figure: Figure, *, interactive: bool) -> dict[str, Any]:
     ]
     columns = min(figure.columns, len(charts))
     chart = alt.concat(*charts, columns=columns, spacing={"row": 25, "column": 30})
-    chart = chart.resolve_scale(x="independent", y="independent").add_params(
+    # points of a cloud are filled by their integrator, others by their source
+    chart = chart.resolve_scale(x="independent", y="independent", fillOpacity="independent")
+    chart = chart.add_params(
         alt.param(name="off", value=[]), alt.param(name="ink", value=INK["light"])
     )
     if not interactive:

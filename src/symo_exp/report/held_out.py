@@ -44,7 +44,8 @@ def recording_answers(runs: pd.DataFrame) -> list[str]:
     for name, rows in _files(runs).items():
         medians = _medians(rows)
         if "rmse_1s" not in medians:
-            said.append(f"**{name}**: {verdict(_measures(medians.iloc[0])) or 'no errors'}.")
+            known = verdict(_measures(medians.iloc[0])) or "not yet measured on the test part"
+            said.append(f"**{name}**: {known}.")
             continue
         best = medians.iloc[0]
         who = pair_name(best.method, best.integrator)

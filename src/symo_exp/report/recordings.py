@@ -64,7 +64,8 @@ def windows_figure(model: DynamicsModel, table: pd.DataFrame, method: str, title
         said = f"trajectory {one.trajectory.iloc[0]} from {one.start.iloc[0]:.2f} s"
         panel = over_time({(method, ""): one}, "error", None, f"RMS error [{unit}]", said, log=True)
         below.append(_beside(panel, one, "error_reference"))
-    said = f"{title}: windows of the recordings"
+    intervals = ", with 90 % intervals" * any(str(c).startswith("q_lower_") for c in table)
+    said = f"{title}: windows of the recordings{intervals}"
     return Figure("windows", said, "", above + below, columns=len(chosen))
 
 
