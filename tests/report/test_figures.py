@@ -151,6 +151,15 @@ def test_data_without_noise_stand_at_zero(tmp_path):
     assert re.findall(r">([\d.]+)</text>", across) == ["0", "0.01"]
 
 
+@pytest.mark.parametrize("size", [8, 32, 100])
+def test_noises_and_orders_are_compared_at_the_size_that_there_is(size):
+    table = runs()
+    of_size = table[(table.n_traj == 32)].assign(n_traj=float(size))
+    figures = {f.key: f for one in sections(of_size, Compared("")) for f in one.figures}
+    assert figures["noise_chain"].title.endswith(f"{size} trajectories")
+    assert "order_defaults" in figures
+
+
 def test_published_values_are_hollow_beside_a_cloud(tmp_path):
     at = pd.DataFrame({"x": [1.0, 2.0], "y": [1.0, 2.0], "method": "symo", "integrator": ""})
     sources = {"points": "ours", "both": "published"}

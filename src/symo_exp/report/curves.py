@@ -24,7 +24,8 @@ FLOORED = ("test_mse", "integration_mse", "energy_mse", "valid_steps")
 OVER_ORDER = ("test_mse", "integration_mse_100", "energy_mse", "inertia_mse_aligned")
 SPREAD = "Median over the seeds; the band is from the lowest to the highest."
 AT = 32
-"""Number of training trajectories at which noises and orders are compared."""
+"""Number of training trajectories at which noises, orders and motions are compared, if there are
+runs with it."""
 
 
 class Axis(NamedTuple):
@@ -71,6 +72,12 @@ def panels(rows: pd.DataFrame, axis: Axis, metrics: Iterable[str]) -> list[Panel
     ]  # fmt: skip
 
 
+def usual_sizes(rows: pd.DataFrame) -> pd.Series:
+    """Return ``AT`` for each system that has it, the most frequent size for others."""
+    there = rows.dropna(subset="n_traj").groupby("system").n_traj
+    return there.agg(lambda sizes: AT if (sizes == AT).any() else sizes.mode().max()).astype(float)
+
+
 def data_size(found: pd.DataFrame) -> list[Figure]:
     """Return errors over the number of training trajectories, a figure for each system and group.
 
@@ -93,7 +100,10 @@ def data_size(found: pd.DataFrame) -> list[Figure]:
 
 def noise_figures(found: pd.DataFrame) -> list[Figure]:
     """Return errors over the noise of the training data, for systems with several noises."""
-    rows = _with_floors(found[(found.n_traj == AT) | (found.source == "floor")], NOISE)
+    noisy = found[(found.source == "ours") & (found.noise_std > 0)]
+    sizes = usual_sizes(noisy)
+    at = found.n_traj == found.system.map(sizes)
+    rows = _with_floors(found[at | (found.source == "floor")], NOISE)
     ours = rows[rows.source == "ours"].groupby("system").noise_std.unique()
     caption = f"{SPREAD} Tested on clean data."
     made = []
@@ -101,7 +111,7 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
         here = rows[(rows.system == system)]
         # published noises may go far beyond
         here = here[here.noise_std.isin(noises) | (here.source == "floor")]
-        title = f"{system}: errors over the noise, {AT} trajectories"
+        title = f"{system}: errors over the noise, {sizes[system]:g} trajectories"
         made.append(Figure(f"noise_{system}", title, caption, panels(here, NOISE, ERRORS)))
     return made
 
@@ -146,7 +156,8 @@ def over_order(found: pd.DataFrame) -> list[Figure]:
     """
     ordered = found.assign(order=found.integrator.map(order_of), text=pair_names(found))
     ordered = ordered.assign(integrator="").dropna(subset="order")  # a line is through several
-    clean = ordered[(ordered.source == "ours") & (ordered.n_traj == AT) & (ordered.noise_std == 0)]
+    clean = ordered[(ordered.source == "ours") & (ordered.noise_std == 0)]
+    clean = clean[clean.n_traj == clean.system.map(usual_sizes(clean))]
     several = clean.groupby(["variant", "method"]).text.transform("nunique") > 1
     floors = ordered[(ordered.source == "floor") & (ordered["median"] > 0)]
     caption = f"{SPREAD} Without colour: the true system in that integrator."

@@ -45,7 +45,8 @@ def sections(
     said, heat_maps = answers(at_step(runs, steps), compared)
     said += other_settings(usual, variant) if said else []
     mine = at_step(runs[(runs.variant == variant) & (runs.source == "ours")], steps)
-    at_32 = mine[(mine.n_traj == curves.AT) & (mine.noise_std == 0)]
+    clean = mine[mine.noise_std == 0]
+    of_one_size = clean[clean.n_traj == clean.system.map(curves.usual_sizes(clean))]
     floors, grown = runs[runs.source == "floor"], growth(runs)
     intro = scope(runs, compared) if said else []
     text = [*intro, *said, *recording_answers(recorded), *warning(every)]
@@ -57,7 +58,7 @@ def sections(
         Section("noise", "Errors over noise", figures=curves.noise_figures(drawn)),
         Section("time", "Accuracy against time", figures=curves.speed(runs)),
         Section("motions", "Motions, and what was learned",
-                figures=motions.motion_figures(at_32, floors, store)),
+                figures=motions.motion_figures(of_one_size, floors, store)),
         Section("orders", "Errors over the order of the integrator",
                 figures=curves.over_order(usual)),
         Section("growth", "Growth with the number of coordinates", tables=grown[0],
