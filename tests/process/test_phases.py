@@ -14,8 +14,14 @@ from symo_exp.process import phases
 SAY = "import time; from symo_exp.process import phases; phases.say('busy'); time.sleep(1)"
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_a_status_is_shown_on_a_terminal_only_and_erased(terminal, monkeypatch):
+@pytest.fixture(autouse=True)
+def xterm(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+
+
+@pytest.mark.parametrize(("terminal", "kind"), [(True, "xterm"), (False, "xterm"), (True, "dumb")])
+def test_a_status_is_shown_on_a_terminal_that_erases_and_erased(terminal, kind, monkeypatch):
+    monkeypatch.setenv("TERM", kind)
     said = io.StringIO()
     said.isatty = lambda: terminal
     monkeypatch.setattr(sys, "stderr", said)
@@ -23,7 +29,8 @@ def test_a_status_is_shown_on_a_terminal_only_and_erased(terminal, monkeypatch):
     phases.clear()
     *_, last = said.getvalue().split(phases.ERASED)
     assert last == ""
-    assert ("measuring" in said.getvalue()) == terminal
+    assert ("measuring" in said.getvalue()) == (terminal and kind != "dumb")
+    assert kind != "dumb" or not said.getvalue()
     assert all(len(part) <= 80 for part in said.getvalue().split(phases.ERASED))
 
 

@@ -14,6 +14,7 @@ from symo_exp.identify.table import write_candidates
 from symo_exp.identify.validation import Trial
 from symo_exp.report.__main__ import general_report, main
 from symo_exp.report.cells import settings_of
+from symo_exp.report.looks import in_order
 from symo_exp.report.motions import studied
 from symo_exp.report.runs import read_runs, save_runs, tidy
 from symo_exp.report.tables import markdown_table
@@ -260,6 +261,7 @@ def test_each_method_s_study_of_the_lowest_seed_is_drawn(store, tmp_path):
     runs = read_runs(store)
     (found,) = studied(runs, ["long_term", "forced"], store)
     assert (found.study, found.system, set(found.tables)) == ("long_term", "pendulum", set(PAIRS))
+    assert list(found.tables) == sorted(PAIRS, key=in_order)  # whichever run was first
     assert found.tables["symo", "midpoint"].energy.iloc[0] == 2.0
     figures = [f for s in general_report(runs, "it", store).sections for f in s.figures]
     systems = {figure.key: figure.systems for figure in figures}

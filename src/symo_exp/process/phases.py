@@ -21,7 +21,7 @@ def visible(*, notebook: bool = False) -> bool:
     if multiprocessing.current_process().name != "MainProcess":
         return False
     if sys.stderr.isatty():
-        return _owns_terminal()
+        return os.environ.get("TERM") != "dumb" and _owns_terminal()  # a dumb one erases nothing
     return notebook and "ipykernel" in sys.modules
 
 

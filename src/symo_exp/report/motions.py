@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import Pair, axis_label, error_unit, inertia_unit, pair_name
+from symo_exp.report.looks import Pair, axis_label, error_unit, in_order, inertia_unit, pair_name
 from symo_exp.report.runs import local_folder
 from symo_exp.runs.folder import STUDIES
 from symo_exp.tracking.store import Store, connect
@@ -93,6 +93,7 @@ def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> li
                 if table is not None:
                     tables[pair] = table
             if tables:
+                tables = {pair: tables[pair] for pair in sorted(tables, key=in_order)}
                 found.append(Studied(name, str(system), float(time_step), tables))
     return found
 
