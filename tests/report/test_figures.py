@@ -160,6 +160,16 @@ def test_noises_and_orders_are_compared_at_the_size_that_there_is(size):
     assert "order_defaults" in figures
 
 
+@pytest.mark.parametrize("integrator", ["midpoint", "rk4", "dopri5", "mine"])
+def test_every_point_of_a_dense_cloud_is_seen(integrator, tmp_path):
+    figure = phase_space_figure("k", "", {("symo", integrator): swing(0.1)})
+    (file,) = draw_charts(figure, tmp_path, ["svg"])
+    marks = [m for m in re.findall(r"<path [^>]*>", file.read_text()) if "#0072B2" in m]
+    assert len(marks) > 200
+    assert not any('fill-opacity="0"' in mark for mark in marks)
+    assert "hollow" not in file.read_text()
+
+
 def test_published_values_are_hollow_beside_a_cloud(tmp_path):
     at = pd.DataFrame({"x": [1.0, 2.0], "y": [1.0, 2.0], "method": "symo", "integrator": ""})
     sources = {"points": "ours", "both": "published"}

@@ -211,19 +211,22 @@ def _panel(panel: Panel, channels: _Channels, zoom: str) -> alt.LayerChart:
 
 def _points(said: alt.Chart, panel: Panel, channels: _Channels) -> alt.Chart:
     """Return the markers: all of a cloud, some along a line over time."""
+    encoded = {"fill": channels.fill, "opacity": channels.opacity, "tooltip": _tooltip(panel)}
+    if _is_dense(panel):
+        return said.mark_square(clip=True, size=4).encode(**encoded)
     cloud = panel.mark == "points"
-    if cloud and len(panel.rows) > MANY:
-        points = said.mark_square(clip=True, size=4)
-    else:
-        points = said.mark_point(clip=True, size=36, strokeWidth=1.2)
-        points = points.encode(color=channels.colour, shape=channels.shape)
-    points = points.encode(
-        fill=channels.fill,
-        opacity=channels.opacity,
+    points = said.mark_point(clip=True, size=36, strokeWidth=1.2).encode(
+        color=channels.colour,
+        shape=channels.shape,
         fillOpacity=channels.by_integrator if cloud else channels.by_source,
-        tooltip=_tooltip(panel),
+        **encoded,
     )
     return points.transform_filter("datum.marked") if panel.mark == "line" else points
+
+
+def _is_dense(panel: Panel) -> bool:
+    """Return whether points are too many for markers of their own and for fillings."""
+    return panel.mark == "points" and len(panel.rows) > MANY
 
 
 def _axes(panel: Panel) -> tuple[alt.X, dict[str, Any]]:
@@ -307,7 +310,7 @@ def _notes(panel: Panel) -> list[str]:
     """Return notes on traces beyond the limits and on the meaning of fillings."""
     notes = [f"{t.name}: off the scale" for t in panel.traces() if not panel.shows(t)]
     strokes = {t.stroke.label: t.stroke.dash for t in panel.traces() if t.stroke.label}
-    if panel.mark == "points" and len(strokes) > 1:
+    if panel.mark == "points" and any(strokes.values()) and not _is_dense(panel):
         words = {1.0: "filled", 0.0: "hollow", 0.4: "half filled"}
         notes.append(
             ", ".join(f"{words[FILLS[len(dash)]]}: {name}" for name, dash in strokes.items())
