@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 from collections.abc import Callable
 from datetime import datetime, timedelta
@@ -83,6 +84,13 @@ def several(folder: Path, suffix: str = "csv") -> Path:
     return folder / "logs"
 
 
+def saved(save: Callable[..., None], *given: np.ndarray, **arrays: np.ndarray) -> bytes:
+    """The content of a file of NumPy."""
+    file = io.BytesIO()
+    save(file, *given, **arrays)
+    return file.getvalue()
+
+
 Writer = Callable[[Path], object]
 WRITERS: dict[str, Writer] = {
     "semicolons": csv("x.csv", sep=";"),
@@ -132,6 +140,9 @@ WRITERS: dict[str, Writer] = {
             t=[datetime(2024, 5, 1) + timedelta(microseconds=round(1e6 * x)) for x in t.t]
         ).assign(t=lambda t: [x.isoformat() for x in t.t]),
     ),
+    "minutes and seconds": csv(
+        "x.csv", lambda t: t.assign(t=[f"{x // 60:02.0f}:{x % 60:012.9f}" for x in t.t + 3599])
+    ),
     "PlotJuggler's name of the time": csv("x.csv", lambda t: t.rename(columns={"t": "__time"})),
     "a row twice": csv("x.csv", lambda t: t.iloc[[*range(9), 8, *range(9, len(t))]]),
     "time": csv("x.csv", lambda t: t.rename(columns={"t": "Time [s]"})),
@@ -148,6 +159,9 @@ WRITERS: dict[str, Writer] = {
         lambda t: t.assign(t=pd.to_timedelta(t.t, "s")).rename(columns={"t": "time_ms"})
     ),
     "npz": lambda folder: arrays(folder, "x.npz"),
+    "dates of NumPy": lambda folder: arrays(
+        folder, "x.npz", t=np.datetime64("2024-05-01", "ns") + pd.to_timedelta(motion().t, "s")
+    ),
     "mat": lambda folder: arrays(folder, "x.mat"),
     "rows of MATLAB": lambda folder: arrays(folder, "x.mat", q=motion().q_0.to_numpy()),
     "a structure": lambda folder: arrays(
@@ -518,7 +532,10 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
         ("x.xlsx", b"", r"expected a file that ends in \.csv, .*save the sheet as CSV"),
         ("x.txt", b"", "it is empty"),
         ("bare.csv", b"0.0,1.0,2.0\n0.1,1.0,2.0\n", r"first line has numbers \(0.0, 1.0, 2.0\)"),
-        ("x.npz", b"nonsense", "cannot be read"),
+        ("absent", None, "there is no such file or folder"),
+        ("x.npz", b"nonsense", "no archive of arrays"),
+        ("x.npz", saved(np.save, np.ones(9)), "no archive of arrays"),
+        ("x.npz", saved(np.savez, t=np.array([None])), "array t: .*leave t out of the file"),
         ("x.mat", b"nonsense", "cannot be read"),
         ("x.db3", b"nonsense", "ROS bag"),
         ("x.parquet", b"PAR1 nonsense", "cannot be read"),
@@ -530,6 +547,7 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
             "5 cells, the line of names 4",
         ),
         ("bytes.csv", b"\xff\xfe\x00\x81,\n\x9d", "cannot be read"),
+        ("odd.csv", "時間,q_x\n0,1\n".encode("shift-jis") + b"\x81", "no text in a known encoding"),
     ],
 )
 def test_unreadable_files_are_refused_in_one_line(name, content, message, tmp_path: Path) -> None:

@@ -56,6 +56,7 @@ DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+\D*\d*")
 """A word that is a number with a decimal comma."""
 BEGINNING = 50
 """Lines of a text file from which its dialect is inferred."""
+NO_TEXT = "it is no text in a known encoding; save it as UTF-8"
 SPREADSHEETS = (".xlsx", ".xls", ".ods")
 """Suffixes of files that have to be exported first."""
 
@@ -89,7 +90,8 @@ def readable(path: Location) -> Iterator[None]:
     except ConfigError:
         raise
     except UNREADABLE as error:
-        reason = getattr(error, "strerror", None) or first_line(error)
+        told = NO_TEXT if isinstance(error, UnicodeError) else first_line(error)
+        reason = getattr(error, "strerror", None) or told
         raise ConfigError(f"{shown(path)}: cannot be read ({reason})") from error
 
 
@@ -128,6 +130,8 @@ def files(path: Location) -> list[Path]:
             raise ConfigError(f"{shown(path)}: no file matches this pattern")
         return files(matches)
     if suffix(file) not in (*TABLES, *TEXT):
+        if not file.exists():
+            raise ConfigError(f"{shown(path)}: there is no such file or folder")
         mend = "; save the sheet as CSV" if suffix(file) in SPREADSHEETS else ""
         raise ConfigError(
             f"{shown(path)}: expected a file that ends in {', '.join((*TEXT, *TABLES[2:]))} or "
@@ -184,8 +188,7 @@ def table_of(file: Path) -> pd.DataFrame:
     if suffix(file) == ".parquet":  # an index that was written along is a column like others
         return pyarrow.parquet.read_table(file).to_pandas(ignore_metadata=True)
     if suffix(file) == ".npz":
-        with np.load(file, allow_pickle=False) as arrays:
-            return from_arrays({name: arrays[name] for name in arrays.files})
+        return from_arrays(_archive(file))
     if suffix(file) == ".mat":
         return from_arrays(_matlab(file))
     return _bag(file)
@@ -293,7 +296,7 @@ def _encoding(file: Path) -> str:
     if beginning.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     if b"\0" in beginning.partition(b"\n")[0]:
-        raise ValueError("it is no text in a known encoding; save it as UTF-8")
+        raise ValueError(NO_TEXT)
     try:
         codecs.getincrementaldecoder("utf-8")().decode(beginning)
     except UnicodeDecodeError:
@@ -319,7 +322,7 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
         ValueError: If there is no array of times, or a signal has another length.
     """
     found = {name: np.asarray(x) for name, x in arrays.items()}
-    found = {name: x for name, x in found.items() if x.dtype.kind in "biufUS" and x.size > 1}
+    found = {name: x for name, x in found.items() if x.dtype.kind in "biufUSMm" and x.size > 1}
     times = [name for name in found if TIME.fullmatch(name)]
     if not times:
         raise ValueError(
@@ -368,6 +371,28 @@ def _rows_of_one(x: np.ndarray, nodes: int) -> np.ndarray | None:
     if x.ndim == 2 and nodes in x.shape:
         return x if len(x) == nodes else x.T
     return None
+
+
+def _archive(file: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of a file of ``numpy.savez``.
+
+    Raises:
+        ValueError: If it is another file, or an array holds objects.
+    """
+    with file.open("rb") as handle:
+        if not zipfile.is_zipfile(handle):
+            raise ValueError("it is no archive of arrays, as numpy.savez writes them")
+    found = {}
+    with np.load(file, allow_pickle=False) as arrays:
+        for name in arrays.files:
+            try:
+                found[name] = arrays[name]
+            except ValueError as error:
+                raise ValueError(
+                    f"array {name}: {first_line(error)}; save arrays of numbers, or leave {name} "
+                    "out of the file"
+                ) from error
+    return found
 
 
 def _matlab(file: Path) -> dict[str, Any]:

@@ -36,6 +36,8 @@ EPOCH = (1e9, 4.1e9)
 """Seconds since 1970 of the years 2001 to 2099."""
 ORIGINS = {"d": (25569.0, 719529.0), "ms": (0.0,), "us": (0.0,), "ns": (0.0,)}
 """1970 in the units in which dates are: serial days of spreadsheets and of MATLAB, and counts."""
+MINUTES = r"\s*(\d+):(\d\d[.,]\d+)\s*"
+"""Minutes and seconds, as spreadsheets write short times."""
 
 
 class Recording(NamedTuple):
@@ -274,6 +276,9 @@ def _from_dates(
             notes.append(f"times are in {name}{origin}, as their size says")
         exact = pd.to_numeric(times[numbers.notna()])  # integers have more digits
         return (exact - exact.min()).reindex(times.index), UNITS[name]
+    parts = times.astype(str).str.extract(f"^{MINUTES}$")
+    if (parts[0].isna() & times.notna()).mean() <= DROPPED:  # else hours and minutes to pandas
+        return 60.0 * parts[0].astype(float) + parts[1].str.replace(",", ".").astype(float), 1.0
     forms: list[tuple[str | None, Literal["coerce", "raise"]]]
     forms = [("ISO8601", "coerce"), (None, "raise")]  # a fraction of ISO may have any digits
     for form, errors in forms:
