@@ -465,6 +465,9 @@ def test_inputs_with_the_names_of_coordinates_drive_these(workplace):
     frame["q_elbow"], frame["u_elbow"] = frame.q_shoulder * 0.5, 0.1
     frame.to_csv("mine.csv", index=False)
     assert "system.input_matrix=[[0],[1]]" in examine({"path": "mine.csv"}).settings
+    units = {name: f"{name} [{'Nm' if name[0] == 'u' else 'rad'}]" for name in frame if name != "t"}
+    frame.rename(columns=units).to_csv("units.csv", index=False)
+    assert "system.input_matrix=[[0],[1]]" in examine({"path": "units.csv"}).settings
     frame.rename(columns={"u_elbow": "u_motor"}).to_csv("other.csv", index=False)
     with pytest.raises(ConfigError, match="input_matrix"):
         examine({"path": "other.csv"})

@@ -22,6 +22,7 @@ from symo_exp.systems.base import LagrangianSystem, SamplingBox
 from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.multibody import Multibody
 from symo_exp.systems.pendulum import Pendulum
+from symo_exp.systems.recorded import Recorded
 from symo_exp.systems.simulation import Solver, simulate
 from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
@@ -374,3 +375,27 @@ def test_coordinates_and_inputs_that_do_not_fit_are_refused(
     wrong = type("Wrong", (Spring,), {name: value})
     with pytest.raises(ConfigError, match=rf"Wrong\.{name}.*{told}"):
         wrong(time_step=0.05, box=SamplingBox(side, side, side))
+
+
+@pytest.mark.parametrize(
+    ("inputs", "matrix"),
+    [
+        (["upper", "lower"], [[1, 0], [0, 1]]),
+        (["lower", "upper"], [[0, 1], [1, 0]]),
+        (["0", "1"], [[1, 0], [0, 1]]),
+        (["lower", "motor"], None),
+        (["motor", "upper"], None),
+        (["upper", "motor"], [[1, 0], [0, 1]]),
+        (["lower"], None),
+        ([], [[], []]),
+    ],
+)
+def test_inputs_of_recordings_act_by_their_names(
+    inputs: list[str], matrix: list[list[float]] | None
+) -> None:
+    settings = {"names": ["upper", "lower"], "angular": "all", "time_step": 0.05, "inputs": inputs}
+    if matrix is None:
+        with pytest.raises(ConfigError, match=r"input_matrix=null: say how"):
+            Recorded(**settings)
+    else:
+        assert Recorded(**settings).input_matrix.tolist() == matrix

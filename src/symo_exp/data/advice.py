@@ -16,7 +16,6 @@ from symo_exp.data.naming import (
     INPUT,
     PLACE,
     SPEED,
-    UNIT,
     in_degrees,
     is_wanted,
     kind_of_column,
@@ -28,6 +27,7 @@ from symo_exp.data.naming import (
     split_times,
     units_of_angles,
     unread_unit,
+    without_unit,
 )
 from symo_exp.shell import override_value
 
@@ -136,7 +136,7 @@ def converting(columns: Sequence[str]) -> str:
 
 def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> dict[str, str]:
     """Return columns of coordinates, their velocities and the inputs."""
-    stems = {name: UNIT.sub("", name) for name in free}
+    stems = {name: without_unit(name) for name in free}
     if pose := _pose(stems):
         return pose | {f"u_{key}": x for key, x in zip(short_names(inputs), inputs, strict=True)}
     kinds = {name: kind_of_column(name) for name in free}
@@ -156,7 +156,7 @@ def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> 
 def suggested_inputs(given: Sequence[str], coordinates: Sequence[str]) -> dict[str, str]:
     """Return columns of inputs, measured ones if there are, named as coordinates where they can."""
     every = [x for x in given if not is_wanted(x)] or given
-    keys = short_names([UNIT.sub("", name) for name in every], INPUT)
+    keys = short_names([without_unit(name) for name in every], INPUT)
     if not set(keys) <= set(coordinates):
         keys = short_names(every)
     return {f"u_{key}": name for key, name in zip(keys, every, strict=True)}

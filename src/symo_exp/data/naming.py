@@ -74,7 +74,7 @@ def kind_of_column(name: str) -> str:
 
     Nothing if the name does not tell.
     """
-    unit, words = UNIT.search(name), _words(UNIT.sub("", name))
+    unit, words = UNIT.search(name), _words(without_unit(name))
     wanted = is_wanted(name)
     if any(map(OTHER.fullmatch, words)):
         return "-"
@@ -107,6 +107,11 @@ def is_no_place(stem: str, stems: Collection[str]) -> bool:
 def is_wanted(name: str) -> bool:
     """Return whether a name says what a controller wants."""
     return any(map(WANTED.fullmatch, _words(name)))
+
+
+def without_unit(name: str) -> str:
+    """Return a name without the unit that it ends with."""
+    return UNIT.sub("", name)
 
 
 def _words(name: str) -> list[str]:

@@ -27,9 +27,9 @@ class Recorded(System):
             ``R_x``, ``R_y`` and ``R_z``.
         angular: Coordinates that are angles [rad]: ``"all"``, ``"none"`` or their names.
         inputs: Names of the inputs.
-        input_matrix: ``B`` (n, m) of the generalised force ``B u``. ``None``: the identity, with
-            an input for each coordinate; (n, 0) without inputs. Zeros only beside a rotation,
-            where a body learns how its inputs act.
+        input_matrix: ``B`` (n, m) of the generalised force ``B u``. ``None``: an input for each
+            coordinate, of its name or, if no input has such a name, in their order; (n, 0) without
+            inputs. Zeros only beside a rotation, where a body learns how its inputs act.
         scale: Units of ``length`` [m], ``time`` [s] and ``mass`` [kg] in which learned parts of a
             model have their parameters, and settings their initial values, for motions that are
             far from 1 in those of the SI.
@@ -120,12 +120,20 @@ def _scale(given: object) -> Units:
     return Units(**{x: real(f"system.scale.{x}", value, above=0.0) for x, value in named.items()})
 
 
+def matrix_by_names(names: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
+    """Return the matrix of inputs that have the names of coordinates, ``None`` if others have."""
+    if not set(inputs) <= set(names):
+        return None
+    return [[int(name == other) for other in inputs] for name in names]
+
+
 def _matrix(
     given: object, names: tuple[str, ...], inputs: tuple[str, ...], *, zeros: bool
 ) -> torch.Tensor:
     n, m = len(names), len(inputs)
     if given is None and m in (0, n):
-        return torch.eye(n, m, dtype=torch.float64)
+        in_order = all(x == y or x not in names for x, y in zip(inputs, names, strict=False))
+        given = torch.eye(n, m).tolist() if in_order else matrix_by_names(names, inputs)
     try:
         matrix = torch.tensor([[float(x) for x in row] for row in given], dtype=torch.float64)  # type: ignore[attr-defined]
     except (TypeError, ValueError):
