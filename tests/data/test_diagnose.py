@@ -149,6 +149,14 @@ def test_too_few_samples_have_no_diagnosis() -> None:
     assert len(tiny.lines()) == 4
 
 
+def test_nothing_is_told_of_a_machine_at_rest() -> None:
+    rest = np.zeros((999, 1))
+    found = diagnose([(rest, rest + 0.5)], [rest], Coordinates(("x",), (True,)), H)
+    inputs, *_, scale = found.lines()
+    assert "too little motion" in inputs
+    assert "too little motion" in scale
+
+
 @pytest.mark.parametrize("torque", [0.0, 5.0])
 @pytest.mark.parametrize("n", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("size", [1.0, 0.1])

@@ -82,7 +82,7 @@ class Diagnosis:
 
     def _inputs(self) -> str:
         if self.explained is None:
-            return "inputs: too few nodes to tell what they explain"
+            return "inputs: too little motion to tell what they explain"
         poor = self.explained < POOR
         hint = "; something else moves the machine, or a sensor fails" if poor else ""
         share = f"{100 * self.explained:.3g} % of the accelerations' power"
@@ -126,6 +126,8 @@ class Diagnosis:
     def _scale(self) -> str:
         if not self.driven:
             return "scale: no inputs, so the Lagrangian and friction are known up to a factor"
+        if self.explained is None:
+            return "scale: too little motion to tell whether the inputs determine the inertia"
         if not self.fixes_scale:
             return "scale: the inputs explain next to nothing, so the inertia's scale is doubtful"
         return "scale: the inputs determine the scale of the inertia"

@@ -61,13 +61,15 @@ def verdict(measures: Mapping[str, float]) -> str | None:
 def comparison(measures: Mapping[str, float]) -> str | None:
     """Return the errors of a model beside the baseline's and the noise, in a line.
 
-    ``None`` where there are no windows.
+    They are those over 1 s, or over what shorter windows have. ``None`` where there are no windows.
     """
     if "rmse_1s" not in measures or "constant_velocity_rmse_1s" not in measures:
         return None
-    noise = f", noise {_two(measures['noise'])}" if "noise" in measures else ""
-    baseline = measures["constant_velocity_rmse_1s"]
-    return f"RMSE to 1 s {_two(measures['rmse_1s'])} (constant velocity {_two(baseline)}{noise})"
+    seconds = min(1.0, measures.get("window_s", WINDOW))
+    names = ("rmse_1s", "constant_velocity_rmse_1s", "noise")
+    own, baseline, noise = (_two(measures[x]) if x in measures else "" for x in names)
+    told = f", noise {noise}" if noise else ""
+    return f"RMSE to {_two(seconds)} s {own} (constant velocity {baseline}{told})"
 
 
 def _two(x: float) -> str:

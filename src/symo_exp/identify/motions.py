@@ -613,7 +613,7 @@ def _scaled(pairs: Sequence[Motion], coordinates: Coordinates) -> list[Motion]:
 def _delay(left: Mapping[float, float]) -> tuple[float, str]:
     """Return the delay with which inputs explain most, if it is much, and a line about it."""
     if 0.0 not in left:
-        return 0.0, "inputs: too few nodes to tell their delay"
+        return 0.0, "inputs: too little motion to tell their delay"
     best = min(left, key=lambda delay: left[delay])
     if best != 0.0 and left[best] <= (1.0 - GAIN) * left[0.0]:
         return best, (
