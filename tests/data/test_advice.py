@@ -14,7 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from symo_exp.data.advice import omitting
 from symo_exp.data.header import headers
-from symo_exp.data.naming import names
+from symo_exp.data.naming import kind_of_column, names, short_names
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
@@ -221,6 +221,11 @@ def test_the_parts_of_a_stamp_are_to_be_added(
     pd.DataFrame({**stamps, "q_arm": Q}).to_csv(path, index=False)
     with pytest.raises(ConfigError, match=re.escape(said)):
         headers(path, None)
+
+
+def test_names_that_are_made_up_say_no_kind() -> None:
+    for stems in (["角度"], ["角度", "位置", "°"]):
+        assert [kind_of_column(name) for name in short_names(stems)] == [""] * len(stems)
 
 
 def test_a_missing_clock_is_suggested_beside_what_is_given(tmp_path: Path) -> None:

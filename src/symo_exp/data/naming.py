@@ -135,8 +135,11 @@ def short_name(stem: str, kind: re.Pattern[str]) -> str:
 
 
 def _short(stem: str) -> str:
-    """Return a name without blanks, brackets and letters that keys of settings cannot have."""
-    return re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "x"
+    """Return a name without blanks, brackets and letters that keys of settings cannot have.
+
+    Where nothing is left it says nothing: ``x`` would be a position.
+    """
+    return re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "column"
 
 
 def _unit_of(name: str) -> str:
