@@ -94,6 +94,22 @@ def test_a_job_whose_process_is_killed_each_time_has_failed(tmp_path):
     assert tracked(tmp_path)[1] == ("FINISHED", None)
 
 
+def test_workers_end_with_a_command_that_is_killed(tmp_path):
+    command = Command(tmp_path, *WORDS, *SWEEP)
+    command.wait_for(lambda: len([*tmp_path.rglob("last.ckpt")]) >= 2)
+    workers = {o["process"]["pid"] for o in outcomes(tmp_path).values() if "process" in o}
+    assert len(workers) == 2
+    os.kill(command.pid, signal.SIGKILL)
+    end = time.monotonic() + 60.0
+    while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < end:
+        time.sleep(0.1)
+    left = [pid for pid in workers if Path(f"/proc/{pid}").exists()]
+    command.kill()
+    assert not left
+    assert go(tmp_path, *WORDS, *SWEEP)[0] == 0
+    assert statuses(tmp_path) == ["finished"] * 4
+
+
 @pytest.mark.parametrize("launcher", ["basic", "joblib"])
 def test_a_job_that_runs_out_of_memory_does_not_stop_the_others(launcher, tmp_path):
     # 400 million weights in four copies are more than the process may have

@@ -55,6 +55,7 @@ def job(config: DictConfig) -> float | None:
     folder = RunFolder(hydras.runtime.output_dir)
     logging.raiseExceptions = debugging()  # a log that cannot be written: no traceback of that
     stopping.install()
+    stopping.end_with_parent()
     if stopping.requested():
         return None
     settings = resolve(config)

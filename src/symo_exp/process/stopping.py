@@ -9,13 +9,16 @@ the handler of the launcher is called, which queues the job again.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import shutil
 import signal
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +111,24 @@ def install() -> None:
         if callable(launchers) and launchers is not _handle:
             _requeue = launchers
             signal.signal(TIME_IS_UP, _handle)
+
+
+@cache
+def end_with_parent() -> None:
+    """End this process, if it is a worker, when the one that started it has been killed.
+
+    It would wait forever: nobody reads its result, and the other workers keep the pipe open.
+    """
+    if multiprocessing.parent_process() is None:
+        return
+    parent = os.getppid()
+
+    def wait() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def make_way() -> None:
