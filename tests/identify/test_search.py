@@ -390,11 +390,25 @@ def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):
 
 
 @pytest.mark.parametrize(
-    ("name", "angle"), [("theta", True), ("shoulder", True), ("x", False), ("cart_position", False)]
-)
+    ("name", "angle"),
+    [
+        ("theta", True), ("shoulder", True), ("x", False), ("cart_position", False),
+        ("1 [rad]", True), ("1_rad", True), ("x_rad", True), ("1 [m]", False), ("1_mm", False),
+    ],
+)  # fmt: skip
 def test_angles_are_told_by_name(name, angle, workplace):
     table(name=name).to_csv("mine.csv", index=False)
     assert examine({"path": "mine.csv"}).coordinates.angular == (angle,)
+
+
+@pytest.mark.parametrize("name", ["0", "1e3", "a b", "a, b", "null", "it's"])
+def test_the_setting_that_an_unclear_name_needs_can_be_typed(name, workplace):
+    table(name=name).to_csv("mine.csv", index=False)
+    with pytest.raises(ConfigError, match=r"system\.angular has no value yet") as error:
+        examine({"path": "mine.csv"})
+    word = shlex.split(str(error.value).partition(" a list, as ")[2])[0]
+    words = ["-cn", "machine", "data.path=mine.csv", "hydra.sweeper.check_only=true", word]
+    assert main(words) == 0
 
 
 @pytest.mark.parametrize("name", ["0", "1e3", "arm [rad]", "joint, left", "null"])

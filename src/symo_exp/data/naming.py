@@ -163,8 +163,12 @@ def in_degrees(name: str) -> bool:
 
 def length_unit(name: str) -> str:
     """Return the unit of length that a name ends with, ``m`` where it ends with none."""
-    unit = _unit_of(name)
-    return unit if unit in ("mm", "cm") else "m"
+    return _unit_of(name) if has_length_unit(name) else "m"
+
+
+def has_length_unit(name: str) -> bool:
+    """Return whether a name ends with a unit of length; after an underscore, m may be a name."""
+    return _unit_of(name) in ("mm", "cm") or re.search(r"[\s\[(]m[\])]?$", name) is not None
 
 
 def units_of_angles(columns: Sequence[str]) -> set[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,11 +11,18 @@ import numpy as np
 
 from symo_exp.data.diagnose import SUSPECT
 from symo_exp.data.formats import few
-from symo_exp.data.naming import ANGLE, SLIDE, in_degrees, length_unit
+from symo_exp.data.naming import (
+    ANGLE,
+    SLIDE,
+    has_length_unit,
+    length_unit,
+    units_of_angles,
+)
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 from symo_exp.identify.motions import explained_by_angles
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.shell import override_value
 
 SPAN = 2 * np.pi
 """Range of a coordinate beyond which it is an angle."""
@@ -31,16 +39,17 @@ WHOLE = 0.3
 def is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
     """Return whether a coordinate is an angle; refuse one whose name and range do not tell."""
     words = re.split(r"[^a-z]+", name.lower())
-    if in_degrees(name) or any(re.fullmatch(ANGLE, word) for word in words):
+    if units_of_angles([name]) or any(re.fullmatch(ANGLE, word) for word in words):
         return True
-    if any(re.fullmatch(SLIDE, word) for word in words):
+    if has_length_unit(name) or any(re.fullmatch(SLIDE, word) for word in words):
         return False
     low, high = min(x.min() for x in columns), max(x.max() for x in columns)
     if high - low > SPAN or _wraps(columns, 2 * np.pi):
         return True
     raise ConfigError(
         f"system.angular has no value yet: is q_{name}, which goes from {low:.3g} to {high:.3g}, "
-        f"an angle [rad] or a position [m]? Give system.angular=all, none or a list, as [{name}]"
+        f"an angle [rad] or a position [m]? Give system.angular=all, none or a list, as "
+        f"{shlex.quote(f'system.angular={override_value([name])}')}"
     )
 
 
