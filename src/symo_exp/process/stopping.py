@@ -126,7 +126,7 @@ def end_with_parent() -> None:
     def wait() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
-        os._exit(1)
+        signal.raise_signal(signal.SIGKILL)
 
     threading.Thread(target=wait, daemon=True).start()
 
