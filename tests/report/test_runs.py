@@ -50,6 +50,31 @@ def test_run_folders_are_read_as_the_store_that_they_are_published_to(store, tmp
 
 
 @pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        ("run.json", b"{"),
+        ("run.json", b'{"name": "a", "parameters": []}'),
+        ("metrics.json", b'{"test_mse": "abc"}'),
+        ("metrics.json", b'{"test_mse": [1]}'),
+        ("series.csv", b"epoch,lr\n0,abc\n"),
+        ("series.csv", b"lr\n1\n"),
+        ("series.csv", b"\xff\xfe\n\n"),
+    ],
+)
+def test_a_run_with_a_damaged_file_is_named_and_the_others_are_read(
+    file, content, tmp_path, caplog
+):
+    for name in ("whole", "damaged"):
+        add_folder(tmp_path / name, "finished", MEASURES)
+    (tmp_path / "damaged" / file).write_bytes(content)
+    found = runs.load_runs([tmp_path])
+    assert set(found.files) == {str(tmp_path / "whole")}
+    (line,) = caplog.messages
+    assert "damaged is left out" in line
+    assert "\n" not in line
+
+
+@pytest.mark.parametrize(
     ("told", "variant"),
     [({}, ""), ({"variant": ""}, ""), ({"preset": "fast"}, "fast"),
      ({"preset": "fast", "variant": "fast, x=1"}, "fast, x=1")],

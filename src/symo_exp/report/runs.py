@@ -17,6 +17,7 @@ integrator, otherwise ``ours``.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -32,6 +33,8 @@ from symo_exp.runs.series import EPOCH, TIME
 from symo_exp.runs.series import read as read_series
 from symo_exp.tracking.publish import PARENT, REASON, STATUS
 from symo_exp.tracking.store import Store, connect_existing
+
+log = logging.getLogger(__name__)
 
 PAGE = 1000
 """Number of runs in one request."""
@@ -59,6 +62,9 @@ SAVED = [*CELL, "seed", "optimizer", *KNOWN, *LATER, "metric", "value"]
 COLUMNS = [*SAVED, "files", "source"]
 WHOLE = ["n_traj", "seed"]
 NUMBERS = ["time_step", "noise_std", "seconds", "value", *WHOLE]
+
+DAMAGED = OSError, ValueError, TypeError, KeyError, AttributeError
+"""Errors in reading files that hold something else than a run writes."""
 
 Row = tuple[Mapping[str, Any], Mapping[str, float]]
 """A run: its columns and its measures."""
@@ -169,11 +175,11 @@ def _in_store(store: Store, experiments: Sequence[str]) -> Iterator[Row]:
             token = page.token or None
 
 
-def _in_folder(folder: RunFolder) -> Row | None:
+def _in_folder(folder: RunFolder) -> Row:
     """Return the run of a folder as a store would; a killed run has failed."""
     about, outcome = folder.about(), folder.outcome()
     if about is None:
-        return None
+        raise ValueError(f"{ABOUT} does not describe a run")
     died = folder.died()
     numbers = {k: v for row in read_series(folder / SERIES) for k, v in row.items()}
     measures = {k: v for k, v in numbers.items() if k not in (EPOCH, TIME)} | folder.measures()
@@ -201,8 +207,14 @@ def _parameters(told: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _load_folders(path: Path) -> pd.DataFrame:
-    found = (RunFolder(file.parent) for file in sorted(path.rglob(ABOUT)))
-    rows = [row for folder in found if (row := _in_folder(folder)) is not None]
+    rows = []
+    for file in sorted(path.rglob(ABOUT)):
+        folder = RunFolder(file.parent)
+        try:
+            rows.append(_in_folder(folder))
+        except DAMAGED as error:
+            told = "%s is left out, since one of its files is damaged: %s"
+            log.warning(told, folder, first_line(error))
     if not rows:
         raise ConfigError(f"{path} has no run in it, nor in a folder below")
     return tidy(rows)
