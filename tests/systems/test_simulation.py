@@ -112,6 +112,12 @@ def test_a_failed_simulation_names_solver_and_nodes() -> None:
         simulate(system, torch.ones(1, 1), torch.ones(1, 1), torch.ones(1, 1), 3, Solver())
 
 
+def test_a_simulation_ends_that_would_take_too_many_steps() -> None:
+    system = dataclasses.replace(SYSTEMS["pendulum"], time_step=1e30)
+    with pytest.raises(ConfigError, match=r"nodes 0 and 1: more than .* steps"):
+        simulate(system, torch.ones(1, 1), torch.ones(1, 1), torch.ones(1, 1), 3, Solver("RK23"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "key"),
     [({"method": "Euler"}, "method"), ({"rtol": 0.0}, "rtol"), ({"atol": -1.0}, "atol")],

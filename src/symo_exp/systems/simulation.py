@@ -18,6 +18,8 @@ from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import LagrangianSystem
 
 METHODS = {"RK23": RK23, "RK45": RK45, "DOP853": DOP853}
+MOST_STEPS = 5_000
+"""Steps of the solver between two nodes, of which ten are usual."""
 Slope = Callable[[int, float, np.ndarray], np.ndarray]
 """``ẋ`` of states (batch, N + n), from a node and the time [s] since it."""
 
@@ -80,8 +82,12 @@ class Solver:
             rtol=self.rtol * scale, atol=self.atol * scale, first_step=first_step,
         )  # fmt: skip
         message = None
-        while stepper.status == "running":
+        for _ in range(MOST_STEPS):
             message = stepper.step()
+            if stepper.status != "running":
+                break
+        else:
+            raise self.failed(k, f"more than {MOST_STEPS} steps")
         if stepper.status == "failed" or not np.isfinite(stepper.y).all():
             raise self.failed(k, message or "not finite")
         return stepper.y.reshape(x.shape), min(stepper.h_abs, h)
