@@ -80,7 +80,7 @@ class FactorHead(nn.Module):
         """Return the outputs of ``L = diagonal · I`` and ``V = 0``."""
         outputs = torch.zeros(self.outputs)
         own = self.place.view(self.n, -1).diagonal()
-        outputs[own] = math.log(math.expm1(diagonal)) if self.soft else diagonal
+        outputs[own] = _inverse_softplus(diagonal) if self.soft else diagonal
         return outputs
 
     def scales_of(self, diagonal: float) -> Float[Tensor, " outputs"]:
@@ -186,3 +186,8 @@ class FactorHead(nn.Module):
     def _own(self, v: Tensor, y: Tensor) -> Tensor:
         """Return ``v y`` of the diagonal under a softplus."""
         return v[:, : self.soft] * y[:, : self.soft]
+
+
+def _inverse_softplus(value: float) -> float:
+    # beyond 40 they are the same in float64, and e^value overflows from 710 on
+    return math.log(math.expm1(value)) if value < 40.0 else value
