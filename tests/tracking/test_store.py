@@ -102,6 +102,15 @@ def test_a_store_of_a_newer_mlflow_is_refused(store):
         connect(store)
 
 
+def test_a_store_that_another_program_has_locked_does_not_answer(store):
+    store = dataclasses.replace(store, uri=f"{store.uri}?timeout=0.1")
+    connect.cache_clear()
+    with sqlite3.connect(store.database) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(stores.AwayError, match=r"cannot be opened.*locked"):
+            connect(store)
+
+
 def test_an_experiment_is_created_once_and_keeps_its_artifacts_beside_the_database(store):
     first = experiment_id(store, "e")
     assert experiment_id(store, "e") == first

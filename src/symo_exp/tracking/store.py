@@ -164,15 +164,17 @@ def connect(store: Store) -> MlflowClient:
 
     with first_import("mlflow"):
         from mlflow import MlflowClient
-        from mlflow.exceptions import MlflowException
 
     try:
         with store.lock():
             _create(store)
             client = MlflowClient(store.uri, registry_uri=store.uri)
             client.search_experiments(max_results=1)
-    except MlflowException as error:
-        kind = AwayError if store.database is None and is_away(error) else ConfigError
+    except ConfigError:
+        raise
+    except Exception as error:  # of MLflow or of the database
+        away = is_away(error) if store.database is None else "is locked" in str(error)
+        kind = AwayError if away else ConfigError
         raise kind(f"tracking store {store} cannot be opened: {first_line(error)}") from error
     return client
 
