@@ -206,6 +206,8 @@ def main() -> None:
     parser.add_argument("--animation", type=Path, help="file to write, .webp or .gif")
     parser.add_argument("--table", type=Path, help="run all trials; folder of their table")
     given = parser.parse_args()
+    if given.seed < 0:
+        parser.error(f"--seed {given.seed}: expected a whole number of at least 0")
     if given.table is not None:
         print(table(given.table))
     else:

@@ -44,7 +44,9 @@ class Job(NamedTuple):
         return resumes and is_done(self.values, self.folder)
 
 
-def expand(arguments: Sequence[str], params: Mapping[str, Any]) -> list[list[str]]:
+def expand(
+    arguments: Sequence[str], params: Mapping[str, Any], loader: ConfigLoader | None = None
+) -> list[list[str]]:
     """Return the overrides of every combination of the values that are swept.
 
     Args:
@@ -52,9 +54,11 @@ def expand(arguments: Sequence[str], params: Mapping[str, Any]) -> list[list[str
         params: Settings that a sweep file varies. A key such as ``model,integrator`` has a list of
             pairs; of these the ones are taken that agree with the command line, and where none
             agrees, the values of the command line alone.
+        loader: Finds the choices that a pattern such as ``model=glob(*node)`` stands for.
 
     Raises:
-        ConfigError: If ``params`` are no mapping, or a list of pairs has something else.
+        ConfigError: If ``params`` are no mapping, a list of pairs has something else, or a value is
+            an interval.
     """
     if not isinstance(params, Mapping) or not all(isinstance(key, str) for key in params):
         told = f"hydra.sweeper.params={params}: expected settings with their values"
@@ -62,7 +66,10 @@ def expand(arguments: Sequence[str], params: Mapping[str, Any]) -> list[list[str
     single = {key: value for key, value in params.items() if "," not in key}
     axes: dict[tuple[str, ...], list[list[str]]] = {tuple(key.split(",")): [] for key in params}
     given = [f"{key}={value}" for key, value in single.items()]
-    for override in OverridesParser.create().parse_overrides([*given, *arguments]):
+    for override in OverridesParser.create(loader).parse_overrides([*given, *arguments]):
+        if override.is_interval_sweep():
+            told = "only a search such as -cn search takes an interval; give values or range(...)"
+            raise ConfigError(f"{override.input_line}: {told}")
         key = override.get_key_element()
         if override.is_sweep_override():
             axes[key,] = [[f"{key}={value}"] for value in override.sweep_string_iterator()]
