@@ -52,7 +52,7 @@ RULES = {
     "job": (
         # the columns of a recording and what a MuJoCo model says are part of a configuration
         {"process", "runs", "tracking", "training", "evaluation", "report", "data", "systems",
-         "optim"},
+         "models", "optim"},
         {"hydra", "omegaconf", "pydantic", "pydantic_core", "lightning", "torch"},
     ),
     "cli": ({"process", "job"}, {"hydra", "omegaconf", "yaml"}),

@@ -84,6 +84,15 @@ BAD = [
     ("trainer.checkpoint_every=-1", "-1", "seconds"),
     ("trainer.time_limit=-1", "trainer.time_limit=-1", "above 0"),
     ("trainer.time_limit=[1,2]", "trainer.time_limit=[1, 2]", "scalar"),
+    ("system.mass=[]", "system.mass=[]", "scalar"),
+    ("learner.scheduler_monitor=[]", "learner.scheduler_monitor=[]", "scalar"),
+    ("learner.validation=[1,2]", "learner.validation=[1, 2]", "a class (_target_)"),
+    *((f"{x}=inf", f"{x}=inf", "finite") for x in ("learning_rate", "root.rollout.tolerance")),
+    ("scheduler.factor=0", "scheduler.factor=0", "above 0"),
+    ("scheduler.factor=nan", "scheduler.factor=nan", "above 0"),
+    ("scheduler.patience=-1", "scheduler.patience=-1", "at least 0"),
+    ("scheduler=cosine scheduler.T_max=0", "scheduler.T_max=0", "at least 1"),
+    ("hydra.job.chdir=true", "hydra.job.chdir=true", "leave it out"),
     ("hydra.mode=RUN", "hydra.mode=RUN", "leave it out"),
     *((f"hydra.sweeper.params={x}", f"params={x}", "{seed: '0,1,2'}") for x in ("5", "0", "[1]")),
     ("+hydra.sweeper.params={1:2}", "params={1: 2}", "{seed: '0,1,2'}"),
@@ -120,6 +129,7 @@ BAD = [
     ("-m data.n_traj=8,16,0", "data.n_traj=0", "1 to 128"),
     ("-m data.n_traj=8 model=node,symo integrator=rk4", "model=symo", "integrator=midpoint"),
     ("-m data.n_traj=8,8", "data.n_traj=8", "same run"),
+    ("-m data.noise_std=interval(0,1)", "interval(0,1)", "range(...)"),
     ("-m model=node,symoo", "model=symoo", "did you mean symo"),
     ("-cn smoke data.noise_std=0,-1", "noise_std=-1", "at least 0"),
 ]
@@ -130,6 +140,7 @@ ENDS = [
     ("--cfg jobs", "jobs", "hydra"),
     ("--info everything", "everything", "defaults-tree"),
     ("-cn nothing", "no nothing.yaml", "the sweeps are: "),
+    ("-sc query=bash", "query", "leave it out"),
     ("--config-dir nowhere", "nowhere", "not found"),
     ("data.n_traj", "data.n_traj", "data.n_traj="),
     ("model=node,symo model.sensitivity=adjoint", "model=symo: model.sensitivity", "model has: "),
@@ -177,6 +188,12 @@ def test_a_setting_may_be_one_that_only_the_swept_choices_have(home):
     with watched() as folders:
         assert main([*QUIET, *words, CHECK_ONLY]) == 0
     assert len(folders) == 4
+
+
+def test_a_pattern_stands_for_the_choices_that_it_fits(home):
+    with watched() as folders:
+        assert main([*QUIET, "model=glob([symo,l_n*])", CHECK_ONLY]) == 0
+    assert len(folders) == 2
 
 
 @pytest.mark.parametrize("flag", ["-h", "--help"])

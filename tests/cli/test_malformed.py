@@ -59,6 +59,7 @@ PLACES = [
     ("experiment=/etc", f"experiment='/etc' {BELOW}"),
     ("experiment=a//b", f"experiment='a//b' {BELOW}"),
     ("experiment=.hidden", f"experiment='.hidden' {BELOW}"),
+    *((f"{x}={'x' * 300}", f"{x}=xxx") for x in ("experiment", "output_dir")),
     ("data.cache_dir=file", "file is not a directory"),
     ("logger.directory=file", "file/mlflow.db is not writable"),
     ("logger.tracking_uri=postgresql://", STORE),

@@ -213,3 +213,15 @@ def test_results_of_code_that_has_changed_since_are_warned_of(mine, capsys):
     assert "changing_system.py: changed since 1 run(s) were started; resume=false" in told
     assert "other.py" not in told
     assert "finished already" in told
+
+
+@pytest.mark.parametrize(("part", "others"), [("model", []), ("system", ["model=node"])])
+def test_a_class_of_another_kind_is_refused(part, others, workplace):
+    (workplace / part).mkdir()
+    (workplace / "other.py").write_text("class Other:\n    def __init__(self, **given): pass\n")
+    text = "_target_: other.Other\n"
+    if part == "system":
+        text = f"# @package _global_\nsystem: {{{text.strip()}}}\nlearning_rate: 1e-3\n"
+    (workplace / part / "other.yaml").write_text(text)
+    given = ["--config-dir", ".", "code=.", f"{part}=other", *others, *QUIET]
+    assert f"{part} is Other: expected a symo_exp." in refusal(*given)

@@ -59,6 +59,9 @@ class Command:
         folder = self._given.config_dir
         self.folders = [] if folder is None else [Path(folder).absolute()]
         """The user's own configuration, which is added to ours."""
+        asks = self._given.shell_completion and any(w[:6] == "query=" for w in self.overrides)
+        if asks and "COMP_LINE" not in os.environ:
+            raise ConfigError("-sc query=... answers a shell that completes a line; leave it out")
         for override in self.overrides:
             _check_word(override)
 

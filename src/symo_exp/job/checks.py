@@ -6,12 +6,14 @@ import difflib
 import functools
 import inspect
 import json
+import math
+import os
 import tempfile
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Any, Union
+from typing import Annotated, Any, Literal, Union
 
 import typing_extensions
 from omegaconf import MISSING
@@ -20,7 +22,7 @@ from pydantic_core import SchemaError
 from typing_extensions import Unpack
 
 from symo_exp import code
-from symo_exp.errors import ConfigError
+from symo_exp.errors import ConfigError, shortened
 from symo_exp.job.config import Settings
 from symo_exp.job.moved import MOVED
 from symo_exp.shell import override_value
@@ -28,13 +30,17 @@ from symo_exp.shell import override_value
 PARTS = ("system", "data", "model", "learner", "trainer", "logger")
 """The parts of every run; each of them names a class."""
 
+LONGEST = 255
+"""Bytes of the name of a folder, which file systems allow."""
+
 _INSTANTIATE_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 _PLAIN = {
     "int_type": "a whole number", "float_type": "a number", "bool_type": "true or false",
     "string_type": "text", "none_required": "null", "mapping_type": "a mapping",
-    "dict_type": "a mapping",
+    "dict_type": "a mapping", "callable_type": "a class (_target_)",
 }  # fmt: skip
 """Pydantic's kinds of errors in the words of a command line."""
+_SCALARS = {bool, int, float, str, type(None), Literal}
 _STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
@@ -47,6 +53,21 @@ def check_settings(settings: Settings, known: Mapping[str, Any]) -> None:
     """
     code.add(settings.values["code"])
     _check_node(settings.values, known, settings.references)
+
+
+def check_finite(settings: Settings) -> None:
+    """Refuse numbers that are not finite and that no constructor has refused."""
+    for name, value in _numbers(settings.values):
+        if not (math.isfinite(value) or settings.is_reference(name)):
+            raise ConfigError(f"{name}={value}: expected a finite number")
+
+
+def _numbers(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            yield from _numbers(value, f"{prefix}{key}.")
+        elif isinstance(value, float):
+            yield f"{prefix}{key}", value
 
 
 def check_parts(settings: Settings, known: Mapping[str, Any]) -> None:
@@ -148,12 +169,14 @@ def similar(word: str, words: Iterable[str]) -> list[str]:
 def _mismatch(value: Any, hint: Any) -> str:
     """Return what a type annotation expects of a value that does not fit it, else nothing.
 
-    Structures are left to the constructor, unless it expects a scalar.
+    The constructor checks what is inside a list or a mapping.
     """
     if isinstance(value, Mapping | list):
-        union = typing.get_origin(hint) in (Union, UnionType)
-        options = set(typing.get_args(hint)) if union else {hint}
-        return "expected a scalar" if options <= {bool, int, float, str, type(None)} else ""
+        kinds = _kinds(hint)
+        if kinds <= _SCALARS:
+            return "expected a scalar"
+        if isinstance(value, Mapping) or any(map(_may_be_list, kinds)):
+            return ""
     adapter = _adapter(hint)
     if adapter is None:  # a protocol or a dataclass
         return "" if value is None else f"expected {getattr(hint, '__name__', hint)}"
@@ -164,6 +187,22 @@ def _mismatch(value: Any, hint: Any) -> str:
         words = " or ".join(filter(None, dict.fromkeys(told))).replace("'", "")
         return f"expected {words or getattr(hint, '__name__', hint)}"
     return ""
+
+
+def _kinds(hint: Any) -> set[Any]:
+    """Return the classes of a type annotation without what is inside of them."""
+    origin = typing.get_origin(hint)
+    if origin in (Union, UnionType):
+        return set().union(*map(_kinds, typing.get_args(hint)))
+    if origin is Annotated:
+        return _kinds(typing.get_args(hint)[0])
+    return {origin or hint}
+
+
+def _may_be_list(kind: Any) -> bool:
+    if kind in (Any, object):
+        return True
+    return isinstance(kind, type) and kind is not str and issubclass(kind, Iterable)
 
 
 @functools.cache
@@ -199,12 +238,14 @@ def _free(hint: Any) -> bool:
 
 def check_names(output_dir: Any, experiment: Any, folder: Any) -> None:
     """Refuse names of folders that are empty or climb out of the output folder."""
-    names = {"output_dir": output_dir, "hydra's dir": folder, "experiment": experiment}
+    names = {"output_dir": output_dir, "experiment": experiment, "hydra's dir": folder}
     for name, value in names.items():
         if not isinstance(value, str) or not value or "\0" in value:
             plain = isinstance(value, int | float)
             hint = f"; if it is, give \"{name}='{value}'\"" if plain else ""
             raise ConfigError(f"{name}={value!r} is not the name of a folder{hint}")
+        if any(len(os.fsencode(part)) > LONGEST for part in Path(value).parts):
+            raise ConfigError(f"{name}={shortened(value, 40)}... is longer than {LONGEST} bytes")
     for part in experiment.split("/"):
         if not part or part.startswith(".") or not part.isprintable():
             raise ConfigError(

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import lightning
 import torch
 from hydra.utils import instantiate
+from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from symo_exp import code
-from symo_exp.checks import instance, whole_number
+from symo_exp.checks import instance, real, whole_number
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.forces import unlearned_forces
@@ -24,6 +25,7 @@ from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.evaluation.uncertainty import posterior_of
+from symo_exp.models.base import DynamicsModel
 from symo_exp.optim.base import EpochOptimizer
 from symo_exp.process import phases, stopping
 from symo_exp.runs.digest import digest, kernels
@@ -39,11 +41,15 @@ from symo_exp.runs.folder import (
 from symo_exp.runs.load import from_folder, raised_by_constructor
 from symo_exp.runs.recordings import divided_recordings
 from symo_exp.runs.series import Series
+from symo_exp.systems.base import System
 from symo_exp.tracking.store import is_away
 from symo_exp.training import resuming
 from symo_exp.training.recording import SeriesRecorder
 
 log = logging.getLogger(__name__)
+
+LEAST = {"T_max": 1, "patience": 0, "cooldown": 0}
+"""The smallest values of settings of PyTorch's schedulers, which do not check them."""
 
 
 class Parts(NamedTuple):
@@ -117,6 +123,7 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     whole_number("seed", seed, low=0, high=2**32 - 1)
     lightning.seed_everything(seed, verbose=False)
     system = make(settings, "system")
+    instance("system", system, System)
     data = make(settings, "data", system=system)
     dtype = settings["dtype"]
     if (given := settings["data"].get("dtype", dtype)) != dtype:
@@ -129,6 +136,7 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
             input_matrix=system.input_matrix,
             time_step=system.time_step,
         )
+    instance("model", model, DynamicsModel)
     learner = make(settings, "learner", model=model) if model.learns else None
     reference = _reference(settings, system, data) if "reference" in settings else None
     for name in settings["study"]:
@@ -153,9 +161,17 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
 
 def _check_optimizer(learner: Any, accelerator: str) -> None:
     try:
-        optimizer = learner.configure_optimizers()[0][0]
-    except (ValueError, TypeError, RuntimeError) as error:
-        raise ConfigError(f"optimizer or scheduler: {error}") from error
+        (optimizer,), schedulers = learner.configure_optimizers()
+    except ConfigError:
+        raise
+    except (ValueError, TypeError, ArithmeticError, RuntimeError) as error:
+        raise ConfigError(f"optimizer or scheduler: {first_line(error)}") from error
+    for scheduler in schedulers:
+        if isinstance(scheduler, ReduceLROnPlateau):
+            real("scheduler.factor", scheduler.factor, above=0)
+        for name, low in LEAST.items():
+            if hasattr(scheduler, name):
+                whole_number(f"scheduler.{name}", getattr(scheduler, name), low=low)
     if accelerator != "cpu" and isinstance(optimizer, EpochOptimizer) and optimizer.processor_only:
         raise ConfigError(
             f"trainer.accelerator={accelerator}: {type(optimizer).__name__} works on the processor "

@@ -27,7 +27,13 @@ from symo_exp import code
 from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, debugging, one_line
 from symo_exp.imports import first_import
-from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
+from symo_exp.job.checks import (
+    check_finite,
+    check_folder,
+    check_names,
+    check_parts,
+    check_settings,
+)
 from symo_exp.job.job import SWEEP, VARIED, changed_recordings, publish, spelled, typed
 from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
@@ -62,13 +68,18 @@ class Sweep:
         master: The configuration of the command.
 
     Raises:
-        ConfigError: If the launcher is to do no job at a time.
+        ConfigError: If the launcher is to do no job at a time, or jobs in other folders.
     """
 
     def __init__(self, context: HydraContext, task: TaskFunction, master: DictConfig) -> None:
         if master.hydra.launcher.get("n_jobs") == 0:
             told = "expected the number of jobs at a time, or -1 for one on each core"
             raise ConfigError(f"hydra.launcher.n_jobs=0: {told}")
+        if master.hydra.job.chdir:
+            raise ConfigError(
+                "hydra.job.chdir=true: relative paths, such as that of the store, begin in the "
+                "folder of the command; leave it out"
+            )
         self._context, self._task, self._master = context, task, master
         self.composer = Composer(context.config_loader, master)
         self._cluster = slurm.Queue.of(master)
@@ -141,7 +152,7 @@ class Sweep:
         Raises:
             ConfigError: For a job with invalid settings, or one that is there twice.
         """
-        combinations = expand(arguments, params)
+        combinations = expand(arguments, params, self._context.config_loader)
         jobs: dict[Path, Job] = {}
         for overrides, label in zip(combinations, labels(combinations), strict=True):
             try:
@@ -187,6 +198,7 @@ class Sweep:
                 values = job.values
                 here = self._cluster.as_here(values) if self._cluster else values
                 parts = build(here, job.folder)
+                check_finite(job.settings)
                 if values["logger"] not in stores:
                     parts.tracker.check()
                     stores.append(values["logger"])
