@@ -67,6 +67,16 @@ def test_unreadable_files_count_as_missing(text, folder):
     assert folder.measures() == {}
 
 
+@pytest.mark.parametrize("text", ["", "garbage", "a: [", "\0"])
+def test_a_run_with_unreadable_settings_is_measured_again(text, folder):
+    folder.write_config({"seed": 0})
+    folder.write_measures({"test_mse": 1.0})
+    assert folder.is_measured(None)
+    (folder / "config.yaml").write_text(text)
+    assert not folder.is_measured(None)
+    assert folder.config() == {}
+
+
 @pytest.mark.parametrize("deletions", range(5))
 def test_a_deletion_that_is_killed_leaves_no_finished_run_with_missing_files(
     deletions, folder, monkeypatch

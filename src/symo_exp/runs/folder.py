@@ -225,17 +225,19 @@ class RunFolder:
         write_text(self / CONFIG, text)
 
     def config(self) -> dict[str, Any]:
-        """Return the resolved settings; none before the run starts."""
+        """Return the resolved settings; none before the run starts, or if they cannot be read."""
         import yaml
 
-        there = (self / CONFIG).exists()
-        config = yaml.safe_load((self / CONFIG).read_text(encoding="utf-8")) if there else None
-        return dict(config or {})
+        try:
+            config = yaml.safe_load((self / CONFIG).read_text(encoding="utf-8"))
+        except (OSError, ValueError, yaml.YAMLError):
+            return {}
+        return config if isinstance(config, dict) else {}
 
     def is_measured(self, reference: Any) -> bool:
         """Return whether the measures were computed, with these settings of a reference model."""
-        there = (self / MEASURES).exists()
-        return there and bool(self.config().get("reference") == reference)
+        config = self.config() if (self / MEASURES).exists() else {}
+        return bool(config) and bool(config.get("reference") == reference)
 
     def write_table(self, name: str, columns: Mapping[str, Any]) -> None:
         """Write columns of equal length as a Parquet file."""
