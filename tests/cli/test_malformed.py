@@ -70,7 +70,7 @@ PLACES = [
     ("resume=perhaps", "resume=perhaps has the wrong type: expected true or false"),
     ("data=recorded data.path=folder", "the folder has no .parquet, .csv, .npz"),
     ("data=recorded data.path=/dev/null", FILES),
-    ("data=recorded data.path=../whole.pdf", FILES),
+    ("data=recorded data.path=../whole.pdf", "there is no such file or folder"),
 ]
 SWEPT = [
     ("defaults: 7\n", "defaults must be a list"),
