@@ -18,6 +18,8 @@ from symo_exp.systems.base import System
 
 WINDING = 1e-3
 """Change of a potential with a whole turn, relative to its range, that springs on angles cause."""
+ROUNDING = 1e-6
+"""Differences of potentials, relative to their size, below which they are constant."""
 
 
 def unlearned_forces(model: DynamicsModel, system: System) -> Iterator[str]:
@@ -51,5 +53,5 @@ def _winds(lagrangian: Lagrangian, coordinates: Coordinates, q: Float[Tensor, "b
     end = start.clone()
     end[:, : len(angles)] += 2.0 * math.pi * angles
     before, after = lagrangian.potential(start), lagrangian.potential(end)
-    spread = before.max() - before.min()
+    spread = before.max() - before.min() + ROUNDING * before.abs().max()
     return bool((after - before).abs().max() > WINDING * spread)
