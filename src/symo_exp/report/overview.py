@@ -128,7 +128,7 @@ def unfinished(runs: pd.DataFrame) -> ResultTable:
     left = left.rename(columns={"n_traj": "n", "noise_std": "noise"})
     left[["n", "noise", "seed"]] = left[["n", "noise", "seed"]].map(number)
     rows = left[["system", "method", "settings", "status", "reason", "n", "noise", "seed"]]
-    return ResultTable("unfinished", "Runs without a result", rows, words=5)
+    return ResultTable("unfinished", "Runs without a result", rows)
 
 
 def accuracy(found: pd.DataFrame) -> ResultTable:
@@ -152,7 +152,7 @@ def accuracy(found: pd.DataFrame) -> ResultTable:
         }
     ).join(wide.drop(columns=keys))
     title = "Accuracy by settings, method and integrator"
-    return ResultTable("accuracy", title, rows, [MEDIANS], words=4)
+    return ResultTable("accuracy", title, rows, [MEDIANS])
 
 
 def floor_table(found: pd.DataFrame) -> ResultTable:
@@ -167,7 +167,7 @@ def floor_table(found: pd.DataFrame) -> ResultTable:
         "biased inertia."
     )
     title = "Floors: the true systems in the integrators, nothing learned"
-    return ResultTable("floors", title, rows, [note], words=3)
+    return ResultTable("floors", title, rows, [note])
 
 
 def medians(found: pd.DataFrame, keys: Sequence[str], metrics: Iterable[str]) -> pd.DataFrame:

@@ -16,6 +16,10 @@ LATEX = {
 }  # fmt: skip
 
 
+NUMBER = r"[-+−±×]?(\d|inf|nan|∞|–|$)"
+"""The beginning of a cell with a number, or without anything."""
+
+
 class Cell(NamedTuple):
     """Text of a cell; ``shade`` is its rank between 0 and 1, the best, or NaN."""
 
@@ -37,7 +41,6 @@ class ResultTable:
         title: The heading.
         rows: The text.
         notes: Lines below the table.
-        words: Number of columns, from the left, that are set flush left.
         system: The system of the table, for a page that selects one.
         shades: Of a heat map, the rank of each cell between 0 and 1, the best.
     """
@@ -46,7 +49,6 @@ class ResultTable:
     title: str
     rows: pd.DataFrame
     notes: Sequence[str] = ()
-    words: int = 1
     system: str = ""
     shades: pd.DataFrame | None = None
 
@@ -54,6 +56,13 @@ class ResultTable:
     def header(self) -> list[str]:
         """The headings of the columns."""
         return list(map(str, self.rows.columns))
+
+    @property
+    def numeric(self) -> list[bool]:
+        """Whether each column has numbers, which are set flush right; the first has names."""
+        there = self.rows.astype(str)
+        of = [there.iloc[:, i].str.match(NUMBER).all() for i in range(there.shape[1])]
+        return [bool(every) and i > 0 for i, every in enumerate(of)]
 
     def lines(self) -> Iterator[list[Cell]]:
         """Yield the rows below the header."""
@@ -64,7 +73,7 @@ class ResultTable:
 
 def markdown_table(table: ResultTable) -> str:
     """Return a table as Markdown, the best cells in bold."""
-    rule = [":--" if i < table.words else "--:" for i in range(table.rows.shape[1])]
+    rule = ["--:" if numeric else ":--" for numeric in table.numeric]
     lines = [_markdown_row(table.header), _markdown_row(rule)]
     for line in table.lines():
         lines.append(_markdown_row([f"**{x.text}**" if x.best else x.text for x in line]))
@@ -77,7 +86,7 @@ def _markdown_row(cells: Sequence[str]) -> str:
 
 def latex(table: ResultTable) -> str:
     """Return a table as a LaTeX ``table`` environment, for the package booktabs."""
-    columns = "l" * table.words + "r" * (table.rows.shape[1] - table.words)
+    columns = "".join("r" if numeric else "l" for numeric in table.numeric)
     rows = [
         [rf"\textbf{{{_escaped(x.text)}}}" if x.best else _escaped(x.text) for x in line]
         for line in table.lines()

@@ -77,7 +77,7 @@ def _table(
     header = ["model", "integrator", "", *map(measure_name, TABLE)]
     title += f", {variant}" if variant else ""
     table = pd.DataFrame(rows, columns=header)
-    return ResultTable(f"table_{system}{_suffix(variant)}", title, table, notes, words=3)
+    return ResultTable(f"table_{system}{_suffix(variant)}", title, table, notes)
 
 
 def agreement(compared: pd.DataFrame) -> ResultTable:
@@ -105,7 +105,7 @@ def agreement(compared: pd.DataFrame) -> ResultTable:
         "the same quantities where we have that measure."
     )
     title = "Cells within a factor of three of the published value, better, and worse"
-    return ResultTable("agreement", title, pd.DataFrame(rows, columns=header), [note], words=3)
+    return ResultTable("agreement", title, pd.DataFrame(rows, columns=header), [note])
 
 
 def claims(measures: pd.DataFrame) -> ResultTable:
@@ -127,7 +127,7 @@ def claims(measures: pd.DataFrame) -> ResultTable:
         "By its own numbers: by the published ones, whose averages differ between methods.",
     ]
     title = "Statements of the thesis"
-    return ResultTable("claims", title, pd.DataFrame(rows), notes, words=6)
+    return ResultTable("claims", title, pd.DataFrame(rows), notes)
 
 
 def progress(runs: pd.DataFrame) -> Iterable[ResultTable]:
@@ -157,7 +157,7 @@ def progress(runs: pd.DataFrame) -> Iterable[ResultTable]:
             rows = counts.map(number).rename(columns="{:g}".format).reset_index()
             rows = rows.assign(method=pair_names(rows)).drop(columns="integrator")
             title = f"Seeds that have been run, by {over}" + (f" ({variant})" if variant else "")
-            yield ResultTable(f"progress_{key}{_suffix(variant)}", title, rows, words=2)
+            yield ResultTable(f"progress_{key}{_suffix(variant)}", title, rows)
 
 
 def in_thesis_order(systems: Iterable[str]) -> list[str]:
