@@ -14,7 +14,7 @@ import pytest
 import scipy.io
 import torch
 
-from symo_exp.data.formats import from_arrays, table_of
+from symo_exp.data.formats import files, from_arrays, table_of
 from symo_exp.data.parts import without
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
@@ -231,6 +231,14 @@ def test_files_of_the_same_name_are_different_trajectories(tmp_path: Path) -> No
         assert [one.samples.q[0, 0] for one in kept] == some
     with pytest.raises(ConfigError, match=r"log.csv is there twice"):
         read_recordings([paths[0], tmp_path / "a/*.csv"], system)
+
+
+@pytest.mark.parametrize("pattern", ["", "*.csv"])
+def test_numbered_files_are_in_the_order_of_their_numbers(pattern: str, tmp_path: Path) -> None:
+    names = ["run_9.csv", "run_10.csv", "run_10b.csv", "run_11.csv"]
+    for name in reversed(names):
+        (tmp_path / name).touch()
+    assert [file.name for file in files(tmp_path / pattern)] == names
 
 
 def test_hidden_files_of_a_folder_are_left_out(tmp_path: Path) -> None:

@@ -120,12 +120,13 @@ def files(path: Location) -> list[Path]:
         return [file]
     if file.is_dir():
         there = (one for one in file.iterdir() if not one.name.startswith("."))
-        found = sorted(one for one in there if suffix(one) in TABLES or is_bag(one))
+        tables = (one for one in there if suffix(one) in TABLES or is_bag(one))
+        found = sorted(tables, key=_by_number)
         if not found:
             raise ConfigError(f"{shown(path)}: the folder has no {', '.join(TABLES)} file or bag")
         return found
     if not file.exists() and glob.has_magic(str(file)):
-        matches = sorted(glob.glob(str(file), recursive=True))
+        matches = sorted(glob.glob(str(file), recursive=True), key=_by_number)
         if not matches:
             raise ConfigError(f"{shown(path)}: no file matches this pattern")
         return files(matches)
@@ -138,6 +139,13 @@ def files(path: Location) -> list[Path]:
             f"{TABLES[0]}, a ROS 2 bag, or a folder of these{mend}"
         )
     return [file]
+
+
+def _by_number(path: str | Path) -> tuple[list[tuple[int, str]], str]:
+    """Return what orders ``run_9`` before ``run_10``."""
+    text = str(path)
+    parts = re.split(r"(\d+)", text)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], text
 
 
 def content_of(paths: Sequence[Path]) -> str:
