@@ -6,13 +6,15 @@ import itertools
 import math
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
 
 from symo_exp.data.draws import uniform
-from symo_exp.data.recorded import RecordedData
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.simulate import generate
+from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.systems.base import System
@@ -137,9 +139,16 @@ def test_missing_velocities_are_central_differences(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"t": lambda row: row.t + 1e-6}, {"q_x": lambda _: 1e300}, {"u_0": lambda _: -1e101}]
+    "change",
+    [
+        {"t": lambda row: row.t + 1e-6},
+        {"q_x": lambda _: 1e300},
+        {"u_0": lambda _: -1e101},
+        {"q_x": lambda _: -9999.0},
+        {"q_theta": lambda _: 65535},
+    ],
 )
-def test_a_repeated_time_and_a_huge_number_are_left_out(
+def test_a_repeated_time_and_numbers_that_are_no_measurements_are_left_out(
     change, table: pd.DataFrame, tmp_path: Path
 ) -> None:
     """A slope over a microsecond is that of noise, and powers of 1e300 overflow."""
@@ -151,6 +160,19 @@ def test_a_repeated_time_and_a_huge_number_are_left_out(
     for part in ("train", "val", "test"):
         for a, b in zip(getattr(plain, part), getattr(again, part), strict=True):
             torch.testing.assert_close(a, b)
+
+
+@pytest.mark.parametrize("quick", [1e-3, 0.2])
+def test_the_only_motion_of_a_log_at_rest_is_no_failure_of_a_sensor(
+    quick: float, tmp_path: Path
+) -> None:
+    """Far from all other positions, and there at once if it is quick."""
+    t = 0.01 * np.arange(1000)
+    x = 1e-6 * np.sin(97 * t) + quick * np.arange(1000).clip(960, 990) - 960 * quick
+    log = pd.DataFrame({"t": t, "q_x": x, "u_x": 0.0 * t})
+    path = save(log, tmp_path)
+    (found,) = read_recordings(path, recorded_system(path, time_step=0.01, angular=[])).recordings
+    np.testing.assert_array_equal(found.samples.q[:, 0], x)
 
 
 def test_missing_inputs_are_zero(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -30,6 +30,9 @@ REPEATED = 0.01
 """Time between samples over the usual one up to which a time repeats an earlier one."""
 HUGE = 1e100
 """Size of a number beyond which it is none of a measurement, and its powers overflow."""
+FAR = 100.0
+"""Distance from the median over the usual range beyond which a coordinate may be a sensor's
+failure."""
 SLOW, FAST = 1.0, 5e-6
 """Times between samples from which, and up to which, the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
@@ -155,6 +158,8 @@ def _read(
     table["t"], seconds = _from_dates(table["t"], seconds, notes)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
+    for column in wanted["q"]:
+        table[column] = _without_failures(table[column].to_numpy())
     table = _without_gaps(where, table, numbers, notes, dict(head.given))
     if seconds is None:
         _check_seconds(where, table["t"].to_numpy())
@@ -334,6 +339,26 @@ def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
     return np.where(np.abs(found) > HUGE, np.nan, found)
 
 
+def _without_failures(x: np.ndarray) -> np.ndarray:
+    """Return a coordinate with ``nan`` where its sensor fails, such as -9999 for a moment.
+
+    Values that differ among each other are a motion, such as the only one of a log at rest.
+    """
+    there = x[np.isfinite(x)]
+    low, middle, high = np.quantile(there, (0.05, 0.5, 0.95)) if len(there) else (0.0,) * 3
+    away = np.abs(x - middle) > FAR * (high - low)
+    if low == high or not away.any():
+        return x
+    edges = np.flatnonzero(np.diff(away, prepend=False, append=False))
+    found = x.copy()
+    for start, end in edges.reshape(-1, 2):
+        one, beside = x[start:end], np.append(x[:start][-1:], x[end : end + 1])
+        size = abs(one[0] - middle)
+        if np.ptp(one) <= 1e-3 * size and not (np.abs(beside - one[0]) <= 0.5 * size).any():
+            found[start:end] = np.nan
+    return found
+
+
 def _without_gaps(
     where: str, table: pd.DataFrame, numbers: Sequence[str], notes: list[str], given: Columns
 ) -> pd.DataFrame:
@@ -348,11 +373,12 @@ def _without_gaps(
         needed = ["t", *(x for x in numbers if x.startswith("q_"))]
         mend = "" if column in needed[:2] else f" or the column, {omitting([column], given)}"
         raise ConfigError(
-            f"{where}: {told} have a number that is empty or not finite, most of them in column "
-            f"{column}, first data row {first}; at most {100 * DROPPED:g} % are left out: fill "
-            f"them in the file, as by interpolation, or remove them{mend}"
+            f"{where}: {told} have a number that is empty or no measurement, most of them in "
+            f"column {column}, first data row {first}; at most {100 * DROPPED:g} % are left out: "
+            f"fill them in the file, as by interpolation, or remove them{mend}"
         )
-    notes.append(f"{told} are left out: a number is missing or not finite, first data row {first}")
+    why = "a number is missing, not finite or, as where a sensor fails, far from all others"
+    notes.append(f"{told} are left out: {why}, first data row {first}")
     return table[~rows].reset_index(drop=True)
 
 
