@@ -382,6 +382,8 @@ def test_coordinates_and_inputs_that_do_not_fit_are_refused(
     [
         (["upper", "lower"], [[1, 0], [0, 1]]),
         (["lower", "upper"], [[0, 1], [1, 0]]),
+        (["lower [Nm]", "upper [Nm]"], [[0, 1], [1, 0]]),
+        (["lower_Nm", "motor"], None),
         (["0", "1"], [[1, 0], [0, 1]]),
         (["lower", "motor"], None),
         (["motor", "upper"], None),

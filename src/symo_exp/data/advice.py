@@ -27,9 +27,9 @@ from symo_exp.data.naming import (
     split_times,
     units_of_angles,
     unread_unit,
-    without_unit,
 )
 from symo_exp.shell import override_value
+from symo_exp.systems.recorded import without_unit
 
 Columns = Mapping[str, str | None]
 """This project's names of columns to those of the file; the name of one that is left out to null.

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 
 from symo_exp.data.formats import IN_TIME, TIME
+from symo_exp.systems.recorded import UNIT, without_unit
 
 ANGLE = (
     "theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link"
@@ -44,11 +45,6 @@ OTHER = re.compile(
     re.I,
 )
 """A word of the name of what is no coordinate, velocity or input."""
-UNIT = re.compile(
-    r"(_| in | *[\[(])((?:mm?|cm|rad|deg(?:s|rees?)?|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I
-)
-"""A unit at the end of a name, after an underscore or "in", or in brackets."""
-
 _OF_TURNS = dict.fromkeys(("turns", "rev", "revs", "revolutions"), "rad = 2 pi times turns")
 _OF_COUNTS = dict.fromkeys(
     ("count", "counts", "tick", "ticks"),
@@ -107,11 +103,6 @@ def is_no_place(stem: str, stems: Collection[str]) -> bool:
 def is_wanted(name: str) -> bool:
     """Return whether a name says what a controller wants."""
     return any(map(WANTED.fullmatch, _words(name)))
-
-
-def without_unit(name: str) -> str:
-    """Return a name without the unit that it ends with."""
-    return UNIT.sub("", name)
 
 
 def _words(name: str) -> list[str]:

@@ -15,7 +15,7 @@ from symo_exp.data.diagnose import ROUNDING, noise_of, quasi_coordinates
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
-from symo_exp.data.naming import in_degrees, names, without_unit
+from symo_exp.data.naming import in_degrees, names
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
@@ -39,7 +39,7 @@ from symo_exp.identify.motions import (
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.shell import override_value
 from symo_exp.systems.base import System
-from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions
+from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions, without_unit
 
 TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
@@ -456,15 +456,12 @@ def _inferred_matrix(
     turns freely is zero, and is to be learned. No inputs, or one for each coordinate, need no
     matrix.
     """
-    places, actors = ([without_unit(name) for name in given] for given in (coordinates, inputs))
-    if not inputs or actors == places:
+    if not inputs or [*map(without_unit, inputs)] == [*map(without_unit, coordinates)]:
         return None
-    if len(set(places)) == len(places) and (found := matrix_by_names(places, actors)):
-        pairs = ", ".join(
-            f"u_{name} drives q_{coordinates[places.index(x)]}"
-            for name, x in zip(inputs, actors, strict=True)
-        )
-        return found, f"inputs: {pairs}, by their names"
+    if found := matrix_by_names(coordinates, inputs):
+        driven = [coordinates[row.index(1)] for row in zip(*found, strict=True)]
+        pairs = [f"u_{x} drives q_{y}" for x, y in zip(inputs, driven, strict=True)]
+        return found, f"inputs: {', '.join(pairs)}, by their names"
     learned = (
         "inputs: the forces and torques that they cause are learned, in body axes, so that the "
         "inertia is known up to a factor (system.input_matrix=... gives them)"

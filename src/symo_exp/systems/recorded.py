@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
@@ -14,6 +15,11 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
 from symo_exp.systems.base import System
+
+UNIT = re.compile(
+    r"(_| in | *[\[(])((?:mm?|cm|rad|deg(?:s|rees?)?|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I
+)
+"""A unit at the end of a name, after an underscore or "in", or in brackets."""
 
 
 @final
@@ -120,11 +126,20 @@ def _scale(given: object) -> Units:
     return Units(**{x: real(f"system.scale.{x}", value, above=0.0) for x, value in named.items()})
 
 
+def without_unit(name: str) -> str:
+    """Return a name without the unit that it ends with."""
+    return UNIT.sub("", name)
+
+
 def matrix_by_names(names: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
-    """Return the matrix of inputs that have the names of coordinates, ``None`` if others have."""
-    if not set(inputs) <= set(names):
+    """Return the matrix of inputs with the names of coordinates, ``None`` if others have.
+
+    Units at the ends of names are left out.
+    """
+    places, actors = (list(map(without_unit, given)) for given in (names, inputs))
+    if len(set(places)) < len(places) or not set(actors) <= set(places):
         return None
-    return [[int(name == other) for other in inputs] for name in names]
+    return [[int(place == actor) for actor in actors] for place in places]
 
 
 def _matrix(
@@ -132,7 +147,8 @@ def _matrix(
 ) -> torch.Tensor:
     n, m = len(names), len(inputs)
     if given is None and m in (0, n):
-        in_order = all(x == y or x not in names for x, y in zip(inputs, names, strict=False))
+        places, actors = (list(map(without_unit, given)) for given in (names, inputs))
+        in_order = all(x == y or x not in places for x, y in zip(actors, places, strict=False))
         given = torch.eye(n, m).tolist() if in_order else matrix_by_names(names, inputs)
     try:
         matrix = torch.tensor([[float(x) for x in row] for row in given], dtype=torch.float64)  # type: ignore[attr-defined]
