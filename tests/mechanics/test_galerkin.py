@@ -1,14 +1,19 @@
 """Galerkin integrators: inner coefficients and rows of an expansion."""
 
+from dataclasses import replace
+
 import pytest
 import torch
+from hydra.utils import instantiate
 from torch import Tensor
 
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.variational import Forces, VariationalMidpoint
+from symo_exp.systems.base import LagrangianSystem
 from symo_exp.systems.chain import ChainPendulum
 from tests.learned import learned_lagrangian
+from tests.tables import stated
 
 DEGREES = (1, 2, 3)
 STAGES = (2, 3)
@@ -47,6 +52,44 @@ def test_inner_coefficients_are_stationary(stages: int, n: int) -> None:
         at = Galerkin(stages=stages).expand(lagrangian, q0, q0 + 0.1 * v, 0.1, f)
         assert at.stationarity.abs().max() < 1e-9
         assert at.inner.abs().max() > 1e-5
+
+
+def whips() -> dict[str, LagrangianSystem]:
+    """Systems with light ends, which turn fast, without and with friction."""
+    elbow = {"length_2": 0.05, "centre_2": 0.025, "inertia_2": 0.01}
+    found = {
+        "chain_5": ChainPendulum(5),
+        "chain_7": ChainPendulum(7),
+        "acrobot": instantiate(stated("acrobot") | elbow),
+    }
+    for name, system in list(found.items()):
+        friction = dict.fromkeys(("viscous", "coulomb"), (0.1,) * system.coordinates.n)
+        found[f"{name}_friction"] = replace(system, **friction)
+    return found
+
+
+WHIPS = whips()
+
+
+@pytest.mark.parametrize("stages", [2, 3, 5])
+@pytest.mark.parametrize("name", WHIPS)
+def test_fast_motions_between_two_configurations_are_found_in_evaluation(
+    name: str, stages: int
+) -> None:
+    """Centrifugal terms are larger than the inertia; rows that converge in training are kept."""
+    system = WHIPS[name]
+    (q0, v, _), h = system.points(64, seed=5), system.time_step
+    q1, forces = q0 + 10.0 * h * v, Forces(torch.zeros_like(v), torch.zeros_like(v))
+    trained, measured = (
+        integrator.expand(system.lagrangian, q0, q1, h, forces)
+        for integrator in (Galerkin(stages=stages), Galerkin(stages=stages).converged())
+    )
+    before, after = (x.stationarity.abs().amax((0, -1)) for x in (trained, measured))
+    assert before.max() > 1e-9
+    assert after.max() < 1e-10
+    same = (measured.inner == trained.inner).all(-1).all(0)
+    assert same.any()
+    assert (after[~same] < before[~same]).all()
 
 
 def test_rows_and_replace_keep_every_point() -> None:

@@ -32,7 +32,15 @@ from torch import Tensor
 from typing_extensions import Self, override
 
 from symo_exp.mechanics.lagrangian import Curvature, Expansion, Gradients, Lagrangian, matvec, solve
-from symo_exp.mechanics.roots import Rule, Sizes, as_actions, iterate, newton_step, relative
+from symo_exp.mechanics.roots import (
+    Rule,
+    Sizes,
+    as_actions,
+    iterate,
+    newton_step,
+    relative,
+    rounding,
+)
 from symo_exp.mechanics.rows import Rowwise, take_rows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
@@ -59,7 +67,8 @@ class Galerkin(VariationalIntegrator):
     coordinates (``sizes``). Each update gains two to three digits at usual step sizes. A row that
     an update would make worse keeps its coefficients (untrained networks have such rows). With
     friction it tries a part of the update, with rotations one with the whole Hessian: about a thin
-    axis the other terms are larger than the inertia.
+    axis the other terms are larger than the inertia. They are so in fast motions of long chains,
+    too; in evaluation all rows that have not converged go on with the whole Hessian.
 
     Args:
         stages: Number of Gauss points.
@@ -68,6 +77,8 @@ class Galerkin(VariationalIntegrator):
     """
 
     has_hessian = True
+    finishes = False
+    """Whether rows that do not converge go on with the whole Hessian, as all do in evaluation."""
 
     def __init__(
         self, *, stages: int, tolerance: float = TOLERANCE, max_iterations: int = MOST_UPDATES
@@ -118,8 +129,14 @@ class Galerkin(VariationalIntegrator):
         if self.stages == 1:
             return problem.at(start).expansion
         tolerance = max(self.tolerance, 4.0 * torch.finfo(q0.dtype).eps)
-        rule = InnerSteps(tolerance, self.sizes, turns=self.space.rotations > 0)
-        return iterate(problem, start, rule, self.max_iterations)[1].expansion
+        rule = InnerSteps(tolerance, self.sizes, exact=self.space.rotations > 0)
+        x, at, state = iterate(problem, start, rule, self.max_iterations)
+        if self.finishes:
+            index = rule.left(x, at, state).nonzero().squeeze(-1)
+            if len(index) > 0:
+                rest, rule = problem.rows(index), InnerSteps(tolerance, self.sizes, exact=True)
+                at = at.replace(index, iterate(rest, x[index], rule, self.max_iterations)[1])
+        return at.expansion
 
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
         """Return ``(q₁, c₁, …, c_{s−1})``, the coefficients zero."""
@@ -136,7 +153,7 @@ class Galerkin(VariationalIntegrator):
     @override
     def converged(self) -> Self:
         found = copy.copy(self)
-        found.tolerance, found.max_iterations = TOLERANCE, MOST_UPDATES
+        found.tolerance, found.max_iterations, found.finishes = TOLERANCE, MOST_UPDATES, True
         return found
 
     def impulses(self, force0: Tensor, force1: Tensor, h: float) -> tuple[Tensor, Tensor]:
@@ -224,12 +241,11 @@ class InnerSteps(Rule[InnerPoint, Inner]):
     Args:
         tolerance: Bound on a step, relative to the motion over the interval.
         sizes: Units of the coordinates, in which lengths and angles are compared.
-        turns: Whether there are rotations; rows that refuse a step, or gain little by it, then try
-            the exact one.
+        exact: Whether rows that refuse a step, or gain little by it, try the exact one.
     """
 
-    def __init__(self, tolerance: float, sizes: Sizes = None, *, turns: bool = False) -> None:
-        self._tolerance, self._sizes, self._turns = tolerance, sizes, turns
+    def __init__(self, tolerance: float, sizes: Sizes = None, *, exact: bool = False) -> None:
+        self._tolerance, self._sizes, self._exact = tolerance, sizes, exact
 
     @override
     def start(self, x: Tensor, at: InnerPoint) -> Inner:
@@ -244,6 +260,11 @@ class InnerSteps(Rule[InnerPoint, Inner]):
         largest = relative(step, self._sizes).abs().amax(-1)
         active = ~(largest <= self._tolerance * at.reach(self._sizes))
         return active & (state.share > 0.0).squeeze(-1), state._replace(step=step)
+
+    def left(self, x: Tensor, at: InnerPoint, state: Inner) -> Bool[Tensor, " batch"]:
+        """Return the rows that are not done and whose next step is more than rounding."""
+        active, state = self.active(x, at, state)
+        return active & ~(state.step.abs() <= rounding(x, self._sizes)).all(-1)
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -262,7 +283,7 @@ class InnerSteps(Rule[InnerPoint, Inner]):
         accepted = better & (better & active).any()
         if self.retries(at):
             less = (0.25 if at.expansion.dissipates else 0.0) * state.share
-            if self._turns:  # first the exact step, then less of both
+            if self._exact:  # first the exact step, then less of both
                 less = torch.where(state.exact.unsqueeze(-1), less, state.share)
                 slow = active & ~(after <= SLOW * before)
                 exact = torch.where(better, state.exact | slow, state.exact ^ active)
@@ -272,7 +293,7 @@ class InnerSteps(Rule[InnerPoint, Inner]):
 
     @override
     def retries(self, at: InnerPoint) -> bool:
-        return at.expansion.dissipates or self._turns
+        return at.expansion.dissipates or self._exact
 
 
 class Basis:
