@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from hydra.utils import instantiate
 from torch.nn.utils import parameters_to_vector
 
 from symo_exp.errors import ConfigError
@@ -16,11 +17,12 @@ from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.flows import ExplicitFlow, VariationalFlow
 from symo_exp.models.objectives import PreconditionedResidual, Residual
+from symo_exp.models.true import TrueVariational
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.training.learner import Learner
 from tests.differences import assert_gradients
 from tests.models.methods import H, combinations, flows, learner, make, pairwise, windows
-from tests.tables import variational_integrators
+from tests.tables import arguments_of, stated, variational_integrators
 
 ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
 PAIRWISE = pytest.mark.parametrize(("method", "integrator", "n"), pairwise())
@@ -419,3 +421,21 @@ def test_an_integrator_of_another_kind_is_refused():
         ConfigError, match=r"integrator is RK4: expected a .*\.VariationalIntegrator$"
     ):
         VariationalFlow(symo.lagrangian, RK4(), H, symo.input_matrix, root=symo.flow.root)
+
+
+@pytest.mark.parametrize("name", ["galerkin4", "galerkin6", "galerkin10"])
+def test_a_prediction_counts_as_found_only_from_a_motion_that_was_found(name):
+    """Turned by more than a revolution in a step, a light link has no motion that is found."""
+    link = {"length_2": 0.05, "centre_2": 0.025, "inertia_2": 0.01}
+    system = instantiate(stated("acrobot") | link)
+    (q, v, u), h = system.points(64, seed=5), system.time_step
+    settings = {"integrator": variational_integrators()[name], "root": Newton(tolerance=1e-8)}
+    model = TrueVariational(system, **arguments_of(system), **settings).for_evaluation()
+    for speed, all_found in ((1.0, True), (15.0, False)):
+        before = q - speed * h * v
+        samples = Windows(before, q, q, v, v, u, u, u)
+        at = model.flow.expand_before(samples)
+        found = at.stationarity.abs().amax((0, -1)) < 1e-9
+        assert bool(found.all()) == all_found
+        assert not model.predict(samples).converged[~found].any()
+        assert model.predict(samples).converged[found].any()

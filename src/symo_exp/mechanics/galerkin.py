@@ -135,7 +135,10 @@ class Galerkin(VariationalIntegrator):
             index = rule.left(x, at, state).nonzero().squeeze(-1)
             if len(index) > 0:
                 rest, rule = problem.rows(index), InnerSteps(tolerance, self.sizes, exact=True)
-                at = at.replace(index, iterate(rest, x[index], rule, self.max_iterations)[1])
+                x, again, state = iterate(rest, x[index], rule, self.max_iterations)
+                at = at.replace(index, again)
+                found = torch.ones(len(q0), dtype=torch.bool, device=q0.device)
+                at.expansion.found = found.index_copy(0, index, ~rule.left(x, again, state))
         return at.expansion
 
     def unknowns(self, q0: Tensor, q1: Tensor) -> Tensor:
@@ -263,7 +266,8 @@ class InnerSteps(Rule[InnerPoint, Inner]):
 
     def left(self, x: Tensor, at: InnerPoint, state: Inner) -> Bool[Tensor, " batch"]:
         """Return the rows that are not done and whose next step is more than rounding."""
-        active, state = self.active(x, at, state)
+        tried = state._replace(share=torch.ones_like(state.share))  # also those given up
+        active, state = self.active(x, at, tried)
         return active & ~(state.step.abs() <= rounding(x, self._sizes)).all(-1)
 
     @override

@@ -129,7 +129,7 @@ class GeodesicExpansion(CondensedExpansion):
         last = at.values.d2
         self._ends = Ends.of(space, x)
         self.values = self._ends.slots(last, at.basis.total(self._points.turned, at.h))
-        self.stationarity = at.stationarity
+        self.stationarity, self.found = at.stationarity, at.found
 
     @override
     def by_unknowns(self) -> Tensor:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import override
 
@@ -55,6 +55,8 @@ class DiscreteExpansion(Rowwise, ABC):
     """``L_d`` around a batch of pairs ``(q₀, q₁)``; see ``lagrangian.Expansion``."""
 
     values: Slots
+    found: Bool[Tensor, " batch"] | None = None
+    """Rows in which the motion between the configurations was found; ``None``: all."""
 
     @abstractmethod
     def d2d1(self) -> Float[Tensor, "batch n n"]:
@@ -278,7 +280,9 @@ class DiscreteLagrangian:
             at: ``L_d`` around them, if it is known already.
         """
         _, f1 = self.impulses(forces)
-        slots = self.slots(q_prev, q, forces) if at is None else at.slots(q_prev, q, forces)
+        if at is None:
+            return self.slots(q_prev, q, forces).d2 + f1
+        slots = at.slots(q_prev, q, forces) if torch.is_grad_enabled() else at.values
         return slots.d2 + f1
 
     def residual(

@@ -346,9 +346,13 @@ class VariationalFlow(Flow):
 
     @override
     def predict(self, windows: Windows) -> Step:
-        q, p = windows.q, self.momentum_before(windows)
+        before = self.expand_before(windows) if self.integrator.iterates else None
+        q, p = windows.q, self.momentum_before(windows, before)
         guess = self.space.extrapolated(windows.q_prev, q)
-        return self._state(self._move(q, p, windows.u, windows.u_next, guess, self.root))
+        step = self._state(self._move(q, p, windows.u, windows.u_next, guess, self.root))
+        if before is None or before.found is None:
+            return step
+        return step._replace(converged=step.converged & before.found)
 
     @override
     def advance(self, q: Tensor, y: Tensor, u: Tensor, u_next: Tensor) -> Carried:
