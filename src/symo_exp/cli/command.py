@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -169,12 +170,12 @@ def _check_word(override: str) -> None:
 
 
 def _names(value: str) -> bool:
-    """Return whether a value may name a file, and not a number, a boolean or a list of these."""
+    """Return whether a value may name files, and is no number, boolean or list without names."""
     try:
-        found = json.loads(value.lower())
+        found = json.loads(re.sub("-?(nan|inf)", "NaN", value.lower()))
     except ValueError:
         return True
-    return isinstance(found, list) and all(isinstance(name, str) for name in found)
+    return isinstance(found, list) and found != [] and all(isinstance(x, str) for x in found)
 
 
 def _listed_sweeps(file: Path) -> list[str]:

@@ -8,7 +8,12 @@ from collections.abc import Sequence
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    ConfigTypeError,
+    OmegaConfBaseException,
+)
 from yaml import YAMLError
 
 from symo_exp.errors import ConfigError, first_line, one_line
@@ -25,6 +30,8 @@ EXTRAS = {"submitit": ("submitit_slurm", "cluster"), "optuna": ("optuna", "optun
 TWICE = re.compile(r"Multiple values for (\S+)\. |(\S+) appears more than once in the final")
 """Hydra's errors of a group that is given a second choice."""
 
+CHOICES = "hydra.runtime.choices."
+
 
 def explained(error: BaseException) -> ConfigError:
     """Return an error of a command or a configuration file as a ``ConfigError``."""
@@ -37,6 +44,8 @@ def explained(error: BaseException) -> ConfigError:
         if told := _explained_alone(cause):
             return told
         cause = cause.__cause__ or cause.__context__
+    if isinstance(error, OmegaConfBaseException) and error.full_key:
+        return ConfigError(f"{error.full_key}: {first_line(error)}")
     return ConfigError(one_line(error))
 
 
@@ -53,11 +62,16 @@ def _explained_alone(error: BaseException) -> ConfigError | None:
         return _unknown_choice(error.missing_cfg_file, error.options)
     if isinstance(error, ConfigAttributeError | ConfigKeyError):
         name, parent = error.full_key, error.parent_node
+        if name and name.startswith(CHOICES):
+            group = name.removeprefix(CHOICES)
+            return ConfigError(f"{group} is one choice, and cannot be a list: {group}=NAME")
         if name and isinstance(parent, DictConfig):
             groups = [] if "." in name else [x.name for x in CONF.iterdir() if x.is_dir()]
             there = dict.fromkeys(groups) | unresolved(parent)
-            target = str(there.get("_target_", "symo_exp."))
-            return unknown_key(name, there, None if target.startswith("symo_exp.") else target)
+            return unknown_key(name, there, there.get("_target_"))
+    if isinstance(error, ConfigTypeError) and error.full_key and "merge" in str(error):
+        wanted, given = ("list", "mapping") if error.object_type is list else ("mapping", "list")
+        return ConfigError(f"{error.full_key} is a {wanted}, and cannot be a {given}")
     return None
 
 

@@ -14,7 +14,7 @@ from hydra.utils import instantiate
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from symo_exp import code
-from symo_exp.checks import instance, real, whole_number
+from symo_exp.checks import instance, one_of, real, whole_number
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.forces import unlearned_forces
@@ -164,11 +164,14 @@ def _check_optimizer(learner: Any, accelerator: str) -> None:
         (optimizer,), schedulers = learner.configure_optimizers()
     except ConfigError:
         raise
-    except (ValueError, TypeError, ArithmeticError, RuntimeError) as error:
+    except (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError) as error:
         raise ConfigError(f"optimizer or scheduler: {first_line(error)}") from error
     for scheduler in schedulers:
         if isinstance(scheduler, ReduceLROnPlateau):
             real("scheduler.factor", scheduler.factor, above=0)
+            real("scheduler.threshold", scheduler.threshold, low=0)
+            real("scheduler.min_lr", min(scheduler.min_lrs), low=0)
+            one_of("scheduler.mode", scheduler.mode, ["min"])  # of a loss
         for name, low in LEAST.items():
             if hasattr(scheduler, name):
                 whole_number(f"scheduler.{name}", getattr(scheduler, name), low=low)
@@ -191,6 +194,8 @@ def _reference(settings: Mapping[str, Any], system: Any, data: Any) -> Any:
 
 def make(settings: Mapping[str, Any], group: str, **given: Any) -> Any:
     """Instantiate a node of the configuration with further arguments."""
+    if not isinstance(settings[group], Mapping):
+        raise ConfigError(f"{group}: expected a class (_target_)")
     try:
         # given afterwards: Hydra would take a system, a dataclass, for configuration
         return instantiate(settings[group], _partial_=True)(**given)
@@ -200,7 +205,7 @@ def make(settings: Mapping[str, Any], group: str, **given: Any) -> Any:
         cause = raised_by_constructor(error)
         if isinstance(cause, ConfigError):
             raise cause from error
-        raise ConfigError(f"{group}: {cause}") from error
+        raise ConfigError(f"{group}: {str(cause) or type(cause).__name__}") from error
 
 
 @contextmanager

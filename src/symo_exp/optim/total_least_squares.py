@@ -25,6 +25,8 @@ RATE = 1e-2
 """Initial rate of Adam, large enough to leave a basin."""
 HANDICAP = 1.5
 """Factor of the held-out loss of a start: smoothing biases it, which few held-out data may hide."""
+MOST_STARTS = 1000
+"""Starts, each of which is listed with its epochs, that a training can have."""
 
 
 class Stage(NamedTuple):
@@ -98,7 +100,8 @@ class TotalLeastSquares(EpochOptimizer):
     ) -> None:
         super().__init__(params, patience=10**9, tolerance=tolerance)
         self.require_double()
-        for name, value in (("starts", starts), ("start", start), ("epochs", epochs)):
+        whole_number("optimizer.starts", starts, high=MOST_STARTS)
+        for name, value in (("start", start), ("epochs", epochs)):
             whole_number(f"optimizer.{name}", value)
         self.force_epochs = whole_number("optimizer.force_epochs", force_epochs, low=0)
         sizes = ("damping", damping), ("velocity_weight", velocity_weight)

@@ -127,7 +127,11 @@ class Composer:
     def job(self, overrides: list[str], label: str) -> Job:
         """Return the job of these overrides."""
         parsed = OverridesParser.create().parse_overrides(overrides)
-        choices = [o for o in parsed if self.options(o.key_or_group)]
+        choices = [
+            o
+            for o in parsed
+            if self.options(o.key_or_group) and not isinstance(o.value(), dict)  # else settings
+        ]
         values = [o for o in parsed if o not in choices and o.type is OverrideType.CHANGE]
         files = self.files(*(str(o.input_line) for o in choices))
         config = copy.deepcopy(self.files(*(str(o.input_line) for o in parsed if o not in values)))

@@ -21,6 +21,9 @@ from symo_exp.training.divergence import StopOnDivergence
 from symo_exp.training.overrun import StopOverrun
 from symo_exp.training.progress import ProgressBar
 
+MOST_THREADS = 4096
+"""More than machines have cores; each thread takes memory."""
+
 
 def make_trainer(
     *,
@@ -57,9 +60,9 @@ def make_trainer(
     Raises:
         ConfigError: If an argument is out of range or there is no GPU.
     """
-    counts = {"max_epochs": max_epochs, "validate_every": validate_every, "threads": threads}
-    for name, value in counts.items():
-        whole_number(f"trainer.{name}", value)
+    whole_number("trainer.max_epochs", max_epochs)
+    whole_number("trainer.validate_every", validate_every)
+    whole_number("trainer.threads", threads, high=MOST_THREADS)
     if not checkpoint_every >= 0:
         raise ConfigError(f"trainer.checkpoint_every={checkpoint_every} must be 0 or more seconds")
     if compile not in (True, False, "auto"):
