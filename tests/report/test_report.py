@@ -144,6 +144,16 @@ def test_run_folders_are_reported_where_there_is_no_store(tmp_path, monkeypatch)
     assert (tmp_path / "report" / "figures" / "long_term_pendulum.svg").exists()
 
 
+def test_a_damaged_table_of_a_study_is_named_and_left_out(tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    folder = add_folder(tmp_path / "outputs" / "mine" / "a", metrics={"long_term_mse": 0.1})
+    (folder / "studies").mkdir()
+    (folder / "studies" / "long_term.parquet").write_text("garbage")
+    assert main(["--formats", "svg", "--no-page"]) == 0
+    (line,) = caplog.messages
+    assert "long_term.parquet is left out" in line
+
+
 def test_recordings_without_sizes_or_truth_are_reported(tmp_path):
     arm = {"system": "arm", "noise_std": None, "time_step": None}
     rows = [row({"test_mse": 1e-4 * s}, **arm, n_traj=None, seed=s) for s in (1, 2)]

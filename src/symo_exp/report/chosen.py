@@ -11,6 +11,7 @@ import pandas as pd
 from symo_exp.errors import ConfigError
 from symo_exp.report.figures import Figure
 from symo_exp.report.looks import duration, short
+from symo_exp.report.runs import run_table
 from symo_exp.report.tables import ResultTable
 from symo_exp.runs.folder import CANDIDATES, WINDOWS, RunFolder
 
@@ -31,11 +32,12 @@ def model_figures(folder: Path, method: str, title: str, key: str) -> list[Figur
     from symo_exp.runs.load import from_folder
 
     try:
-        model, table = from_folder(folder), pd.read_parquet(folder / WINDOWS)
-    except (ConfigError, OSError):  # of a run without windows, or of which files are gone
+        model, table = from_folder(folder), run_table(folder / WINDOWS)
+    except ConfigError:  # of a run of which files are gone
         return []
-    # windows of earlier versions have no errors
-    return recording_figures(model, table, method, title, key) if "error" in table else []
+    if table is None or "error" not in table:  # as in windows of earlier versions
+        return []
+    return recording_figures(model, table, method, title, key)
 
 
 def parameters_table(folder: Path, key: str) -> ResultTable:

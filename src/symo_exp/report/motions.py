@@ -15,7 +15,7 @@ import pandas as pd
 
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import Pair, axis_label, error_unit, in_order, inertia_unit, pair_name
-from symo_exp.report.runs import local_folder
+from symo_exp.report.runs import local_folder, run_table
 from symo_exp.runs.folder import STUDIES
 from symo_exp.tracking.store import Store, connect
 
@@ -300,8 +300,7 @@ def _read(store: Store | None, run_id: str, files: str, study: str) -> pd.DataFr
     """Read the table of a study from a folder, or else through the store."""
     name = f"{STUDIES}/{study}.parquet"
     if (folder := local_folder(files)) is not None:
-        path = folder / name
-        return pd.read_parquet(path) if path.exists() else None
+        return run_table(folder / name)
     if store is None:
         return None
     with tempfile.TemporaryDirectory(prefix="symo_exp-") as copy:

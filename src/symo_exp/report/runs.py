@@ -220,6 +220,15 @@ def _load_folders(path: Path) -> pd.DataFrame:
     return tidy(rows)
 
 
+def run_table(file: Path) -> pd.DataFrame | None:
+    """Return a table of a run, nothing if it is not there or, as is logged, damaged."""
+    try:
+        return pd.read_parquet(file) if file.exists() else None
+    except DAMAGED as error:
+        log.warning("%s is left out, since it is damaged: %s", file, first_line(error))
+        return None
+
+
 def _load_table(path: Path) -> pd.DataFrame:
     try:
         if path.suffix == ".parquet":
