@@ -242,6 +242,7 @@ def test_malformed_tables_are_refused_in_one_line(
     [
         ({"n_traj": 5}, "data.n_traj=5: expected a whole number from 1 to 4"),
         ({"input_delay": float("nan")}, "data.input_delay=nan: expected a"),
+        *(({"input_delay": x}, f"data.input_delay={x}: expected a") for x in (-1e4, 1e4)),
         ({"input_lag": 1e300}, "data.input_lag=1e+300: expected a"),
     ],
 )

@@ -192,7 +192,8 @@ class RecordedData(DataModule):
             "data.n_traj", available if n_traj is None else n_traj, high=available
         )
         parts["train"] = parts["train"][:n_traj]
-        delay = real("data.input_delay", input_delay)
+        longest = max(float(np.ptp(one.samples.t)) for one in parts["train"])
+        delay = real("data.input_delay", input_delay, low=-longest, high=longest)  # else no input
         lag = real("data.input_lag", input_lag, low=0.0, high=LONGEST_LAG)
         refuse_counts(where, space, list(itertools.chain(*parts.values())), degrees)
         if degrees:
