@@ -218,8 +218,9 @@ def test_results_of_code_that_has_changed_since_are_warned_of(mine, capsys):
 @pytest.mark.parametrize(("part", "others"), [("model", []), ("system", ["model=node"])])
 def test_a_class_of_another_kind_is_refused(part, others, workplace):
     (workplace / part).mkdir()
-    (workplace / "other.py").write_text("class Other:\n    def __init__(self, **given): pass\n")
-    text = "_target_: other.Other\n"
+    code = "class Other:\n    def __init__(self, **given): pass\n"
+    (workplace / "another_kind.py").write_text(code)
+    text = "_target_: another_kind.Other\n"
     if part == "system":
         text = f"# @package _global_\nsystem: {{{text.strip()}}}\nlearning_rate: 1e-3\n"
     (workplace / part / "other.yaml").write_text(text)
