@@ -1,5 +1,7 @@
 """The scripts behind the tables of results/ read the runs of today."""
 
+import ast
+import importlib
 import sys
 
 import pytest
@@ -7,6 +9,16 @@ import pytest
 import symo_exp
 from tests.pages import ROOT
 from tests.tiny import TINY
+
+SCRIPTS = sorted([*ROOT.glob("results/*/*.py"), *ROOT.glob("examples/*.py")])
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda file: f"{file.parent.name}/{file.name}")
+def test_a_script_imports_names_that_are_there(script):
+    for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("symo_exp"):
+            there = vars(importlib.import_module(str(node.module)))
+            assert not {name.name for name in node.names} - set(there)
 
 
 @pytest.fixture(scope="module")

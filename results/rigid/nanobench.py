@@ -21,7 +21,7 @@ from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import Predictions, cut, predict
 from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
 from symo_exp.mechanics.explicit import RK4
-from symo_exp.mechanics.space import Space, angle
+from symo_exp.mechanics.space import Space, rotation_vector
 from symo_exp.mechanics.types import Trajectory
 from symo_exp.models.starts import RollsOut
 
@@ -185,7 +185,7 @@ def show(name: str, found: Predictions) -> None:
     squares = (
         (q - true)[..., :3].square().sum(-1),
         (v - rate)[..., :3].square().sum(-1),
-        angle(true_turn, turn).square(),
+        rotation_vector(true_turn.mT @ turn).square().sum(-1),
         (v - rate)[..., 3:].square().sum(-1),
     )
     medians = [float(x.mean(1).sqrt().median()) for x in squares]

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from torch import Tensor
 
 import symo_exp
-from symo_exp.mechanics.space import Space, angle, quaternion
+from symo_exp.mechanics.space import Space, quaternion, rotation_vector
 
 FLAT = {13: 0, 22: 3}
 """Positions of a row of the pendulum (R, ω, u) and of the quadrotor (x, R, v, ω, u)."""
@@ -155,8 +155,9 @@ def pendulum_errors(
     )
     path = model.rollout(turn[:, 0], w[:, 0], u)
     rate = (path.v - w)[:, 1:].square().sum(-1).mean(1) / 4
-    turned = angle(turn.unflatten(-1, (3, 3)), path.q.unflatten(-1, (3, 3)))[:, 1:]
-    return torch.stack((rate, turned.square().mean(1)), dim=1)
+    start, end = turn.unflatten(-1, (3, 3)), path.q.unflatten(-1, (3, 3))
+    turned = rotation_vector(start.mT @ end)[:, 1:].square().sum(-1)
+    return torch.stack((rate, turned.mean(1)), dim=1)
 
 
 def quadrotor_errors(
@@ -183,7 +184,8 @@ def quadrotor_errors(
         in_body = _in_body(now, velocity) - _in_body(turn[:, k], v[:, k])
         apart = (at[:, :3] - x[:, k], in_body, rate - w[:, k])
         squares = [y.square().mean(1) for y in apart]
-        errors.append(torch.stack((*squares, angle(turn[:, k], now).square()), dim=1))
+        turned = rotation_vector(turn[:, k].mT @ now).square().sum(-1)
+        errors.append(torch.stack((*squares, turned), dim=1))
     return torch.stack(errors).mean(0)
 
 
