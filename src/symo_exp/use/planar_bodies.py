@@ -119,12 +119,12 @@ def distance_from_rigid(links: PlanarLinks, coordinates: Coordinates) -> float:
     gravity, moments = _gravity_and_moments(learned, coordinates)
     heaviest = max(map(abs, learned.weights))
     found = 0.0
-    for j in range(learned.slides, learned.n):
+    for k in range(learned.slides, learned.n):
         if heaviest:
-            apart = abs(learned.weights[j] + gravity.conjugate() * moments[j])
+            apart = abs(learned.weights[k] + gravity.conjugate() * moments[k])
             found = max(found, apart / heaviest)
-        for k in range(learned.slides, j):
-            vector = _vector(learned, moments, k)
+        vector = _vector(learned, moments, k)
+        for j in range(k + 1, learned.n):
             apart = abs(learned.products[k][j] - vector.conjugate() * moments[j])
             found = max(found, apart / math.sqrt(learned.inertias[k] * learned.inertias[j]))
     return found if found > AGREEMENT else 0.0
