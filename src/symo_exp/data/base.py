@@ -14,7 +14,7 @@ from torch import Tensor
 
 from symo_exp.checks import one_of, real, whole_number
 from symo_exp.data.noise import add_noise
-from symo_exp.mechanics.space import FLAT, Space, space_of
+from symo_exp.mechanics.space import Space, space_of
 from symo_exp.mechanics.types import TrainingSamples, Trajectories, Trajectory
 from symo_exp.mechanics.windows import cut_windows
 
@@ -226,7 +226,7 @@ def stacked(trajectories: Sequence[Trajectory], nodes: int) -> Trajectories:
     return Trajectories(*(torch.stack([x[:nodes] for x in field]) for field in fields))
 
 
-def central_differences(q: Tensor, h: float, space: Space = FLAT) -> Tensor:
+def central_differences(q: Tensor, h: float, space: Space) -> Tensor:
     """Return ``(q_{k+1} − q_{k−1}) / 2h``, one-sided of second order at both ends.
 
     Of a rotation it is the mean of the body rates over both steps.

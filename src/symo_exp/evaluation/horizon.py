@@ -109,14 +109,9 @@ class Predictions:
         """Return the root mean square error over coordinates at each node, the start included."""
         return self._at_nodes(1.0).sqrt()
 
-    @property
-    def space(self) -> Space:
-        """The space of configurations."""
-        return space_of(self.q, self.v)
-
     def _at_nodes(self, units: Tensor | float) -> Tensor:
         """Return the mean squared error over coordinates at each node, the start included."""
-        error = _mean_squares(self.space, self.q_true, self.q, units)
+        error = _mean_squares(space_of(self.q, self.v), self.q_true, self.q, units)
         return error.where(self.q_true.isfinite().all(2), torch.nan)
 
     def rmse(

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.mechanics.types import Coordinates, Trajectories, Windows
+from symo_exp.mechanics.types import Coordinates, Trajectories
+from symo_exp.mechanics.windows import cut_windows
 from symo_exp.models.base import DynamicsModel
 
 CHUNK = 1024
@@ -87,7 +88,7 @@ def by_coordinate(
 def roll_out(model: DynamicsModel, truth: Lagrangian | None, true: Trajectories) -> Rollouts:
     """Return rollouts from node 1, the first with a predecessor, of all trajectories."""
     true = Trajectories(*(field.to(model.input_matrix) for field in true))
-    v0 = model.initial_velocity(_first_window(true))
+    v0 = model.initial_velocity(cut_windows(Trajectories(*(x[:, :3] for x in true)).each()))
     lost = ~v0.isfinite().all(1)
     path = model.rollout(true.q[:, 1], v0.masked_fill(lost[:, None], 0.0), true.u[:, 1:])
     if lost.any():  # no velocity was found to start with
@@ -104,15 +105,6 @@ def roll_out(model: DynamicsModel, truth: Lagrangian | None, true: Trajectories)
         energy_true=None if truth is None else along(truth.energy, q_true, v_true).cpu(),
         converged=path.converged.cpu(),
     )
-
-
-def _first_window(trajectories: Trajectories) -> Windows:
-    """Windows at nodes 0, 1, 2 of every trajectory."""
-    q, v, u = trajectories
-    return Windows(
-        q_prev=q[:, 0], q=q[:, 1], q_next=q[:, 2], v=v[:, 1], v_next=v[:, 2],
-        u_prev=u[:, 0], u=u[:, 1], u_next=u[:, 2],
-    )  # fmt: skip
 
 
 def along(function: Callable[..., Tensor], *paths: Float[Tensor, "b t n"]) -> Tensor:

@@ -51,7 +51,7 @@ def cells(runs: pd.DataFrame) -> pd.DataFrame:
     return found.reset_index()
 
 
-def last_compared(runs: pd.DataFrame, settings: str | None = None) -> Compared:
+def last_compared(runs: pd.DataFrame, settings: str | None) -> Compared:
     """Return the settings asked for or those of the last sweep, without any sweep of the last run.
 
     Sweeps without a finished run are passed over.

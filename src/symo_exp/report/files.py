@@ -13,9 +13,7 @@ WRITTEN = ".written"
 """The file beside a report that lists its files."""
 
 
-def write_report(
-    report: Report, out: Path, *, formats: Sequence[str], page: bool = True
-) -> list[Path]:
+def write_report(report: Report, out: Path, *, formats: Sequence[str], page: bool) -> list[Path]:
     """Write the files of a report below ``out``, replacing those of an earlier one.
 
     Files of the earlier one that this report lacks are deleted; no other files are.

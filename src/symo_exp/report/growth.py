@@ -45,14 +45,11 @@ def _grown(runs: pd.DataFrame) -> Iterator[tuple[tuple[str, str, float], pd.Data
     of = runs.assign(coordinates=runs.run_id.map(counts)).dropna(subset="coordinates")
     of = of[["system", "variant", "coordinates"]].drop_duplicates(["system", "variant"])
     found = found.merge(of, on=["system", "variant"])
-    found = found.assign(settings=found.variant.map(_without_system))
+    own = [[x for x in settings_of(one) if not x.startswith("system.")] for one in found.variant]
+    found = found.assign(settings=[", ".join(words) for words in own])
     for key, rows in found.groupby(["system", "settings", "n_traj"]):
         if rows.coordinates.nunique() > 1:
             yield key, rows
-
-
-def _without_system(variant: str) -> str:
-    return ", ".join(word for word in settings_of(variant) if not word.startswith("system."))
 
 
 def _table(key: str, title: str, rows: pd.DataFrame) -> ResultTable:

@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jinja2
 
@@ -63,16 +63,15 @@ def toggles(figures: Sequence[Figure]) -> dict[str, dict[str, str]]:
 
 
 def _held(figures: Sequence[Figure]) -> str:
-    specs = {figure.key: _spec(figure) for figure in figures}
+    specs = {
+        figure.key: declare(figure, interactive=True)
+        | {"usermeta": {"systems": [panel.system for panel in figure.panels]}}
+        for figure in figures
+    }
     # no time of writing: the same runs give the same bytes
     packed = gzip.compress(json.dumps(specs, separators=(",", ":")).encode(), mtime=0)
     themes = {theme: config(theme) for theme in ("light", "dark")}
     return json.dumps({"specs": base64.b64encode(packed).decode(), "themes": themes})
-
-
-def _spec(figure: Figure) -> dict[str, Any]:
-    systems = [panel.system for panel in figure.panels]
-    return declare(figure, interactive=True) | {"usermeta": {"systems": systems}}
 
 
 @functools.cache
