@@ -315,7 +315,11 @@ class Nodes:
             _check_turns(where, samples, self.coordinates)
         samples = turned(where, samples, self.coordinates)
         if not _equal(samples.t, h):
-            _check_steps(where, samples, h)
+            if samples.step > h * (1 + TIME_TOLERANCE):
+                raise ConfigError(
+                    f"{where} has a sample every {samples.step:.6g} s, and system.time_step={h:g} "
+                    f"may not be shorter; set system.time_step={samples.step:.3g} or more"
+                )
             samples = self._resampled(samples)
         if len(samples.t) < 3:
             raise ConfigError(
@@ -423,15 +427,6 @@ def lagging(samples: Samples, seconds: float) -> Samples:
 
 def _equal(t: np.ndarray, h: float) -> bool:
     return bool((np.abs(np.diff(t) - h) <= TIME_TOLERANCE * h).all())
-
-
-def _check_steps(where: str, samples: Samples, h: float) -> None:
-    usual = samples.step
-    if usual > h * (1 + TIME_TOLERANCE):
-        raise ConfigError(
-            f"{where} has a sample every {usual:.6g} s, and system.time_step={h:g} may not be "
-            f"shorter; set system.time_step={usual:.3g} or more"
-        )
 
 
 def _told_read(where: str, recordings: Sequence[Recording], parts: Parts) -> str:

@@ -149,7 +149,7 @@ def _panels(rows: pd.DataFrame, medians: pd.DataFrame) -> list[Panel]:
         parts.append(line.assign(method=baseline, integrator="", source="floor"))
     drawn = pd.concat(parts, ignore_index=True)
     for bound in ("low", "high"):
-        drawn[bound] = drawn[bound].where(drawn[bound].notna(), drawn.y)
+        drawn[bound] = drawn[bound].fillna(drawn.y)
     ticks = tuple(ERRORS.values())
     panels = [Panel("", "horizon [s]", "RMSE [rad, m]", drawn, ticks=ticks)]
     still = _baseline(medians, "constant_velocity")

@@ -119,11 +119,12 @@ def load_runs(
 
 def tidy(runs: Iterable[Row]) -> pd.DataFrame:
     """Return the table of runs, without those of other projects (no method or no system)."""
-    rows = [
-        {**about, "metric": metric, "value": value}
-        for about, measures in runs if about["method"] and about["system"]
-        for metric, value in _finished(about, measures).items()
-    ]  # fmt: skip
+    rows = []
+    for about, measures in runs:
+        if about["method"] and about["system"]:
+            found = measures if about["status"] == "FINISHED" else {}
+            values = (found or {"": math.nan}).items()
+            rows += [{**about, "metric": metric, "value": value} for metric, value in values]
     return _last_of_each(_typed(pd.DataFrame(rows, columns=COLUMNS[:-1])))
 
 
@@ -148,10 +149,6 @@ def local_folder(files: str) -> Path | None:
     if parts.scheme not in ("", "file") or not files:
         return None
     return Path(unquote(parts.path) if parts.scheme else files)
-
-
-def _finished(about: Mapping[str, Any], measures: Mapping[str, float]) -> Mapping[str, float]:
-    return measures if about["status"] == "FINISHED" and measures else {"": math.nan}
 
 
 def _in_store(store: Store, experiments: Sequence[str]) -> Iterator[Row]:

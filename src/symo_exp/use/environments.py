@@ -232,6 +232,11 @@ def environment(
     """
     if isinstance(subject, DynamicsModel):
         system = system or subject.system
+        if system is None:
+            raise ConfigError(
+                "the system of this model is not known: give it, environment(model, system=...)"
+            )
+        _require_same_sizes(subject, system)
         options = {"motion": _step_of(subject), **options}
     elif isinstance(subject, System):
         system = subject
@@ -240,12 +245,6 @@ def environment(
             f"environment({type(subject).__name__}): expected a system, or a model as "
             "symo_exp.load gives it"
         )
-    if system is None:
-        raise ConfigError(
-            "the system of this model is not known: give it, environment(model, system=...)"
-        )
-    if isinstance(subject, DynamicsModel):
-        _require_same_sizes(subject, system)
     if box is not None:
         system = dataclasses.replace(system, box=box)
     options = {"max_episode_steps": MAX_EPISODE_STEPS, **options}
