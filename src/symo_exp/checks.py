@@ -8,6 +8,9 @@ from numbers import Integral
 
 from symo_exp.errors import ConfigError
 
+MOST = 10**7
+"""Trajectories or steps of one that memory may hold."""
+
 
 def whole_number(key: str, value: object, *, low: int = 1, high: int | None = None) -> int:
     """Return ``value``; raise ``ConfigError`` unless it is an integer from ``low`` to ``high``."""

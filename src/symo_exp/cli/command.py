@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import yaml
 
 from symo_exp.errors import ConfigError, Refused
 from symo_exp.process import phases
 from symo_exp.shipped import CONF, SWEEPS
+
+if TYPE_CHECKING:
+    from hydra.core.override_parser.types import Override
 
 SWITCHES = (
     "-m --multirun", "-r --run", "--hydra-help", "--resolve", "-sc --shell-completion", "-h --help",
@@ -60,11 +61,7 @@ class Command:
         folder = self._given.config_dir
         self.folders = [] if folder is None else [Path(folder).absolute()]
         """The user's own configuration, which is added to ours."""
-        asks = self._given.shell_completion and any(w[:6] == "query=" for w in self.overrides)
-        if asks and "COMP_LINE" not in os.environ:
-            raise ConfigError("-sc query=... answers a shell that completes a line; leave it out")
-        for override in self.overrides:
-            _check_word(override)
+        self._parsed = _parsed(self.overrides)
 
     @property
     def runs(self) -> bool:
@@ -130,13 +127,13 @@ class Command:
 
         Hydra applies others when it chooses the file, where the setting may not exist.
         """
-        swept = {w.partition("=")[0] for w in self.overrides if "," in w}
-        words = []
-        for word in self.overrides:
-            key, _, value = word.partition("=")
-            group, dot, _ = key.partition(".")
-            per_job = dot and group in swept and value and not value.endswith(")")
-            words.append(f"{key}=choice({value})" if per_job else word)
+        swept = {one.key_or_group for one in self._parsed if one.is_sweep_override()}
+        words = list(self.overrides)
+        for place, one in enumerate(self._parsed):
+            group, dot, _ = one.key_or_group.partition(".")
+            single = not (one.is_delete() or one.is_sweep_override())
+            if dot and group in swept and single and (value := one.get_value_string()):
+                words[place] = f"{one.get_key_element()}=choice({value})"
         return words
 
 
@@ -155,27 +152,40 @@ def execute_all(commands: Sequence[Command]) -> list[int]:
     return codes
 
 
-def _check_word(override: str) -> None:
-    """Refuse an override without a value, and a group without a choice."""
-    if not override.strip("~ "):
-        raise ConfigError(f"{override!r} is not a setting with a value: write NAME=VALUE")
-    if "=" not in override and not override.startswith("~"):
-        mend = f"data.path={override}" if Path(override).exists() else f"{override}=..."
-        raise ConfigError(f"{override} is not a setting with a value: write {mend}")
-    group, _, value = override.removeprefix("~").partition("=")
-    if group.lstrip("+") == "hydra.mode" and value != "MULTIRUN":
-        raise ConfigError(f"{override} goes around the checks; leave it out: one run needs no -m")
-    if (override[0] == "~" or not _names(value)) and (CONF / group).is_dir():
-        raise ConfigError(f"{override} is not a choice; -h lists those of {group}")
+def _parsed(words: Sequence[str]) -> list[Override]:
+    """Return the overrides that words are, and refuse groups without a choice.
 
+    Raises:
+        ConfigError: For a word that is none, or whose meaning Hydra would tell in internal words.
+    """
+    if not words:
+        return []  # without the seconds of the import
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import OverrideParseException
 
-def _names(value: str) -> bool:
-    """Return whether a value may name files, and is no number, boolean or list without names."""
+    from symo_exp.cli.explain import explained, unknown_choice
+
     try:
-        found = json.loads(re.sub("-?(nan|inf)", "NaN", value.lower()))
-    except ValueError:
-        return True
-    return isinstance(found, list) and found != [] and all(isinstance(x, str) for x in found)
+        overrides = OverridesParser.create().parse_overrides(list(words))
+    except OverrideParseException as error:
+        raise explained(error) from error
+    for word, one in zip(words, overrides, strict=True):
+        group, names = one.key_or_group, one.value()
+        if not group:
+            raise ConfigError(f"{word} is not a setting with a value: write NAME=VALUE")
+        if group == "hydra.mode" and names != "MULTIRUN":
+            raise ConfigError(f"{word} goes around the checks; leave it out: one run needs no -m")
+        if group == "query" and "COMP_LINE" not in os.environ:
+            raise ConfigError(f"{word} answers a shell that completes a line; leave it out")
+        settings = isinstance(names, dict) and names
+        if one.is_sweep_override() or settings or not (CONF / group).is_dir():
+            continue
+        if one.is_add():
+            raise ConfigError(f"{word}: {group} has a choice already; leave out the +")
+        listed = names if group == "study" and isinstance(names, list) else [names]
+        if not listed or not all(isinstance(name, str) for name in listed):
+            raise unknown_choice(word, group)
+    return overrides
 
 
 def _listed_sweeps(file: Path) -> list[str]:

@@ -13,7 +13,7 @@ import scipy
 import torch
 from typing_extensions import Unpack, override
 
-from symo_exp.checks import whole_number
+from symo_exp.checks import MOST, whole_number
 from symo_exp.data.base import DataModule, DataOptions, Splits
 from symo_exp.data.cache import Cache
 from symo_exp.data.draws import Draws, Independent
@@ -85,13 +85,15 @@ class TrajectoryData(DataModule):
             )
         self.system = system
         counts = {
-            "train": whole_number("data.n_train_max", n_train_max),
-            "val": whole_number("data.n_val", n_val),
-            "test": whole_number("data.n_test", n_test),
-            "integration": whole_number("data.n_integration", n_integration),
+            "train": whole_number("data.n_train_max", n_train_max, high=MOST),
+            "val": whole_number("data.n_val", n_val, high=MOST),
+            "test": whole_number("data.n_test", n_test, high=MOST),
+            "integration": whole_number("data.n_integration", n_integration, high=MOST),
         }
-        self.n_steps = whole_number("data.n_steps", n_steps)
-        self.integration_steps = whole_number("data.integration_steps", integration_steps)
+        self.n_steps = whole_number("data.n_steps", n_steps, high=MOST)
+        self.integration_steps = whole_number(
+            "data.integration_steps", integration_steps, high=MOST
+        )
         self.solver = Solver() if solver is None else solver
         self.draws = Independent() if draws is None else draws
         if not callable(self.draws):

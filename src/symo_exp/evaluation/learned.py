@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.checks import whole_number
+from symo_exp.checks import MOST, whole_number
 from symo_exp.data.base import DataModule
 from symo_exp.evaluation import measures
 from symo_exp.evaluation.rollouts import along, state_columns
@@ -38,8 +38,8 @@ class LearnedQuantities:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        whole_number(f"study.{self.name}.steps", self.steps)
-        whole_number(f"study.{self.name}.count", self.count)
+        whole_number(f"study.{self.name}.steps", self.steps, high=MOST)
+        whole_number(f"study.{self.name}.count", self.count, high=MOST)
 
     @torch.no_grad()
     def __call__(

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from symo_exp.checks import real, whole_number
+from symo_exp.checks import MOST, real, whole_number
 from symo_exp.data.base import DataModule
 from symo_exp.evaluation import measures
 from symo_exp.evaluation.phase_space import log_volume
@@ -48,8 +48,8 @@ class Motion:
     truth: bool = True
 
     def __post_init__(self) -> None:
-        whole_number(f"study.{self.name}.steps", self.steps)
-        whole_number(f"study.{self.name}.count", self.count)
+        whole_number(f"study.{self.name}.steps", self.steps, high=MOST)
+        whole_number(f"study.{self.name}.count", self.count, high=MOST)
         real(f"study.{self.name}.period", self.period, above=0)
         real(f"study.{self.name}.amplitude", self.amplitude)
 

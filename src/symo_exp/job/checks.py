@@ -10,10 +10,9 @@ import math
 import os
 import tempfile
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, Union
+from typing import Any
 
 import typing_extensions
 from omegaconf import MISSING
@@ -34,13 +33,14 @@ LONGEST = 255
 """Bytes of the name of a folder, which file systems allow."""
 
 _INSTANTIATE_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
-_PLAIN = {
+_WANTED = {
     "int_type": "a whole number", "float_type": "a number", "bool_type": "true or false",
-    "string_type": "text", "none_required": "null", "mapping_type": "a mapping",
-    "dict_type": "a mapping", "callable_type": "a class (_target_)",
+    "string_type": "text", "none_required": "null", "dict_type": "a mapping",
+    "dataclass_type": "a mapping", "list_type": "a list", "tuple_type": "a list",
+    "iterable_type": "a list", "named_tuple_type": "a list or a mapping",
+    "callable_type": "a class (_target_)", "needs_python_object": "a class (_target_)",
 }  # fmt: skip
 """Pydantic's kinds of errors in the words of a command line."""
-_SCALARS = {bool, int, float, str, type(None), Literal}
 _STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
@@ -53,21 +53,6 @@ def check_settings(settings: Settings, known: Mapping[str, Any]) -> None:
     """
     code.add(settings.values["code"])
     _check_node(settings.values, known, settings.references)
-
-
-def check_finite(settings: Settings) -> None:
-    """Refuse numbers that are not finite and that no constructor has refused."""
-    for name, value in _numbers(settings.values):
-        if not (math.isfinite(value) or settings.is_reference(name)):
-            raise ConfigError(f"{name}={value}: expected a finite number")
-
-
-def _numbers(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
-    for key, value in node.items():
-        if isinstance(value, Mapping):
-            yield from _numbers(value, f"{prefix}{key}.")
-        elif isinstance(value, float):
-            yield f"{prefix}{key}", value
 
 
 def check_parts(settings: Settings, known: Mapping[str, Any]) -> None:
@@ -111,43 +96,42 @@ def _check_node(
                     _check_node(item, there, references, f"{name}.")
 
 
-def _not_taken(
-    key: str, node: Mapping[str, Any], hints: Mapping[str, Any], prefix: str
-) -> ConfigError:
-    """Return the error for a setting of a file that a class does not take.
-
-    A preset has settings of the choices that it makes, which the command line may replace.
-    """
-    others = [k for k in node if k not in hints and k not in _INSTANTIATE_KEYS]
-    mend = " ".join(f"~{prefix}{k}" for k in others if node[k] is not None)  # which Hydra deletes
-    close = did_you_mean([f"{prefix}{name}" for name in similar(key, hints)])
-    hint = f"; to leave out what it does not take: {mend}" if mend else ""
-    maker = node["_target_"]
-    return ConfigError(f"{prefix}{key} is set by a file, and {maker} does not take it{close}{hint}")
-
-
 def _check_value(name: str, value: Any, hint: Any) -> None:
     """Refuse a setting without a value, or with one that does not fit a type annotation."""
     if value == MISSING:
         raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{name}={value}: expected a finite number")
     if problem := _mismatch(value, hint):
         raise ConfigError(f"{name}={override_value(value)} has the wrong type: {problem}")
 
 
-def unknown_key(name: str, siblings: Mapping[str, Any], maker: str | None = None) -> ConfigError:
+def _not_taken(
+    key: str, node: Mapping[str, Any], hints: Mapping[str, Any], prefix: str
+) -> ConfigError:
+    """Return the error for a setting of a file, such as a preset, that a class does not take."""
+    others = [k for k in node if k not in hints and k not in _INSTANTIATE_KEYS]
+    mend = " ".join(f"~{prefix}{k}" for k in others if node[k] is not None)  # which Hydra deletes
+    hint = did_you_mean(key, hints, prefix)
+    hint += f"; to leave out what it does not take: {mend}" if mend else ""
+    told = f"{prefix}{key} is set by a file, and {node['_target_']} does not take it"
+    return ConfigError(f"{told}{hint}")
+
+
+def unknown_key(name: str, there: Mapping[str, Any], maker: str | None = None) -> ConfigError:
     """Return the error for a setting that does not exist, with the closest names.
 
     Args:
         name: The dotted name.
-        siblings: The settings that exist beside it.
+        there: The settings that exist beside it.
         maker: The class that has them, if it may take others than those in its file.
     """
     if name in MOVED:
         return ConfigError(f"{name} is not a setting any more; write {MOVED[name]}=...")
     parent, dot, leaf = name.rpartition(".")
-    there = {s: value for s, value in siblings.items() if not s.startswith("_")}
+    there = {key: value for key, value in there.items() if not key.startswith("_")}
     below = [f"{s}.{leaf}" for s, v in there.items() if isinstance(v, Mapping) and leaf in v]
-    hint = did_you_mean([f"{parent}{dot}{s}" for s in (*similar(leaf, there), *below)])
+    hint = did_you_mean(leaf, there, f"{parent}{dot}", below)
     if not hint:
         which = f"{parent} has" if parent else "there are"
         hint = f"; {which}: {', '.join(sorted(there)) or 'nothing that can be set'}"
@@ -156,14 +140,12 @@ def unknown_key(name: str, siblings: Mapping[str, Any], maker: str | None = None
     return ConfigError(f"{name} is not a setting{hint} (--cfg job shows all)")
 
 
-def did_you_mean(names: Sequence[str]) -> str:
-    """Return the end of a message that suggests names, nothing without any."""
-    return f"; did you mean {' or '.join(names)}?" if names else ""
-
-
-def similar(word: str, words: Iterable[str]) -> list[str]:
-    """Return up to two of the words, those that are most like a given one."""
-    return difflib.get_close_matches(word, list(words), n=2)
+def did_you_mean(
+    word: str, words: Iterable[str], prefix: str = "", others: Iterable[str] = ()
+) -> str:
+    """Return the end of a message that names the words most like one, and others."""
+    close = [*difflib.get_close_matches(word, list(words), n=2), *others]
+    return f"; did you mean {' or '.join(prefix + one for one in close)}?" if close else ""
 
 
 def _mismatch(value: Any, hint: Any) -> str:
@@ -171,46 +153,27 @@ def _mismatch(value: Any, hint: Any) -> str:
 
     The constructor checks what is inside a list or a mapping.
     """
-    if isinstance(value, Mapping | list):
-        kinds = _kinds(hint)
-        if kinds <= _SCALARS:
-            return "expected a scalar"
-        if isinstance(value, Mapping) or any(map(_may_be_list, kinds)):
-            return ""
-    adapter = _adapter(hint)
-    if adapter is None:  # a protocol or a dataclass
-        return "" if value is None else f"expected {getattr(hint, '__name__', hint)}"
+    if isinstance(value, Mapping) and "_target_" in value:
+        return ""  # what a class makes is unknown
     try:
-        adapter.validate_json(json.dumps(value))
+        _adapter(hint).validate_json(json.dumps(value))
     except ValidationError as error:
-        told = [_PLAIN.get(e["type"], e["msg"].partition("should be ")[2]) for e in error.errors()]
-        words = " or ".join(filter(None, dict.fromkeys(told))).replace("'", "")
-        return f"expected {words or getattr(hint, '__name__', hint)}"
-    return ""
-
-
-def _kinds(hint: Any) -> set[Any]:
-    """Return the classes of a type annotation without what is inside of them."""
-    origin = typing.get_origin(hint)
-    if origin in (Union, UnionType):
-        return set().union(*map(_kinds, typing.get_args(hint)))
-    if origin is Annotated:
-        return _kinds(typing.get_args(hint)[0])
-    return {origin or hint}
-
-
-def _may_be_list(kind: Any) -> bool:
-    if kind in (Any, object):
-        return True
-    return isinstance(kind, type) and kind is not str and issubclass(kind, Iterable)
+        found = error.errors()
+    else:
+        return ""
+    keys = value if isinstance(value, Mapping) else ()
+    if any(isinstance(at, int) or at in keys for one in found for at in one["loc"]):
+        return ""
+    told = [_WANTED.get(e["type"], e["msg"].removeprefix("Input should be ")) for e in found]
+    return f"expected {' or '.join(dict.fromkeys(told))}".replace("'", "")
 
 
 @functools.cache
-def _adapter(hint: Any) -> TypeAdapter[Any] | None:
+def _adapter(hint: Any) -> TypeAdapter[Any]:
     try:
         return TypeAdapter(hint, config=_STRICT)
-    except (PydanticUserError, SchemaError):
-        return None
+    except (PydanticUserError, SchemaError):  # a protocol or a dataclass
+        return TypeAdapter(Callable[..., Any] | None)
 
 
 def _parameters(target: Any, where: str) -> Mapping[str, Any]:

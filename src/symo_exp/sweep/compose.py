@@ -57,8 +57,8 @@ def expand(
         loader: Finds the choices that a pattern such as ``model=glob(*node)`` stands for.
 
     Raises:
-        ConfigError: If ``params`` are no mapping, a list of pairs has something else, or a value is
-            an interval.
+        ConfigError: If ``params`` are no mapping, a list of pairs has something else, a value is an
+            interval, or no choice fits a pattern.
     """
     if not isinstance(params, Mapping) or not all(isinstance(key, str) for key in params):
         told = f"hydra.sweeper.params={params}: expected settings with their values"
@@ -73,6 +73,8 @@ def expand(
         key = override.get_key_element()
         if override.is_sweep_override():
             axes[key,] = [[f"{key}={value}"] for value in override.sweep_string_iterator()]
+            if not axes[key,]:
+                raise ConfigError(f"{override.input_line}: no choice has such a name; -h lists all")
         else:
             axes[key,] = [[str(override.input_line)]]
     for key in params.keys() - single:

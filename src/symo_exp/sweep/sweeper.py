@@ -27,13 +27,7 @@ from symo_exp import code
 from symo_exp.cli.explain import BAD_INPUT, explained
 from symo_exp.errors import ConfigError, debugging, one_line
 from symo_exp.imports import first_import
-from symo_exp.job.checks import (
-    check_finite,
-    check_folder,
-    check_names,
-    check_parts,
-    check_settings,
-)
+from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
 from symo_exp.job.job import SWEEP, VARIED, changed_recordings, publish, spelled, typed
 from symo_exp.process import phases, stopping
 from symo_exp.runs.folder import DIED, LOG, RunFolder
@@ -198,7 +192,6 @@ class Sweep:
                 values = job.values
                 here = self._cluster.as_here(values) if self._cluster else values
                 parts = build(here, job.folder)
-                check_finite(job.settings)
                 if values["logger"] not in stores:
                     parts.tracker.check()
                     stores.append(values["logger"])

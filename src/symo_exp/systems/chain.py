@@ -41,7 +41,7 @@ class ChainPendulum(LagrangianSystem):
     box: Any = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        whole_number("system.links", self.links)
+        whole_number("system.links", self.links, high=1000)
         sides = {"q": (-pi / 2, pi / 2), "v": (-1.0, 1.0), "u": (-1.0, 1.0)}
         box = SamplingBox(**{name: (side,) * self.links for name, side in sides.items()})
         vars(self)["box"] = completed(self.box, box)
