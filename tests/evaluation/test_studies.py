@@ -176,8 +176,8 @@ def test_a_method_without_a_lagrangian_has_no_learned_quantities():
 @pytest.mark.parametrize(
     ("wrong", "wanted"),
     [
-        ({"steps": 0}, r"steps=0.*at least 1"),
-        ({"count": 0}, r"count=0.*at least 1"),
+        ({"steps": 0}, r"steps=0.*from 1 to"),
+        ({"count": 0}, r"count=0.*from 1 to"),
         ({"period": 0.0}, r"period=0\.0.*above 0"),
         ({"amplitude": math.inf}, r"amplitude=inf.*finite"),
     ],

@@ -69,7 +69,7 @@ def test_a_study_of_a_user_that_returns_no_finding_is_named(workplace, capsys):
 
 @pytest.mark.parametrize(
     ("word", "wanted"),
-    [("study=[forced,forcd]", "forced"), ("study=forced study.forced.steps=0", "at least 1"),
+    [("study=[forced,forcd]", "forced"), ("study=forced study.forced.steps=0", "from 1 to"),
      ("study=forced study.forced.step=3", "study.forced.step"),
      ("study=forced study.forced.period=long", "number"),
      ("study=forced study.forced._target_=os.system", "refused")],

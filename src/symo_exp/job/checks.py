@@ -97,13 +97,35 @@ def _check_node(
 
 
 def _check_value(name: str, value: Any, hint: Any) -> None:
-    """Refuse a setting without a value, or with one that does not fit a type annotation."""
+    """Refuse a setting without a value, or with one that does not fit a type annotation.
+
+    The constructor checks what is inside a list or a mapping.
+    """
     if value == MISSING:
         raise ConfigError(f"{name} has no value yet; give it one: {name}=...")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}={value}: expected a finite number")
-    if problem := _mismatch(value, hint):
-        raise ConfigError(f"{name}={override_value(value)} has the wrong type: {problem}")
+    keys = value if isinstance(value, Mapping) else ()
+    if "_target_" in keys:
+        return  # what a class makes is unknown
+    try:
+        _adapter(hint).validate_json(json.dumps(value))
+    except ValidationError as error:
+        found = error.errors()
+        if any(isinstance(at, int) or at in keys for one in found for at in one["loc"]):
+            return
+        told = [_WANTED.get(e["type"], e["msg"].removeprefix("Input should be ")) for e in found]
+        wanted = " or ".join(dict.fromkeys(told)).replace("'", "")
+        given = f"{name}={override_value(value)}"
+        raise ConfigError(f"{given} has the wrong type: expected {wanted}") from error
+
+
+@functools.cache
+def _adapter(hint: Any) -> TypeAdapter[Any]:
+    try:
+        return TypeAdapter(hint, config=_STRICT)
+    except (PydanticUserError, SchemaError):  # a protocol or a dataclass
+        return TypeAdapter(Callable[..., Any] | None)
 
 
 def _not_taken(
@@ -146,34 +168,6 @@ def did_you_mean(
     """Return the end of a message that names the words most like one, and others."""
     close = [*difflib.get_close_matches(word, list(words), n=2), *others]
     return f"; did you mean {' or '.join(prefix + one for one in close)}?" if close else ""
-
-
-def _mismatch(value: Any, hint: Any) -> str:
-    """Return what a type annotation expects of a value that does not fit it, else nothing.
-
-    The constructor checks what is inside a list or a mapping.
-    """
-    if isinstance(value, Mapping) and "_target_" in value:
-        return ""  # what a class makes is unknown
-    try:
-        _adapter(hint).validate_json(json.dumps(value))
-    except ValidationError as error:
-        found = error.errors()
-    else:
-        return ""
-    keys = value if isinstance(value, Mapping) else ()
-    if any(isinstance(at, int) or at in keys for one in found for at in one["loc"]):
-        return ""
-    told = [_WANTED.get(e["type"], e["msg"].removeprefix("Input should be ")) for e in found]
-    return f"expected {' or '.join(dict.fromkeys(told))}".replace("'", "")
-
-
-@functools.cache
-def _adapter(hint: Any) -> TypeAdapter[Any]:
-    try:
-        return TypeAdapter(hint, config=_STRICT)
-    except (PydanticUserError, SchemaError):  # a protocol or a dataclass
-        return TypeAdapter(Callable[..., Any] | None)
 
 
 def _parameters(target: Any, where: str) -> Mapping[str, Any]:
