@@ -178,7 +178,7 @@ def _parsed(words: Sequence[str]) -> list[Override]:
         if group == "query" and "COMP_LINE" not in os.environ:
             raise ConfigError(f"{word} answers a shell that completes a line; leave it out")
         settings = isinstance(names, dict) and names
-        if one.is_sweep_override() or settings or not (CONF / group).is_dir():
+        if one.is_sweep_override() or settings or not any((CONF / group).glob("*.yaml")):
             continue
         if one.is_add():
             raise ConfigError(f"{word}: {group} has a choice already; leave out the +")

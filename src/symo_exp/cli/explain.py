@@ -85,7 +85,7 @@ def unknown_choice(word: str, group: str, options: Iterable[str] = ()) -> Config
     """
     folder = CONF / group if group else SWEEPS
     options = options or sorted(choice.stem for choice in folder.glob("*.yaml"))
-    value = word.partition("=")[2] or word
+    value = word.partition("=")[2] if group else word
     told = f"{word} is not a choice; possible: {', '.join(options)}"
     return ConfigError(f"{told}{did_you_mean(value, options)}")
 

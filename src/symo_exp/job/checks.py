@@ -38,9 +38,9 @@ _WANTED = {
     "string_type": "text", "none_required": "null", "dict_type": "a mapping",
     "dataclass_type": "a mapping", "list_type": "a list", "tuple_type": "a list",
     "iterable_type": "a list", "named_tuple_type": "a list or a mapping",
-    "callable_type": "a class (_target_)", "needs_python_object": "a class (_target_)",
+    "callable_type": "a class (_target_)", "needs_python_object": "",
 }  # fmt: skip
-"""Pydantic's kinds of errors in the words of a command line."""
+"""Pydantic's kinds of errors in the words of a command line; that of any class has none."""
 _STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
@@ -114,10 +114,11 @@ def _check_value(name: str, value: Any, hint: Any) -> None:
         found = error.errors()
         if any(isinstance(at, int) or at in keys for one in found for at in one["loc"]):
             return
-        told = [_WANTED.get(e["type"], e["msg"].removeprefix("Input should be ")) for e in found]
-        wanted = " or ".join(dict.fromkeys(told)).replace("'", "")
+        kinds = [_WANTED.get(e["type"], e["msg"].removeprefix("Input should be ")) for e in found]
+        wanted = " or ".join(dict.fromkeys(filter(None, kinds))).replace("'", "")
         given = f"{name}={override_value(value)}"
-        raise ConfigError(f"{given} has the wrong type: expected {wanted}") from error
+        told = f"{given} has the wrong type: expected {wanted or 'a class (_target_)'}"
+        raise ConfigError(told) from error
 
 
 @functools.cache
