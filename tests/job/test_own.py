@@ -12,7 +12,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.job.recipe import build, perform
 from symo_exp.runs.folder import About
 from tests import pages
-from tests.jobs import job_of, refusal
+from tests.jobs import job_of, planned, refusal
 from tests.tiny import TINY
 
 FILES = {
@@ -226,3 +226,29 @@ def test_a_class_of_another_kind_is_refused(part, others, workplace):
     (workplace / part / "other.yaml").write_text(text)
     given = ["--config-dir", ".", "code=.", f"{part}=other", *others, *QUIET]
     assert f"{part} is Other: expected a symo_exp." in refusal(*given)
+
+
+@pytest.mark.parametrize(
+    ("module", "kind"), [("weighted_by_array", "np.ndarray"), ("weighted_by_one", "float | Tensor")]
+)
+def test_a_list_is_taken_by_a_class_that_can_make_an_array_of_it(module, kind, workplace):
+    (workplace / "objective").mkdir()
+    (workplace / f"{module}.py").write_text(f"""
+import numpy as np
+from torch import Tensor
+
+from symo_exp.models.objectives import PreconditionedResidual
+
+class Weighted(PreconditionedResidual):
+    def __init__(self, *, weights: {kind}) -> None:
+        self.weights = np.array(weights)
+""")
+    (workplace / "objective" / "weighted.yaml").write_text(
+        f"_target_: {module}.Weighted\nweights: [1.0, 2.0]\n"
+    )
+    given = ["--config-dir", ".", "code=.", "objective=weighted", "model=symo", *QUIET]
+    if kind == "np.ndarray":
+        with planned(*given) as (sweep, jobs):
+            sweep.check(jobs)
+    else:
+        assert "weights=[1.0, 2.0] has the wrong type: expected a number" in refusal(*given)
