@@ -354,33 +354,10 @@ class ChartExpansion(Expansion):
 
     def torques(self, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor) -> Torques:
         """Return the first derivatives, differentiable in all arguments and the parameters."""
-        return torques(self._controlled, self._space, base, u, q, v, self._at)
-
-
-def torques(
-    controlled: Controlled,
-    space: Space,
-    base: Tensor,
-    u: Tensor | None,
-    q: Tensor,
-    v: Tensor,
-    at: Expansion | None = None,
-) -> Torques:
-    """Return the first derivatives in the charts at ``base``, differentiable in all arguments.
-
-    Args:
-        controlled: ``ℒ`` and its controls.
-        space: The space.
-        base: Configurations at which the intervals start.
-        u: Controls.
-        q: ``φ``.
-        v: ``φ̇``.
-        at: ``ℒ`` around these points, if known.
-    """
-    chart = Chart.of(space, q)
-    point = space.turned(base, q, chart.rotations)
-    gradients = (at or controlled.lagrangian).gradients(point, matvec(chart.jacobian, v))
-    return _torques(controlled, chart, point, u, v, gradients)
+        chart = Chart.of(self._space, q)
+        point = self._space.turned(base, q, chart.rotations)
+        gradients = self._at.gradients(point, matvec(chart.jacobian, v))
+        return _torques(self._controlled, chart, point, u, v, gradients)
 
 
 def _torques(
