@@ -106,6 +106,21 @@ class Coordinates(NamedTuple):
         return (*self.flat, *(f"{name}_{entry}" for name in self.rotations for entry in ENTRIES))
 
 
+class Constant(NamedTuple):
+    """A physical constant of known equations.
+
+    Attributes:
+        value: A positive number, or the positive definite 4 x 4 pseudo-inertia of a body about the
+            ``origin``, float64.
+        unit: Its unit; that of the mass for a pseudo-inertia.
+        origin: The joint that a pseudo-inertia's centre of mass is counted from [m].
+    """
+
+    value: Tensor
+    unit: str
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
 class Windows(NamedTuple):
     """Samples of three consecutive nodes ``k-1, k, k+1``, one time step apart.
 

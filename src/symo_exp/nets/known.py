@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -23,7 +23,7 @@ from symo_exp.mechanics.lagrangian import (
     matvec,
 )
 from symo_exp.mechanics.space import Space
-from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.types import Constant, Coordinates
 from symo_exp.nets.affine import by_sample, repeated
 from symo_exp.nets.roles import mark
 
@@ -33,25 +33,6 @@ LEAST_REST = 0.2
 """Learned width of dry friction over the initial one, at least."""
 SHIFT, AGREEMENT = 1e-4, 1e-5
 """Change of the logarithm of a constant in the check of derivatives, and the error allowed."""
-
-
-class KnownConstant(Protocol):
-    """A constant of a system: a positive number or a positive definite 4 x 4 matrix."""
-
-    @property
-    def value(self) -> Tensor:
-        """The given value."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """Its unit."""
-        ...
-
-    @property
-    def origin(self) -> tuple[float, float, float]:
-        """Point that the centre of mass of a pseudo-inertia is relative to [m]."""
-        ...
 
 
 class KnownLagrangian(nn.Module, Lagrangian):
@@ -72,7 +53,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
         self, *, system: Any, fixed: Sequence[str] = (), coordinates: Coordinates | None = None
     ) -> None:
         super().__init__()
-        known: Mapping[str, KnownConstant] | None = getattr(system, "constants", None)
+        known: Mapping[str, Constant] | None = getattr(system, "constants", None)
         if known is None:
             raise ConfigError(
                 f"lagrangian=known: {type(system).__name__} has no known equations; give a system "
@@ -126,16 +107,13 @@ class KnownLagrangian(nn.Module, Lagrangian):
 
     @override
     def terms(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        if not by_sample():
-            found: tuple[Tensor, Tensor] = self.system.with_constants(self.constants()).terms(q)
-            return found
-        parameters = repeated(self.logarithms, q.shape[0]), repeated(self.factors, q.shape[0])
-        return torch.func.vmap(self._of_one)(*parameters, q)
+        mass, potential = self._by_system(lambda at, q: at.terms(q), q)
+        return mass, potential
 
     @override
     def gradients(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Gradients:
         if self._closed_form:
-            return Gradients(*self._in_closed_form(lambda at, q, v: at.gradients(q, v), q, v))
+            return Gradients(*self._by_system(lambda at, q, v: at.gradients(q, v), q, v))
         tracked = torch.is_grad_enabled()
         _, _, p, dq = self._around(q, v, tracked)
         return Gradients(dq, p) if tracked else Gradients(dq.detach(), p.detach())
@@ -143,7 +121,7 @@ class KnownLagrangian(nn.Module, Lagrangian):
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         if self._closed_form:
-            return Rates(*self._in_closed_form(lambda at, q, v: at.rates(q, v), q, v))
+            return Rates(*self._by_system(lambda at, q, v: at.rates(q, v), q, v))
         tracked = torch.is_grad_enabled()
         q_, mass, p, dq = self._around(q, v, tracked)
         with torch.enable_grad():
@@ -159,19 +137,20 @@ class KnownLagrangian(nn.Module, Lagrangian):
         twin = self.system.with_constants(self.constants())
         return KnownExpansion(self, twin.expand(q.detach(), v.detach()))
 
-    def _in_closed_form(
-        self, function: Callable[[Any, Tensor, Tensor], tuple[Tensor, ...]], q: Tensor, v: Tensor
+    def _by_system(
+        self, function: Callable[..., tuple[Tensor, ...]], *state: Tensor
     ) -> tuple[Tensor, ...]:
-        """Return what the system's own derivatives are with the present constants."""
+        """Return a function of the system with the present constants and of ``state``."""
         if not by_sample():
-            return function(self.system.with_constants(self.constants()), q, v)
+            return function(self.system.with_constants(self.constants()), *state)
 
-        def of_one(logarithms: Tensor, factors: Tensor, q: Tensor, v: Tensor) -> tuple[Tensor, ...]:
+        def of_one(logarithms: Tensor, factors: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
             twin = self.system.with_constants(self._values(logarithms, factors))
-            return tuple(x.squeeze(0) for x in function(twin, q.unsqueeze(0), v.unsqueeze(0)))
+            return tuple(x.squeeze(0) for x in function(twin, *(x.unsqueeze(0) for x in state)))
 
-        parameters = repeated(self.logarithms, q.shape[0]), repeated(self.factors, q.shape[0])
-        found: tuple[Tensor, ...] = torch.func.vmap(of_one)(*parameters, q, v)
+        batch = state[0].shape[0]
+        parameters = repeated(self.logarithms, batch), repeated(self.factors, batch)
+        found: tuple[Tensor, ...] = torch.func.vmap(of_one)(*parameters, *state)
         return found
 
     @torch.enable_grad()
@@ -183,12 +162,6 @@ class KnownLagrangian(nn.Module, Lagrangian):
         total = (0.5 * (v * p).sum(-1) - potential).sum() + 0.0 * q_.sum()
         (dq,) = torch.autograd.grad(total, q_, create_graph=tracked, retain_graph=True)
         return q_, mass, p, self.space.pull(q_, dq)
-
-    def _of_one(self, logarithms: Tensor, factors: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Return ``H`` and ``V`` of one sample with constants of its own."""
-        twin = self.system.with_constants(self._values(logarithms, factors))
-        mass, potential = twin.terms(q.unsqueeze(0))
-        return mass.squeeze(0), potential.squeeze(0)
 
     def _values(self, logarithms: Tensor, factors: Tensor) -> dict[str, Tensor]:
         found = {}

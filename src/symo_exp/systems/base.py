@@ -25,7 +25,7 @@ from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian, F
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian, Rates
 from symo_exp.mechanics.space import Space
-from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.types import Constant, Coordinates
 from symo_exp.systems import complex_step
 from symo_exp.systems.box import Range, SamplingBox
 from symo_exp.systems.box import checked as checked_box
@@ -47,21 +47,6 @@ class Skeleton(NamedTuple):
     links: tuple[tuple[int, int], ...]
     carts: tuple[int, ...] = ()
     reach: float = 1.0
-
-
-class Constant(NamedTuple):
-    """A physical constant of known equations.
-
-    Attributes:
-        value: A positive number, or the positive definite 4 x 4 pseudo-inertia of a body about the
-            ``origin``, float64.
-        unit: Its unit; that of the mass for a pseudo-inertia.
-        origin: The joint that a pseudo-inertia's centre of mass is counted from [m].
-    """
-
-    value: Tensor
-    unit: str
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Linkage(NamedTuple):

@@ -32,8 +32,8 @@ from symo_exp.mechanics.composites import BodiesExpansion, Composites
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Expansion, Gradients, Rates, matvec
 from symo_exp.mechanics.space import quaternion
-from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
+from symo_exp.mechanics.types import Constant, Coordinates
+from symo_exp.systems.base import VIEW, LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import Range, SamplingBox, completed
 from symo_exp.systems.complex_step import STEP
 from symo_exp.systems.scene import scene

@@ -16,8 +16,8 @@ from typing_extensions import override
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.bodies import Vector, pseudo_inertia
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian
-from symo_exp.mechanics.types import Coordinates
-from symo_exp.systems.base import VIEW, Constant, LagrangianSystem, Linkage, Skeleton
+from symo_exp.mechanics.types import Constant, Coordinates
+from symo_exp.systems.base import VIEW, LagrangianSystem, Linkage, Skeleton
 
 
 @dataclass(frozen=True, kw_only=True)
