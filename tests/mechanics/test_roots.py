@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from symo_exp.mechanics.implicit import attach_root
-from symo_exp.mechanics.roots import Broyden, Newton
+from symo_exp.mechanics.roots import Broyden, Newton, attach_root
 
 
 class At:

@@ -390,6 +390,21 @@ def newton_step(at: RootPoint) -> Float[Tensor, "batch n"]:
     return solve(at.jacobian(), -at.residual)
 
 
+def attach_root(
+    x: Float[Tensor, "batch n"],
+    residual: Float[Tensor, "batch n"],
+    jacobian: Float[Tensor, "batch n n"],
+) -> Float[Tensor, "batch n"]:
+    """Return the root ``x`` of ``g(x; θ) = 0`` as a differentiable function of ``θ``.
+
+    By the implicit function theorem (thesis theorem 5.2.1). ``x`` and ``jacobian = ∂g/∂x`` are
+    numbers; ``residual`` is ``g(x; θ)`` with a graph in ``θ``, ``x`` itself held fixed. The result,
+    ``x − J⁻¹ g(x; θ)``, has the value of the root (one Newton correction further) and the
+    derivative ``∂x/∂θ = −J⁻¹ ∂g/∂θ``; its backward pass solves with ``Jᵀ``, the corrected (5.24).
+    """
+    return x.detach() - solve(jacobian.detach(), residual)
+
+
 def rounding(x: Float[Tensor, "*batch k"], sizes: Sizes = None) -> Float[Tensor, "*batch k"]:
     """Return a bound on the effect of a few roundings of ``x``, in numbers of its order or one."""
     size = x.abs().clamp(min=1.0) if sizes is None else x.abs().maximum(column_sizes(sizes, x))

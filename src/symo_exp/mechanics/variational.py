@@ -24,9 +24,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.implicit import attach_root
 from symo_exp.mechanics.lagrangian import Expansion, Lagrangian
-from symo_exp.mechanics.roots import Root, RootFinder, Sizes
+from symo_exp.mechanics.roots import Root, RootFinder, Sizes, attach_root
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import FLAT, Space
 
