@@ -101,6 +101,18 @@ class Rule(ABC, Generic[P, S]):
         return True
 
 
+class RootRule(Rule[P, S]):
+    """Steps towards roots of ``g``.
+
+    Args:
+        tolerance: Bound on ``‖g‖₂ / √n`` of a row.
+        sizes: Units of the unknowns.
+    """
+
+    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
+        self.tolerance, self.sizes = tolerance, sizes
+
+
 @torch.no_grad()
 def iterate(problem: RowProblem[P], x: Tensor, rule: Rule[P, S], most: int) -> tuple[Tensor, P, S]:
     """Iterate from ``x`` until all rows are done, at most ``most`` times.
@@ -226,24 +238,16 @@ class Damped(NamedTuple):
     iterations: Int[Tensor, " batch"]
 
 
-class DampedNewton(Rule[R, Damped]):
-    """Newton's method with damping, convergence and failure of each row.
-
-    Args:
-        tolerance: Bound on ``‖g‖₂ / √n`` of a row.
-        sizes: Units of the unknowns.
-    """
+class DampedNewton(RootRule[R, Damped]):
+    """Newton's method with damping, convergence and failure of each row."""
 
     smallest_damping = 1 / 16
     """A row that asks for a smaller ``α`` is given up: it is near a singular Jacobian."""
 
-    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
-        self._tolerance, self._sizes = tolerance, sizes
-
     @override
     def start(self, x: Tensor, at: R) -> Damped:
         return Damped(
-            row_norm(at.residual, self._sizes),
+            row_norm(at.residual, self.sizes),
             torch.ones(len(x), dtype=x.dtype, device=x.device),
             torch.zeros(len(x), dtype=torch.bool, device=x.device),
             torch.zeros(len(x), dtype=torch.int64, device=x.device),
@@ -252,7 +256,7 @@ class DampedNewton(Rule[R, Damped]):
     @override
     def active(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
         # The first condition is written so that NaN stays active until it is given up.
-        active = ~(state.norm <= self._tolerance) & (state.damping >= self.smallest_damping)
+        active = ~(state.norm <= self.tolerance) & (state.damping >= self.smallest_damping)
         active &= ~state.settled
         return active, state
 
@@ -263,13 +267,13 @@ class DampedNewton(Rule[R, Damped]):
     @override
     def trial(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
         step = newton_step(at)
-        settled = (step.abs() <= rounding(x, self._sizes)).all(-1)
+        settled = (step.abs() <= rounding(x, self.sizes)).all(-1)
         return x + state.damping.unsqueeze(-1) * step, state._replace(settled=settled)
 
     @override
     def judge(self, active: Tensor, at: R, there: R, state: Damped) -> tuple[Tensor | None, Damped]:
-        norm, alpha = row_norm(there.residual, self._sizes), state.damping
-        bound = torch.clamp((1.0 - 1e-4 * alpha) * state.norm, min=self._tolerance)
+        norm, alpha = row_norm(there.residual, self.sizes), state.damping
+        bound = torch.clamp((1.0 - 1e-4 * alpha) * state.norm, min=self.tolerance)
         accepted = norm <= bound
         alpha = torch.where(accepted, (2.0 * alpha).clamp(max=1.0), 0.5 * alpha)
         norm = torch.where(accepted, norm, state.norm)
@@ -284,16 +288,8 @@ class JointState(NamedTuple):
     iterations: Int[Tensor, " batch"]
 
 
-class JointNewton(Rule[R, JointState]):
-    """Undamped Newton steps of all rows until all of them together have converged.
-
-    Args:
-        tolerance: Bound on ``‖g‖_F / √(B n)``.
-        sizes: Units of the unknowns.
-    """
-
-    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
-        self._tolerance, self._sizes = tolerance, sizes
+class JointNewton(RootRule[R, JointState]):
+    """Undamped Newton steps of all rows until ``‖g‖_F / √(B n)`` is within the tolerance."""
 
     @override
     def start(self, x: Tensor, at: R) -> JointState:
@@ -303,7 +299,7 @@ class JointNewton(Rule[R, JointState]):
 
     @override
     def active(self, x: Tensor, at: R, state: JointState) -> tuple[Tensor, JointState]:
-        return ~(state.norm <= self._tolerance), state
+        return ~(state.norm <= self.tolerance), state
 
     @override
     def trial(self, x: Tensor, at: R, state: JointState) -> tuple[Tensor, JointState]:
@@ -311,7 +307,7 @@ class JointNewton(Rule[R, JointState]):
 
     @override
     def judge(self, active: Tensor, at: R, there: R, state: JointState) -> tuple[None, JointState]:
-        norm = joint_norm(there.residual, self._sizes).expand(len(active))
+        norm = joint_norm(there.residual, self.sizes).expand(len(active))
         return None, JointState(norm, state.iterations + active)
 
 
@@ -345,26 +341,18 @@ class Secant(NamedTuple):
     iterations: Int[Tensor, " batch"]
 
 
-class SecantSteps(Rule[R, Secant]):
-    """Broyden's steps; rows that have converged are dropped at once.
-
-    Args:
-        tolerance: Bound on ``‖g‖₂ / √n`` of a row.
-        sizes: Units of the unknowns.
-    """
-
-    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
-        self._tolerance, self._sizes = tolerance, sizes
+class SecantSteps(RootRule[R, Secant]):
+    """Broyden's steps; rows that have converged are dropped at once."""
 
     @override
     def start(self, x: Tensor, at: R) -> Secant:
         counts = torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        norm = row_norm(at.residual, self._sizes)
+        norm = row_norm(at.residual, self.sizes)
         return Secant(norm, at.jacobian(), torch.zeros_like(x), counts)
 
     @override
     def active(self, x: Tensor, at: R, state: Secant) -> tuple[Tensor, Secant]:
-        return ~(state.norm <= self._tolerance), state
+        return ~(state.norm <= self.tolerance), state
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -381,7 +369,7 @@ class SecantSteps(Rule[R, Secant]):
         mismatch = there.residual - at.residual - matvec(secant, step)
         scale = step.square().sum(-1, keepdim=True).clamp(min=torch.finfo(step.dtype).tiny)
         secant = secant + mismatch.unsqueeze(-1) * (step / scale).unsqueeze(-2)
-        norm = row_norm(there.residual, self._sizes)
+        norm = row_norm(there.residual, self.sizes)
         return None, Secant(norm, secant, step, iterations + active)
 
 

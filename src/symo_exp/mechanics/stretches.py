@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.roots import Rule, Sizes, as_actions, relative, rounding
+from symo_exp.mechanics.roots import RootRule, Sizes, as_actions, relative, rounding
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import (
@@ -206,24 +206,18 @@ class StretchState(NamedTuple):
     """Rows in which a step was longer than the one before."""
 
 
-class StretchNewton(Rule[StretchPoint, StretchState]):
+class StretchNewton(RootRule[StretchPoint, StretchState]):
     """Undamped steps of Newton's method, dry friction by chords; rows that diverge are given up.
 
     A row diverges if a step is longer than the one before (the natural monotonicity test, Deuflhard
-    2011): what it would converge to later is a root far from the motion.
-
-    Args:
-        tolerance: Bound on ``‖g‖₂ / √k`` of a step.
-        sizes: Units of the coordinates.
+    2011): what it would converge to later is a root far from the motion. The tolerance bounds
+    ``‖g‖₂ / √k`` of each step.
     """
-
-    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
-        self._tolerance, self._sizes = tolerance, sizes
 
     def converged(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, " batch"]:
         """Return the rows that are roots, or as near to one as rounding allows."""
-        norm = at.norm(self._sizes)
-        return ~state.lost & ((norm <= self._tolerance) | (state.settled & norm.isfinite()))
+        norm = at.norm(self.sizes)
+        return ~state.lost & ((norm <= self.tolerance) | (state.settled & norm.isfinite()))
 
     @override
     def start(self, x: Tensor, at: StretchPoint) -> StretchState:
@@ -234,7 +228,7 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
     def active(
         self, x: Tensor, at: StretchPoint, state: StretchState
     ) -> tuple[Tensor, StretchState]:
-        return at.norm(self._sizes).isfinite() & ~state.lost & ~self.converged(at, state), state
+        return at.norm(self.sizes).isfinite() & ~state.lost & ~self.converged(at, state), state
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -246,8 +240,8 @@ class StretchNewton(Rule[StretchPoint, StretchState]):
     ) -> tuple[Tensor, StretchState]:
         step = at.newton_step(state.before)
         there = at.moved(x, step)
-        settled = (step.abs() <= at.resolution(x, self._sizes)).all(-1)
-        length = relative(step, self._sizes).norm(dim=-1)
+        settled = (step.abs() <= at.resolution(x, self.sizes)).all(-1)
+        length = relative(step, self.sizes).norm(dim=-1)
         grows = (length > state.length) & ~settled & ~self.converged(at, state)
         return there, StretchState(settled, at, length, state.lost | grows)
 
