@@ -33,8 +33,8 @@ logging.getLogger("torch._inductor.ir").setLevel(logging.ERROR)  # which solver 
 TYPICAL_ROWS = 128
 """Number of rows that the compiler optimises for if it is left open."""
 
-flatten, unflatten = pytree.tree_flatten, pytree.tree_unflatten
-"""Nested objects to their tensors and back."""
+unflatten = pytree.tree_unflatten
+"""Nested objects from their tensors: the inverse of ``flatten``."""
 
 
 class CompilerError(RuntimeError):
@@ -184,8 +184,18 @@ def lower(graph: torch.fx.GraphModule, example: Sequence[Tensor]) -> Callable[..
         raise CompilerError(first_line(error)) from error
 
 
-def carry(kind: type[Rowwise]) -> None:
-    """Register a class with ``flatten``; attributes without tensors are kept as they are."""
+def flatten(tree: Any) -> tuple[list[Any], Any]:
+    """Return the tensors of nested objects, and their structure."""
+    _carry(Rowwise)
+    return pytree.tree_flatten(tree)
+
+
+def _carry(kind: type[Rowwise]) -> None:
+    """Register a class and those derived from it; attributes without tensors are kept as is."""
+    for derived in kind.__subclasses__():
+        _carry(derived)
+    if kind in pytree.SUPPORTED_NODES:
+        return
 
     def take_apart(x: Any) -> tuple[list[Any], Any]:
         given: dict[str, Any] = {}

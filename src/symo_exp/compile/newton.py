@@ -13,33 +13,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from symo_exp.compile.inductor import carry
 from symo_exp.compile.program import Program
 from symo_exp.compile.trainable import Trainable
-from symo_exp.mechanics.composites import BodiesExpansion, Composites
-from symo_exp.mechanics.dissipation import DissipativeExpansion
-from symo_exp.mechanics.lagrangian import AutodiffExpansion, solve
+from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding, row_norm
-from symo_exp.mechanics.scaled import ScaledExpansion
 from symo_exp.mechanics.types import Windows
-from symo_exp.mechanics.variational import DiscreteExpansion, MidpointExpansion, MomentumMatching
+from symo_exp.mechanics.variational import DiscreteExpansion, MomentumMatching
 from symo_exp.models.flows import VariationalFlow
 from symo_exp.models.objectives import NOTHING, RootError, Statistics
-from symo_exp.nets.known import KnownExpansion
-from symo_exp.nets.planar_links import PlanarExpansion
-from symo_exp.nets.springs import SprungExpansion
-from symo_exp.nets.structured_lagrangian import StructuredExpansion
-
-carry(AutodiffExpansion)
-carry(BodiesExpansion)
-carry(Composites)
-carry(DissipativeExpansion)
-carry(KnownExpansion)
-carry(MidpointExpansion)
-carry(PlanarExpansion)
-carry(ScaledExpansion)
-carry(SprungExpansion)
-carry(StructuredExpansion)
 
 
 class Iterate(NamedTuple):
