@@ -165,14 +165,8 @@ def sensitivity(
     """Return the standard deviation of rollouts from starts that are off by one unit.
 
     Each configuration is off by the unit ``ℓ`` of its coordinate and each velocity by
-    ``ℓ / START_TIME``, independently. Rollouts that diverge have zero.
-
-    Args:
-        flow: The flow.
-        q: Configurations to start from.
-        v: Velocities to start from.
-        u: Controls at all nodes.
-        middle: The rollouts of ``flow``.
+    ``ℓ / START_TIME``, independently. Rollouts that diverge have zero. The arguments are those of
+    ``spread``.
     """
     fit = Fit(flow, middle, u, torch.ones_like(middle), sizes=flow.sizes)
     slopes = absolute(fit.at(torch.cat((q, v), dim=1)).slopes, flow.sizes)
