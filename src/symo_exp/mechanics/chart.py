@@ -11,6 +11,7 @@ On flat coordinates ``J`` and ``exp`` are the identity.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -195,6 +196,7 @@ class ChartDerivatives(NamedTuple):
     """``∂(J φ̇)/∂φ``."""
 
 
+@dataclass(eq=False)
 class ChartLagrangian(Rowwise, Lagrangian):
     """``ℓ(φ, φ̇)`` at the Gauss points of intervals that start at ``q₀``.
 
@@ -206,18 +208,11 @@ class ChartLagrangian(Rowwise, Lagrangian):
         controls: Controls at both ends.
     """
 
-    parts = ("_controlled", "_space", "_basis", "_q0", "_controls")
-
-    def __init__(
-        self,
-        controlled: Controlled,
-        space: Space,
-        basis: Basis,
-        q0: Float[Tensor, "batch N"],
-        controls: Forces | None,
-    ) -> None:
-        self._controlled, self._space, self._basis = controlled, space, basis
-        self._q0, self._controls = q0, controls
+    _controlled: Controlled
+    _space: Space
+    _basis: Basis
+    _q0: Float[Tensor, "batch N"]
+    _controls: Forces | None
 
     @override
     def expand(self, q: Float[Tensor, "rows n"], v: Float[Tensor, "rows n"]) -> ChartExpansion:
@@ -237,6 +232,7 @@ class ChartLagrangian(Rowwise, Lagrangian):
         return self._space.point(at_points(self._basis, self._q0, None)[0], q)
 
 
+@dataclass(eq=False)
 class ChartExpansion(Expansion):
     """``ℓ`` around rows of Gauss points.
 
@@ -252,31 +248,20 @@ class ChartExpansion(Expansion):
         turned: ``exp(φ) M``.
     """
 
-    parts = ("_controlled", "_space", "_base", "_u", "_q", "_v", "_at", "values", "turned")
+    controlled: Controlled
+    space: Space
+    base: Tensor
+    u: Tensor | None
+    q: Tensor
+    v: Tensor
+    at: Expansion
+    values: Gradients
+    turned: Tensor
 
-    def __init__(
-        self,
-        controlled: Controlled,
-        space: Space,
-        base: Tensor,
-        u: Tensor | None,
-        q: Tensor,
-        v: Tensor,
-        at: Expansion,
-        values: Gradients,
-        turned: Tensor,
-    ) -> None:
-        self._controlled, self._space, self._base, self._u = controlled, space, base, u
-        self._q, self._v, self._at = q, v, at
-        self.values, self.turned = values, turned
-        self._chart: Chart | None = None
-
-    @property
+    @cached_property
     def chart(self) -> Chart:
         """The exponential map at the rows."""
-        if self._chart is None:
-            self._chart = Chart.of(self._space, self._q)
-        return self._chart
+        return Chart.of(self.space, self.q)
 
     @staticmethod
     @torch.no_grad()
@@ -289,21 +274,21 @@ class ChartExpansion(Expansion):
         at = controlled.lagrangian.expand(point, matvec(chart.jacobian, v))
         found = _torques(controlled, chart, point, u, v, at.values)
         expansion = ChartExpansion(controlled, space, base, u, q, v, at, *found)
-        expansion._chart = chart
+        expansion.chart = chart
         return expansion
 
     @property
     def dissipates(self) -> bool:  # type: ignore[override]
         """True if there is a dissipative force."""
-        return self._at.dissipates
+        return self.at.dissipates
 
     @override
     def mass(self) -> Tensor:
-        return self.chart.jacobian.mT @ self._at.mass() @ self.chart.jacobian
+        return self.chart.jacobian.mT @ self.at.mass() @ self.chart.jacobian
 
     @override
     def damping(self) -> Tensor:
-        return self.chart.jacobian.mT @ self._at.damping() @ self.chart.jacobian
+        return self.chart.jacobian.mT @ self.at.damping() @ self.chart.jacobian
 
     @override
     def curvature(self, before: Expansion | None = None) -> Curvature:
@@ -312,52 +297,52 @@ class ChartExpansion(Expansion):
 
     def derivatives(self, before: ChartExpansion | None = None) -> ChartDerivatives:
         """Return the derivatives of ``ℓ_φ``, ``ℓ_φ̇`` and ``exp(φ) M``."""
-        chart, p = self.chart, self._at.values.v
-        turning, rate = chart.jacobian, chart.rate_slope(self._v)
-        along = self._at.curvature(None if before is None else before._at)
+        chart, p = self.chart, self.at.values.v
+        turning, rate = chart.jacobian, chart.rate_slope(self.v)
+        along = self.at.curvature(None if before is None else before.at)
         moment, moment_q = self._moment(along.qq)
-        mass = self._at.mass()
+        mass = self.at.mass()
         by_q = moment_q @ turning + along.qv @ rate  # of M
         p_by_q = along.vq @ turning + mass @ rate
         p_by_v = mass @ turning
         m_by_v = along.qv @ turning
         lean = chart.momentum_slope(p)
         qq = turning.mT @ by_q + rate.mT @ p_by_q
-        qq = qq + chart.momentum_slope(moment) + chart.bend(p, self._v)
+        qq = qq + chart.momentum_slope(moment) + chart.bend(p, self.v)
         curvature = Curvature(
             qq, turning.mT @ p_by_q + lean, turning.mT @ m_by_v + rate.mT @ p_by_v + lean.mT
         )
-        blocks = self._space.blocks(cross(self._space.vectors(moment)), moment.shape[1], 0.0)
+        blocks = self.space.blocks(cross(self.space.vectors(moment)), moment.shape[1], 0.0)
         by_q = chart.turn @ (by_q - blocks @ turning)
         return ChartDerivatives(curvature, by_q, chart.turn @ m_by_v, moment_q, along.vq, rate)
 
     def by_turn(self, found: ChartDerivatives) -> Torques:
         """Return the derivatives of ``torques`` in turns of ``q₀``, (rows, n, n)."""
         chart, turning = self.chart, self.chart.jacobian
-        turns = chart.turn.mT * self._space.turns(self._v)  # in the axes at the points
+        turns = chart.turn.mT * self.space.turns(self.v)  # in the axes at the points
         moment_q, p_q = found.moment_q @ turns, found.momentum_q @ turns
         by_q = turning.mT @ moment_q + found.rate_q.mT @ p_q
         return Torques(Gradients(by_q, turning.mT @ p_q), chart.turn @ moment_q)
 
     def _moment(self, by_q: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``M`` with the controls, and its derivative along the configuration."""
-        moment = self._at.values.q
-        if self._u is None:
+        moment = self.at.values.q
+        if self.u is None:
             return moment, by_q
-        point = self._space.turned(self._base, self._q, self.chart.rotations)
-        slope = control_slope(self._controlled, self._space, point, self._u)
-        return moment + self._controlled.force(point, self._u).detach(), by_q + slope
+        point = self.space.turned(self.base, self.q, self.chart.rotations)
+        slope = control_slope(self.controlled, self.space, point, self.u)
+        return moment + self.controlled.force(point, self.u).detach(), by_q + slope
 
     @override
     def gradients(self, q: Tensor, v: Tensor) -> Gradients:
-        return self.torques(self._base, self._u, q, v).gradients
+        return self.torques(self.base, self.u, q, v).gradients
 
     def torques(self, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor) -> Torques:
         """Return the first derivatives, differentiable in all arguments and the parameters."""
-        chart = Chart.of(self._space, q)
-        point = self._space.turned(base, q, chart.rotations)
-        gradients = self._at.gradients(point, matvec(chart.jacobian, v))
-        return _torques(self._controlled, chart, point, u, v, gradients)
+        chart = Chart.of(self.space, q)
+        point = self.space.turned(base, q, chart.rotations)
+        gradients = self.at.gradients(point, matvec(chart.jacobian, v))
+        return _torques(self.controlled, chart, point, u, v, gradients)
 
 
 def _torques(

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -165,6 +166,7 @@ class Galerkin(VariationalIntegrator):
         return first, last
 
 
+@dataclass(eq=False)
 class InnerEquations(Rowwise):
     """The equations ``∂L_d/∂cⱼ + h Σᵢ bᵢ φⱼ F = 0`` of the inner coefficients ``c``.
 
@@ -177,36 +179,28 @@ class InnerEquations(Rowwise):
         forces: The generalised force over the interval.
     """
 
-    parts = ("_basis", "_lagrangian", "_q0", "_q1", "_h", "_forces")
-
-    def __init__(
-        self,
-        basis: Basis,
-        lagrangian: Lagrangian,
-        q0: Tensor,
-        q1: Tensor,
-        h: float,
-        forces: Forces | None,
-    ) -> None:
-        self._basis, self._lagrangian = basis, lagrangian
-        self._q0, self._q1, self._h, self._forces = q0, q1, h, forces
+    basis: Basis
+    lagrangian: Lagrangian
+    q0: Tensor
+    q1: Tensor
+    h: float
+    forces: Forces | None
 
     def at(self, x: Float[Tensor, "batch inner*n"]) -> InnerPoint:
         """Evaluate the equations."""
-        c = _blocks(x, *self._q0.shape).contiguous()
+        c = _blocks(x, *self.q0.shape).contiguous()
         expansion = GalerkinExpansion.of(
-            self._basis, self._lagrangian, self._q0, self._q1, c, self._h, self._forces
+            self.basis, self.lagrangian, self.q0, self.q1, c, self.h, self.forces
         )
-        return InnerPoint(expansion, self._q1 - self._q0)
+        return InnerPoint(expansion, self.q1 - self.q0)
 
 
+@dataclass(eq=False)
 class InnerPoint(Rowwise):
     """The equations of the inner coefficients at one batch of them."""
 
-    parts = ("expansion", "_displacement")
-
-    def __init__(self, expansion: GalerkinExpansion, displacement: Tensor) -> None:
-        self.expansion, self._displacement = expansion, displacement
+    expansion: GalerkinExpansion
+    displacement: Tensor
 
     @property
     def residual(self) -> Tensor:
@@ -225,7 +219,7 @@ class InnerPoint(Rowwise):
     def reach(self, sizes: Sizes) -> Float[Tensor, " batch"]:
         """Return the size of the motion over the interval, in the units of the coordinates."""
         inner = relative(self.expansion.inner, sizes).abs().amax((0, -1))
-        return relative(self._displacement, sizes).abs().amax(-1) + inner
+        return relative(self.displacement, sizes).abs().amax(-1) + inner
 
 
 class Inner(NamedTuple):

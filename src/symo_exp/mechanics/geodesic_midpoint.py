@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -114,6 +115,7 @@ class _Middle(NamedTuple):
         return (0.5 * self.h) * vecmat(moment, self.chart.jacobian) + p
 
 
+@dataclass(eq=False)
 class GeodesicMidpointExpansion(DiscreteExpansion):
     """The midpoint rule around ``(q₀, q₁)``, in body axes of these.
 
@@ -129,34 +131,25 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
         values: The slot derivatives.
     """
 
-    parts = (
-        "_controlled", "_space", "_q0", "_x", "_h", "_controls", "_at", "_moment", "values",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        controlled: Controlled,
-        space: Space,
-        q0: Tensor,
-        x: Tensor,
-        h: float,
-        controls: Forces | None,
-        at: Expansion,
-        moment: Tensor,
-        values: Slots,
-    ) -> None:
-        self._controlled, self._space, self._q0, self._x, self._h = controlled, space, q0, x, h
-        self._controls, self._at, self._moment, self.values = controls, at, moment, values
+    controlled: Controlled
+    space: Space
+    q0: Tensor
+    x: Tensor
+    h: float
+    controls: Forces | None
+    at: Expansion
+    moment: Tensor
+    values: Slots
 
     @cached_property
     def middle(self) -> _Middle:
         """The middle of the intervals."""
-        return _Middle.of(self._space, self._q0, self._x, self._h)
+        return _Middle.of(self.space, self.q0, self.x, self.h)
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
-        middle = _Middle.of(self._space, q0, self._space.chart(q0, q1), self._h)
-        return middle.slots(self._controlled, forces, self._at)
+        middle = _Middle.of(self.space, q0, self.space.chart(q0, q1), self.h)
+        return middle.slots(self.controlled, forces, self.at)
 
     @override
     def d2d1(self) -> Tensor:
@@ -166,7 +159,7 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
     @torch.no_grad()
     def hessian(self, before: DiscreteExpansion | None = None) -> Tensor:
         assert before is None or isinstance(before, GeodesicMidpointExpansion)
-        middle, slopes = self.middle, self._slopes(None if before is None else before._at)
+        middle, slopes = self.middle, self._slopes(None if before is None else before.at)
         chart, inverse = middle.chart, middle.ends.inverse
         end = torch.stack(self._by_end(slopes))
         turns = chart.space.turns(middle.v)
@@ -180,14 +173,14 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
 
     def _slopes(self, before: Expansion | None) -> tuple[Curvature, Tensor, Tensor]:
         """Return the second derivatives of ``ℒ``, the inertia, and ``∂M/∂q``."""
-        curvature = self._at.curvature(before)
+        curvature = self.at.curvature(before)
         by_q = curvature.qq
-        if self._controls is not None:
-            start, end = self._controls
+        if self.controls is not None:
+            start, end = self.controls
             by_q = by_q + control_slope(
-                self._controlled, self._space, self.middle.q, 0.5 * (start + end)
+                self.controlled, self.space, self.middle.q, 0.5 * (start + end)
             )
-        return curvature, self._at.mass(), by_q
+        return curvature, self.at.mass(), by_q
 
     def _along(
         self,
@@ -212,8 +205,8 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
         turned = moment
         last = (0.5 * middle.h) * (chart.jacobian.mT @ moment) + vq @ moved + mass * rate
         if bend:
-            last = last + (0.25 * middle.h) * chart.momentum_slope(self._moment)
-            blocks = space.blocks(cross(space.vectors(self._moment)), n, 0.0)
+            last = last + (0.25 * middle.h) * chart.momentum_slope(self.moment)
+            blocks = space.blocks(cross(space.vectors(self.moment)), n, 0.0)
             turned = turned - blocks @ moved
         return last, middle.h * (chart.turn @ turned)
 
@@ -221,5 +214,5 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
         """Return ``∂D₁/∂δ`` and ``∂D₂/∂δ``."""
         middle, ends = self.middle, self.middle.ends
         last, turned = self._along(slopes, 0.5 * middle.chart.jacobian, 1.0 / middle.h, bend=True)
-        start_slope, end_slope = ends.slopes(middle.last(self._moment, self._at.values.v))
+        start_slope, end_slope = ends.slopes(middle.last(self.moment, self.at.values.v))
         return turned - ends.inverse @ last - start_slope, ends.inverse.mT @ last + end_slope

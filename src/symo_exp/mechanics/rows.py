@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 from torch import Tensor
 from typing_extensions import Self
 
 
+@dataclass(eq=False, repr=False)
 class Rowwise:
     """Base class of objects that can be taken apart and put together row by row.
 
-    The constructor must accept the attributes named in ``parts``, in order. Tensors among them,
-    nested tuples of tensors and other ``Rowwise`` objects have a row for each sample; everything
-    else is shared.
+    A dataclass consists of its fields. The constructor of another class must accept the attributes
+    named in ``parts``, in order. Tensors among them, nested tuples of tensors and other ``Rowwise``
+    objects have a row for each sample; everything else is shared.
     """
 
-    parts: ClassVar[tuple[str, ...]]
+    parts: ClassVar[tuple[str, ...]] = ()
 
     def rows(self, index: Tensor) -> Self:
         """Return the given rows."""
-        return type(self)(*[take_rows(getattr(self, name), index) for name in self.parts])
+        return type(self)(*[take_rows(getattr(self, name), index) for name in self._names()])
 
     def replace(self, index: Tensor, other: Self) -> Self:
         """Return this object with the given rows taken from ``other``."""
-        pairs = [(getattr(self, name), getattr(other, name)) for name in self.parts]
+        pairs = [(getattr(self, name), getattr(other, name)) for name in self._names()]
         return type(self)(*[put_rows(mine, index, new) for mine, new in pairs])
+
+    def _names(self) -> tuple[str, ...]:
+        return self.parts or tuple(field.name for field in fields(self))
 
 
 def take_rows(tree: Any, index: Tensor) -> Any:

@@ -10,6 +10,7 @@ Changes of rotations are along ``Space.retract``.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -31,6 +32,7 @@ FEW = 64
 """Rows up to which it costs more to select some than to continue with all."""
 
 
+@dataclass(eq=False)
 class StretchMatching(Rowwise):
     """The equations ``p_k + D₁L_d(q_k, q_{k+1}) + f⁻ = 0`` of all steps of a stretch.
 
@@ -43,46 +45,41 @@ class StretchMatching(Rowwise):
         forces: The generalised force over each step.
     """
 
-    parts = ("_discrete", "_q", "_p", "_forces")
-
-    def __init__(
-        self,
-        discrete: DiscreteLagrangian,
-        q: Float[Tensor, "batch N"],
-        p: Float[Tensor, "batch n"],
-        forces: Forces,
-    ) -> None:
-        self._discrete, self._q, self._p, self._forces = discrete, q, p, forces
+    discrete: DiscreteLagrangian
+    q: Float[Tensor, "batch N"]
+    p: Float[Tensor, "batch n"]
+    forces: Forces
 
     def start(self, path: Float[Tensor, "batch steps N"]) -> Float[Tensor, "batch unknowns"]:
         """Return the unknowns at an initial guess of the nodes."""
-        before = torch.cat((self._q.unsqueeze(1), path[:, :-1]), dim=1)
-        inner = self._discrete.integrator.unknowns(before.flatten(0, 1), path.flatten(0, 1))
-        inner = inner[:, self._p.shape[1] :].unflatten(0, path.shape[:2])
+        before = torch.cat((self.q.unsqueeze(1), path[:, :-1]), dim=1)
+        inner = self.discrete.integrator.unknowns(before.flatten(0, 1), path.flatten(0, 1))
+        inner = inner[:, self.p.shape[1] :].unflatten(0, path.shape[:2])
         return torch.cat((path, inner), dim=2).flatten(1)
 
     def nodes(self, x: Float[Tensor, "batch unknowns"]) -> Float[Tensor, "batch steps N"]:
         """Return the configurations among the unknowns."""
-        steps = self._forces.start.shape[1]
-        return x.unflatten(1, (steps, -1))[:, :, : self._q.shape[1]]
+        steps = self.forces.start.shape[1]
+        return x.unflatten(1, (steps, -1))[:, :, : self.q.shape[1]]
 
     def at(self, x: Float[Tensor, "batch unknowns"]) -> StretchPoint:
         """Evaluate the equations; the steps are the outermost part of a row index."""
-        batch, width = self._q.shape
-        steps, space = self._forces.start.shape[1], self._discrete.integrator.space
+        batch, width = self.q.shape
+        steps, space = self.forces.start.shape[1], self.discrete.integrator.space
         x = x.unflatten(1, (steps, -1)).transpose(0, 1).flatten(0, 1)
         ends, inner = x[:, :width], x[:, width:]
-        q = torch.cat((self._q, ends[:-batch]))
-        forces = Forces(*(f.transpose(0, 1).flatten(0, 1) for f in self._forces))
+        q = torch.cat((self.q, ends[:-batch]))
+        forces = Forces(*(f.transpose(0, 1).flatten(0, 1) for f in self.forces))
         unknowns = torch.cat((space.chart(q, ends), inner), dim=1) if space.rotations else x
-        at = self._discrete.expand_at(q, unknowns, forces)
-        f0, f1 = self._discrete.impulses(forces)
+        at = self.discrete.expand_at(q, unknowns, forces)
+        f0, f1 = self.discrete.impulses(forces)
         p = (at.values.d2 + f1).unflatten(0, (steps, batch))
-        before = torch.cat((self._p.unsqueeze(0), p[:-1]))
+        before = torch.cat((self.p.unsqueeze(0), p[:-1]))
         mismatch = at.mismatch(before.flatten(0, 1) + f0).unflatten(0, (steps, batch))
         return StretchPoint(at, mismatch.transpose(0, 1), p.transpose(0, 1), space)
 
 
+@dataclass(eq=False)
 class StretchPoint(Rowwise):
     """The equations of a stretch at one batch of candidates.
 
@@ -93,19 +90,15 @@ class StretchPoint(Rowwise):
         space: The space of configurations.
     """
 
-    def __init__(
-        self,
-        expansion: DiscreteExpansion,
-        mismatch: Float[Tensor, "batch steps k"],
-        p: Float[Tensor, "batch steps n"],
-        space: Space,
-    ) -> None:
-        self.expansion, self.mismatch, self.p, self._space = expansion, mismatch, p, space
+    expansion: DiscreteExpansion
+    mismatch: Float[Tensor, "batch steps k"]
+    p: Float[Tensor, "batch steps n"]
+    space: Space
 
     @override
     def rows(self, index: Tensor) -> StretchPoint:
         expansion = self.expansion.rows(self._steps(index))
-        return StretchPoint(expansion, self.mismatch[index], self.p[index], self._space)
+        return StretchPoint(expansion, self.mismatch[index], self.p[index], self.space)
 
     @override
     def replace(self, index: Tensor, other: StretchPoint) -> StretchPoint:
@@ -113,7 +106,7 @@ class StretchPoint(Rowwise):
             self.expansion.replace(self._steps(index), other.expansion),
             self.mismatch.index_copy(0, index, other.mismatch),
             self.p.index_copy(0, index, other.p),
-            self._space,
+            self.space,
         )
 
     def _steps(self, index: Tensor) -> Tensor:
@@ -135,22 +128,22 @@ class StretchPoint(Rowwise):
         self, x: Float[Tensor, "batch unknowns"], step: Float[Tensor, "batch changes"]
     ) -> Float[Tensor, "batch unknowns"]:
         """Return the unknowns after a step."""
-        if not self._space.rotations:
+        if not self.space.rotations:
             return x + step
-        (_, steps, n), width = self.p.shape, self._space.stored(self.p.shape[2])
+        (_, steps, n), width = self.p.shape, self.space.stored(self.p.shape[2])
         x, step = x.unflatten(1, (steps, -1)), step.unflatten(1, (steps, -1))
-        nodes = self._space.retract(x[:, :, :width], step[:, :, :n])
+        nodes = self.space.retract(x[:, :, :width], step[:, :, :n])
         return torch.cat((nodes, x[:, :, width:] + step[:, :, n:]), dim=2).flatten(1)
 
     def resolution(
         self, x: Float[Tensor, "batch unknowns"], sizes: Sizes
     ) -> Float[Tensor, "batch changes"]:
         """Return a bound on the effect of roundings of the unknowns on their changes."""
-        if not self._space.rotations:
+        if not self.space.rotations:
             return rounding(x, sizes)
-        n, width = self.p.shape[2], self._space.stored(self.p.shape[2])
+        n, width = self.p.shape[2], self.space.stored(self.p.shape[2])
         x = x.unflatten(1, (self.p.shape[1], -1))
-        flat = n - 3 * self._space.rotations
+        flat = n - 3 * self.space.rotations
         change = torch.cat((x[:, :, :flat], torch.zeros_like(x[:, :, flat:n])), dim=2)
         return rounding(torch.cat((change, x[:, :, width:]), dim=2).flatten(1), sizes)
 

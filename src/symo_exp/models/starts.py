@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -128,41 +129,35 @@ def closest_start(
     return starts[chosen, torch.arange(len(q), device=q.device)]
 
 
+@dataclass(eq=False)
 class Fit(Rowwise):
     """Least squares of rollouts over their initial states, in the charts at the first nodes.
 
     Errors are in the units of the coordinates.
     """
 
-    parts = ("_model", "_q", "_u", "_weight", "_space", "_sizes")
-
-    def __init__(
-        self,
-        model: RollsOut,
-        q: Tensor,
-        u: Tensor,
-        weight: Tensor,
-        space: Space = FLAT,
-        sizes: Sizes = None,
-    ) -> None:
-        self._model, self._q, self._u, self._weight = model, q, u, weight
-        self._space, self._sizes = space, sizes
+    model: RollsOut
+    q: Tensor
+    u: Tensor
+    weight: Tensor
+    space: Space = FLAT
+    sizes: Sizes = None
 
     def state(self, x: Float[Tensor, "batch unknowns"]) -> State:
         """Return the initial states."""
         place, v = x.chunk(2, dim=1)
-        base = self._q[:, 0].repeat(len(x) // len(self._q), 1)
-        return State(self._space.point(base, place), v)
+        base = self.q[:, 0].repeat(len(x) // len(self.q), 1)
+        return State(self.space.point(base, place), v)
 
     def at(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
         """Evaluate residuals and derivatives: closed forms, elsewhere differences of rollouts."""
         known = None
-        if isinstance(self._model, KnowsSlopes):
-            known = self._model.rollout_slopes(*self.state(x), self._u)
+        if isinstance(self.model, KnowsSlopes):
+            known = self.model.rollout_slopes(*self.state(x), self.u)
         if known is None:
             return self._by_differences(x)
-        path, slopes = (y.to(self._q) for y in known)
-        root, error = self._root(), self._space.difference(self._q, path)
+        path, slopes = (y.to(self.q) for y in known)
+        root, error = self._root(), self.space.difference(self.q, path)
         slopes = self._in_charts(slopes, x, error).flatten(1, 2)
         found = FitPoint(root * error.flatten(1), root.unsqueeze(-1) * slopes)
         lost = (~path.isfinite().flatten(1).all(1)).nonzero().squeeze(1)
@@ -173,36 +168,37 @@ class Fit(Rowwise):
     def _by_differences(self, x: Float[Tensor, "batch unknowns"]) -> FitPoint:
         """Evaluate residuals and their derivatives by central differences of rollouts."""
         batch, unknowns = x.shape
-        root, true = self._root(), self._space.origin(self._q)
-        beside = absolute(DIFFERENCE * torch.eye(unknowns).to(x), self._sizes)
+        root, true = self._root(), self.space.origin(self.q)
+        beside = absolute(DIFFERENCE * torch.eye(unknowns).to(x), self.sizes)
         shifts = torch.cat((torch.zeros_like(beside[:1]), beside, -beside))
         starts = (x + shifts[:, None]).flatten(0, 1)
-        path = self._model.rollout(*self.state(starts), self._u.repeat(len(shifts), 1, 1)).q
-        path = path.to(self._q).unflatten(0, (len(shifts), batch))
-        moved = self._space.chart(self._q.expand_as(path), path).flatten(2)
+        path = self.model.rollout(*self.state(starts), self.u.repeat(len(shifts), 1, 1)).q
+        path = path.to(self.q).unflatten(0, (len(shifts), batch))
+        moved = self.space.chart(self.q.expand_as(path), path).flatten(2)
         at, plus, minus = moved.split((1, unknowns, unknowns))
         slopes = ((plus - minus) / (2.0 * DIFFERENCE)).permute(1, 2, 0)
-        slopes = relative(slopes, self._sizes)
+        slopes = relative(slopes, self.sizes)
         error = (at[0].view_as(true) - true).flatten(1)
         return FitPoint(root * error, root.unsqueeze(-1) * slopes.nan_to_num(0.0, 0.0, 0.0))
 
     def _root(self) -> Float[Tensor, "batch errors"]:
         """Return the factors of errors, ``√w`` over the units of the coordinates."""
-        return relative(self._weight.sqrt(), self._sizes).flatten(1)
+        return relative(self.weight.sqrt(), self.sizes).flatten(1)
 
     def _in_charts(
         self, slopes: Float[Tensor, "batch nodes n 2n"], x: Tensor, error: Tensor
     ) -> Float[Tensor, "batch nodes n 2n"]:
         """Return derivatives along steps of rotations as those of ``error`` in ``x``."""
-        if not self._space.rotations:
+        if not self.space.rotations:
             return slopes
-        by_error = Ends.of(self._space, error.flatten(0, 1)).inverse
-        by_start = torch.linalg.inv(Ends.of(self._space, x.chunk(2, dim=1)[0]).inverse)
+        by_error = Ends.of(self.space, error.flatten(0, 1)).inverse
+        by_start = torch.linalg.inv(Ends.of(self.space, x.chunk(2, dim=1)[0]).inverse)
         place, v = slopes.chunk(2, dim=3)
         slopes = torch.cat((place @ by_start.unsqueeze(1), v), dim=3)
         return by_error.unflatten(0, error.shape[:2]) @ slopes
 
 
+@dataclass(eq=False)
 class FitPoint(Rowwise):
     """Residuals ``√w (q̂ − q) / ℓ`` (batch, r) and their derivatives (batch, r, 2n).
 
@@ -210,10 +206,8 @@ class FitPoint(Rowwise):
     derivatives are zero.
     """
 
-    parts = ("residual", "slopes")
-
-    def __init__(self, residual: Tensor, slopes: Tensor) -> None:
-        self.residual, self.slopes = residual, slopes
+    residual: Tensor
+    slopes: Tensor
 
     def cost(self) -> Float[Tensor, " batch"]:
         """Return the sum of squares, infinite if it is not a number."""
