@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.roots import Broyden
 from symo_exp.models.uncertainty import (
     START_TIME,
     ModelPosterior,
@@ -123,6 +124,17 @@ def test_an_error_goes_on_growing_beyond_its_last_node():
 
 def test_a_normal_variable_is_in_its_interval():
     assert quantile(0.9) == pytest.approx(1.6449, abs=1e-4)
+
+
+def test_an_interval_is_infinite_after_a_root_that_is_not_found():
+    model = with_posterior(1e-5)
+    model.flow.rollout_root = Broyden(tolerance=1e-13, max_iterations=1)
+    start = torch.tensor([[0.0], [0.3]]).double(), torch.tensor([[0.0], [400.0]]).double()
+    found, lost = model.rollout(*start, steps=6), torch.zeros(2, 7, dtype=torch.bool)
+    lost[:, 1:] = (~found.converged).cumsum(1) > 0
+    assert lost.any()
+    for bound in model.rollout_interval(*start, steps=6):
+        assert torch.equal(bound[..., 0].isinf(), lost)
 
 
 def test_an_invalid_level_is_refused():

@@ -159,7 +159,8 @@ class DynamicsModel(nn.Module):
             level: Probability at each node and coordinate.
 
         Returns:
-            ``lower`` and ``upper``, (B, T+1, n), or (T+1, n) from a single state.
+            ``lower`` and ``upper``, (B, T+1, n), or (T+1, n) from a single state; infinite after a
+            step whose root is not found.
         """
         if self.flow.space.rotations:
             raise ConfigError(
@@ -220,7 +221,10 @@ class DynamicsModel(nn.Module):
         return u[0] if given.single else u
 
     def initial_velocity(self, windows: Windows) -> Tensor:
-        """Return the velocity (samples, n) at node ``k`` with which a prediction starts."""
+        """Return the velocity (samples, n) at node ``k`` with which a prediction starts.
+
+        In evaluation, rows in which no motion between nodes is found are NaN.
+        """
         return self.flow.initial_velocity(windows)
 
     def predict(self, windows: Windows) -> Step:

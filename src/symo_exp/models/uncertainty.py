@@ -118,8 +118,10 @@ def interval(
         raise ConfigError(f"level={level}: expected a number between 0 and 1")
     mean = place(copy.deepcopy(flow).double(), posterior.parameters.mean)
     start = q.double(), v.double(), u.double()
-    middle = mean.rollout(*start).q
+    middle, _, converged = mean.rollout(*start)
     width = quantile(level) * variance(mean, posterior, *start, middle).sqrt()
+    lost = (~converged).cumsum(1) > 0
+    width[:, 1:] = width[:, 1:].masked_fill(lost.unsqueeze(2), torch.inf)
     return Interval((middle - width).to(q), (middle + width).to(q))
 
 
