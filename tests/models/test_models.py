@@ -1,6 +1,7 @@
 """The four methods: gradients against oracles and properties that all share."""
 
 import copy
+import dataclasses
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,9 @@ from torch.nn.utils import parameters_to_vector
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.explicit import RK4, ClassicalRK4, DormandPrince5
 from symo_exp.mechanics.lagrangian import Lagrangian
-from symo_exp.mechanics.roots import Newton
+from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.mechanics.types import Coordinates, Windows
+from symo_exp.mechanics.units import Units
 from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.flows import ExplicitFlow, VariationalFlow
 from symo_exp.models.objectives import PreconditionedResidual, Residual
@@ -439,3 +441,73 @@ def test_a_prediction_counts_as_found_only_from_a_motion_that_was_found(name):
         assert bool(found.all()) == all_found
         assert not model.predict(samples).converged[~found].any()
         assert model.predict(samples).converged[found].any()
+        assert torch.equal(model.initial_velocity(samples).isnan().any(1), ~found)
+
+
+ROOTS = {
+    "newton": Newton(tolerance=1e-11, max_iterations=50),
+    "broyden": Broyden(tolerance=1e-11, max_iterations=100),
+}
+
+
+@pytest.mark.parametrize(("dtype", "error"), [(torch.float64, 1e-9), (torch.float32, 2e-3)])
+@pytest.mark.parametrize("length", [1.0, 0.01])
+@pytest.mark.parametrize("root", ROOTS)
+@pytest.mark.parametrize("name", ["midpoint", "galerkin6"])
+@torch.no_grad()
+def test_light_machines_are_as_accurate_as_heavy_ones(name, root, length, dtype, error):
+    """Every pendulum of this length moves alike under torques in proportion to its inertia."""
+    v = torch.tensor([[0.0], [3.0], [-2.0]]).double() / length**0.5
+    q = torch.tensor([[0.3], [2.0], [0.001]]).double()
+    push = torch.arange(21).double().sin()[None, :, None].expand(3, -1, -1)
+    found = []
+    for mass in (1.0, 1e-9, 1e-4, 1e3):
+        system = dataclasses.replace(
+            instantiate(stated("pendulum")),
+            mass=mass,
+            length=length,
+            time_step=0.05 * length**0.5,
+        )
+        model = TrueVariational(
+            system,
+            integrator=variational_integrators()[name],
+            root=ROOTS[root],
+            **arguments_of(system),
+        ).to(dtype)
+        u = mass * length**2 * push
+        paths = model.rollout(q, v, u), model.for_evaluation().step(q, v, u[:, 3], u[:, 4])
+        assert all(path.converged.all() for path in paths)
+        found.append([path.q.double() for path in paths])
+    for one in found[1:]:
+        for mine, other in zip(one, found[0], strict=True):
+            torch.testing.assert_close(mine, other, atol=error, rtol=0.0)
+
+
+@pytest.mark.parametrize("units", [Units(1e-6, 1e-3, 1e-6), Units(1e3, 10.0, 1e3)])
+@pytest.mark.parametrize("name", ["midpoint", "galerkin6"])
+@torch.no_grad()
+def test_true_models_move_alike_in_any_units(name, units):
+    """A cartpole of micrometres or kilometres moves as one of metres does in its own units."""
+    paths, one = [], instantiate(stated("cartpole"))
+    q, v, u = one.points(5, seed=2)
+    for scale in (Units(), units):
+        system = dataclasses.replace(
+            one,
+            time_step=one.time_step * scale.time,
+            gravity=one.gravity * scale.size("m/s^2"),
+            mass_cart=one.mass_cart * scale.mass,
+            mass_pole=one.mass_pole * scale.mass,
+            half_length=one.half_length * scale.length,
+        )
+        coordinates = system.coordinates._replace(units=scale)
+        model = TrueVariational(
+            system,
+            integrator=variational_integrators()[name],
+            root=Newton(tolerance=1e-10, max_iterations=50),
+            **arguments_of(system) | {"coordinates": coordinates},
+        ).double()
+        sizes, push = coordinates.sizes, u[:, None].expand(-1, 21, -1) * scale.size("N")
+        path = model.rollout(q * sizes, v * sizes / scale.time, push)
+        assert path.converged.all()
+        paths.append(path.q / sizes)
+    torch.testing.assert_close(paths[1], paths[0], atol=1e-10, rtol=0.0)

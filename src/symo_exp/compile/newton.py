@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from symo_exp.compile.program import Program
 from symo_exp.compile.trainable import Trainable
 from symo_exp.mechanics.lagrangian import solve
-from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding, row_norm
+from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm, rounding
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, MomentumMatching
 from symo_exp.models.flows import VariationalFlow
@@ -67,9 +67,14 @@ def iterate_branch_free(
     at, together = problem.at(x), root.stopping == "batch"
     jacobian = at.jacobian()
     step = solve(jacobian, -at.residual)
-    norm = joint_norm if together else row_norm
-    length = norm(at.residual, root.sizes)
-    near = (length.expand(x.shape[0]) if together else length) <= root.tolerance
+    if together:
+        length = joint_norm(at.residual, root.sizes).expand(x.shape[0])
+    elif root.accuracy is None:
+        length = root.bounds.norm(at.residual)
+    else:  # the Jacobian before is known
+        near_by = jacobian if before is None else before.jacobian
+        length = root.bounds.norm(at.residual, solve(near_by, -at.residual))
+    near = length <= root.tolerance
     settled = (step.abs() <= rounding(x, root.sizes)).all(-1)
     last = torch.zeros_like(settled) if together else settled
     if before is None:
@@ -205,7 +210,7 @@ class VariationalAdvance:
         """
         problem, f1 = self._problem(q, p, u, u_next)
         before = iterate_branch_free(problem, self._root, x)
-        at = iterate_branch_free(problem, self._root, before.next)
+        at = iterate_branch_free(problem, self._root, before.next, before)
         found = at.near | before.last
         lost = ~(q.isfinite() & p.isfinite()).all(-1)
         q_next = at.x[:, : q.shape[1]].contiguous()

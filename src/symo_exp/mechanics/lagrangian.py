@@ -274,8 +274,8 @@ def _product(left: Tensor, right: Tensor) -> Tensor:
 
 
 def solve(
-    matrix: Float[Tensor, "batch n n"], vector: Float[Tensor, "batch n"]
-) -> Float[Tensor, "batch n"]:
+    matrix: Float[Tensor, "*batch n n"], vector: Float[Tensor, "*batch n"]
+) -> Float[Tensor, "*batch n"]:
     """Return ``A⁻¹ x`` for a batch; a singular matrix gives non-finite rows, not an exception."""
     return torch.linalg.solve_ex(matrix, vector.unsqueeze(-1))[0].squeeze(-1)
 

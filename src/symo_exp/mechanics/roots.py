@@ -45,6 +45,9 @@ class RootPoint(Point, Protocol):
         ...
 
 
+STALLED = 1e4
+"""Multiple of the accuracy within which a row that no step improves is a root: where inertias
+differ by many orders, rounding leaves no more."""
 Sizes = tuple[float, ...] | None
 """Units of coordinates [m; 1 of angles], which numbers near zero are relative to; ``None``: 1."""
 P = TypeVar("P", bound=Point)
@@ -101,16 +104,40 @@ class Rule(ABC, Generic[P, S]):
         return True
 
 
+class Bounds(NamedTuple):
+    """The bounds within which a row is a root.
+
+    Attributes:
+        tolerance: Bound on ``‖g‖₂ / √n``.
+        sizes: Units of the unknowns.
+        accuracy: Bound on the root mean square of the step that a root still asks for, in units of
+            the unknowns; ``None``: any step.
+    """
+
+    tolerance: float
+    sizes: Sizes = None
+    accuracy: float | None = None
+
+    def norm(
+        self, residual: Float[Tensor, "*batch n"], step: Float[Tensor, "*batch n"] | None = None
+    ) -> Float[Tensor, " *batch"]:
+        """Return ``‖g‖₂ / √n``, or more if the step is longer in relation to its bound."""
+        norm = row_norm(residual, self.sizes)
+        if self.accuracy is None or step is None:
+            return norm
+        length = relative(step, self.sizes).square().mean(-1).sqrt()
+        return norm.maximum(length * (self.tolerance / self.accuracy))
+
+
 class RootRule(Rule[P, S]):
     """Steps towards roots of ``g``.
 
     Args:
-        tolerance: Bound on ``‖g‖₂ / √n`` of a row.
-        sizes: Units of the unknowns.
+        bounds: Those of a root.
     """
 
-    def __init__(self, tolerance: float, sizes: Sizes = None) -> None:
-        self.tolerance, self.sizes = tolerance, sizes
+    def __init__(self, bounds: Bounds) -> None:
+        self.bounds = bounds
 
 
 @torch.no_grad()
@@ -173,6 +200,10 @@ class RootFinder(ABC):
 
     sizes: Sizes = None
     """Units of the unknowns ``x``; the norm is that of ``g`` times these, energy times time."""
+    accuracy: float | None = None
+    """Bound on the step that a root still asks for, in these units; ``None``: any step.
+
+    The residual of a light machine is small even far from its root."""
 
     def __init__(self, *, tolerance: float, max_iterations: int) -> None:
         if not tolerance > 0.0:
@@ -180,6 +211,11 @@ class RootFinder(ABC):
         if max_iterations < 1:
             raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
         self.tolerance, self.max_iterations = tolerance, max_iterations
+
+    @property
+    def bounds(self) -> Bounds:
+        """The bounds within which a row is a root."""
+        return Bounds(self.tolerance, self.sizes, self.accuracy)
 
     @abstractmethod
     def solve(self, problem: RowProblem[R], x: Float[Tensor, "batch n"]) -> Root[R]:
@@ -216,14 +252,16 @@ class Newton(RootFinder):
     @override
     def solve(self, problem: RowProblem[R], x: Tensor) -> Root[R]:
         if self.stopping == "batch":
-            joint: JointNewton[R] = JointNewton(self.tolerance, self.sizes)
+            joint: JointNewton[R] = JointNewton(self.bounds)
             x, at, common = iterate(problem, x, joint, self.max_iterations)
             near = row_norm(at.residual, self.sizes) <= self.tolerance
             converged = near | (common.norm <= self.tolerance)
             return Root(x, converged, common.iterations, at)
-        damped: DampedNewton[R] = DampedNewton(self.tolerance, self.sizes)
+        damped: DampedNewton[R] = DampedNewton(self.bounds)
         x, at, state = iterate(problem, x, damped, self.max_iterations)
-        converged = (state.norm <= self.tolerance) | state.settled
+        near = row_norm(at.residual, self.sizes) <= self.tolerance
+        near &= state.norm <= STALLED * self.tolerance
+        converged = near | state.settled
         return Root(x, converged, state.iterations, at)
 
 
@@ -231,6 +269,8 @@ class Damped(NamedTuple):
     """State of ``DampedNewton``."""
 
     norm: Float[Tensor, " batch"]
+    """``‖g‖``, or more where the step that it asks for is longer than the accuracy."""
+    jacobian: Float[Tensor, "batch n n"] | None
     damping: Float[Tensor, " batch"]
     """``α``."""
     settled: Bool[Tensor, " batch"]
@@ -246,8 +286,12 @@ class DampedNewton(RootRule[R, Damped]):
 
     @override
     def start(self, x: Tensor, at: R) -> Damped:
+        norm = self.bounds.norm(at.residual)
+        if self.bounds.accuracy is not None and bool((norm <= self.bounds.tolerance).any()):
+            norm = self.bounds.norm(at.residual, newton_step(at))
         return Damped(
-            row_norm(at.residual, self.sizes),
+            norm,
+            None,
             torch.ones(len(x), dtype=x.dtype, device=x.device),
             torch.zeros(len(x), dtype=torch.bool, device=x.device),
             torch.zeros(len(x), dtype=torch.int64, device=x.device),
@@ -256,7 +300,7 @@ class DampedNewton(RootRule[R, Damped]):
     @override
     def active(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
         # The first condition is written so that NaN stays active until it is given up.
-        active = ~(state.norm <= self.tolerance) & (state.damping >= self.smallest_damping)
+        active = ~(state.norm <= self.bounds.tolerance) & (state.damping >= self.smallest_damping)
         active &= ~state.settled
         return active, state
 
@@ -266,18 +310,26 @@ class DampedNewton(RootRule[R, Damped]):
 
     @override
     def trial(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
-        step = newton_step(at)
-        settled = (step.abs() <= rounding(x, self.sizes)).all(-1)
-        return x + state.damping.unsqueeze(-1) * step, state._replace(settled=settled)
+        jacobian = at.jacobian()
+        step = solve(jacobian, -at.residual)
+        settled = (step.abs() <= rounding(x, self.bounds.sizes)).all(-1)
+        state = state._replace(settled=settled)
+        if self.bounds.accuracy is not None:
+            state = state._replace(norm=self.bounds.norm(at.residual, step), jacobian=jacobian)
+        return x + state.damping.unsqueeze(-1) * step, state
 
     @override
     def judge(self, active: Tensor, at: R, there: R, state: Damped) -> tuple[Tensor | None, Damped]:
-        norm, alpha = row_norm(there.residual, self.sizes), state.damping
-        bound = torch.clamp((1.0 - 1e-4 * alpha) * state.norm, min=self.tolerance)
+        further = None
+        if state.jacobian is not None:
+            further = solve(state.jacobian, -there.residual)
+        norm, alpha = self.bounds.norm(there.residual, further), state.damping
+        bound = torch.clamp((1.0 - 1e-4 * alpha) * state.norm, min=self.bounds.tolerance)
         accepted = norm <= bound
         alpha = torch.where(accepted, (2.0 * alpha).clamp(max=1.0), 0.5 * alpha)
         norm = torch.where(accepted, norm, state.norm)
-        return accepted, Damped(norm, alpha, state.settled, state.iterations + active)
+        found = Damped(norm, None, alpha, state.settled, state.iterations + active)
+        return accepted, found
 
 
 class JointState(NamedTuple):
@@ -299,7 +351,7 @@ class JointNewton(RootRule[R, JointState]):
 
     @override
     def active(self, x: Tensor, at: R, state: JointState) -> tuple[Tensor, JointState]:
-        return ~(state.norm <= self.tolerance), state
+        return ~(state.norm <= self.bounds.tolerance), state
 
     @override
     def trial(self, x: Tensor, at: R, state: JointState) -> tuple[Tensor, JointState]:
@@ -307,7 +359,7 @@ class JointNewton(RootRule[R, JointState]):
 
     @override
     def judge(self, active: Tensor, at: R, there: R, state: JointState) -> tuple[None, JointState]:
-        norm = joint_norm(there.residual, self.sizes).expand(len(active))
+        norm = joint_norm(there.residual, self.bounds.sizes).expand(len(active))
         return None, JointState(norm, state.iterations + active)
 
 
@@ -315,7 +367,7 @@ class Broyden(RootFinder):
     """Broyden's method: Newton's Jacobian at the start, then rank-one secant updates.
 
     ``J⁺ = J + (Δg − J Δx) Δxᵀ / ‖Δx‖²`` (Broyden 1965). It converges superlinearly and evaluates
-    one Jacobian in all.
+    one Jacobian in all. A row whose step is lost in rounding has also converged.
 
     Args:
         tolerance: Bound on ``‖g‖₂ / √n`` of a row.
@@ -327,9 +379,10 @@ class Broyden(RootFinder):
 
     @override
     def solve(self, problem: RowProblem[R], x: Tensor) -> Root[R]:
-        rule: SecantSteps[R] = SecantSteps(self.tolerance, self.sizes)
+        rule: SecantSteps[R] = SecantSteps(self.bounds)
         x, at, state = iterate(problem, x, rule, self.max_iterations)
-        return Root(x, state.norm <= self.tolerance, state.iterations, at)
+        converged = (state.norm <= self.tolerance) | state.settled
+        return Root(x, converged, state.iterations, at)
 
 
 class Secant(NamedTuple):
@@ -338,6 +391,8 @@ class Secant(NamedTuple):
     norm: Float[Tensor, " batch"]
     jacobian: Float[Tensor, "batch n n"]
     step: Float[Tensor, "batch n"]
+    settled: Bool[Tensor, " batch"]
+    """Rows whose step is lost in rounding."""
     iterations: Int[Tensor, " batch"]
 
 
@@ -347,12 +402,12 @@ class SecantSteps(RootRule[R, Secant]):
     @override
     def start(self, x: Tensor, at: R) -> Secant:
         counts = torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        norm = row_norm(at.residual, self.sizes)
-        return Secant(norm, at.jacobian(), torch.zeros_like(x), counts)
+        jacobian, none = at.jacobian(), torch.zeros_like(counts, dtype=torch.bool)
+        return Secant(self._norm(at, jacobian), jacobian, torch.zeros_like(x), none, counts)
 
     @override
     def active(self, x: Tensor, at: R, state: Secant) -> tuple[Tensor, Secant]:
-        return ~(state.norm <= self.tolerance), state
+        return ~(state.norm <= self.bounds.tolerance) & ~state.settled, state
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -361,16 +416,21 @@ class SecantSteps(RootRule[R, Secant]):
     @override
     def trial(self, x: Tensor, at: R, state: Secant) -> tuple[Tensor, Secant]:
         step = solve(state.jacobian, -at.residual)
-        return x + step, state._replace(step=step)
+        settled = (step.abs() <= rounding(x, self.bounds.sizes)).all(-1)
+        return x + step, state._replace(step=step, settled=settled)
 
     @override
     def judge(self, active: Tensor, at: R, there: R, state: Secant) -> tuple[None, Secant]:
-        _, secant, step, iterations = state
+        _, secant, step, settled, iterations = state
         mismatch = there.residual - at.residual - matvec(secant, step)
         scale = step.square().sum(-1, keepdim=True).clamp(min=torch.finfo(step.dtype).tiny)
         secant = secant + mismatch.unsqueeze(-1) * (step / scale).unsqueeze(-2)
-        norm = row_norm(there.residual, self.sizes)
-        return None, Secant(norm, secant, step, iterations + active)
+        norm = self._norm(there, secant)
+        return None, Secant(norm, secant, step, settled, iterations + active)
+
+    def _norm(self, at: R, secant: Float[Tensor, "batch n n"]) -> Float[Tensor, " batch"]:
+        further = None if self.bounds.accuracy is None else solve(secant, -at.residual)
+        return self.bounds.norm(at.residual, further)
 
 
 def newton_step(at: RootPoint) -> Float[Tensor, "batch n"]:

@@ -18,7 +18,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.mechanics.roots import RootRule, Sizes, as_actions, relative, rounding
+from symo_exp.mechanics.lagrangian import solve
+from symo_exp.mechanics.roots import Bounds, RootRule, Sizes, relative, rounding
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.variational import (
@@ -114,15 +115,23 @@ class StretchPoint(Rowwise):
         batch, steps = self.p.shape[:2]
         return (torch.arange(steps, device=index.device)[:, None] * batch + index).flatten()
 
-    def norm(self, sizes: Sizes) -> Float[Tensor, " batch"]:
-        """Return the largest ``‖g‖₂ / √k`` of a step."""
-        return as_actions(self.mismatch, sizes).square().mean(-1).amax(-1).sqrt()
+    def norm(
+        self, bounds: Bounds, own: Float[Tensor, "batch steps k k"] | None = None
+    ) -> Float[Tensor, " batch"]:
+        """Return the largest norm of a step, given its Jacobian in its own unknowns."""
+        further = None if own is None else solve(own, -self.mismatch)
+        return bounds.norm(self.mismatch, further).amax(-1)
 
-    def newton_step(self, before: StretchPoint | None) -> Float[Tensor, "batch unknowns"]:
-        """Return the step of Newton's method; ``before`` is the previous iterate."""
-        batch, n = len(self.p), self.p.shape[2]
-        start = self.p.new_zeros(batch, 2 * n, 1)
-        return self._along(self.mismatch.unsqueeze(-1), start, before)[0].flatten(1)
+    def newton_step(
+        self, before: StretchPoint | None
+    ) -> tuple[Float[Tensor, "batch unknowns"], Float[Tensor, "batch steps k k"]]:
+        """Return the step of Newton's method, and the Jacobians of ``norm``.
+
+        ``before`` is the previous iterate.
+        """
+        start = self.p.new_zeros(len(self.p), 2 * self.p.shape[2], 1)
+        step, _, own = self._along(self.mismatch.unsqueeze(-1), start, before)
+        return step.flatten(1), own
 
     def moved(
         self, x: Float[Tensor, "batch unknowns"], step: Float[Tensor, "batch changes"]
@@ -153,16 +162,21 @@ class StretchPoint(Rowwise):
         """Return the derivatives of the nodes and of the last ``(q, p)``, given the first one's."""
         n = self.p.shape[2]
         none = self.mismatch.new_zeros(*self.mismatch.shape, start.shape[2])
-        moved, end = self._along(none, start, None)
+        moved, end, _ = self._along(none, start, None)
         return moved[:, :, :n], end
 
     def _along(
         self, mismatch: Tensor, start: Tensor, before: StretchPoint | None
-    ) -> tuple[Float[Tensor, "batch steps k columns"], Float[Tensor, "batch 2n columns"]]:
+    ) -> tuple[
+        Float[Tensor, "batch steps k columns"],
+        Float[Tensor, "batch 2n columns"],
+        Float[Tensor, "batch steps k k"],
+    ]:
         """Solve the linearised equations from node to node.
 
         Returns:
-            The changes of the unknowns, and that of the last ``(q, p)``.
+            The changes of the unknowns, that of the last ``(q, p)``, and the derivatives of the
+            equations of each step in its own unknowns.
         """
         (batch, steps, n), k = self.p.shape, self.mismatch.shape[2]
         w = self.expansion.hessian(None if before is None else before.expansion)
@@ -183,7 +197,8 @@ class StretchPoint(Rowwise):
         ):
             states.append(torch.baddbmm(added, step, states[-1]))
         moved = torch.baddbmm(shift, by_state, torch.cat(states[:-1]))
-        return moved.unflatten(0, (steps, batch)).transpose(0, 1), states[-1]
+        moved, own = (x.unflatten(0, (steps, batch)).transpose(0, 1) for x in (moved, own))
+        return moved, states[-1], own
 
 
 class StretchState(NamedTuple):
@@ -197,31 +212,37 @@ class StretchState(NamedTuple):
     """Of the previous step."""
     lost: Bool[Tensor, " batch"]
     """Rows in which a step was longer than the one before."""
+    own: Float[Tensor, "batch steps k k"] | None
+    """Derivatives of the equations of each step in its own unknowns, at the previous iterate."""
 
 
 class StretchNewton(RootRule[StretchPoint, StretchState]):
     """Undamped steps of Newton's method, dry friction by chords; rows that diverge are given up.
 
     A row diverges if a step is longer than the one before (the natural monotonicity test, Deuflhard
-    2011): what it would converge to later is a root far from the motion. The tolerance bounds
-    ``‖g‖₂ / √k`` of each step.
+    2011): what it would converge to later is a root far from the motion. The bounds are those of
+    each step.
     """
 
     def converged(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, " batch"]:
         """Return the rows that are roots, or as near to one as rounding allows."""
-        norm = at.norm(self.sizes)
-        return ~state.lost & ((norm <= self.tolerance) | (state.settled & norm.isfinite()))
+        norm = at.norm(self.bounds, state.own)
+        return ~state.lost & ((norm <= self.bounds.tolerance) | (state.settled & norm.isfinite()))
 
     @override
     def start(self, x: Tensor, at: StretchPoint) -> StretchState:
-        none = torch.zeros_like(x[:, 0], dtype=torch.bool)
-        return StretchState(none, None, torch.full_like(x[:, 0], torch.inf), none)
+        none, own = torch.zeros_like(x[:, 0], dtype=torch.bool), None
+        bounds = self.bounds
+        if bounds.accuracy is not None and bool((at.norm(bounds) <= bounds.tolerance).any()):
+            own = at.newton_step(None)[1]
+        return StretchState(none, None, torch.full_like(x[:, 0], torch.inf), none, own)
 
     @override
     def active(
         self, x: Tensor, at: StretchPoint, state: StretchState
     ) -> tuple[Tensor, StretchState]:
-        return at.norm(self.sizes).isfinite() & ~state.lost & ~self.converged(at, state), state
+        finite = at.norm(self.bounds).isfinite()
+        return finite & ~state.lost & ~self.converged(at, state), state
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -231,12 +252,13 @@ class StretchNewton(RootRule[StretchPoint, StretchState]):
     def trial(
         self, x: Tensor, at: StretchPoint, state: StretchState
     ) -> tuple[Tensor, StretchState]:
-        step = at.newton_step(state.before)
+        sizes = self.bounds.sizes
+        step, own = at.newton_step(state.before)
         there = at.moved(x, step)
-        settled = (step.abs() <= at.resolution(x, self.sizes)).all(-1)
-        length = relative(step, self.sizes).norm(dim=-1)
+        settled = (step.abs() <= at.resolution(x, sizes)).all(-1)
+        length = relative(step, sizes).norm(dim=-1)
         grows = (length > state.length) & ~settled & ~self.converged(at, state)
-        return there, StretchState(settled, at, length, state.lost | grows)
+        return there, StretchState(settled, at, length, state.lost | grows, own)
 
     @override
     def judge(

@@ -44,6 +44,8 @@ from symo_exp.nets.inputs import LearnedInputs
 
 Carried = tuple[Tensor, Tensor, Tensor]
 """The state ``(q, y)`` of a rollout at a node, and which rows have converged."""
+ACCURACY = 1e-11
+"""Bound on the error of a root in rollouts and in evaluation [unit of the coordinate]."""
 STRETCH, MOST_UPDATES = 10, 30
 """Steps that a rollout solves at once, and iterations after which they are left to single steps."""
 
@@ -99,7 +101,10 @@ class Flow(nn.Module, ABC):
 
     @abstractmethod
     def initial_velocity(self, windows: Windows) -> Float[Tensor, "samples n"]:
-        """Return the velocity at node ``k`` with which a prediction starts."""
+        """Return the velocity at node ``k`` with which a prediction starts.
+
+        In evaluation, rows in which no motion between nodes is found are NaN.
+        """
 
     def predict(self, windows: Windows) -> Step:
         """Return the one-step prediction of node ``k+1``, which all measures use."""
@@ -327,8 +332,9 @@ class VariationalFlow(Flow):
         instance("integrator", integrator, VariationalIntegrator)
         self.lagrangian, self.space = lagrangian, lagrangian.space
         self.integrator = on_space(integrator, self.space)
-        self.root, self.evaluation_root = root, evaluation_root or root
-        self.rollout_root = rollout_root or self.evaluation_root
+        self.root = root
+        self.evaluation_root = _accurate(evaluation_root or root)
+        self.rollout_root = _accurate(rollout_root or evaluation_root or root)
         self.inputs = input_matrix if isinstance(input_matrix, LearnedInputs) else None
         if isinstance(input_matrix, Tensor):
             given = input_matrix.to(torch.get_default_dtype())
@@ -410,7 +416,7 @@ class VariationalFlow(Flow):
         t = self.time_step * torch.arange(1, steps + 1).to(q)
         moved = t[:, None] * self.decode(q, p).unsqueeze(1)
         guess = self.space.retract(q.unsqueeze(1).expand(-1, steps, -1), moved)
-        rule = StretchNewton(self.rollout_root.tolerance, self.rollout_root.sizes)
+        rule = StretchNewton(self.rollout_root.bounds)
         x, at, state = iterate(problem, problem.start(guess), rule, MOST_UPDATES)
         return problem.nodes(x), at, rule.converged(at, state)
 
@@ -424,7 +430,11 @@ class VariationalFlow(Flow):
 
     @override
     def initial_velocity(self, windows: Windows) -> Tensor:
-        return self.decode(windows.q, self.momentum_before(windows))
+        before = self.expand_before(windows) if self.integrator.iterates else None
+        v = self.decode(windows.q, self.momentum_before(windows, before))
+        if before is None or before.found is None:
+            return v
+        return v.where(before.found.unsqueeze(1), torch.nan)
 
     @override
     def converged(self) -> VariationalFlow:
@@ -477,3 +487,10 @@ class VariationalFlow(Flow):
         """Return ``p_k = p⁺(q_{k−1}, q_k)``; ``at`` is the expansion of ``L_d`` there, if known."""
         forces = self.forces(windows.u_prev, windows.u)
         return self.discrete.momentum(windows.q_prev, windows.q, forces, at)
+
+
+def _accurate(root: RootFinder) -> RootFinder:
+    """Return the root finder with a bound on the error of roots, which light machines need."""
+    found = copy.copy(root)
+    found.accuracy = ACCURACY
+    return found

@@ -51,10 +51,12 @@ class FixedStep(nn.Module):
         forces, h = flow.forces(u, u_next), flow.time_step
         before, after = flow.discrete.impulses(forces)
         problem = flow.matching(q, flow.encode(q, v) + before, forces)
-        root = Newton(tolerance=flow.rollout_root.tolerance)  # row by row, whatever the rollout's
+        given = flow.rollout_root
+        root = Newton(tolerance=given.tolerance)  # row by row, whatever the rollout's
+        root.sizes, root.accuracy = given.sizes, given.accuracy
         at = iterate_branch_free(problem, root, problem.start(flow.space.retract(q, h * v)))
         for _ in range(self.iterations):
-            at = iterate_branch_free(problem, root, at.next)
+            at = iterate_branch_free(problem, root, at.next, at)
         q_next = flow.space.point(q, at.x[:, : v.shape[1]])
         return q_next, flow.decode(q_next, at.expansion.values.d2 + after), at.found
 
