@@ -119,8 +119,9 @@ class StretchPoint(Rowwise):
         self, bounds: Bounds, own: Float[Tensor, "batch steps k k"] | None = None
     ) -> Float[Tensor, " batch"]:
         """Return the largest norm of a step, given its Jacobian in its own unknowns."""
-        further = None if own is None else solve(own, -self.mismatch)
-        return bounds.norm(self.mismatch, further).amax(-1)
+        if own is None or bounds.accuracy is None:
+            return bounds.norm(self.mismatch).amax(-1)
+        return bounds.norm(self.mismatch, solve(own, -self.mismatch)).amax(-1)
 
     def newton_step(
         self, before: StretchPoint | None
@@ -226,8 +227,11 @@ class StretchNewton(RootRule[StretchPoint, StretchState]):
 
     def converged(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, " batch"]:
         """Return the rows that are roots, or as near to one as rounding allows."""
-        norm = at.norm(self.bounds, state.own)
-        return ~state.lost & ((norm <= self.bounds.tolerance) | (state.settled & norm.isfinite()))
+        norm = at.norm(self.bounds)
+        near = norm <= self.bounds.tolerance
+        if state.own is not None and near.any():
+            near = at.norm(self.bounds, state.own) <= self.bounds.tolerance
+        return ~state.lost & (near | (state.settled & norm.isfinite()))
 
     @override
     def start(self, x: Tensor, at: StretchPoint) -> StretchState:
@@ -257,7 +261,9 @@ class StretchNewton(RootRule[StretchPoint, StretchState]):
         there = at.moved(x, step)
         settled = (step.abs() <= at.resolution(x, sizes)).all(-1)
         length = relative(step, sizes).norm(dim=-1)
-        grows = (length > state.length) & ~settled & ~self.converged(at, state)
+        grows = (length > state.length) & ~settled
+        if grows.any():
+            grows &= ~self.converged(at, state)
         return there, StretchState(settled, at, length, state.lost | grows, own)
 
     @override
