@@ -12,7 +12,8 @@ import pytest
 import torch
 
 from symo_exp.data.draws import uniform
-from symo_exp.data.recorded import RecordedData, recorded_system
+from symo_exp.data.recorded import RecordedData, delayed, lagging, recorded_system
+from symo_exp.data.resample import Samples
 from symo_exp.data.simulate import generate
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
@@ -178,6 +179,26 @@ def test_the_only_motion_of_a_log_at_rest_is_no_failure_of_a_sensor(
 def test_missing_inputs_are_zero(table: pd.DataFrame, tmp_path: Path) -> None:
     data = recorded(stated("cartpole"), save(table.drop(columns="u_0"), tmp_path))
     assert (data.train.u == 0).all()
+
+
+@pytest.mark.parametrize(
+    "cut", [{}, {"leave_out": [[3.0, 3.4]]}, {"fold": [0, 3]}, {"seconds": 2.0, "val_seconds": 1.0}]
+)
+@pytest.mark.parametrize(("delay", "lag"), [(0.2, 0.0), (0.0, 0.4), (-0.2, 0.4)])
+def test_pieces_continue_the_inputs_before_them(
+    delay: float, lag: float, cut: dict, tmp_path: Path
+) -> None:
+    path, h = tmp_path / "mine.csv", 0.05
+    t = h * np.arange(240)
+    whole = Samples(t, np.exp(0.1 * t)[:, None], None, np.cos(3 * t)[:, None])
+    pd.DataFrame({"t": t, "q_a": whole.q[:, 0], "u_a": whole.u[:, 0]}).to_csv(path, index=False)
+    system = recorded_system(path, time_step=h, angular="none")
+    data = recorded(system, path, input_delay=delay, input_lag=lag, dtype="float64", **cut)
+    expected = lagging(delayed(whole, delay), lag).u
+    for part in ("train", "val", "test"):
+        for q, _, u in data.trajectories(part):
+            rows = np.abs(whole.q.T - q.numpy()).argmin(1)
+            np.testing.assert_allclose(u, expected[rows], atol=1e-9)
 
 
 def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -289,7 +289,8 @@ def _in_blocks(
             samples = one.samples.rows((clock >= low) & (clock <= high))
             low, high = np.interp([low, high], clock, one.samples.t - one.samples.t[0])
             name = f"{low:.4g} to {high:.4g} s"
-            blocks.append(Recording(f"{one.label}/{name}" if one.label else name, part, samples))
+            label = f"{one.label}/{name}" if one.label else name
+            blocks.append(one._replace(label=label, part=part, samples=samples))
         rest = float(clock[-1]) - span
         left = f" ({rest:.3g} s at rest are left out)" if rest > 0 else ""
         told.append(f"{span:.4g} s{left} in {rounds * len(PATTERN)} blocks of {size:.3g} s")

@@ -171,6 +171,13 @@ class RecordedData(DataModule):
         table = read_recordings(path, system, columns, time_unit)
         recordings: Sequence[Recording] = table.recordings
         notes = list(table.notes)
+        longest = max((one.samples.seconds for one in recordings), default=0.0)
+        delay = real("data.input_delay", input_delay, low=-longest, high=longest)  # else no input
+        lag = real("data.input_lag", input_lag, low=0.0, high=LONGEST_LAG)
+        if delay or lag:  # before they are cut: pieces continue the inputs before them
+            recordings = [
+                one._replace(whole=lagging(delayed(one.samples, delay), lag)) for one in recordings
+            ]
         if leave_out is not None:
             recordings = without(recordings, leave_out, h)
         named = {"train": train, "val": val, "test": test}
@@ -192,9 +199,6 @@ class RecordedData(DataModule):
             "data.n_traj", available if n_traj is None else n_traj, high=available
         )
         parts["train"] = parts["train"][:n_traj]
-        longest = max(float(np.ptp(one.samples.t)) for one in parts["train"])
-        delay = real("data.input_delay", input_delay, low=-longest, high=longest)  # else no input
-        lag = real("data.input_lag", input_lag, low=0.0, high=LONGEST_LAG)
         refuse_counts(where, space, list(itertools.chain(*parts.values())), degrees)
         if degrees:
             parts = {
@@ -202,7 +206,7 @@ class RecordedData(DataModule):
                 for name, part in parts.items()
             }
         self._coordinates = space
-        nodes = Nodes(where, space, h, wrapped, delay, lag)
+        nodes = Nodes(where, space, h, wrapped)
         found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
         rollouts = found["test"][:n_integration]
         shortest = min(len(t.q) for t in rollouts)
@@ -298,8 +302,6 @@ class Nodes:
     coordinates: Coordinates
     time_step: float
     wrapped: bool
-    input_delay: float
-    input_lag: float
 
     def of(self, recording: Recording) -> Trajectory:
         """Return one as a trajectory.
@@ -308,7 +310,7 @@ class Nodes:
             ConfigError: If angles are wrapped or samples too far apart.
         """
         where, h = f"{self.where}: {titled(recording.label)}", self.time_step
-        samples = lagging(delayed(recording.samples, self.input_delay), self.input_lag)
+        samples = recording.acting()
         if self.wrapped:
             samples = unwrapped(samples, self.coordinates)
         else:

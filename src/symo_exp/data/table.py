@@ -50,11 +50,20 @@ class Recording(NamedTuple):
         label: Its name.
         part: The split it belongs to, ``""`` where none is given.
         samples: The measured samples.
+        whole: The recording that it is a piece of, with inputs as they act; ``None``: as recorded.
     """
 
     label: str
     part: str
     samples: Samples
+    whole: Samples | None = None
+
+    def acting(self) -> Samples:
+        """Return the samples with inputs as they act."""
+        if self.whole is None:
+            return self.samples
+        rows = np.searchsorted(self.whole.t, self.samples.t)
+        return self.samples._replace(u=self.whole.u[rows])
 
 
 class RecordingTable(NamedTuple):
