@@ -17,7 +17,8 @@ from symo_exp.mechanics.units import Units
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.springs import LinearSprings
-from tests.models.methods import combinations, make, windows
+from symo_exp.use.export import FixedStep
+from tests.models.methods import combinations, make, make_small, windows
 from tests.systems.every import SYSTEMS
 from tests.tables import arguments_of
 
@@ -168,6 +169,20 @@ def test_a_variational_step_reports_roots_that_were_not_found(name, iterations, 
     assert not found.all()
     for mine, theirs in zip(state, model.step(*given), strict=False):
         torch.testing.assert_close(mine[found], theirs[found])
+
+
+@pytest.mark.parametrize("integrator", ["midpoint", "galerkin4"])
+def test_roots_are_judged_in_the_units_of_coordinates(integrator):
+    large, (small, sizes) = (build("symo", integrator, 2) for build in (make, make_small))
+    q, v, *inputs = states(large)
+    judged = []
+    for iterations in (1, 2, 3):
+        expected = FixedStep(large.flow, iterations)(q, v, *inputs)
+        found = FixedStep(small.flow, iterations)(sizes * q, sizes * v, *inputs)
+        torch.testing.assert_close(found[0] / sizes, expected[0])
+        torch.testing.assert_close(found[1] / sizes, expected[1])
+        judged += zip(found[2].tolist(), expected[2].tolist(), strict=True)
+    assert set(judged) == {(True, True), (False, False)}
 
 
 def test_the_known_equations_of_a_model_file_are_the_same_operations_for_any_batch():
