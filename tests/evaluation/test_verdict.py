@@ -39,4 +39,5 @@ def test_only_models_of_recordings_have_a_verdict():
         assert part in comparison(GOOD)
     coarse = {name: 1e4 * x for name, x in GOOD.items()}  # in mm, and ten times as large
     assert comparison(coarse) == "RMSE to 1 s 200 (constant velocity 10000, noise 10)"
+    assert comparison(coarse, "rad").startswith("RMSE to 1 s 200 rad (")
     assert comparison(GOOD | {"window_s": 0.12}).startswith("RMSE to 0.12 s 0.02")

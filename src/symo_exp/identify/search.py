@@ -303,14 +303,20 @@ class Search:
             bad = label.startswith("no")
             label = f"no model; {label if bad else 'hardly better than constant velocity'}"
         print(f"verdict on the test part: {label}")
-        if (beside := comparison(measures)) is not None:
+        beside = comparison(measures, self._unit)
+        if beside is not None:
             print(f"  {beside}")
         if "open_loop_rmse" in measures:
-            whole = measures["open_loop_rmse"]
-            print(f"  RMSE over whole test recordings, in open loop from their start: {whole:.2g}")
-        if failed or comparison(measures) is None:
+            whole = f"{measures['open_loop_rmse']:.2g} {self._unit}"
+            print(f"  RMSE over whole test recordings, in open loop from their start: {whole}")
+        if failed or beside is None:
             self._print_doubts()
         print(f'the model: symo_exp.load("{os.path.relpath(model)}")')
+
+    @property
+    def _unit(self) -> str:
+        """The unit of errors."""
+        return ", ".join(self._machine.coordinates.units_of_errors)
 
     def _print_doubts(self) -> None:
         for line in doubts(self._machine):
@@ -366,7 +372,7 @@ class Search:
 
     def _summary(self, trials: Sequence[Trial], best: Trial | None) -> None:
         """Print and keep the table of candidates."""
-        print(candidates_table(trials, best, self._plan.folds))
+        print(candidates_table(trials, best, self._plan.folds, self._unit))
         write_candidates(self._folder / CANDIDATES, trials, best)
 
 

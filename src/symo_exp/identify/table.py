@@ -12,8 +12,15 @@ from symo_exp.identify.validation import Trial, compared
 from symo_exp.sweep.table import aligned
 
 
-def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int) -> str:
-    """Return a row for each candidate, the chosen one marked; failures with their reasons."""
+def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int, unit: str) -> str:
+    """Return a row for each candidate, the chosen one marked; failures with their reasons.
+
+    Args:
+        trials: The candidates as they ended.
+        best: The chosen one.
+        folds: Number of folds.
+        unit: Unit of the errors.
+    """
     rows = [
         (
             f"{trial.candidate.name}{' *' if trial is best else ''}",
@@ -27,7 +34,7 @@ def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int) ->
     names, *columns = zip(("", "error", "folds", "parameters", "time"), *rows, strict=True)
     lines = aligned(names, columns)
     if best is not None:
-        lines.append("* chosen; error: geometric mean of those over several times [m, rad]")
+        lines.append(f"* chosen; error: geometric mean of those over several times [{unit}]")
     lines += [
         f"failed: {trial.candidate.name}: {reason}"
         for trial in trials

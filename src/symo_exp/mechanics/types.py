@@ -60,6 +60,11 @@ class Coordinates(NamedTuple):
         return (*self.angular[:flat], *(True for _ in self.names[flat:]))
 
     @property
+    def units_of_errors(self) -> tuple[str, ...]:
+        """Units of errors of the degrees of freedom: ``m``, ``rad`` or both."""
+        return tuple(sorted({"rad" if turns else "m" for turns in self.turning}))
+
+    @property
     def sizes(self) -> Float[Tensor, " n"]:
         """Unit of each degree of freedom [m], 1 of those that turn."""
         units = [1.0 if turns else self.units.length for turns in self.turning]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -223,10 +222,10 @@ def coordinate_labels(coordinates: Coordinates, *, velocity: bool = False) -> li
     return labels + [f"{w} of {name} [{unit}]" for name in coordinates.rotations for w in words]
 
 
-def error_unit(names: Sequence[str], angular: Sequence[bool | None] = ()) -> str:
-    """Return the unit of a squared error over coordinates, such as ``m², rad²``."""
-    each = [_units(*pair) for pair in zip_longest(names, angular)]
-    return ", ".join(f"{unit}²" for unit in sorted({unit for units in each for unit in units}))
+def error_unit(names: Sequence[str]) -> str:
+    """Return the unit of a squared error over coordinates, by their names: ``m², rad²``."""
+    units = {unit for name in names for unit in _units(name, None)}
+    return ", ".join(f"{unit}²" for unit in sorted(units))
 
 
 def inertia_unit(row: tuple[str, bool | None], column: tuple[str, bool | None]) -> str:

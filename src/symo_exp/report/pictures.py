@@ -16,7 +16,7 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.report import recordings
 from symo_exp.report.animation import animate
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import MEASURED, TRUTH, coordinate_labels, error_unit, look, short
+from symo_exp.report.looks import MEASURED, TRUTH, coordinate_labels, look, short
 from symo_exp.report.motions import (
     LONG,
     kept,
@@ -108,8 +108,7 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
             shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
             shown = shown[shown.t <= LONG]
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
-    names = rollouts.coordinates.names
-    unit = error_unit(names, rollouts.coordinates.turning)
+    unit = ", ".join(f"{unit}²" for unit in rollouts.coordinates.units_of_errors)
     for one in chosen.values():
         panels.append(over_time({pair: one}, "error", None, f"squared error [{unit}]", log=True))
     said = f"{title}: rollouts of {_horizon(rollouts)}"

@@ -20,7 +20,6 @@ from symo_exp.report.looks import (
     TRUTH,
     Pair,
     coordinate_labels,
-    error_unit,
     short,
     symbol,
 )  # fmt: skip
@@ -59,7 +58,7 @@ def windows_figure(model: DynamicsModel, table: pd.DataFrame, method: str, title
             panel = over_time({(method, ""): one}, f"q_{name}", f"q_true_{name}", label, said)
             banded = _with_interval(panel, one, name)
             above.append(_beside(banded, one, f"q_reference_{name}"))
-    unit = error_unit(known.names, known.turning).replace("²", "")
+    unit = ", ".join(known.units_of_errors)
     for one in (window[1:] for window in chosen.values()):
         said = f"trajectory {one.trajectory.iloc[0]} from {one.start.iloc[0]:.2f} s"
         panel = over_time({(method, ""): one}, "error", None, f"RMS error [{unit}]", said, log=True)
