@@ -15,8 +15,10 @@ from typing import Any
 from unittest import mock
 
 from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.utils import JobRuntime
+from hydra.types import RunMode
 from omegaconf import open_dict
 
 from symo_exp.shipped import CONF, SWEEPS
@@ -27,7 +29,10 @@ SHIPPED = {("pkg", "hydra.conf"), ("file", str(CONF)), ("file", str(SWEEPS)), ("
 
 @contextmanager
 def once() -> Iterator[None]:
-    """Have a file read once and the files that ship merged once for the same words."""
+    """Have a file read once and the files that ship merged once for the same words.
+
+    The store of Hydra's own files, which no command changes, is not copied for each question.
+    """
     with initialize_config_dir(str(CONF), version_base="1.3"):
         loader: Any = GlobalHydra.instance().config_loader()
     loaders, repositories = type(loader), type(loader.repository)
@@ -39,8 +44,10 @@ def once() -> Iterator[None]:
         sources = [(source.scheme(), source.path) for source in self.repository.get_sources()]
         if not SHIPPED.issuperset(sources) or any("searchpath" in word for word in overrides):
             return compose(self, config_name, overrides, **options)
-        name = JobRuntime.instance().get("name")
-        key = pickle.dumps((config_name, overrides, sorted(options.items()), sources, name))
+        name, told = JobRuntime.instance().get("name"), {**options}
+        if options["run_mode"] == RunMode.MULTIRUN and not any("hydra" in x for x in overrides):
+            told.pop("validate_sweep_overrides", None)  # which validates settings of Hydra only
+        key = pickle.dumps((config_name, overrides, sorted(told.items()), sources, name))
         if key not in composed:
             composed[key] = pickle.dumps(compose(self, config_name, overrides, **options))
         config = pickle.loads(composed[key])
@@ -65,5 +72,6 @@ def once() -> Iterator[None]:
     with (
         mock.patch.object(loaders, "load_configuration", compose_once),
         mock.patch.object(repositories, "load_config", read_once),
+        mock.patch.object(ConfigStore, "__deepcopy__", lambda store, _: store, create=True),
     ):
         yield

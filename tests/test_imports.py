@@ -12,23 +12,17 @@ NEW = "a_module_that_was_not_imported"
 
 def test_imported_objects_are_exempt_from_garbage_collection():
     before = gc.get_freeze_count()
-    try:
-        with first_import(NEW):
-            assert not gc.isenabled()
-            kept = [[] for _ in range(1000)]
-        assert gc.isenabled()
-        assert gc.get_freeze_count() >= before + len(kept)
-    finally:
-        gc.unfreeze()
+    with first_import(NEW):
+        assert not gc.isenabled()
+        kept = [[] for _ in range(1000)]
+    assert gc.isenabled()
+    assert gc.get_freeze_count() >= before + len(kept)
 
 
 def test_a_failed_import_leaves_the_collector_enabled():
-    try:
-        with pytest.raises(ImportError), first_import(NEW):
-            raise ImportError
-        assert gc.isenabled()
-    finally:
-        gc.unfreeze()
+    with pytest.raises(ImportError), first_import(NEW):
+        raise ImportError
+    assert gc.isenabled()
 
 
 def test_a_second_import_leaves_the_collector_enabled():
