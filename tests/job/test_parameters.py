@@ -73,8 +73,8 @@ def test_friction_that_a_system_does_not_have_is_learned(recordings):
     replaced = "objective", "optimizer", "trainer.max", "system"
     words = [word for word in LEARNED if not word.startswith(replaced)]
     words += ["system=pendulum", "system.time_step=0.05", "system.mass=1.3", "objective=smoothing",
-              "optimizer=total_least_squares", "optimizer.force_epochs=10", "optimizer.starts=1",
-              "optimizer.start=10", "optimizer.epochs=5", "trainer.validate_every=5",
+              "optimizer=total_least_squares", "optimizer.force_epochs=6", "optimizer.starts=1",
+              "optimizer.start=10", "optimizer.epochs=3", "trainer.validate_every=5",
               "dissipation.missing=1.0"]  # fmt: skip
     assert main(words) == 0
     (path,) = (recordings / "outputs" / "default").glob("*-*")
