@@ -26,7 +26,7 @@ FREE = Coordinates.of(("x", "y", "z"), (False,) * 3, ("R",), [(0, 0)])
 
 
 @cache
-def motions(name: str, count: int = 16, steps: int = 150) -> Trajectories:
+def motions(name: str, count: int = 8, steps: int = 150) -> Trajectories:
     """Motions of a system under inputs that differ from node to node."""
     system = stated(name, time_step=H)
     q, v, u = system.points(count, seed=1)
