@@ -175,9 +175,7 @@ class RecordedData(DataModule):
         delay = real("data.input_delay", input_delay, low=-longest, high=longest)  # else no input
         lag = real("data.input_lag", input_lag, low=0.0, high=LONGEST_LAG)
         if delay or lag:  # before they are cut: pieces continue the inputs before them
-            recordings = [
-                one._replace(whole=lagging(delayed(one.samples, delay), lag)) for one in recordings
-            ]
+            recordings = [acting_late(one, delay, lag) for one in recordings]
         if leave_out is not None:
             recordings = without(recordings, leave_out, h)
         named = {"train": train, "val": val, "test": test}
@@ -422,9 +420,19 @@ def lagging(samples: Samples, seconds: float) -> Samples:
     steps = np.diff(t)[:, None]
     behind, kept = seconds * np.diff(u, axis=0) / steps, np.exp(-steps / seconds)
     gains = u[1:] - behind - kept * (u[:-1] - behind)
-    pairs = zip(kept, gains, strict=True)
-    found = itertools.accumulate(pairs, lambda y, pair: pair[0] * y + pair[1], initial=u[0])
-    return samples._replace(u=np.array(list(found)))
+
+    def along(first: float, gains: np.ndarray) -> list[float]:
+        pairs = zip(kept[:, 0].tolist(), gains.tolist(), strict=True)  # numbers are faster
+        steps = itertools.accumulate(pairs, lambda y, pair: pair[0] * y + pair[1], initial=first)
+        return list(steps)
+
+    return samples._replace(u=np.array([*map(along, u[0].tolist(), gains.T)]).T)
+
+
+def acting_late(recording: Recording, delay: float = 0.0, lag: float = 0.0) -> Recording:
+    """Return a recording, or a piece of one, whose inputs act later than they are recorded."""
+    whole = recording.samples if recording.whole is None else recording.whole
+    return recording._replace(whole=lagging(delayed(whole, delay), lag))
 
 
 def _equal(t: np.ndarray, h: float) -> bool:

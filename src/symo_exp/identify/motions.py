@@ -24,7 +24,7 @@ from symo_exp.data.diagnose import (
     spring_slopes,
 )
 from symo_exp.data.folds import thinned
-from symo_exp.data.recorded import delayed, lagging
+from symo_exp.data.recorded import acting_late
 from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.shocks import shocks
 from symo_exp.data.table import Recording
@@ -46,8 +46,11 @@ MISSED = 0.3
 """Share of a motion that lines between the nodes may miss."""
 DELAYS = np.arange(-4, 7) / 100
 """Delays of inputs that are tried [s], in proportion to a time step below ``UNHURRIED``."""
-LAGS = np.arange(11) / 100
-"""Time constants of inputs that are tried [s], likewise."""
+LAGS = tuple(
+    np.arange(low, high + 1) / 100 for low, high in ((0, 10), (10, 20), (20, 40), (40, 80))
+)
+"""Time constants of inputs that are tried [s], likewise, each range where the longest of the one
+before explains most."""
 UNHURRIED = 0.005
 """Time step from which all of ``DELAYS`` and ``LAGS`` are tried [s]."""
 GAIN, CLEAR = 0.05, 0.5
@@ -80,8 +83,10 @@ NARROW, WIDE = 1e-5, 10.0
 USUAL_RADIUS = 1.0
 """That with which training starts if the inputs do not show it: the ratio of inertia and mass of a
 body is not determined then [units of length]."""
-Sampled = tuple[Samples, np.ndarray, np.ndarray]
-"""Samples, nodes a time step apart, and configurations at the nodes."""
+FORGOTTEN = 10.0
+"""Time constants after which an input no longer acts."""
+Sampled = tuple[Recording, np.ndarray, np.ndarray]
+"""A recording, nodes a time step apart, and configurations at the nodes."""
 Shock = tuple[str, float, float]
 """Label of a recording, first and last time of a shock in it [s]."""
 
@@ -144,7 +149,7 @@ def dynamics(
         lag, with_lag = _lag(motions, coordinates, time_step)
         if with_lag <= (1.0 - CLEAR) * min(left.values()):
             motions, left = _lagging(motions, lag), {0.0: with_lag}
-            beginning = [one._replace(samples=lagging(one.samples, lag)) for one in beginning]
+            beginning = [acting_late(one, lag=lag) for one in beginning]
             settings.append(f"data.input_lag={lag:g}")
             notes.append(f"inputs: forces follow them with a time constant of {1e3 * lag:g} ms")
     delay, told = _delay(left)
@@ -332,6 +337,12 @@ def struck(recordings: Sequence[Recording], coordinates: Coordinates, h: float) 
     ]
 
 
+def along(recording: Recording, space: Coordinates) -> Recording:
+    """Return a recording of the sums of the turns of rotations (``quasi_coordinates``)."""
+    samples = recording.samples
+    return recording._replace(samples=samples._replace(q=quasi_coordinates(samples.q, space)))
+
+
 def _phase(recordings: Sequence[Recording], h: float) -> float:
     """Return ``ω h``, the phase by which the fastest coordinate vibrates in a time step [rad].
 
@@ -368,9 +379,9 @@ def _frequency(motions: Sequence[Sampled], h: float) -> float:
     the nodes; 0 where noise hides them.
     """
     first, second = (np.concatenate([np.diff(q, k, axis=0) for _, _, q in motions]) for k in (1, 2))
-    columns = zip(*(samples.q.T for samples, _, _ in motions), strict=True)
+    columns = zip(*(one.samples.q.T for one, _, _ in motions), strict=True)
     noise = np.array([np.nan_to_num(noise_of(each)) for each in columns])
-    count = h / np.median(np.concatenate([np.diff(samples.t) for samples, _, _ in motions]))
+    count = h / np.median(np.concatenate([np.diff(one.samples.t) for one, _, _ in motions]))
     blur = blur_of(noise, count) ** 2
     velocity = np.mean(first**2, axis=0) - 2 * blur
     acceleration = np.mean(second**2, axis=0) - 6 * blur
@@ -381,7 +392,8 @@ def _frequency(motions: Sequence[Sampled], h: float) -> float:
 def _missed(motions: Sequence[Sampled]) -> float:
     """Return the share of a coordinate's motion that lines between nodes miss, the largest."""
     left, motion = 0.0, np.finfo(float).tiny
-    for samples, nodes, q in motions:
+    for one, nodes, q in motions:
+        samples = one.samples
         inside = (samples.t >= nodes[0]) & (samples.t <= nodes[-1])
         lines = np.stack([np.interp(samples.t[inside], nodes, x) for x in q.T], axis=1)
         left = left + np.sum((samples.q[inside] - lines) ** 2, axis=0)
@@ -402,9 +414,8 @@ def _units(motions: Sequence[Sampled], coordinates: Coordinates, h: float) -> Un
     lengths = ~np.array(coordinates.angular[:count], dtype=bool)
     q = np.concatenate([nodes[:, :count] for _, _, nodes in motions])[:, lengths]
     paths = [
-        (samples._replace(q=quasi_coordinates(samples.q, coordinates)), nodes,
-         quasi_coordinates(q, coordinates))
-        for samples, nodes, q in motions
+        (along(one, coordinates), nodes, quasi_coordinates(q, coordinates))
+        for one, nodes, q in motions
     ]  # fmt: skip
     frequency = _frequency(paths, h)
     return Units(
@@ -423,7 +434,10 @@ def _unit(size: float, far: float) -> float:
 
 
 def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recording]:
-    """Return the first seconds of recordings, of those first in which inputs act."""
+    """Return the first seconds of recordings, of those first in which inputs act.
+
+    Of the whole that a recording is a piece of, they have what may act in them.
+    """
     found, total = [], 0.0
     for one in sorted(recordings, key=lambda one: not one.samples.u.any()):
         if total >= seconds:
@@ -431,8 +445,18 @@ def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recordin
         t = one.samples.t
         inside = t - t[0] <= seconds - total
         total += one.samples.seconds
-        found.append(one._replace(samples=one.samples.rows(inside)))
+        samples = one.samples.rows(inside)
+        found.append(one._replace(samples=samples, whole=_around(one.whole, samples)))
     return [one for one in found if len(one.samples.t) > 20]
+
+
+def _around(whole: Samples | None, samples: Samples) -> Samples:
+    """Return samples with those of the whole around them whose inputs may act in them."""
+    if whole is None:
+        return samples
+    before, after = FORGOTTEN * LAGS[-1][-1], -DELAYS[0]
+    first, last = samples.t[0] - before, samples.t[-1] + after
+    return whole.rows((whole.t >= first) & (whole.t <= last))
 
 
 def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
@@ -444,14 +468,14 @@ def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
         nodes = np.arange(t[0] + h, t[-1] - h, h)
         if len(nodes) > 13:
             path = np.where(np.ptp(q, axis=0) > 0.0, fitted(t, q, nodes, h)[0], q[0])
-            motions.append((one.samples._replace(q=q), nodes, path))
+            motions.append((one._replace(samples=one.samples._replace(q=q)), nodes, path))
     return motions
 
 
 def _of_rotations(motions: Sequence[Sampled], coordinates: Coordinates) -> list[Sampled]:
     """Return motions whose nodes are rotations, not their entries alone."""
     nearest = coordinates.space.normalised
-    return [(samples, nodes, nearest(torch.tensor(q)).numpy()) for samples, nodes, q in motions]
+    return [(one, nodes, nearest(torch.tensor(q)).numpy()) for one, nodes, q in motions]
 
 
 def _rest_velocity(paths: Sequence[np.ndarray], h: float) -> float:
@@ -466,7 +490,7 @@ def _rest_velocity(paths: Sequence[np.ndarray], h: float) -> float:
 
 
 def _lagging(motions: Sequence[Sampled], lag: float) -> list[Sampled]:
-    return [(lagging(samples, lag), nodes, q) for samples, nodes, q in motions]
+    return [(acting_late(one, lag=lag), nodes, q) for one, nodes, q in motions]
 
 
 def _unexplained(
@@ -507,9 +531,17 @@ def _left_by_delays(
 
 def _lag(motions: Sequence[Sampled], coordinates: Coordinates, h: float) -> tuple[float, float]:
     """Return the best time constant of inputs [s], and the share that is not explained with it."""
-    lags = LAGS * min(1.0, h / UNHURRIED)
-    left = _best(lags, lambda lag: _unexplained(_lagging(motions, lag), coordinates, h))
-    return min(left.items(), key=lambda each: each[1])
+
+    def unexplained(lag: float) -> float | None:
+        return _unexplained(_lagging(motions, lag), coordinates, h)
+
+    left: dict[float, float] = {}
+    for lags in LAGS:
+        left |= _best(lags * min(1.0, h / UNHURRIED), unexplained)
+        best = min(left, key=lambda lag: left[lag])
+        if best != max(left):
+            break
+    return best, left[best]
 
 
 def _lowest(left: Mapping[float, float]) -> float | None:
@@ -597,8 +629,8 @@ def _horizons(rate: float) -> tuple[float, ...]:
 def _pairs(motions: Sequence[Sampled], h: float, delay: float) -> list[Motion]:
     """Return configurations and inputs, which act ``delay`` after their record, at the nodes."""
     return [
-        (q, averaged(samples.t, delayed(samples, delay).u, nodes, h))
-        for samples, nodes, q in motions
+        (q, averaged(one.samples.t, acting_late(one, delay).acting().u, nodes, h))
+        for one, nodes, q in motions
     ]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from symo_exp.data.advice import Columns, omitting
-from symo_exp.data.diagnose import ROUNDING, noise_of, quasi_coordinates
+from symo_exp.data.diagnose import ROUNDING, noise_of
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
@@ -31,6 +31,7 @@ from symo_exp.identify.motions import (
     STEPS,
     Dynamics,
     Shock,
+    along,
     dynamics,
     fitting_time_step,
     reversed_inputs,
@@ -279,7 +280,7 @@ class _Examination:
         """Return the time step, and leave out stretches without samples for it."""
         found = self.time_step
         if found is None:
-            paths = [_along(one, self.space) for one in self.used]
+            paths = [along(one, self.space) for one in self.used]
             turns = Coordinates(self.space.names, self.space.turning)
             found = fitting_time_step(paths, turns, finest)
             self.settings.append(f"system.time_step={found:g}")
@@ -338,12 +339,6 @@ def _turned(where: str, recording: Recording, space: Coordinates) -> Recording:
     return recording._replace(samples=turned(where, recording.samples, space))
 
 
-def _along(recording: Recording, space: Coordinates) -> Recording:
-    """Return a recording of the sums of the turns of rotations (``quasi_coordinates``)."""
-    samples = recording.samples
-    return recording._replace(samples=samples._replace(q=quasi_coordinates(samples.q, space)))
-
-
 def _parts(
     data: Mapping[str, Any], system: Recorded, time_step: float | None
 ) -> tuple[list[Recording], list[Recording], dict[str, float], list[str]]:
@@ -355,7 +350,8 @@ def _parts(
     table = read_recordings(path, system, data.get("columns"), data.get("time_unit"))
     named = {part: data.get(part) for part in ("train", "val", "test")}
     counts = data.get("n_val"), data.get("n_test")
-    recordings, notes, note = list(table.recordings), list(table.notes), None
+    recordings = [one._replace(whole=one.samples) for one in table.recordings]
+    notes, note = list(table.notes), None
     starts = {one.label: float(one.samples.t[0]) for one in recordings}
     if data.get("leave_out") is not None:
         recordings = list(without(recordings, data["leave_out"], time_step or STEPS[0]))
