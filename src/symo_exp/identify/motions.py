@@ -337,7 +337,7 @@ def struck(recordings: Sequence[Recording], coordinates: Coordinates, h: float) 
     ]
 
 
-def along(recording: Recording, space: Coordinates) -> Recording:
+def along_turns(recording: Recording, space: Coordinates) -> Recording:
     """Return a recording of the sums of the turns of rotations (``quasi_coordinates``)."""
     samples = recording.samples
     return recording._replace(samples=samples._replace(q=quasi_coordinates(samples.q, space)))
@@ -414,7 +414,7 @@ def _units(motions: Sequence[Sampled], coordinates: Coordinates, h: float) -> Un
     lengths = ~np.array(coordinates.angular[:count], dtype=bool)
     q = np.concatenate([nodes[:, :count] for _, _, nodes in motions])[:, lengths]
     paths = [
-        (along(one, coordinates), nodes, quasi_coordinates(q, coordinates))
+        (along_turns(one, coordinates), nodes, quasi_coordinates(q, coordinates))
         for one, nodes, q in motions
     ]  # fmt: skip
     frequency = _frequency(paths, h)

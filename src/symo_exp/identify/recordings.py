@@ -31,7 +31,7 @@ from symo_exp.identify.motions import (
     STEPS,
     Dynamics,
     Shock,
-    along,
+    along_turns,
     dynamics,
     fitting_time_step,
     reversed_inputs,
@@ -280,7 +280,7 @@ class _Examination:
         """Return the time step, and leave out stretches without samples for it."""
         found = self.time_step
         if found is None:
-            paths = [along(one, self.space) for one in self.used]
+            paths = [along_turns(one, self.space) for one in self.used]
             turns = Coordinates(self.space.names, self.space.turning)
             found = fitting_time_step(paths, turns, finest)
             self.settings.append(f"system.time_step={found:g}")
