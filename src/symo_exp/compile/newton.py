@@ -71,7 +71,7 @@ def iterate_branch_free(
         length = joint_norm(at.residual, root.sizes).expand(x.shape[0])
     elif root.accuracy is None:
         length = root.bounds.norm(at.residual)
-    else:  # the Jacobian before is known
+    else:  # by the Jacobian before, so that the last iterate costs none
         near_by = jacobian if before is None else before.jacobian
         length = root.bounds.norm(at.residual, solve(near_by, -at.residual))
     near = length <= root.tolerance
