@@ -86,7 +86,7 @@ def test_a_job_whose_process_is_killed_each_time_has_failed(tmp_path):
     code, said = swept_and_killed(tmp_path, times=2)
     assert code == 1, said
     reason = "its process was killed, perhaps for want of memory"
-    assert f"failed: seed=1: {reason} (log: " in said
+    assert f"failed: seed=1: {reason}" in said
     found = {k: o["status"] for k, o in outcomes(tmp_path).items()}
     assert found == {0: "finished", 1: "failed", 2: "finished", 3: "finished"}
     assert tracked(tmp_path)[1] == ("FAILED", reason)
