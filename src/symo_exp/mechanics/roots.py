@@ -128,6 +128,12 @@ class Bounds(NamedTuple):
         length = relative(step, self.sizes).square().mean(-1).sqrt()
         return norm.maximum(length * (self.tolerance / self.accuracy))
 
+    def settled(
+        self, x: Float[Tensor, "batch n"], step: Float[Tensor, "batch n"]
+    ) -> Bool[Tensor, " batch"]:
+        """Return the rows whose step is lost in rounding."""
+        return (step.abs() <= rounding(x, self.sizes)).all(-1)
+
 
 class RootRule(Rule[P, S]):
     """Steps towards roots of ``g``.
@@ -312,7 +318,7 @@ class DampedNewton(RootRule[R, Damped]):
     def trial(self, x: Tensor, at: R, state: Damped) -> tuple[Tensor, Damped]:
         jacobian = at.jacobian()
         step = solve(jacobian, -at.residual)
-        settled = (step.abs() <= rounding(x, self.bounds.sizes)).all(-1)
+        settled = self.bounds.settled(x, step)
         state = state._replace(settled=settled)
         if self.bounds.accuracy is not None:
             state = state._replace(norm=self.bounds.norm(at.residual, step), jacobian=jacobian)
@@ -416,7 +422,7 @@ class SecantSteps(RootRule[R, Secant]):
     @override
     def trial(self, x: Tensor, at: R, state: Secant) -> tuple[Tensor, Secant]:
         step = solve(state.jacobian, -at.residual)
-        settled = (step.abs() <= rounding(x, self.bounds.sizes)).all(-1)
+        settled = self.bounds.settled(x, step)
         return x + step, state._replace(step=step, settled=settled)
 
     @override
