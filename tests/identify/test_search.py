@@ -302,6 +302,31 @@ def test_the_delay_of_an_input_and_the_inertia_that_it_moves_are_found(delay, in
         assert value == pytest.approx(wanted * inertia, rel=0.3)
 
 
+@pytest.mark.parametrize(
+    ("rate", "angular", "cut"), [(100, "all", True), (500, "all", False), (100, "none", False)]
+)
+def test_stretches_too_fast_for_the_samples_are_left_out(rate, angular, cut, workplace):
+    """Of angles only, and only where there are no samples for a smaller time step."""
+    frames, rng, t = [], np.random.default_rng(0), np.arange(0.0, 6.0, 1 / rate)
+    for i in range(6):
+        q = 0.8 * np.sin(3.0 * t + i) + 1e-3 * rng.normal(size=len(t))
+        if i == 0:
+            q += 0.6 * np.sin(np.pi * (t - 2.0)) ** 2 * np.sin(100.0 * t) * (abs(t - 2.5) < 0.5)
+        frames.append(pd.DataFrame({"trajectory": f"run {i}", "t": t, "q_theta": q}))
+    pd.concat(frames).to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"}, angular=angular)
+    told = [note for note in found.notes if "too fast" in note]
+    assert len(told) == cut
+    if cut:
+        (setting,) = [one for one in found.settings if one.startswith("data.leave_out=")]
+        (name, low, high), *_ = json.loads(setting.partition("=")[2])  # shocks follow
+        assert name == "run 0"
+        assert 2.0 <= low < 2.5 < high <= 3.0
+        assert f"run 0 {low:g} to {high:g} s" in told[0]
+        kept = examine({"path": "mine.csv", "leave_out": []}, angular=angular)
+        assert kept.seconds > found.seconds
+
+
 def driven(lag=0.0, *, jumps=False):
     """Recordings of a pendulum whose motor follows its input with a time constant."""
     h, q, v, motion = 0.005, 0.0, 0.0, []

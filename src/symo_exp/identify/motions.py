@@ -24,6 +24,7 @@ from symo_exp.data.diagnose import (
     spring_slopes,
 )
 from symo_exp.data.folds import thinned
+from symo_exp.data.parts import LONGEST_GAP
 from symo_exp.data.recorded import acting_late
 from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.shocks import shocks
@@ -85,10 +86,15 @@ USUAL_RADIUS = 1.0
 body is not determined then [units of length]."""
 FORGOTTEN = 10.0
 """Time constants after which an input no longer acts."""
+FAST, USUAL_MISS = 0.03, 8.0
+"""Distance of a node from the cubic through its four neighbours from which samples do not resolve
+an angle [rad], and that over the median distance, which is that of noise, at least."""
+PIECE = 13
+"""Nodes between two such stretches, at least: models are not fitted to shorter pieces."""
 Sampled = tuple[Recording, np.ndarray, np.ndarray]
 """A recording, nodes a time step apart, and configurations at the nodes."""
-Shock = tuple[str, float, float]
-"""Label of a recording, first and last time of a shock in it [s]."""
+Stretch = tuple[str, float, float]
+"""Label of a recording, first and last time of a stretch of it [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,7 +326,38 @@ def reversed_inputs(
     return none if gains is None else (input_matrix * gains).sum(axis=0) < 0.0
 
 
-def struck(recordings: Sequence[Recording], coordinates: Coordinates, h: float) -> list[Shock]:
+def unresolved(
+    recordings: Sequence[Recording], coordinates: Coordinates, h: float
+) -> list[Stretch]:
+    """Return when angles move too fast for samples a time step apart.
+
+    There, a cubic polynomial through the two nodes before and the two after a node misses it.
+    Integrators are as inaccurate, and a fit reduces their large errors at the expense of all
+    others. There are no stretches if samples are closer, since smaller time steps are tried, with
+    rotations, or if the greater part of the motion is too fast.
+    """
+    angular = np.array(coordinates.angular)
+    if coordinates.rotations or not angular.any():
+        return []
+    if h >= 2.0 * max(one.samples.step for one in recordings) * (1 - 1e-3):
+        return []
+    motions = _motions(recordings, h)
+    misses = [np.abs(np.diff(q[:, angular], 4, axis=0)).max(axis=1) / 6 for _, _, q in motions]
+    if not misses:
+        return []
+    limit = max(FAST, USUAL_MISS * float(np.median(np.concatenate(misses))))
+    found, lost = [], 0.0
+    for (one, nodes, _), missed in zip(motions, misses, strict=True):
+        fast = np.flatnonzero(missed > limit) + 2
+        for run in np.split(fast, np.flatnonzero(np.diff(fast) > PIECE) + 1) if len(fast) else ():
+            first, last = run[0] - LONGEST_GAP, run[-1] + LONGEST_GAP
+            low, high = nodes[max(first, 0)], nodes[min(last, len(nodes) - 1)]
+            found.append((one.label, float(low), float(high)))
+            lost += high - low
+    return found if lost < 0.5 * sum(one.samples.seconds for one in recordings) else []
+
+
+def struck(recordings: Sequence[Recording], coordinates: Coordinates, h: float) -> list[Stretch]:
     """Return when something that is not recorded moves the machine (``data.shocks``).
 
     Shocks of machines with rotations are not searched for.

@@ -30,12 +30,13 @@ from symo_exp.identify.angles import (
 from symo_exp.identify.motions import (
     STEPS,
     Dynamics,
-    Shock,
+    Stretch,
     along_turns,
     dynamics,
     fitting_time_step,
     reversed_inputs,
     struck,
+    unresolved,
 )
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.shell import override_value
@@ -45,6 +46,11 @@ from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions, wi
 TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
 which they are one."""
+REASONS = {
+    unresolved: "angles move too fast there for the distance of the samples",
+    struck: "something else moved the machine there, as the same states at other times show",
+}
+"""Functions that find stretches to leave out, in this order, and why they are left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +167,7 @@ class _Examination:
         finest = max(one.samples.step for one in (*self.used, *self.test))
         self.used = [_turned(self.where, one, self.space) for one in self.used]
         time_step = self._choose_time_step(finest)
-        self._leave_out_shocks(time_step)
+        self._leave_out(time_step)
         driven = any(bool(one.samples.u.any()) for one in self.used)
         matrix = self._direct_inputs(time_step) if driven else None
         known = self.known is not None
@@ -297,18 +303,24 @@ class _Examination:
             raise ConfigError(f"{self.where}: nothing is left to choose and train models; {note}")
         return found
 
-    def _leave_out_shocks(self, time_step: float) -> None:
-        """Leave out where something that is not recorded moves the machine."""
+    def _leave_out(self, time_step: float) -> None:
+        """Leave out where samples do not resolve the motion or something else moves the machine."""
         if not self._is_open("leave_out"):
             return
-        if hit := struck(self.used, self.space, time_step):
-            stretches = [_in_table(one, self.starts) for one in hit]
-            self.settings.append(f"data.leave_out={override_value(stretches)}")
-            self.notes.append(_told_shocks(stretches))
-            self.data["leave_out"] = stretches
+        left_out: list[tuple[str, float, float]] = []
+        for finds, reason in REASONS.items():
+            found = finds(self.used, self.space, time_step)
+            if not found:
+                continue
+            stretches = [_in_table(one, self.starts) for one in found]
+            self.notes.append(_told_left_out(stretches, reason))
+            left_out += stretches
+            self.data["leave_out"] = left_out
             used, *_ = _parts(self.data, self._system("none"), time_step)
             continuous = [_continuous(one, self.space, self.data) for one in used]
             self.used, _ = uninterrupted(continuous, time_step)
+        if left_out:
+            self.settings.append(f"data.leave_out={override_value(left_out)}")
 
     def _direct_inputs(self, time_step: float) -> np.ndarray:
         """Return the matrix of the inputs, in the directions in which they act."""
@@ -367,20 +379,17 @@ def _parts(
     return used, parts["test"], starts, notes
 
 
-def _in_table(shock: Shock, starts: Mapping[str, float]) -> tuple[str, float, float]:
-    """Return the trajectory of the table that a shock is in, and its times after the start."""
-    label, low, high = shock
+def _in_table(stretch: Stretch, starts: Mapping[str, float]) -> tuple[str, float, float]:
+    """Return the trajectory of the table that a stretch is in, and its times after the start."""
+    label, low, high = stretch
     whole = [name for name in starts if name in ("", label) or label.startswith(f"{name}/")]
     name = max(whole, key=len)  # pieces have the name of the trajectory first
     return name, round(low - starts[name], 4), round(high - starts[name], 4)
 
 
-def _told_shocks(stretches: Sequence[tuple[str, float, float]]) -> str:
+def _told_left_out(stretches: Sequence[tuple[str, float, float]], reason: str) -> str:
     where = few([f"{name} {low:g} to {high:g} s".lstrip() for name, low, high in stretches])
-    return (
-        f"left out: {where}; something else moved the machine there, as the same states at other "
-        "times show (data.leave_out=[] keeps all)"
-    )
+    return f"left out: {where}; {reason} (data.leave_out=[] keeps all)"
 
 
 def _continuous(recording: Recording, space: Coordinates, data: Mapping[str, Any]) -> Recording:
