@@ -34,10 +34,9 @@ def test_a_verdict_follows_from_the_measures(changes, said):
 
 def test_only_models_of_recordings_have_a_verdict():
     assert verdict({"test_mse": 1.0}) is None
-    assert comparison({"test_mse": 1.0}) is None
+    assert comparison({"test_mse": 1.0}, "rad") is None
     for part in ("to 1 s 0.02", "constant velocity 1", "noise 0.001"):
-        assert part in comparison(GOOD)
+        assert part in comparison(GOOD, "rad")
     coarse = {name: 1e4 * x for name, x in GOOD.items()}  # in mm, and ten times as large
-    assert comparison(coarse) == "RMSE to 1 s 200 (constant velocity 10000, noise 10)"
-    assert comparison(coarse, "rad").startswith("RMSE to 1 s 200 rad (")
-    assert comparison(GOOD | {"window_s": 0.12}).startswith("RMSE to 0.12 s 0.02")
+    assert comparison(coarse, "m") == "RMSE to 1 s 200 m (constant velocity 10000, noise 10)"
+    assert comparison(GOOD | {"window_s": 0.12}, "rad").startswith("RMSE to 0.12 s 0.02")

@@ -59,6 +59,39 @@ def test_a_store_becomes_tables_figures_and_a_page(store, tmp_path, capsys):
         assert (again / "tables" / table.name).read_text() == table.read_text()
 
 
+RECORDED = {
+    "rmse_0.5s": 0.05, "rmse_1s": 0.1, "rmse_2s": 0.2, "constant_velocity_rmse_1s": 1.0,
+    "usable_s": 1.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("known", "unit"),
+    [
+        ({"coordinates": 2.0, "angles": 2.0}, "rad"), ({"coordinates": 1.0, "angles": 0.0}, "m"),
+        ({"coordinates": 2.0, "angles": 1.0}, "m, rad"), ({"coordinates": 2.0}, "m, rad"),
+        ({}, "m, rad"),
+    ],
+)  # fmt: skip
+def test_tables_and_axes_have_the_units_of_the_coordinates(known, unit):
+    """Runs of earlier versions do not say how many of their coordinates are angles."""
+    squared = ", ".join(f"{one}²" for one in unit.split(", "))
+    measures = {**MEASURES, "inertia_mse": 1e-3, **known}
+    cells = [(n, noise) for n in (8, 32) for noise in (0.0, 1e-3, 1e-2)]
+    simulated = [row(measures, system="mine", n_traj=n, noise_std=noise) for n, noise in cells]
+    of_log = row({**RECORDED, **known}, system="recorded", recording="a.csv", integrator="none")
+    report = general_report(tidy([*simulated, of_log]), "")
+    labels = {p.x_label for f in report.figures for p in f.panels}
+    labels |= {p.y_label for f in report.figures for p in f.panels}
+    speeds = ", ".join(f"{one}/s" for one in unit.split(", "))
+    assert {f"[{squared}]", f"RMSE [{unit}]", f"noise σ [{unit}; {speeds}]"} < labels
+    headings = {heading for one in report.tables for heading in one.header}
+    of_table = f"test MSE [{squared}]" if "," not in unit else "test MSE"
+    assert {f"RMSE to 1 s [{unit}]", of_table} < headings
+    said = " ".join(line for part in report.sections for line in part.text)
+    assert f"RMSE to 1 s 0.1 {unit} (constant velocity 1)" in said
+
+
 def test_a_report_replaces_the_files_of_the_one_before_and_no_others(tmp_path):
     def report(place, system, *words):
         place.mkdir(exist_ok=True)
@@ -312,7 +345,10 @@ def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):
     out = made(tmp_path, rows)
     text = (out / "report.md").read_text()
     assert text.startswith("# thesis: 2 methods on arm.csv and leg.csv")
-    assert "**arm.csv**: **SyMo, midpoint** predicts best: RMSE to 1 s 0.1 (constant vel" in text
+    assert (
+        "**arm.csv**: **SyMo, midpoint** predicts best: RMSE to 1 s 0.1 m, rad (constant vel"
+        in text
+    )
     assert "## Recording arm.csv" in text
     assert "## Recording leg.csv" in text
     arm = (out / "tables" / "recording_arm_csv.md").read_text()

@@ -2,6 +2,8 @@
 
 import math
 
+import pytest
+
 from symo_exp.job.lines import run_line
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.sweep.table import table
@@ -39,6 +41,27 @@ def test_the_table_fits_and_the_best_of_each_column_is_marked(tmp_path):
     assert "1.00e-7" not in first + symo
     assert symo.split()[:2] == ["symo", "n=8"]
     assert units.startswith("* the best; MSE in m², rad²; energy in J²; inertia in kg²")
+
+
+@pytest.mark.parametrize(
+    ("angles", "units"),
+    [
+        ((1, 2), ("rad²", "kg² m⁴", "rad")), ((0, 0), ("m²", "kg²", "m")),
+        ((0, 2), ("m², rad²", "kg², kg² m², kg² m⁴", "m, rad")),
+        ((None, 2), ("m², rad²", "kg², kg² m², kg² m⁴", "m, rad")),
+    ],
+)  # fmt: skip
+def test_the_units_are_those_of_the_coordinates_of_the_runs(angles, units, tmp_path):
+    """A run of an earlier version does not say how many of its coordinates are angles."""
+    folders = []
+    for n, turning in zip((1, 2), angles, strict=True):
+        known = {"coordinates": n} if turning is None else {"coordinates": n, "angles": turning}
+        baseline = {"rmse_1s": 0.1, "constant_velocity_rmse_1s": 1.0}
+        folders.append(made(tmp_path / f"{n}", **MEASURES, **known, **baseline))
+    text = " ".join(table(["model=symo", "model=node"], folders).split())
+    squared, inertia, plain = units
+    assert f"MSE in {squared}; energy in J²; inertia in {inertia}; to 2 s: RMSE in {plain}" in text
+    assert text.endswith(f"RMSE to 1 s 0.1 {'rad' if angles[1] else 'm'} (constant velocity 1)")
 
 
 def test_no_two_runs_have_the_same_name_and_values_are_whole(tmp_path):

@@ -69,7 +69,8 @@ def evaluate(
     model = model.for_evaluation()
     rollouts = roll_out(model, system.lagrangian, data.integration)
     case = Case(model, system.lagrangian, data, rollouts)
-    found = {"coordinates": float(model.coordinates.n)}
+    turning = model.coordinates.turning
+    found = {"coordinates": float(len(turning)), "angles": float(sum(turning))}
     for measure in (one_step, rollout, energy, inertia):
         found |= measure(case)
     if not data.recorded:

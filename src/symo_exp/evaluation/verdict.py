@@ -58,20 +58,19 @@ def verdict(measures: Mapping[str, float]) -> str | None:
     return f"usable to {_two(seconds)} s" if seconds > 0 else "not usable, off from the start"
 
 
-def comparison(measures: Mapping[str, float], unit: str = "") -> str | None:
+def comparison(measures: Mapping[str, float], unit: str) -> str | None:
     """Return the errors of a model beside the baseline's and the noise, in a line.
 
     They are those over 1 s, or over what shorter windows have. ``None`` where there are no windows.
-    The unit is written if it is given, such as ``m, rad``.
+    ``unit`` is that of the errors, such as ``m, rad``.
     """
     if "rmse_1s" not in measures or "constant_velocity_rmse_1s" not in measures:
         return None
     seconds = min(1.0, measures.get("window_s", WINDOW))
     names = ("rmse_1s", "constant_velocity_rmse_1s", "noise")
     own, baseline, noise = (_two(measures[x]) if x in measures else "" for x in names)
-    own += f" {unit}" if unit else ""
     told = f", noise {noise}" if noise else ""
-    return f"RMSE to {_two(seconds)} s {own} (constant velocity {baseline}{told})"
+    return f"RMSE to {_two(seconds)} s {own} {unit} (constant velocity {baseline}{told})"
 
 
 def _two(x: float) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping, Sequence
+from itertools import chain
 
-from symo_exp.report.looks import duration, written
+from symo_exp.report.looks import all_angles, duration, label_and_unit, written
 from symo_exp.runs.folder import PARAMETERS, RunFolder
 
 MEASURES = {
@@ -14,9 +16,10 @@ MEASURES = {
 }  # fmt: skip
 """The measures that a table shows, and their columns; the others are in the files of the run."""
 UNITS = {
-    "test_mse": "MSE in m², rad²", "energy_mse": "energy in J²",
-    "inertia_mse": "inertia in kg², kg² m², kg² m⁴", "rmse_2s": "to 2 s: RMSE in m, rad",
+    "test_mse": "MSE in", "energy_mse": "energy in", "inertia_mse": "inertia in",
+    "rmse_2s": "to 2 s: RMSE in",
 }  # fmt: skip
+"""The beginning of words on the unit of measures."""
 SHORT = "test_mse", "integration_mse", "rmse_2s"
 """The measures in the line of a run."""
 ROWS = 40
@@ -31,6 +34,13 @@ def run_line(folder: RunFolder) -> str:
         told = [f"{outcome.status}: {outcome.reason}"]
     name = about.name if about else folder.path.name
     return "  ".join([name, *told, duration(outcome.seconds), str(folder)])
+
+
+def units_of(shown: Collection[str], found: Sequence[Mapping[str, float]]) -> list[str]:
+    """Return the units of the measures that a table shows, with the measures of its runs."""
+    angular = all_angles(chain(*found), chain(*(measures.values() for measures in found)))
+    units = {name: label_and_unit(name, angular)[1] for name in UNITS if name in shown}
+    return [f"{UNITS[name]} {unit}" for name, unit in units.items()]
 
 
 def parameter_lines(folder: RunFolder) -> list[str]:

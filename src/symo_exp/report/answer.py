@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import pandas as pd
 
 from symo_exp.report.cells import DEFAULTS, Compared, settings_of
 from symo_exp.report.looks import (
+    all_angles,
     in_order,
     label_and_unit,
     letters,
@@ -69,6 +70,8 @@ class Ranked(NamedTuple):
     noise: float
     size: float
     values: pd.DataFrame
+    angular: Mapping[str, bool | None]
+    """Whether all coordinates of a system are angles, ``None`` if only some are or unknown."""
 
     def medians(self) -> pd.DataFrame:
         """Return the logarithms of the medians over seeds, a row for each system."""
@@ -175,8 +178,11 @@ def _ask(rows: pd.DataFrame, question: Question) -> Ranked | None:
     here = here[(here.noise_std == noise) & (here.n_traj == size)]
     values = here.pivot_table("value", ["system", "seed"], "who", aggfunc="last", observed=True)
     values.columns = list(map(str, values.columns))
+    angular = {
+        str(system): all_angles(own.metric, own.value) for system, own in rows.groupby("system")
+    }
     asks = "One step ahead" if question.smallest and not few else question.asks
-    return Ranked(question, asks, there[0], noise, size, values)
+    return Ranked(question, asks, there[0], noise, size, values, angular)
 
 
 def sentence(found: Ranked) -> str:
@@ -184,7 +190,7 @@ def sentence(found: Ranked) -> str:
     medians = found.medians()
     everywhere = medians.dropna(axis=1)
     if everywhere.shape[1] < 2:
-        return f"{_asked(found)}: {_smallest(found.metric, medians)}."
+        return f"{_asked(found)}: {_smallest(found)}."
     best, second = everywhere.mean().sort_values(kind="stable").index[:2]
     apart = everywhere[second].mean() - everywhere[best].mean()
     decided, sure = _certainty(found, best, second)
@@ -210,13 +216,16 @@ def _asked(found: Ranked) -> str:
     return f"**{found.asks}**" + f" ({', '.join(where)})" * bool(where)
 
 
-def _smallest(metric: str, medians: pd.DataFrame) -> str:
+def _smallest(found: Ranked) -> str:
     """Return the smallest value on each system, where no two contestants have run on all."""
-    least = zip(medians.index, medians.idxmin(axis=1), medians.min(axis=1), strict=True)
-    label, unit = label_and_unit(metric)
-    of = f" {unit}" if unit and "," not in unit else ""
-    told = ", ".join(f"{name} {short(10**x)}{of} ({system})" for system, name, x in least)
-    return f"{label} of {told}"
+    medians, told = found.medians(), []
+    for system, name, x in zip(
+        medians.index, medians.idxmin(axis=1), medians.min(axis=1), strict=True
+    ):
+        label, unit = label_and_unit(found.metric, found.angular[system])
+        of = f" {unit}" if unit and "," not in unit else ""
+        told.append(f"{name} {short(10**x)}{of} ({system})")
+    return f"{label} of {', '.join(told)}"
 
 
 def _certainty(found: Ranked, best: str, second: str) -> tuple[bool, str]:
@@ -248,7 +257,7 @@ def heat_map(system: str, found: Iterable[Ranked]) -> ResultTable:
             continue
         here = medians.loc[system].dropna()
         where = f", σ={number(one.noise)}" * bool(one.noise) + f", n={one.size:g}" * bool(one.size)
-        what = measure_name(one.metric) + where
+        what = measure_name(one.metric, one.angular[system]) + where
         texts[what] = pd.Series([_against(x, here.min()) for x in here], here.index)
         places = 1 - (here.rank(method="min") - 1) / max(len(here) - 1, 1)
         shades[what] = places if len(here) > 1 else places * np.nan

@@ -17,7 +17,7 @@ from symo_exp.runs.folder import CANDIDATES, WINDOWS, RunFolder
 
 NUMBERS = ["error", "over_chosen", "standard_error"]
 NOTES = (
-    "In order of simplicity. Error [rad, m]: geometric mean over the folds of those to 0.5, 1 and "
+    "In order of simplicity. Error [{unit}]: geometric mean over the folds of those to 0.5, 1 and "
     "2 s and of whole recordings, or of unstable machines over shorter times. × chosen: ratio over "
     "the folds that both have, with the standard error of its logarithm.",
     "The chosen one is the simplest that the best one does not beat by more than one standard "
@@ -56,8 +56,14 @@ def parameters_table(folder: Path, key: str) -> ResultTable:
     return ResultTable(f"{key}_parameters", "Physical parameters", pd.DataFrame(rows))
 
 
-def search_table(folder: Path, key: str) -> ResultTable:
-    """Return the candidates of the search that ended with a run, or an empty table."""
+def search_table(folder: Path, key: str, unit: str) -> ResultTable:
+    """Return the candidates of the search that ended with a run, or an empty table.
+
+    Args:
+        folder: The folder of the run.
+        key: Prefix of the names of the files.
+        unit: The unit of errors.
+    """
     file, rows = folder.parent / CANDIDATES, pd.DataFrame()
     if file.exists():
         found = pd.read_csv(file, keep_default_na=False)
@@ -65,7 +71,8 @@ def search_table(folder: Path, key: str) -> ResultTable:
         rows = pd.DataFrame([_candidate(row) for row in found.to_dict("records")])
         if (found.failed != "").any():
             rows["failed"] = found.failed
-    return ResultTable(f"{key}_candidates", "Candidates of the search", rows, NOTES)
+    notes = [note.format(unit=unit) for note in NOTES]
+    return ResultTable(f"{key}_candidates", "Candidates of the search", rows, notes)
 
 
 def _candidate(row: Mapping[Hashable, Any]) -> dict[str, Any]:

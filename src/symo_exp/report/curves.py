@@ -11,7 +11,15 @@ import pandas as pd
 
 from symo_exp.report.cells import DEFAULTS
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import letters, measure_name, pair_names, short, unit
+from symo_exp.report.looks import (
+    all_angles,
+    label_and_unit,
+    letters,
+    measure_name,
+    pair_names,
+    short,
+    unit,
+)
 from symo_exp.shipped import CONF
 
 ERRORS = ("train_mse", "test_mse", "integration_mse")
@@ -47,7 +55,7 @@ class Axis(NamedTuple):
 
 
 SIZE = Axis("n_traj", "training trajectories", ticks=True)
-NOISE = Axis("noise_std", "noise σ [m, rad; m/s, rad/s]", ticks=True)
+NOISE = Axis("noise_std", "noise σ", ticks=True)
 SECONDS = Axis("seconds", "training time [s]", mark="points")
 STEP = Axis("time_step", "time step [s]")
 ORDER = Axis("order", "order of the integrator", log=False, ticks=True)
@@ -60,16 +68,20 @@ def panels(rows: pd.DataFrame, axis: Axis, metrics: Iterable[str]) -> list[Panel
     """
     rows = rows.assign(x=rows.get("x", rows[axis.column]).astype(float), y=rows["median"])
     rows = rows.dropna(subset="x").sort_values("x", kind="stable")
-    systems = sorted(set(rows.system))
-    return [
-        Panel(
-            f"{system}: {measure_name(metric)}" if len(systems) > 1 else measure_name(metric),
-            axis.label, unit(metric), here, axis.log, metric != "valid_steps", axis.mark,
-            tuple(sorted(set(here.x))) if axis.ticks else (), system=system,
-        )
-        for system in systems for metric in metrics
-        for here in [rows[(rows.system == system) & (rows.metric == metric)]]
-    ]  # fmt: skip
+    several = rows.system.nunique() > 1
+    made = []
+    for system, own in rows.groupby("system"):
+        angular = all_angles(own.metric, own.y)
+        for metric in metrics:
+            here, title = own[own.metric == metric], measure_name(metric, angular)
+            made.append(
+                Panel(
+                    f"{system}: {title}" if several else title, axis.label, unit(metric, angular),
+                    here, axis.log, metric != "valid_steps", axis.mark,
+                    tuple(sorted(set(here.x))) if axis.ticks else (), system=str(system),
+                )
+            )  # fmt: skip
+    return made
 
 
 def usual_sizes(rows: pd.DataFrame) -> pd.Series:
@@ -112,7 +124,10 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
         # published noises may go far beyond
         here = here[here.noise_std.isin(noises) | (here.source == "floor")]
         title = f"{system}: errors over the noise, {sizes[system]:g} trajectories"
-        made.append(Figure(f"noise_{system}", title, caption, panels(here, NOISE, ERRORS)))
+        angular = all_angles(here.metric, here["median"])
+        q = label_and_unit("rmse_1s", angular)[1]
+        axis = NOISE._replace(label=f"{NOISE.label} [{q}; {q.replace(',', '/s,')}/s]")
+        made.append(Figure(f"noise_{system}", title, caption, panels(here, axis, ERRORS)))
     return made
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 from symo_exp.report.cells import DEFAULTS, MEDIANS, at_step, cells, settings_of, usual_steps
 from symo_exp.report.curves import SPREAD, Axis, panels
 from symo_exp.report.figures import Figure
-from symo_exp.report.looks import letters, measure_name, number, pair_names, short
+from symo_exp.report.looks import all_angles, letters, measure_name, number, pair_names, short
 from symo_exp.report.tables import ResultTable
 
 COORDINATES = Axis("coordinates", "coordinates", log=False, ticks=True)
@@ -56,11 +56,14 @@ def _table(key: str, title: str, rows: pd.DataFrame) -> ResultTable:
     wide = rows.pivot_table("median", KEYS, "metric", dropna=False)
     wide = wide.reindex(columns=list(OVER_N)).dropna(how="all").reset_index()
     seeds = rows.groupby(KEYS).seeds.max()
+    angular = all_angles(rows.metric, rows["median"])
     shown = pd.DataFrame({
         "method": pair_names(wide),
         "coordinates": wide.coordinates.map(number),
         "seeds": [str(seeds[tuple(one)]) for one in wide[KEYS].itertuples(index=False)],
-    }).join(wide[list(OVER_N)].map(short).rename(columns=measure_name))  # fmt: skip
+    }).join(
+        wide[list(OVER_N)].map(short).rename(columns=lambda name: measure_name(name, angular))
+    )  # fmt: skip
     notes = [MEDIANS]
     for _, one in wide.groupby(["method", "integrator"]):
         steps = one[one.step_ms > 0]

@@ -17,7 +17,15 @@ from symo_exp.report.cells import settings_of
 from symo_exp.report.chosen import model_figures, parameters_table, search_table
 from symo_exp.report.document import Section
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import BASELINES, in_order, letters, pair_name, short
+from symo_exp.report.looks import (
+    BASELINES,
+    all_angles,
+    in_order,
+    label_and_unit,
+    letters,
+    pair_name,
+    short,
+)
 from symo_exp.report.runs import local_folder
 from symo_exp.report.tables import ResultTable
 
@@ -50,7 +58,7 @@ def recording_answers(runs: pd.DataFrame) -> list[str]:
         best = medians.iloc[0]
         who = pair_name(best.method, best.integrator)
         measures = _measures(best)
-        told = [text for text in (comparison(measures), verdict(measures)) if text]
+        told = [text for text in (comparison(measures, _unit(rows)), verdict(measures)) if text]
         which = f"**{who}** predicts best" if len(medians) > 1 else f"**{who}**"
         said.append(f"**{name}**: {which}: {'; '.join(told)}.")
     return said
@@ -93,18 +101,23 @@ def _measures(row: pd.Series) -> Mapping[str, float]:
 
 
 def _section(name: str, rows: pd.DataFrame) -> Section:
-    medians, key = _medians(rows), f"recording_{letters(name)}"
-    tables = [_errors_table(medians, key)]
+    medians, key, unit = _medians(rows), f"recording_{letters(name)}", _unit(rows)
+    tables = [_errors_table(medians, key, unit)]
     figures = [Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows, medians))]
     best = rows.merge(medians[KEYS].head(1), on=KEYS).sort_values("seed", kind="stable").iloc[0]
     if (folder := local_folder(best.files)) is not None:
         title = pair_name(best.method, best.integrator)
         figures += model_figures(folder, best.method, title, f"{key}_")
-        tables += [parameters_table(folder, key), search_table(folder, key)]
+        tables += [parameters_table(folder, key), search_table(folder, key, unit)]
     return Section(key, f"Recording {name}", tables=tables, figures=figures)
 
 
-def _errors_table(medians: pd.DataFrame, key: str) -> ResultTable:
+def _unit(rows: pd.DataFrame) -> str:
+    """Return the unit of the errors of runs."""
+    return label_and_unit("rmse_1s", all_angles(rows.metric, rows.value))[1]
+
+
+def _errors_table(medians: pd.DataFrame, key: str, unit: str) -> ResultTable:
     """Return the errors and the verdict of each model, then the errors of the baselines."""
     common = set.intersection(*(set(settings_of(text)) for text in medians.settings))
     lines = []
@@ -116,7 +129,7 @@ def _errors_table(medians: pd.DataFrame, key: str) -> ResultTable:
         line = _printed(_baseline(medians, baseline))
         if any(text != "–" for text in line):
             lines.append([known.label, "", *line, ""])
-    errors = [f"RMSE to {h:g} s [rad, m]" for h in ERRORS.values()]
+    errors = [f"RMSE to {h:g} s [{unit}]" for h in ERRORS.values()]
     columns = pd.DataFrame(lines, columns=["", "seeds", *errors, *TIMES.values(), "verdict"])
     return ResultTable(key, "Errors of open-loop predictions", columns, [WINDOWS])
 
@@ -145,13 +158,13 @@ def _panels(rows: pd.DataFrame, medians: pd.DataFrame) -> list[Panel]:
     for baseline in BASELINES:
         found = _baseline(medians, baseline)
         there = [(ERRORS[m], found[m]) for m in ERRORS if m in found and found[m] == found[m]]
-        line = pd.DataFrame(there, columns=["x", "y"])
+        line = pd.DataFrame(there, columns=["x", "y"], dtype=float)
         parts.append(line.assign(method=baseline, integrator="", source="floor"))
     drawn = pd.concat(parts, ignore_index=True)
     for bound in ("low", "high"):
         drawn[bound] = drawn[bound].fillna(drawn.y)
     ticks = tuple(ERRORS.values())
-    panels = [Panel("", "horizon [s]", "RMSE [rad, m]", drawn, ticks=ticks)]
+    panels = [Panel("", "horizon [s]", f"RMSE [{_unit(rows)}]", drawn, ticks=ticks)]
     still = _baseline(medians, "constant_velocity")
     if not still.empty:
         least = drawn.x.map({h: still.get(name) for name, h in ERRORS.items()})

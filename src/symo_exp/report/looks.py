@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -80,9 +80,9 @@ MEASURES = {
     "inertia_mse": ("inertia MSE", "kg², kg² m², kg² m⁴"),
     "inertia_mse_aligned": ("inertia MSE on the true path", "kg², kg² m², kg² m⁴"),
     "valid_steps": ("valid", "steps"),
-    "rmse_0.5s": ("RMSE to 0.5 s, median window", "rad, m"),
-    "rmse_1s": ("RMSE to 1 s, median window", "rad, m"),
-    "rmse_2s": ("RMSE to 2 s, median window", "rad, m"),
+    "rmse_0.5s": ("RMSE to 0.5 s, median window", "m, rad"),
+    "rmse_1s": ("RMSE to 1 s, median window", "m, rad"),
+    "rmse_2s": ("RMSE to 2 s, median window", "m, rad"),
     "valid_s": ("valid time", "s"),
     "energy_mse_fd": ("energy MSE, finite differences", "J²"),
     "training_seconds": ("training", "s"),
@@ -90,7 +90,10 @@ MEASURES = {
     "step_ms": ("optimiser step", "ms"),
     "peak_memory": ("peak memory", "MiB"),
 }
-"""Label and unit of each measure; others are named by their key."""
+"""Label and unit of each measure; others are named by their key.
+
+The first of several units is that of lengths, the last that of angles.
+"""
 RC: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 9.5,
     "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
@@ -134,20 +137,41 @@ def in_order(pair: Pair) -> tuple[int, str, int, str]:
     return at[0], pair[0], at[1], pair[1]
 
 
-def label_and_unit(metric: str) -> tuple[str, str]:
-    """Return the label of a measure, and its unit or units, separated by commas."""
-    return MEASURES.get(metric, (metric.replace("_", " "), ""))
+def all_angles(names: Iterable[str], values: Iterable[float]) -> bool | None:
+    """Return whether all coordinates of runs are angles, by the names and values of their measures.
+
+    ``None`` if only some are, or the measures do not say it.
+    """
+    found: dict[str, list[float]] = {"coordinates": [], "angles": []}
+    for name, value in zip(names, values, strict=True):
+        if name in found:
+            found[name].append(value)
+    every, turning = found.values()
+    if not turning or len(every) != len(turning) or 0 < sum(turning) < sum(every):
+        return None
+    return sum(turning) > 0
 
 
-def measure_name(metric: str) -> str:
+def label_and_unit(metric: str, angular: bool | None = None) -> tuple[str, str]:
+    """Return the label of a measure, and its unit or units, separated by commas.
+
+    Args:
+        metric: The measure.
+        angular: Whether all coordinates are angles, ``None`` if only some are or it is not known.
+    """
+    label, units = MEASURES.get(metric, (metric.replace("_", " "), ""))
+    return label, units if angular is None else units.split(", ")[-1 if angular else 0]
+
+
+def measure_name(metric: str, angular: bool | None = None) -> str:
     """Return the label of a measure with its unit, if it has one unit."""
-    label, unit = label_and_unit(metric)
+    label, unit = label_and_unit(metric, angular)
     return f"{label} [{unit}]" if unit and "," not in unit else label
 
 
-def unit(metric: str) -> str:
+def unit(metric: str, angular: bool | None = None) -> str:
     """Return the label of an axis below a title that names the measure."""
-    _, unit = label_and_unit(metric)
+    _, unit = label_and_unit(metric, angular)
     return f"[{unit}]" if unit else ""
 
 
@@ -222,9 +246,14 @@ def coordinate_labels(coordinates: Coordinates, *, velocity: bool = False) -> li
     return labels + [f"{w} of {name} [{unit}]" for name in coordinates.rotations for w in words]
 
 
-def error_unit(names: Sequence[str]) -> str:
-    """Return the unit of a squared error over coordinates, by their names: ``m², rad²``."""
-    units = {unit for name in names for unit in _units(name, None)}
+def error_unit(names: Sequence[str], angular: bool | None = None) -> str:
+    """Return the unit of a squared error over coordinates: ``m², rad²``.
+
+    Args:
+        names: Their names.
+        angular: Whether all are angles; each by its name if ``None``.
+    """
+    units = {unit for name in names for unit in _units(name, angular)}
     return ", ".join(f"{unit}²" for unit in sorted(units))
 
 

@@ -14,7 +14,15 @@ import numpy as np
 import pandas as pd
 
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import Pair, axis_label, error_unit, in_order, inertia_unit, pair_name
+from symo_exp.report.looks import (
+    Pair,
+    all_angles,
+    axis_label,
+    error_unit,
+    in_order,
+    inertia_unit,
+    pair_name,
+)
 from symo_exp.report.runs import local_folder, run_table
 from symo_exp.runs.folder import STUDIES
 from symo_exp.tracking.store import Store, connect
@@ -40,12 +48,16 @@ Tables = Mapping[Pair, pd.DataFrame]
 
 
 class Studied(NamedTuple):
-    """Tables of one study of a system, by method and integrator."""
+    """Tables of one study of a system, by method and integrator.
+
+    ``angular`` says whether all coordinates are angles, ``None`` if only some are or it is unknown.
+    """
 
     study: str
     system: str
     time_step: float
     tables: Tables
+    angular: bool | None = None
 
 
 def motion_figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | None) -> list[Figure]:
@@ -62,13 +74,16 @@ def motion_figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | No
         long = max(table.t.max() for table in tables.values())
         if one.study == LEARNED:
             title = f"{one.system}: what was learned, along a true motion"
-            made.append(learned_figure(key, title, tables).of(one.system))
+            turning = [one.angular] * len(_places(tables))
+            made.append(learned_figure(key, title, tables, (), turning).of(one.system))
         else:
             title = f"{one.system}: {TITLES[one.study]}, the first {long:g} s"
-            made.append(motion_figure(key, title, tables).of(one.system))
+            made.append(motion_figure(key, title, tables, one.angular).of(one.system))
         if one.study == "long_term":
             title = f"{one.system}: phase space of a long motion"
-            whole = phase_space_figure(f"{key}_phase_space", title, first(one.tables, np.inf))
+            whole = phase_space_figure(
+                f"{key}_phase_space", title, first(one.tables, np.inf), one.angular
+            )
             made.append(whole.of(one.system))
     return [*made, *drift_figures(studied(drifting, ["drift"], store))]
 
@@ -94,32 +109,36 @@ def studied(runs: pd.DataFrame, names: Iterable[str], store: Store | None) -> li
                     tables[pair] = table
             if tables:
                 tables = {pair: tables[pair] for pair in sorted(tables, key=in_order)}
-                found.append(Studied(name, str(system), float(time_step), tables))
+                same = runs[runs.run_id.isin(here.run_id)]
+                angular = all_angles(same.metric, same.value)
+                found.append(Studied(name, str(system), float(time_step), tables, angular))
     return found
 
 
-def motion_figure(key: str, title: str, tables: Tables) -> Figure:
+def motion_figure(key: str, title: str, tables: Tables, angular: bool | None = None) -> Figure:
     """Return the coordinates, the squared error of the configuration and the energy over time."""
     names = coordinates(next(iter(tables.values())))
     tables = {pair: kept(table) for pair, table in tables.items()}
-    panels = [over_time(tables, f"q_{name}", f"q_true_{name}", axis_label(name)) for name in names]
+    panels = [
+        over_time(tables, f"q_{name}", f"q_true_{name}", axis_label(name, angular=angular))
+        for name in names
+    ]
     errors = {
         pair: table.assign(
             error=sum((table[f"q_{n}"] - table[f"q_true_{n}"]) ** 2 for n in names) / len(names)
         )
         for pair, table in tables.items()
     }
-    panels.append(
-        over_time(errors, "error", None, f"squared error [{error_unit(names)}]", log=True)
-    )
+    label = f"squared error [{error_unit(names, angular)}]"
+    panels.append(over_time(errors, "error", None, label, log=True))
     panels.append(over_time(tables, "energy", "energy_true", "energy [J]"))
     return Figure(key, title, FIRST, panels)
 
 
-def phase_space_figure(key: str, title: str, tables: Tables) -> Figure:
+def phase_space_figure(key: str, title: str, tables: Tables, angular: bool | None = None) -> Figure:
     """Return a panel for each method, with the truth below it; angles are wrapped."""
     name = coordinates(next(iter(tables.values())))[0]
-    labels = axis_label(name), axis_label(name, velocity=True)
+    labels = axis_label(name, angular=angular), axis_label(name, velocity=True, angular=angular)
     panels = [
         Panel(pair_name(*pair), *labels,
               phase_rows(pair, kept(table), name, wrap=True, count=POINTS),
@@ -146,7 +165,7 @@ def learned_figure(
         angular: Which coordinates are angles; by their names if not given.
     """
     columns = next(iter(tables.values())).columns
-    names = names or [str(c).removeprefix("q_") for c in columns if str(c).startswith("q_")]
+    names = names or _places(tables)
 
     def unit(entry: str) -> str:
         # inertia_23; from ten coordinates on, two digits are not told apart
@@ -273,6 +292,12 @@ def _jumps(angle: np.ndarray) -> np.ndarray:
 def coordinates(table: pd.DataFrame) -> list[str]:
     """Return the names of the coordinates of a motion beside the true one."""
     return [c.removeprefix("q_true_") for c in map(str, table) if c.startswith("q_true_")]
+
+
+def _places(tables: Tables) -> list[str]:
+    """Return the names of the coordinates of learned quantities."""
+    columns = map(str, next(iter(tables.values())))
+    return [name.removeprefix("q_") for name in columns if name.startswith("q_")]
 
 
 def first(tables: Tables, seconds: float = LONG) -> Tables:

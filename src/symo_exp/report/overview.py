@@ -12,7 +12,16 @@ from symo_exp.report.cells import DEFAULTS, MEDIANS, Compared, at_step, cells, u
 from symo_exp.report.document import Section
 from symo_exp.report.growth import growth
 from symo_exp.report.held_out import recording_answers, recording_names, recording_sections
-from symo_exp.report.looks import duration, look, measure_name, number, pair_names, short, stroke
+from symo_exp.report.looks import (
+    all_angles,
+    duration,
+    look,
+    measure_name,
+    number,
+    pair_names,
+    short,
+    stroke,
+)
 from symo_exp.report.runs import without_result
 from symo_exp.report.tables import ResultTable
 from symo_exp.tracking.store import Store
@@ -174,4 +183,5 @@ def medians(found: pd.DataFrame, keys: Sequence[str], metrics: Iterable[str]) ->
     """Return cells with a column of printed medians for each measure that there is."""
     wide = found.groupby([*keys, "metric"], dropna=False)["median"].median().unstack()
     there = wide.reindex(columns=[name for name in metrics if name in wide])
-    return there.map(short).rename(columns=measure_name)
+    angular = all_angles(found.metric, found["median"])
+    return there.map(short).rename(columns=lambda name: measure_name(name, angular))

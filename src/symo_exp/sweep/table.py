@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from symo_exp.evaluation.verdict import comparison, verdict
-from symo_exp.job.lines import MEASURES, UNITS, brief, parameter_lines, run_line
+from symo_exp.job.lines import MEASURES, brief, parameter_lines, run_line, units_of
 from symo_exp.process import phases, stopping
-from symo_exp.report.looks import duration, written
+from symo_exp.report.looks import all_angles, duration, label_and_unit, written
 from symo_exp.runs.folder import LOG, RunFolder
 
 ENDED = "finished", "failed", "refused", "interrupted"
@@ -41,9 +41,8 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
     names = ["", *_fitted([brief(label) for label in labels], max(room, 12))]
     lines = aligned(names, columns)
     if shown:
-        units = [unit for name, unit in UNITS.items() if name in shown]
         best = "* the best" + " of its system" * (len(set(systems)) > 1)
-        told = "; ".join([*[best] * (len(folders) > 1), *units])
+        told = "; ".join([*[best] * (len(folders) > 1), *units_of(shown, found)])
         lines += textwrap.wrap(told, WIDTH)
     verdicts = _verdicts(names[1:] if len(folders) > 1 else ["verdict"], found)
     parameters = parameter_lines(folders[0]) if len(folders) == 1 and found[0] else []
@@ -67,7 +66,8 @@ def _verdicts(names: Sequence[str], found: Sequence[Mapping[str, float]]) -> lis
     """Return the verdicts on models of recordings beside the baseline, a line each."""
     lines = []
     for name, measures in zip(names, found, strict=True):
-        told = [text for text in (verdict(measures), comparison(measures)) if text]
+        _, unit = label_and_unit("rmse_1s", all_angles(measures.keys(), measures.values()))
+        told = [text for text in (verdict(measures), comparison(measures, unit)) if text]
         if told:
             lines.append(f"{name}: {'; '.join(told)}")
     return lines
