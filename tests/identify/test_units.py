@@ -101,7 +101,8 @@ def test_lengths_in_another_unit_by_their_names_are_told(name, unit, workplace):
     sprung(1.0, 1.0).rename(columns={"q_x": f"q_{name}", "u_x": f"u_{name}"}).to_csv("mine.csv")
     notes = examine({"path": "mine.csv"}).notes
     assert any(f"positions [{unit}]: {name} (by names" in note for note in notes)
-    assert any(f"they are in {unit}; convert them" in note for note in notes) == (unit != "m")
+    told = f"they are in {unit}, and kg is N s^2/{unit}; convert them"
+    assert any(told in note for note in notes) == (unit != "m")
 
 
 @pytest.mark.parametrize("scale", [{"length": 0.0}, {"length": "mm"}, {"size": 1.0}, 1e-3])

@@ -62,9 +62,10 @@ def told_units(chosen: Sequence[str], all_names: Sequence[str]) -> list[str]:
     parts = "; ".join(f"{kind}: {', '.join(group)}" for kind, group in groups.items())
     lines = [f"{parts} (by names and ranges; system.angular says otherwise)"]
     if odd := [name for name in positions if length_unit(name) != "m"]:
+        unit = length_unit(odd[0])
         lines.append(
-            f"lengths of {few(odd)} are used as they are: where results say m, they are in "
-            f"{length_unit(odd[0])}; convert them in the file for results in SI units"
+            f"lengths of {few(odd)} are used as they are: where results say m, they are in {unit}, "
+            f"and kg is N s^2/{unit}; convert them in the file for results in SI units"
         )
     return lines
 
