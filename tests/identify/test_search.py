@@ -61,6 +61,7 @@ def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, 
     assert report(["outputs/machine_mine", "--no-page"]) == 0
     page = (workplace / "report" / "report.md").read_text()
     assert "**Candidates of the search**" in page
+    assert "Error [rad]: " in page
     assert "data.fold" not in page
     assert (workplace / "report" / "tables").is_dir()
     capsys.readouterr()

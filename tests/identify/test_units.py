@@ -10,7 +10,9 @@ from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
 from symo_exp.identify.recordings import examine
 from symo_exp.identify.structures import ladder
+from symo_exp.identify.table import unit_of_held_out
 from symo_exp.identify.validation import fold_error
+from symo_exp.mechanics.types import Coordinates
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.recorded import Recorded
 
@@ -92,6 +94,20 @@ def test_a_log_in_any_unit_is_of_order_one_in_the_units_of_its_parameters(length
     assert 0.01 <= inertia <= 100.0
     stiffness = machine.stiffness[0][0] * units.mass / units.time**2
     assert stiffness == pytest.approx(15.0 * force / length, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("length", "force", "unit"),
+    [(1.0, 1.0, "m"), (1e3, 1.0, "1000 m"), (1e-6, 1e-6, "1e-06 m")],
+)
+def test_held_out_errors_are_in_the_unit_of_length_of_the_parameters(
+    length, force, unit, workplace
+):
+    sprung(length, force).to_csv("mine.csv", index=False)
+    machine = examine({"path": "mine.csv"})
+    assert unit_of_held_out(machine.coordinates, machine.units) == unit
+    both = Coordinates(("x", "theta"), (False, True))
+    assert unit_of_held_out(both, machine.units) == f"{unit}, rad"
 
 
 @pytest.mark.parametrize(

@@ -325,7 +325,7 @@ def recorded(path, method, rmse, **more):
 def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     known = Candidate("links", 1.0, {}), Candidate("network, learned friction", 5.0, {})
     chosen, failed = Trial(known[0], errors={0: 0.1, 1: 0.2}), Trial(known[1], reasons={0: "why"})
-    write_candidates(tmp_path / CANDIDATES, [chosen, failed], chosen)
+    write_candidates(tmp_path / CANDIDATES, [chosen, failed], chosen, "1000 m, rad")
     best = recorded("arm.csv", "symo", 0.1, files=str(tmp_path / "best"))
     fold = recorded("arm.csv", "symo", 0.1, variant="recorded, data.fold=[0, 2]")
     running = general_report(tidy([(fold[0], {"val_loss": 0.1})]), "it")
@@ -337,6 +337,7 @@ def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     assert list(candidates.index) == ["links (chosen)", "network, learned friction"]
     assert candidates.error["links (chosen)"] == "0.141"
     assert candidates.failed["network, learned friction"] == "why"
+    assert "Error [1000 m, rad]: " in tables["recording_arm_csv_candidates"].notes[0]
 
 
 def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):

@@ -33,7 +33,7 @@ from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.rounds import Rounds
 from symo_exp.identify.structures import ladder
-from symo_exp.identify.table import candidates_table, write_candidates
+from symo_exp.identify.table import candidates_table, unit_of_held_out, write_candidates
 from symo_exp.identify.validation import (
     NOISY,
     Trial,
@@ -372,8 +372,9 @@ class Search:
 
     def _summary(self, trials: Sequence[Trial], best: Trial | None) -> None:
         """Print and keep the table of candidates."""
-        print(candidates_table(trials, best, self._plan.folds, self._unit))
-        write_candidates(self._folder / CANDIDATES, trials, best)
+        unit = unit_of_held_out(self._machine.coordinates, self._machine.units)
+        print(candidates_table(trials, best, self._plan.folds, unit))
+        write_candidates(self._folder / CANDIDATES, trials, best, unit)
 
 
 def _cores(master: DictConfig) -> int:

@@ -9,7 +9,15 @@ from pathlib import Path
 
 from symo_exp.files import write_whole
 from symo_exp.identify.validation import Trial, compared
+from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import Units
 from symo_exp.sweep.table import aligned
+
+
+def unit_of_held_out(coordinates: Coordinates, units: Units) -> str:
+    """Return the unit of held-out errors, in which lengths are in the unit of the parameters."""
+    length = "m" if units.length == 1.0 else f"{units.length:g} m"
+    return ", ".join(length if unit == "m" else unit for unit in coordinates.units_of_errors)
 
 
 def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int, unit: str) -> str:
@@ -43,18 +51,26 @@ def candidates_table(trials: Sequence[Trial], best: Trial | None, folds: int, un
     return "\n".join(lines)
 
 
-def write_candidates(file: Path, trials: Sequence[Trial], best: Trial | None) -> None:
-    """Write the table with the errors of each fold and the settings of each candidate."""
+def write_candidates(file: Path, trials: Sequence[Trial], best: Trial | None, unit: str) -> None:
+    """Write the table with the errors of each fold and the settings of each candidate.
+
+    Args:
+        file: The file.
+        trials: The candidates as they ended.
+        best: The chosen one.
+        unit: Unit of the errors.
+    """
 
     def write(path: Path) -> None:
         with path.open("w", encoding="utf-8", newline="") as text:
             table = csv.writer(text)
             table.writerow(
                 ["candidate", "rank", "chosen", "error", "over_chosen", "standard_error",
-                 "parameters", "seconds", "ended_by_the_clock", "folds", "failed", "settings"]
+                 "parameters", "seconds", "ended_by_the_clock", "folds", "failed", "settings",
+                 "unit"]
             )  # fmt: skip
             for trial in trials:
-                table.writerow(_cells(trial, best))
+                table.writerow([*_cells(trial, best), unit])
 
     write_whole(file, write)
 

@@ -56,22 +56,18 @@ def parameters_table(folder: Path, key: str) -> ResultTable:
     return ResultTable(f"{key}_parameters", "Physical parameters", pd.DataFrame(rows))
 
 
-def search_table(folder: Path, key: str, unit: str) -> ResultTable:
-    """Return the candidates of the search that ended with a run, or an empty table.
-
-    Args:
-        folder: The folder of the run.
-        key: Prefix of the names of the files.
-        unit: The unit of errors.
-    """
+def search_table(folder: Path, key: str) -> ResultTable:
+    """Return the candidates of the search that ended with a run, or an empty table."""
     file, rows = folder.parent / CANDIDATES, pd.DataFrame()
+    notes: list[str] = []
     if file.exists():
         found = pd.read_csv(file, keep_default_na=False)
         found[NUMBERS] = found[NUMBERS].apply(pd.to_numeric, errors="coerce")
         rows = pd.DataFrame([_candidate(row) for row in found.to_dict("records")])
         if (found.failed != "").any():
             rows["failed"] = found.failed
-    notes = [note.format(unit=unit) for note in NOTES]
+        unit = found.get("unit", pd.Series(["rad, m"])).iloc[0]  # files of earlier versions: either
+        notes = [note.format(unit=unit) for note in NOTES]
     return ResultTable(f"{key}_candidates", "Candidates of the search", rows, notes)
 
 

@@ -101,14 +101,14 @@ def _measures(row: pd.Series) -> Mapping[str, float]:
 
 
 def _section(name: str, rows: pd.DataFrame) -> Section:
-    medians, key, unit = _medians(rows), f"recording_{letters(name)}", _unit(rows)
-    tables = [_errors_table(medians, key, unit)]
+    medians, key = _medians(rows), f"recording_{letters(name)}"
+    tables = [_errors_table(medians, key, _unit(rows))]
     figures = [Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows, medians))]
     best = rows.merge(medians[KEYS].head(1), on=KEYS).sort_values("seed", kind="stable").iloc[0]
     if (folder := local_folder(best.files)) is not None:
         title = pair_name(best.method, best.integrator)
         figures += model_figures(folder, best.method, title, f"{key}_")
-        tables += [parameters_table(folder, key), search_table(folder, key, unit)]
+        tables += [parameters_table(folder, key), search_table(folder, key)]
     return Section(key, f"Recording {name}", tables=tables, figures=figures)
 
 
