@@ -60,8 +60,10 @@ def prepared(tmp_path, monkeypatch):
 def decided(prepared):
     """Return what is chosen of rigid links by their told errors and noise."""
 
-    def decide(told, *, raise_order=False, reduce_forces=False, combine=False, driven=True):
-        one = machine(2, 60.0, driven=driven)
+    def decide(
+        told, *, raise_order=False, reduce_forces=False, combine=False, driven=True, finest=0.002
+    ):
+        one = replace(machine(2, 60.0, driven=driven), finest_step=finest)
         search, _, _ = prepared(told, one)
         search.screen(ladder(one) if combine else ladder(one)[:1])
         best = search.best()
@@ -95,6 +97,20 @@ def test_order_4_is_chosen_where_data_are_likelier_and_errors_no_larger(
         return (error, 1e-3 * noise) if fine else (1.0, 1e-3)
 
     assert decided(told, raise_order=True)["integrator"] == chosen
+
+
+@pytest.mark.parametrize(
+    ("finest", "noise", "chosen"),
+    [
+        (0.02, 0.96, "galerkin6"),
+        (0.02, 0.98, "galerkin4"),
+        (0.002, 0.96, "galerkin4"),  # half the time step is a variation
+    ],
+)
+def test_order_6_is_for_samples_a_time_step_apart(finest, noise, chosen, decided):
+    noises = {"midpoint": 1e-3, "galerkin4": 0.98e-3, "galerkin6": 1e-3 * noise}
+    settings = decided(lambda x: (1.0, noises[x["integrator"]]), raise_order=True, finest=finest)
+    assert settings["integrator"] == chosen
 
 
 @pytest.mark.parametrize(

@@ -231,7 +231,7 @@ class Rounds:
         simplest = sorted(simpler, key=lambda c: c.rank)[:1]
         for structure in distinct_candidates([*simplest, *simpler[:SIMPLER]], self._given):
             given = joined(like_best(base), like_best(structure), best.candidate)
-            fine = finer(given, self._machine) if of_higher_order(given) else ()
+            fine = finer(given, self._machine) if given.settings["integrator"] == "midpoint" else ()
             for candidate in (given, *list(fine)[:1]):
                 trial = self._at_least_as_good(candidate, best, self._beaten)
                 if trial is not None:
@@ -239,15 +239,16 @@ class Rounds:
         return best
 
     def raise_order(self, best: Trial) -> Trial:
-        """Return the best candidate with an integrator of order 4, if data are likelier with it.
+        """Return the best candidate with an integrator of higher order, if data are likelier.
 
         It has as many parameters. Held-out errors of short and noisy recordings are those of the
         starts of the predictions, and do not show that it is more accurate.
         """
         if "integrator" in self._given:
             return best
-        for fine in of_higher_order(best.candidate):
-            best = self._at_least_as_good(fine, best, self._no_better) or best
+        for fine in of_higher_order(best.candidate, self._machine):
+            if (better := self._at_least_as_good(fine, best, self._no_better)) is not None:
+                return self.raise_order(better)
         return best
 
     def _promote(self, tried: Sequence[Candidate], base: Trial) -> list[Candidate]:

@@ -33,6 +33,10 @@ INPUT_NOISE = 100.0
 """Noise of inputs over that of configurations where it is estimated, in units of the machine."""
 THE_STEP = "the time step"
 """End of the parts of names that say which share of the time step a candidate has."""
+ORDER = "Galerkin order"
+"""Beginning of those that say the order of its integrator."""
+HIGHER = {"midpoint": (4, 3.6), "galerkin4": (6, 2.0)}
+"""The next order of an integrator, and the cost of an epoch with it, relative to before."""
 HELD = 0.05
 """Difference of delays over the time step up to which they count as equal."""
 
@@ -89,7 +93,7 @@ def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     """Yield variations with a more accurate integration, the most promising first."""
     whole = "system.time_step" not in candidate.settings
     halved = with_half_the_step(candidate, machine) if whole else []
-    found = [*halved, *of_higher_order(candidate)]
+    found = [*halved, *of_higher_order(candidate, machine)]
     # motors stick and slip within a step, which no polynomial of a higher order follows
     yield from found if machine.driven else reversed(found)
 
@@ -111,11 +115,20 @@ def with_half_the_step(candidate: Candidate, machine: Machine) -> list[Candidate
     return [replace(halved, name=", ".join([*parts, share]))]
 
 
-def of_higher_order(candidate: Candidate) -> list[Candidate]:
-    """Return the variation with an integrator of order 4, none if the candidate has it."""
-    if candidate.settings["integrator"] != "midpoint":
+def of_higher_order(candidate: Candidate, machine: Machine) -> list[Candidate]:
+    """Return the variation with an integrator of the next order, 4 or 6, none if there is none.
+
+    Order 6 is for recordings without samples for half the time step.
+    """
+    integrator = candidate.settings["integrator"]
+    if integrator not in HIGHER or (
+        integrator == "galerkin4" and with_half_the_step(candidate, machine)
+    ):
         return []
-    return [candidate.changed("Galerkin order 4", 0.3, 3.6, integrator="galerkin4")]
+    order, cost = HIGHER[integrator]
+    parts = [part for part in candidate.name.split(", ") if not part.startswith(ORDER)]
+    raised = candidate.changed("", 0.3, cost, integrator=f"galerkin{order}")
+    return [replace(raised, name=", ".join([*parts, f"{ORDER} {order}"]))]
 
 
 def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
