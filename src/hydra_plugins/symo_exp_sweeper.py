@@ -11,6 +11,8 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
+from symo_exp.checks import truth
+
 
 class SymoExpSweeper(Sweeper):
     """Sweeper that runs every combination of what is swept: see ``symo_exp.sweep.sweeper``.
@@ -21,7 +23,8 @@ class SymoExpSweeper(Sweeper):
     """
 
     def __init__(self, params: DictConfig | None = None, check_only: bool = False) -> None:
-        self.params, self.check_only = params, check_only
+        self.params = params
+        self.check_only = truth("hydra.sweeper.check_only", check_only)
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
@@ -60,7 +63,7 @@ class SymoExpMachineSweeper(SymoExpSweeper):
         self, budget: str | float = "10min", clock: bool = True, check_only: bool = False
     ) -> None:
         super().__init__(check_only=check_only)
-        self.budget, self.clock = budget, clock
+        self.budget, self.clock = budget, truth("hydra.sweeper.clock", clock)
 
     def run(self, sweep: Any, arguments: list[str]) -> int:
         """Search and return the exit code."""

@@ -44,6 +44,13 @@ def real(
     raise ConfigError(f"{key}={value!r}: expected a finite number {wanted}".rstrip())
 
 
+def truth(key: str, value: object) -> bool:
+    """Return ``value``; raise ``ConfigError`` unless it is true or false."""
+    if not isinstance(value, bool):
+        raise ConfigError(f"{key}={value!r}: expected true or false")
+    return value
+
+
 def one_of(key: str, value: object, choices: Sequence[str]) -> str:
     """Return ``value``; raise ``ConfigError`` unless it is one of ``choices``."""
     if value not in choices:

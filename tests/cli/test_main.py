@@ -120,6 +120,7 @@ BAD = [
     ("net.depth=0", "depth=0", "at least 1"),
     ("net.depth=5000000000000000000", "model", "MemoryError"),
     ("net=[]", "net: ", "a mapping with a list"),
+    *((f"net={x}", "net is not one value", "give the settings of net, ") for x in ("3", "null")),
     ("springs={a:1}", "springs={a: 1}", "a class (_target_)"),
     ("study={a:1}", "study.a is not a setting", "nothing"),
     ("seed=${nowhere}", "seed: ", "'nowhere' not found"),
@@ -168,6 +169,8 @@ ENDS = [
     ("-sc query=bash", "query", "leave it out"),
     ("--config-dir nowhere", "nowhere", "not found"),
     ("data.n_traj", "data.n_traj", "data.n_traj="),
+    ("hydra.sweeper.check_only=perhaps", "check_only='perhaps'", "true or false"),
+    ("-cn machine hydra.sweeper.clock=3", "hydra.sweeper.clock=3", "true or false"),
     ("model=node,symo model.sensitivity=adjoint", "model=symo: model.sensitivity", "model has: "),
     # composing, checking and building a job each find some
     *[row for row in BAD if row[0] in ("modle=symo", "+data.x=1", "-m data.n_traj=8,16,0")],

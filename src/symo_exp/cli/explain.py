@@ -10,7 +10,12 @@ from typing import Any
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    InterpolationResolutionError,
+    OmegaConfBaseException,
+)
 from yaml import YAMLError
 
 from symo_exp.errors import ConfigError, first_line, one_line
@@ -47,6 +52,18 @@ def _unknown_setting(error: ConfigKeyError | ConfigAttributeError) -> ConfigErro
     groups = [] if "." in name else [x.name for x in CONF.iterdir() if x.is_dir()]
     there = dict.fromkeys(groups) | unresolved(parent)
     return unknown_key(name, there, there.get("_target_"))
+
+
+def _no_settings(error: InterpolationResolutionError) -> ConfigError | None:
+    """Return the error for a value instead of settings that others refer to."""
+    found = re.search(r"trying to access (\S+): node `(\S+)` is not a container", str(error))
+    if found is None:
+        return None
+    setting, node = found.groups()
+    return ConfigError(
+        f"{node} is not one value: {error.full_key} is that of {setting}; give the settings of "
+        f"{node}, such as {setting}=... (--cfg job shows all)"
+    )
 
 
 def _unreadable_value(error: OverrideParseException) -> ConfigError:
@@ -98,6 +115,7 @@ EXPLAINED: dict[type[BaseException], Callable[[Any], ConfigError | None]] = {
     UnicodeDecodeError: lambda e: ConfigError(f"a configuration file is not UTF-8 text: {e}"),
     OverrideParseException: _unreadable_value,
     MissingConfigException: _missing_file,
+    InterpolationResolutionError: _no_settings,
     ConfigKeyError: _unknown_setting,
     ConfigAttributeError: _unknown_setting,
 }
