@@ -143,6 +143,12 @@ WRITERS: dict[str, Writer] = {
     "minutes and seconds": csv(
         "x.csv", lambda t: t.assign(t=[f"{x // 60:02.0f}:{x % 60:012.9f}" for x in t.t + 3599])
     ),
+    "minutes and seconds, some without a fraction": csv(
+        "x.csv",
+        lambda t: t.assign(
+            t=[f"{x // 60:02.0f}:{x % 60:012.9f}".replace(".000000000", "") for x in t.t + 3599]
+        ),
+    ),
     "PlotJuggler's name of the time": csv("x.csv", lambda t: t.rename(columns={"t": "__time"})),
     "a row twice": csv("x.csv", lambda t: t.iloc[[*range(9), 8, *range(9, len(t))]]),
     "time": csv("x.csv", lambda t: t.rename(columns={"t": "Time [s]"})),
@@ -324,6 +330,10 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             "'data.columns={t: timestamp, q_pos: pos_m, u_motor_volt: motor_volt}'",
         ),
         (lambda t: t.assign(t=1e3 * t.t), "give data.time_unit=ms"),
+        (
+            lambda t: t.assign(t=[f"{x // 60:02}:{x % 60:02}" for x in range(len(t))]),
+            "times such as 00:00 may be minutes and seconds, or hours and minutes",
+        ),
         (
             lambda t: t.rename(columns={"t": "Time (s)", "q_0": "Arm Angle (rad)"}),
             '\'data.columns={t: "Time (s)", q_Arm: "Arm Angle (rad)"}\'',

@@ -39,8 +39,8 @@ EPOCH = (1e9, 4.1e9)
 """Seconds since 1970 of the years 2001 to 2099."""
 ORIGINS = {"d": (25569.0, 719529.0), "ms": (0.0,), "us": (0.0,), "ns": (0.0,)}
 """1970 in the units in which dates are: serial days of spreadsheets and of MATLAB, and counts."""
-MINUTES = r"\s*(\d+):(\d\d[.,]\d+)\s*"
-"""Minutes and seconds, as spreadsheets write short times."""
+MINUTES = r"\s*(\d+):(\d\d(?:[.,]\d+)?)\s*"
+"""Minutes and seconds, as spreadsheets write short times; hours and minutes look the same."""
 
 
 class Recording(NamedTuple):
@@ -164,7 +164,7 @@ def _read(
         table = table_of(file)
         table.columns = pd.Index(head.names)
     notes: list[str] = []
-    table["t"], seconds = _from_dates(table["t"], seconds, notes)
+    table["t"], seconds = _from_dates(where, table["t"], seconds, notes)
     for column in numbers:
         table[column] = _numbers(where, column, table[column])
     for column in wanted["q"]:
@@ -274,7 +274,7 @@ def _check_places(
 
 
 def _from_dates(
-    times: pd.Series, seconds: float | None, notes: list[str]
+    where: str, times: pd.Series, seconds: float | None, notes: list[str]
 ) -> tuple[pd.Series, float | None]:
     """Return times and their unit [s]; dates and times of a clock are counted from the first."""
     if pd.api.types.is_timedelta64_dtype(times):
@@ -291,7 +291,13 @@ def _from_dates(
         exact = pd.to_numeric(times[numbers.notna()])  # integers have more digits
         return (exact - exact.min()).reindex(times.index), UNITS[name]
     parts = times.astype(str).str.extract(f"^{MINUTES}$")
-    if (parts[0].isna() & times.notna()).mean() <= DROPPED:  # else hours and minutes to pandas
+    if (parts[0].isna() & times.notna()).mean() <= DROPPED:
+        if not (parts[1].str.len() > 2).any():
+            raise ConfigError(
+                f"{where}: times such as {times[times.first_valid_index()]} may be minutes and "
+                "seconds, or hours and minutes; write them with hours, minutes and seconds, as "
+                "0:02:05, or as numbers"
+            )
         return 60.0 * parts[0].astype(float) + parts[1].str.replace(",", ".").astype(float), 1.0
     forms: list[tuple[str | None, Literal["coerce", "raise"]]]
     forms = [("ISO8601", "coerce"), (None, "raise")]  # a fraction of ISO may have any digits
