@@ -1,10 +1,12 @@
 """Errors of recordings widen intervals so that those of another recording are inside."""
 
+import logging
 import math
 
 import pytest
 import torch
 
+from symo_exp.evaluation import uncertainty
 from symo_exp.evaluation.horizon import cut, predict
 from symo_exp.evaluation.intervals import (
     LEVEL,
@@ -16,7 +18,7 @@ from symo_exp.evaluation.intervals import (
 )
 from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.mechanics.types import Trajectory
-from symo_exp.models.uncertainty import Interval, quantile
+from symo_exp.models.uncertainty import Interval, ModelPosterior, quantile
 from symo_exp.optim.posterior import Posterior
 from tests.evaluation.test_horizon import H, steady
 from tests.models.methods import make
@@ -136,6 +138,22 @@ def test_errors_of_models_that_were_not_trained_on_recordings_widen_intervals(he
     assert mixed[-1] > 2.0 * kappa((model, swings))[-1]
     torch.testing.assert_close(kappa((None, swings)), kappa((model, swings)))
     torch.testing.assert_close(mixed, kappa((other, [strange]), (model, [own])))
+
+
+@pytest.mark.parametrize("widest", [0, 1, 2])
+def test_the_log_tells_the_largest_error_beyond_the_posterior(widest, caplog, monkeypatch):
+    model = make("symo", "midpoint", 1).double()
+    mean = torch.cat([p.detach().flatten() for p in model.parameters()])
+    none = torch.zeros(len(mean), 0, dtype=torch.float64)
+    kappa = 2.5 * (torch.arange(3) == widest).double().unsqueeze(1)
+    given = ModelPosterior(Posterior(mean, none, none, 1e-3, 1e-4, 100), kappa)
+    monkeypatch.setattr(uncertainty, "posterior", lambda *_, **__: given.parameters)
+    monkeypatch.setattr(uncertainty, "widened", lambda *_: given)
+    with caplog.at_level(logging.INFO):
+        uncertainty.posterior_of(model, torch.zeros_like, {}, [], [])
+    (line,) = caplog.messages
+    time = f"{widest * model.time_step:.2g}"
+    assert f"by at most 2.5 times the sensitivity to the start, after {time} s" in line
 
 
 def swing(model, start):

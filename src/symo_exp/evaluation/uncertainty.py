@@ -58,10 +58,10 @@ def posterior_of(
         flat = not model.coordinates.space.rotations  # intervals are of lengths and angles
         whole = widened(model.for_evaluation(), found, recordings if flat else ())
     if whole.relative_error is not None:
+        sizes = whole.relative_error.square().mean(1).sqrt()
         log.info(
-            "intervals are widened by %.2g times the sensitivity to the start, after %.2g s (root "
-            "mean square over coordinates): recordings deviate more than the posterior explains",
-            whole.relative_error[-1].square().mean().sqrt().item(),
-            (len(whole.relative_error) - 1) * model.time_step,
-        )
+            "intervals are widened by at most %.2g times the sensitivity to the start, after "
+            "%.2g s (root mean square over coordinates): recordings deviate more than the "
+            "posterior explains", sizes.max().item(), sizes.argmax().item() * model.time_step,
+        )  # fmt: skip
     return whole
