@@ -129,9 +129,10 @@ class Composer:
     def job(self, overrides: list[str], label: str) -> Job:
         """Return the job of these overrides."""
         parsed = OverridesParser.create().parse_overrides(overrides)
+        groups = [o for o in parsed if "." not in o.key_or_group]  # Hydra looks for them slowly
         choices = [
             o
-            for o in parsed
+            for o in groups
             if self.options(o.key_or_group) and not isinstance(o.value(), dict)  # else settings
         ]
         values = [o for o in parsed if o not in choices and o.type is OverrideType.CHANGE]
