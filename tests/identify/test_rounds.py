@@ -49,7 +49,7 @@ def prepared(tmp_path, monkeypatch):
         fits = ToldFits(tmp_path, told, one, plan, pace or 1.0)
         search = Rounds(
             fits, one, plan, {},
-            clock=pace is not None, progressed=lambda fit: None,
+            clock=pace is not None, progressed=lambda *_: None,
         )  # fmt: skip
         return search, fits, plan
 

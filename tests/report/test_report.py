@@ -328,8 +328,6 @@ def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     write_candidates(tmp_path / CANDIDATES, [chosen, failed], chosen, "1000 m, rad")
     best = recorded("arm.csv", "symo", 0.1, files=str(tmp_path / "best"))
     fold = recorded("arm.csv", "symo", 0.1, variant="recorded, data.fold=[0, 2]")
-    running = general_report(tidy([(fold[0], {"val_loss": 0.1})]), "it")
-    assert running.sections[0].text == ["**arm.csv**: not yet measured on the test part."]
     runs = tidy([best, (fold[0], {"val_loss": 0.1})])
     tables = {t.key: t for part in general_report(runs, "it").sections for t in part.tables}
     assert next(iter(tables["recording_arm_csv"].rows[""])) == "SyMo, midpoint"
@@ -338,6 +336,20 @@ def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     assert candidates.error["links (chosen)"] == "0.141"
     assert candidates.failed["network, learned friction"] == "why"
     assert "Error [1000 m, rad]: " in tables["recording_arm_csv_candidates"].notes[0]
+
+
+def test_a_search_that_runs_shows_its_candidates_so_far_and_no_empty_table(tmp_path):
+    trials = [Trial(Candidate(name, 1.0, {}), errors={0: 0.1}) for name in ("links", "network")]
+    write_candidates(tmp_path / CANDIDATES, trials, None)
+    (about, _) = recorded("arm.csv", "symo", 0.1, files=str(tmp_path / "fold"))
+    running = general_report(tidy([(about, {"val_loss": 0.1})]), "it")
+    assert running.sections[0].text == ["**arm.csv**: not yet measured on the test part."]
+    (table,) = running.sections[1].tables
+    assert table.key == "recording_arm_csv_candidates"
+    assert list(table.rows.candidate) == ["links", "network"]
+    assert list(table.rows.error) == ["0.1", "0.1"]
+    assert "× chosen" not in table.rows
+    assert "None is chosen yet" in table.notes[-1]
 
 
 def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):

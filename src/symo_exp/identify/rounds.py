@@ -68,7 +68,7 @@ class Rounds:
         plan: The plan of the search.
         given: What the command line sets.
         clock: Whether the time that is left depends on how long runs took, not on plans alone.
-        progressed: Called with the best fit so far after every round.
+        progressed: Called with the best fit and the candidates so far after every round.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Rounds:
         given: Collection[str],
         *,
         clock: bool,
-        progressed: Callable[[RunFolder], object],
+        progressed: Callable[[RunFolder, Sequence[Trial]], object],
     ) -> None:
         self._fits, self._machine, self._plan, self._given = fits, machine, plan, given
         self._clock, self._progressed = clock, progressed
@@ -412,7 +412,7 @@ class Rounds:
         self._fit_again({c.name: c for c, _ in todo}.values())
         phases.clear()
         if (best := self._best_fit()) is not None:
-            self._progressed(best)
+            self._progressed(best, self.trials)
         for name in dict.fromkeys(c.name for c, _ in todo):
             print(f"{name}: {self._trials[name].told()}", flush=True)
 

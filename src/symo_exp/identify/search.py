@@ -13,6 +13,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +133,7 @@ class Search:
         print(self._told_plan(len(candidates), len(every) - len(candidates)), flush=True)
         rounds = Rounds(
             fits, machine, plan, self._given,
-            clock=self._clock, progressed=self._link,
+            clock=self._clock, progressed=self._keep,
         )  # fmt: skip
         rounds.screen(planned)
         rounds.deepen(others)
@@ -354,6 +355,12 @@ class Search:
     def _folder(self) -> Path:
         return Path(str(self._master.output_dir)).absolute() / self._experiment
 
+    def _keep(self, fit: RunFolder, trials: Sequence[Trial]) -> None:
+        """Keep the best fit and the candidates so far."""
+        self._link(fit)
+        with suppress(OSError):  # a full disk; the table is written again
+            write_candidates(self._folder / CANDIDATES, trials, None, self._unit)
+
     def _link(self, folder: RunFolder) -> Path:
         """Link ``BEST`` to a run and return it; where that is impossible, name and return the run.
 
@@ -372,9 +379,13 @@ class Search:
 
     def _summary(self, trials: Sequence[Trial], best: Trial | None) -> None:
         """Print and keep the table of candidates."""
-        unit = unit_of_held_out(self._machine.coordinates, self._machine.units)
-        print(candidates_table(trials, best, self._plan.folds, unit))
-        write_candidates(self._folder / CANDIDATES, trials, best, unit)
+        print(candidates_table(trials, best, self._plan.folds, self._unit))
+        write_candidates(self._folder / CANDIDATES, trials, best, self._unit)
+
+    @property
+    def _unit(self) -> str:
+        """Unit of the errors of candidates."""
+        return unit_of_held_out(self._machine.coordinates, self._machine.units)
 
 
 def _cores(master: DictConfig) -> int:

@@ -16,12 +16,17 @@ from symo_exp.report.tables import ResultTable
 from symo_exp.runs.folder import CANDIDATES, WINDOWS, RunFolder
 
 NUMBERS = ["error", "over_chosen", "standard_error"]
-NOTES = (
+ERRORS = (
     "In order of simplicity. Error [{unit}]: geometric mean over the folds of those to 0.5, 1 and "
-    "2 s and of whole recordings, or of unstable machines over shorter times. × chosen: ratio over "
-    "the folds that both have, with the standard error of its logarithm.",
-    "The chosen one is the simplest that the best one does not beat by more than one standard "
-    "error.",
+    "2 s and of whole recordings, or of unstable machines over shorter times."
+)
+CHOICE = (
+    "× chosen: ratio over the folds that both have, with the standard error of its logarithm. The "
+    "chosen one is the simplest that the best one does not beat by more than one standard error."
+)
+NO_CHOICE = (
+    "None is chosen yet: the search has not ended, or it found no model. Errors over different "
+    "numbers of folds are not comparable."
 )
 
 
@@ -57,7 +62,7 @@ def parameters_table(folder: Path, key: str) -> ResultTable:
 
 
 def search_table(folder: Path, key: str) -> ResultTable:
-    """Return the candidates of the search that ended with a run, or an empty table."""
+    """Return the candidates so far of the search that a run belongs to, or an empty table."""
     file, rows = folder.parent / CANDIDATES, pd.DataFrame()
     notes: list[str] = []
     if file.exists():
@@ -67,7 +72,9 @@ def search_table(folder: Path, key: str) -> ResultTable:
         if (found.failed != "").any():
             rows["failed"] = found.failed
         unit = found.get("unit", pd.Series(["rad, m"])).iloc[0]  # files of earlier versions: either
-        notes = [note.format(unit=unit) for note in NOTES]
+        notes = [ERRORS.format(unit=unit), CHOICE]
+        if not found.chosen.any():
+            rows, notes[1] = rows.drop(columns="× chosen"), NO_CHOICE
     return ResultTable(f"{key}_candidates", "Candidates of the search", rows, notes)
 
 

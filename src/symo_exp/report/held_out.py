@@ -102,7 +102,8 @@ def _measures(row: pd.Series) -> Mapping[str, float]:
 
 def _section(name: str, rows: pd.DataFrame) -> Section:
     medians, key = _medians(rows), f"recording_{letters(name)}"
-    tables = [_errors_table(medians, key, _unit(rows))]
+    tested = (rows.metric == TESTED).any()
+    tables = [_errors_table(medians, key, _unit(rows))] if tested else []
     figures = [Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows, medians))]
     best = rows.merge(medians[KEYS].head(1), on=KEYS).sort_values("seed", kind="stable").iloc[0]
     if (folder := local_folder(best.files)) is not None:
