@@ -21,6 +21,8 @@ def asked(monkeypatch):
     words, answers = [], ["7_0\n7_1\n", "7_1\n", ""]
 
     def run(command, **_):
+        if command == ("squeue", "--me", "--noheader"):  # before anything is queued
+            return subprocess.CompletedProcess(command, 0, "", "")
         words.append(command)
         return subprocess.CompletedProcess(command, 0, answers.pop(0) if answers else "", "")
 
@@ -32,7 +34,8 @@ def asked(monkeypatch):
 
 def queue():
     launcher = {**SLURM, "name": "symo_exp"}
-    return slurm.Queue.of(OmegaConf.create({"hydra": {"launcher": launcher}}))
+    choices = {"choices": {"hydra/launcher": "submitit_slurm"}}
+    return slurm.Queue.of(OmegaConf.create({"hydra": {"launcher": launcher, "runtime": choices}}))
 
 
 def test_the_jobs_of_a_command_are_told_apart_by_name(asked):
@@ -46,7 +49,19 @@ def test_the_jobs_of_a_command_are_told_apart_by_name(asked):
     assert [words[0] for words in asked[3:]] == ["scancel"] * 3
 
 
+def test_a_queue_that_does_not_answer_at_first_is_refused(asked, monkeypatch):
+    """Jobs could not be submitted, and the command would wait for the queue for ever."""
+
+    def fails(*_, **__):
+        raise subprocess.CalledProcessError(1, "squeue")
+
+    monkeypatch.setattr(slurm.subprocess, "run", fails)
+    with pytest.raises(ConfigError, match="launcher=submitit_slurm: SLURM does not answer"):
+        queue()
+
+
 def test_a_queue_that_does_not_answer_is_asked_again(asked, monkeypatch):
+    one = queue()
     failures = [OSError(), subprocess.TimeoutExpired("squeue", 60)]
     run = slurm.subprocess.run
 
@@ -56,7 +71,7 @@ def test_a_queue_that_does_not_answer_is_asked_again(asked, monkeypatch):
         return run(command, **options)
 
     monkeypatch.setattr(slurm.subprocess, "run", unsure)
-    queue().run(lambda: None)
+    one.run(lambda: None)
     assert not failures
     assert len(asked) == 3
 

@@ -17,6 +17,8 @@ from symo_exp.errors import ConfigError
 
 SECONDS = 5.0
 """Between two looks at the queue, which others want to look at, too."""
+UNKNOWN = "unknown"
+"""The answer of a command that fails."""
 
 
 class Queue:
@@ -31,11 +33,12 @@ class Queue:
         launcher = master.hydra.launcher
         if not str(launcher._target_).endswith(".SlurmLauncher"):
             return None
-        if shutil.which("sbatch") is None:
+        missing = "" if shutil.which("sbatch") else "there is no SLURM here (no command sbatch)"
+        if not missing and _ask("squeue", "--me", "--noheader") == UNKNOWN:
+            missing = "SLURM does not answer here (squeue --me fails)"
+        if missing:
             choice = master.hydra.runtime.choices["hydra/launcher"]
-            raise ConfigError(
-                f"hydra/launcher={choice}: there is no SLURM here (no command sbatch)"
-            )
+            raise ConfigError(f"hydra/launcher={choice}: {missing}")
         OmegaConf.update(master, "hydra.launcher.name", f"symo_exp-{uuid.uuid4().hex[:8]}")
         return cls(launcher.name)
 
@@ -73,9 +76,9 @@ class Queue:
 
 
 def _ask(*words: str) -> str:
-    """Return the output of a command of SLURM, "unknown" if it fails."""
+    """Return the output of a command of SLURM, ``UNKNOWN`` if it fails."""
     try:
         done = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60.0)
     except (OSError, subprocess.SubprocessError):
-        return "unknown"
+        return UNKNOWN
     return done.stdout.strip()
