@@ -61,7 +61,7 @@ def test_a_store_becomes_tables_figures_and_a_page(store, tmp_path, capsys):
 
 RECORDED = {
     "rmse_0.5s": 0.05, "rmse_1s": 0.1, "rmse_2s": 0.2, "constant_velocity_rmse_1s": 1.0,
-    "usable_s": 1.0,
+    "usable_s": 1.0, "windows": 5.0,
 }  # fmt: skip
 
 

@@ -359,7 +359,7 @@ class Search:
         """Keep the best fit and the candidates so far."""
         self._link(fit)
         with suppress(OSError):  # a full disk; the table is written again
-            write_candidates(self._folder / CANDIDATES, trials, None, self._unit)
+            write_candidates(self._folder / CANDIDATES, trials, None, self._unit_of_held_out)
 
     def _link(self, folder: RunFolder) -> Path:
         """Link ``BEST`` to a run and return it; where that is impossible, name and return the run.
@@ -379,12 +379,12 @@ class Search:
 
     def _summary(self, trials: Sequence[Trial], best: Trial | None) -> None:
         """Print and keep the table of candidates."""
-        print(candidates_table(trials, best, self._plan.folds, self._unit))
-        write_candidates(self._folder / CANDIDATES, trials, best, self._unit)
+        print(candidates_table(trials, best, self._plan.folds, self._unit_of_held_out))
+        write_candidates(self._folder / CANDIDATES, trials, best, self._unit_of_held_out)
 
     @property
-    def _unit(self) -> str:
-        """Unit of the errors of candidates."""
+    def _unit_of_held_out(self) -> str:
+        """The unit of held-out errors."""
         return unit_of_held_out(self._machine.coordinates, self._machine.units)
 
 
