@@ -340,7 +340,7 @@ def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
 
 def test_a_search_that_runs_shows_its_candidates_so_far_and_no_empty_table(tmp_path):
     trials = [Trial(Candidate(name, 1.0, {}), errors={0: 0.1}) for name in ("links", "network")]
-    write_candidates(tmp_path / CANDIDATES, trials, None)
+    write_candidates(tmp_path / CANDIDATES, trials, None, "rad")
     (about, _) = recorded("arm.csv", "symo", 0.1, files=str(tmp_path / "fold"))
     running = general_report(tidy([(about, {"val_loss": 0.1})]), "it")
     assert running.sections[0].text == ["**arm.csv**: not yet measured on the test part."]
