@@ -45,6 +45,13 @@ def read(given: pd.DataFrame, folder: Path, columns=None, angular="all", matrix=
     return data
 
 
+def alone(t: np.ndarray, q: np.ndarray, u: np.ndarray | None = None) -> Recording:
+    """A recording of one coordinate and at most one input."""
+    inputs = np.zeros((len(t), 0)) if u is None else u[:, None]
+    samples = Samples(t, q[:, None], None, inputs)
+    return Recording("", "", samples, samples)
+
+
 def first(data: RecordedData, part: str) -> list[float]:
     return [t.q[0, 0].item() for t in data.trajectories(part)]
 
@@ -134,10 +141,8 @@ def test_a_recording_with_a_pause_is_split_by_its_samples(pause: float) -> None:
     t = 0.01 * np.arange(4000)
     q = np.sin(2 * t) + 0.3 * np.sin(t)
     later = t + pause * (t > 17.005)
-    whole = Recording("", "", Samples(later, q[:, None], None, np.zeros((4000, 0))))
-    plain = whole._replace(samples=whole.samples._replace(t=t))
-    blocks, note = with_every_part([whole], 0.02)
-    expected, _ = with_every_part([plain], 0.02)
+    blocks, note = with_every_part([alone(later, q)], 0.02)
+    expected, _ = with_every_part([alone(t, q)], 0.02)
     assert note is not None
     assert "40 s" in note or "39.99 s" in note
     for block, other in zip(blocks, expected, strict=True):
@@ -154,7 +159,7 @@ def test_parts_of_a_recording_with_pauses_do_not_depend_on_the_time_step(pause: 
     """Candidates with different time steps are tested on the same samples."""
     t = 0.01 * np.arange(4000)
     later = t + pause * np.floor(t / 2.7)
-    whole = Recording("", "", Samples(later, np.sin(2 * t)[:, None], None, np.zeros((4000, 0))))
+    whole = alone(later, np.sin(2 * t))
     (expected, _), *others = (with_every_part([whole], h) for h in (0.01, 0.02, 0.05, 0.1))
     for blocks, _ in others:
         for block, other in zip(blocks, expected, strict=True):
@@ -173,8 +178,8 @@ def test_copies_of_a_recording_are_left_out(tmp_path: Path, caplog) -> None:
 
 def test_a_rest_in_which_an_input_acts_is_a_motion(tmp_path: Path) -> None:
     t = H * np.arange(1000)
-    parts = [Recording("", "", Samples(t, np.sin(t.clip(0.0, 6.3))[:, None], None, u[:, None]))
-             for u in (0.0 * t, np.sign(t - 12.0).clip(0.0))]  # fmt: skip
+    inputs = 0.0 * t, np.sign(t - 12.0).clip(0.0)
+    parts = [alone(t, np.sin(t.clip(0.0, 6.3)), u) for u in inputs]
     ends = [max(one.samples.t[-1] for one in with_every_part([part], H)[0]) for part in parts]
     assert ends == pytest.approx([6.3, t[-1]], abs=0.2)
 

@@ -11,7 +11,8 @@ from symo_exp.errors import ConfigError
 
 def recording(label, seconds, part=""):
     t = np.arange(0.0, seconds, 0.01)
-    return Recording(label, part, Samples(t, t[:, None], None, np.zeros((len(t), 0))))
+    samples = Samples(t, t[:, None], None, np.zeros((len(t), 0)))
+    return Recording(label, part, samples, samples)
 
 
 def parts(train, val, test=(1.0,)):

@@ -169,13 +169,12 @@ class RecordedData(DataModule):
         whole_number("data.n_integration", n_integration)
         where, space, h = shown(path), system.coordinates, system.time_step
         table = read_recordings(path, system, columns, time_unit)
-        recordings: Sequence[Recording] = table.recordings
         notes = list(table.notes)
-        longest = max((one.samples.seconds for one in recordings), default=0.0)
+        longest = max((one.samples.seconds for one in table.recordings), default=0.0)
         delay = real("data.input_delay", input_delay, low=-longest, high=longest)  # else no input
         lag = real("data.input_lag", input_lag, low=0.0, high=LONGEST_LAG)
-        if delay or lag:  # before they are cut: pieces continue the inputs before them
-            recordings = [acting_late(one, delay, lag) for one in recordings]
+        # before they are cut: pieces continue the inputs before them
+        recordings: Sequence[Recording] = [acting_late(x, delay, lag) for x in table.recordings]
         if leave_out is not None:
             recordings = without(recordings, leave_out, h)
         named = {"train": train, "val": val, "test": test}
@@ -431,8 +430,7 @@ def lagging(samples: Samples, seconds: float) -> Samples:
 
 def acting_late(recording: Recording, delay: float = 0.0, lag: float = 0.0) -> Recording:
     """Return a recording, or a piece of one, whose inputs act later than they are recorded."""
-    whole = recording.samples if recording.whole is None else recording.whole
-    return recording._replace(whole=lagging(delayed(whole, delay), lag))
+    return recording._replace(whole=lagging(delayed(recording.whole, delay), lag))
 
 
 def _equal(t: np.ndarray, h: float) -> bool:

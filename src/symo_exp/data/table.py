@@ -50,18 +50,16 @@ class Recording(NamedTuple):
         label: Its name.
         part: The split it belongs to, ``""`` where none is given.
         samples: The measured samples.
-        whole: The recording that it is a piece of, with inputs as they act; ``None``: as recorded.
+        whole: Those of the recording that it is a piece of, with inputs as they act.
     """
 
     label: str
     part: str
     samples: Samples
-    whole: Samples | None = None
+    whole: Samples
 
     def acting(self) -> Samples:
         """Return the samples with inputs as they act."""
-        if self.whole is None:
-            return self.samples
         rows = np.searchsorted(self.whole.t, self.samples.t)
         return self.samples._replace(u=self.whole.u[rows])
 
@@ -234,7 +232,7 @@ def _divided(
         v = fields["v"] if wanted["v"] else None
         u = fields["u"] if wanted["u"] else np.zeros((len(rows), inputs))
         samples = Samples(rows["t"].to_numpy(), fields["q"], v, u)
-        yield Recording(label, str(parts[0]), samples)
+        yield Recording(label, str(parts[0]), samples, whole=samples)
 
 
 def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:

@@ -487,10 +487,8 @@ def _beginning(recordings: Sequence[Recording], seconds: float) -> list[Recordin
     return [one for one in found if len(one.samples.t) > 20]
 
 
-def _around(whole: Samples | None, samples: Samples) -> Samples:
+def _around(whole: Samples, samples: Samples) -> Samples:
     """Return samples with those of the whole around them whose inputs may act in them."""
-    if whole is None:
-        return samples
     before, after = FORGOTTEN * LAGS[-1][-1], -DELAYS[0]
     first, last = samples.t[0] - before, samples.t[-1] + after
     return whole.rows((whole.t >= first) & (whole.t <= last))

@@ -362,11 +362,11 @@ def _parts(
     table = read_recordings(path, system, data.get("columns"), data.get("time_unit"))
     named = {part: data.get(part) for part in ("train", "val", "test")}
     counts = data.get("n_val"), data.get("n_test")
-    recordings = [one._replace(whole=one.samples) for one in table.recordings]
+    recordings: Sequence[Recording] = table.recordings
     notes, note = list(table.notes), None
     starts = {one.label: float(one.samples.t[0]) for one in recordings}
     if data.get("leave_out") is not None:
-        recordings = list(without(recordings, data["leave_out"], time_step or STEPS[0]))
+        recordings = without(recordings, data["leave_out"], time_step or STEPS[0])
     if all(given is None for given in (*named.values(), *counts)):
         finest = min(one.samples.step for one in recordings)
         recordings, note = with_every_part(recordings, time_step or min(STEPS[0], finest))
