@@ -147,7 +147,9 @@ def dynamics(
         input_matrix: That of the inputs, zero where it is to be learned; ``None``: no inputs.
         known: Whether the equations are known, in SI units and with values to start from.
     """
-    driven, settings, notes = input_matrix is not None, [], []
+    driven = input_matrix is not None
+    settings: list[str] = []
+    notes: list[str] = []
     beginning = _beginning(recordings, max(EXAMINED, NODES * time_step))
     motions = _of_rotations(_motions(beginning, time_step), coordinates)
     left = _left_by_delays(motions, coordinates, time_step, driven=driven)
@@ -166,13 +168,18 @@ def dynamics(
     units = SI if known else _units(motions, coordinates, time_step)
     step = time_step / units.time
     scaled = _scaled(_pairs(motions, time_step, delay), coordinates._replace(units=units))
-    start = _Start(units=units, friction=(DAMPING,) * coordinates.n)
+    inertia, radius, friction = 1.0, USUAL_RADIUS, (DAMPING,) * coordinates.n
     acts = any(bool(u.any()) for _, u in scaled)
     if input_matrix is not None and acts and left and 1.0 - left[delay] > POOR:
-        start = _start(scaled, coordinates, units, step, input_matrix, known=known)
-        settings += start.settings
-        notes += start.notes
-        units = start.units
+        matrix = input_matrix * coordinates._replace(units=units).sizes.numpy()[:, None]
+        matrix = matrix / units.size("N m")
+        inertia, radius = _inertia(scaled, coordinates, step, matrix)
+        if not known:
+            settings += _start(scaled, coordinates, step, matrix, inertia, notes)
+            units = units._replace(mass=_unit(inertia, FAR))
+            inertia /= units.mass
+        if not coordinates.rotations:
+            friction = _friction(scaled, matrix / units.mass)
     if units != SI:
         sized = units._asdict().items()
         settings += [f"system.scale.{name}={size:g}" for name, size in sized if size != 1.0]
@@ -196,7 +203,7 @@ def dynamics(
         notes.append(
             f"unstable: the errors of predictions grow fast; those over {times} s are compared"
         )
-    stiffness = _stiffness(scaled, coordinates, step, start.inertia)
+    stiffness = _stiffness(scaled, coordinates, step, inertia)
     if stiffness is not None:
         notes.append("springs: they explain accelerations that gravity does not")
     return Dynamics(
@@ -206,68 +213,38 @@ def dynamics(
         explained=1.0 - left[delay] if left else None,
         stiffness=stiffness,
         horizon=horizons[-1],
-        friction=start.friction,
-        radius=float(f"{start.radius:.2g}"),
+        friction=friction,
+        radius=float(f"{radius:.2g}"),
         settings=tuple(settings),
         notes=(*notes, told) if driven else tuple(notes),
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Start:
-    """Where training starts: as ``Dynamics``, and the inertia of the lightest coordinates."""
-
-    units: Units
-    friction: tuple[float, ...]
-    inertia: float = 1.0
-    radius: float = USUAL_RADIUS
-    settings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
 def _start(
     pairs: Sequence[Motion],
     coordinates: Coordinates,
-    units: Units,
     h: float,
-    input_matrix: np.ndarray,
-    *,
-    known: bool,
-) -> _Start:
-    """Return where a training starts whose inputs explain the motion.
+    matrix: np.ndarray,
+    inertia: float,
+    notes: list[str],
+) -> list[str]:
+    """Return the settings of a training that starts with an inertia, and add its ``notes``.
 
-    Args:
-        pairs: Motions in ``units``.
-        coordinates: Those of the machine.
-        units: Those of lengths and times.
-        h: Time step in ``units``.
-        input_matrix: In SI units.
-        known: Whether the equations are known, with values to start from.
+    The matrix of the inputs, in the units of the motions, is learned if these contradict it.
     """
-    matrix = input_matrix * coordinates._replace(units=units).sizes.numpy()[:, None]
-    matrix = matrix / units.size("N m")
-    inertia, radius = _inertia(pairs, coordinates, h, matrix)
-    settings, notes = [], []
-    if not known:
-        notes.append(f"scale: training starts with an inertia of {inertia:.2g}, as inputs suggest")
-        units = units._replace(mass=_unit(inertia, FAR))
-        inertia /= units.mass
-        settings.append(f"lagrangian.initial_inertia={inertia:.2g}")
-        settings.append(f"dissipation.start={DAMPING * inertia:.2g}")
-        wrong = contradiction(pairs, coordinates, h, matrix)
-        if wrong is not None and wrong >= CONTRADICTED:
-            settings.append("model.inputs=learned")
-            notes.append(
-                f"input matrix: with the given one, {wrong:.2g} times as much power is not "
-                "explained as with any; it is learned (model.inputs=given keeps it)"
-            )
-    friction = (DAMPING,) * coordinates.n
-    if not coordinates.rotations:
-        friction = _friction(pairs, matrix / units.mass)
-    return _Start(
-        units=units, friction=friction, inertia=inertia, radius=radius,
-        settings=tuple(settings), notes=tuple(notes),
-    )  # fmt: skip
+    notes.append(f"scale: training starts with an inertia of {inertia:.2g}, as inputs suggest")
+    own = inertia / _unit(inertia, FAR)
+    settings = [
+        f"lagrangian.initial_inertia={own:.2g}", f"dissipation.start={DAMPING * own:.2g}",
+    ]  # fmt: skip
+    wrong = contradiction(pairs, coordinates, h, matrix)
+    if wrong is not None and wrong >= CONTRADICTED:
+        settings.append("model.inputs=learned")
+        notes.append(
+            f"input matrix: with the given one, {wrong:.2g} times as much power is not "
+            "explained as with any; it is learned (model.inputs=given keeps it)"
+        )
+    return settings
 
 
 def explained_by_angles(
