@@ -111,7 +111,7 @@ def test_held_out_errors_are_in_the_unit_of_length_of_the_parameters(
 
 
 @pytest.mark.parametrize(
-    ("name", "unit"), [("x_mm", "mm"), ("x [cm]", "cm"), ("x_m", "m"), ("x", "m")]
+    ("name", "unit"), [("x_mm", "mm"), ("x [cm]", "cm"), ("x_m", "m"), ("x m", "m"), ("x", "m")]
 )
 def test_lengths_in_another_unit_by_their_names_are_told(name, unit, workplace):
     sprung(1.0, 1.0).rename(columns={"q_x": f"q_{name}", "u_x": f"u_{name}"}).to_csv("mine.csv")

@@ -153,13 +153,9 @@ def in_degrees(name: str) -> bool:
 
 
 def length_unit(name: str) -> str:
-    """Return the unit of length that a name ends with, ``m`` where it ends with none."""
-    return _unit_of(name) if has_length_unit(name) else "m"
-
-
-def has_length_unit(name: str) -> bool:
-    """Return whether a name ends with a unit of length; after an underscore, m may be a name."""
-    return _unit_of(name) in ("mm", "cm") or re.search(r"[\s\[(]m[\])]?$", name) is not None
+    """Return the unit of length that a name ends with; after an underscore, m may be a name."""
+    known = _unit_of(name) in ("mm", "cm") or re.search(r"[\s\[(]m[\])]?$", name)
+    return (_unit_of(name) or "m") if known else ""
 
 
 def units_of_angles(columns: Sequence[str]) -> set[str]:

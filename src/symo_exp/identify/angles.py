@@ -14,7 +14,6 @@ from symo_exp.data.formats import few
 from symo_exp.data.naming import (
     ANGLE,
     SLIDE,
-    has_length_unit,
     length_unit,
     units_of_angles,
 )
@@ -41,7 +40,7 @@ def is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
     words = re.split(r"[^a-z]+", name.lower())
     if units_of_angles([name]) or any(re.fullmatch(ANGLE, word) for word in words):
         return True
-    if has_length_unit(name) or any(re.fullmatch(SLIDE, word) for word in words):
+    if length_unit(name) or any(re.fullmatch(SLIDE, word) for word in words):
         return False
     low, high = min(x.min() for x in columns), max(x.max() for x in columns)
     if high - low > SPAN or _wraps(columns, 2 * np.pi):
@@ -57,12 +56,13 @@ def told_units(chosen: Sequence[str], all_names: Sequence[str]) -> list[str]:
     """Return a line on which coordinates are angles, and one on lengths in other units than m."""
     kinds = dict.fromkeys(chosen, "angles [rad]")
     positions = [name for name in all_names if name not in chosen]
-    kinds |= {name: f"positions [{length_unit(name)}]" for name in positions}
+    units = {name: length_unit(name) or "m" for name in positions}
+    kinds |= {name: f"positions [{unit}]" for name, unit in units.items()}
     groups = {kind: [x for x in kinds if kinds[x] == kind] for kind in kinds.values()}
     parts = "; ".join(f"{kind}: {', '.join(group)}" for kind, group in groups.items())
     lines = [f"{parts} (by names and ranges; system.angular says otherwise)"]
-    if odd := [name for name in positions if length_unit(name) != "m"]:
-        unit = length_unit(odd[0])
+    if odd := [name for name, unit in units.items() if unit != "m"]:
+        unit = units[odd[0]]
         lines.append(
             f"lengths of {few(odd)} are used as they are: where results say m, they are in {unit}, "
             f"and kg is N s^2/{unit}; convert them in the file for results in SI units"
