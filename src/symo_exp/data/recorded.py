@@ -6,7 +6,6 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
@@ -25,6 +24,7 @@ from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, with_ever
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
@@ -203,8 +203,10 @@ class RecordedData(DataModule):
                 for name, part in parts.items()
             }
         self._coordinates = space
-        nodes = Nodes(where, space, h, wrapped)
-        found = {name: [nodes.of(r) for r in part] for name, part in parts.items()}
+        found = {
+            name: [_trajectory(where, one, space, h, wrapped=wrapped) for one in part]
+            for name, part in parts.items()
+        }
         rollouts = found["test"][:n_integration]
         shortest = min(len(t.q) for t in rollouts)
         self._splits = Splits(**found, integration=stacked(rollouts, shortest))
@@ -291,51 +293,43 @@ def refuse_counts(
             )
 
 
-@dataclass(frozen=True)
-class Nodes:
-    """Recordings, their angles in radians, as trajectories with nodes a time step apart."""
+def _trajectory(
+    where: str, recording: Recording, coordinates: Coordinates, h: float, *, wrapped: bool
+) -> Trajectory:
+    """Return a recording, its angles in radians, as a trajectory with nodes a time step apart.
 
-    where: str
-    coordinates: Coordinates
-    time_step: float
-    wrapped: bool
-
-    def of(self, recording: Recording) -> Trajectory:
-        """Return one as a trajectory.
-
-        Raises:
-            ConfigError: If angles are wrapped or samples too far apart.
-        """
-        where, h = f"{self.where}: {titled(recording.label)}", self.time_step
-        samples = recording.acting()
-        if self.wrapped:
-            samples = unwrapped(samples, self.coordinates)
-        else:
-            _check_turns(where, samples, self.coordinates)
-        samples = turned(where, samples, self.coordinates)
-        if not _equal(samples.t, h):
-            if samples.step > h * (1 + TIME_TOLERANCE):
-                raise ConfigError(
-                    f"{where} has a sample every {samples.step:.6g} s, and system.time_step={h:g} "
-                    f"may not be shorter; set system.time_step={samples.step:.3g} or more"
-                )
-            samples = self._resampled(samples)
-        if len(samples.t) < 3:
+    Raises:
+        ConfigError: If angles are wrapped or samples too far apart.
+    """
+    where, space = f"{where}: {titled(recording.label)}", coordinates.space
+    samples = recording.acting()
+    if wrapped:
+        samples = unwrapped(samples, coordinates)
+    else:
+        _check_turns(where, samples, coordinates)
+    samples = turned(where, samples, coordinates)
+    if not _equal(samples.t, h):
+        if samples.step > h * (1 + TIME_TOLERANCE):
             raise ConfigError(
-                f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; at least 3 "
-                "are needed"
+                f"{where} has a sample every {samples.step:.6g} s, and system.time_step={h:g} "
+                f"may not be shorter; set system.time_step={samples.step:.3g} or more"
             )
-        _, q, v, u = samples
-        if v is None:
-            v = central_differences(torch.tensor(q), h, self.coordinates.space).numpy()
-        return Trajectory(*(torch.tensor(field) for field in (q, v, u)))
+        samples = _resampled(samples, space, h)
+    if len(samples.t) < 3:
+        raise ConfigError(
+            f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; at least 3 are needed"
+        )
+    q, u = torch.tensor(samples.q), torch.tensor(samples.u)
+    v = central_differences(q, h, space) if samples.v is None else torch.tensor(samples.v)
+    return Trajectory(q, v, u)
 
-    def _resampled(self, samples: Samples) -> Samples:
-        """Resample; rotations by their nine entries, with the rotation next to them."""
-        space, found = self.coordinates.space, resample(samples, self.time_step)
-        q, rate = space.normalised(torch.tensor(found.q)), torch.tensor(found.v)
-        v = space.velocity(q, rate) if samples.v is None else rate
-        return found._replace(q=q.numpy(), v=v.numpy())
+
+def _resampled(samples: Samples, space: Space, h: float) -> Samples:
+    """Resample; rotations by their nine entries, with the rotation next to them."""
+    found = resample(samples, h)
+    q, rate = space.normalised(torch.tensor(found.q)), torch.tensor(found.v)
+    v = space.velocity(q, rate) if samples.v is None else rate
+    return found._replace(q=q.numpy(), v=v.numpy())
 
 
 def in_radians(samples: Samples, coordinates: Coordinates) -> Samples:
