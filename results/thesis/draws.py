@@ -17,8 +17,7 @@ import torch
 import yaml
 
 import symo_exp
-from symo_exp.data.draws import uniform
-from symo_exp.data.simulate import generate
+from symo_exp.data.draws import generate, uniform
 from symo_exp.evaluation.evaluate import roll_out
 from symo_exp.evaluation.measures import mean_squared
 from symo_exp.mechanics.types import Trajectories

@@ -7,8 +7,7 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
-from symo_exp.data.draws import uniform
-from symo_exp.data.simulate import generate
+from symo_exp.data.draws import generate, uniform
 from symo_exp.errors import ConfigError
 from symo_exp.systems.base import SamplingBox
 from symo_exp.systems.simulation import Solver

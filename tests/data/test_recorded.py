@@ -11,10 +11,9 @@ import pandas as pd
 import pytest
 import torch
 
-from symo_exp.data.draws import uniform
+from symo_exp.data.draws import generate, uniform
 from symo_exp.data.recorded import RecordedData, delayed, lagging, recorded_system
 from symo_exp.data.resample import Samples
-from symo_exp.data.simulate import generate
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from symo_exp.data.draws import uniform
+from symo_exp.data.draws import generate, uniform
 from symo_exp.data.recorded import RecordedData
-from symo_exp.data.simulate import generate
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.learned import LearnedQuantities
 from symo_exp.evaluation.motion import Motion

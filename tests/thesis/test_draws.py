@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from symo_exp.data.simulate import generate
+from symo_exp.data.draws import generate
 from symo_exp.thesis.draws import Published, gym_generator
 from tests.data.small import ready
 from tests.data.test_draws import BOX, COUNTS

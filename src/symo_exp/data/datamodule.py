@@ -16,9 +16,8 @@ from typing_extensions import Unpack, override
 from symo_exp.checks import MOST, whole_number
 from symo_exp.data.base import DataModule, DataOptions, Splits
 from symo_exp.data.cache import Cache
-from symo_exp.data.draws import Draws, Independent
+from symo_exp.data.draws import Draws, Independent, generate
 from symo_exp.data.ends import ended
-from symo_exp.data.simulate import generate
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.process import phases

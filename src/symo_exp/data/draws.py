@@ -1,4 +1,4 @@
-"""Random starts and inputs of trajectories from the box of a system."""
+"""Random starts and inputs from the box of a system, and trajectories from these."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from symo_exp.systems.base import Range, SamplingBox
+from symo_exp.mechanics.types import Trajectories
+from symo_exp.systems.base import LagrangianSystem, Range, SamplingBox
+from symo_exp.systems.simulation import Solver, simulate
 
 
 class Starts(NamedTuple):
@@ -64,3 +66,21 @@ def bounds(*ranges: tuple[Range, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and the highest values of ranges, concatenated."""
     low, high = np.array([pair for part in ranges for pair in part]).reshape(-1, 2).T
     return low, high
+
+
+def generate(
+    system: LagrangianSystem,
+    starts: Starts,
+    *,
+    steps: int,
+    forced: bool,
+    solver: Solver,
+    lead: int = 0,
+) -> Trajectories:
+    """Return trajectories of ``steps + 1`` nodes, the first one ``lead`` steps after the start.
+
+    Unforced trajectories have ``u = 0``.
+    """
+    u = starts.u if forced else torch.zeros_like(starts.u)
+    path = simulate(system, system.space.of_vector(starts.q), starts.v, u, lead + steps, solver)
+    return Trajectories(*(field[:, lead:].contiguous() for field in path))
