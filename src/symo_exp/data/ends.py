@@ -27,10 +27,8 @@ def ended(splits: Splits, ends: Sequence[Range]) -> tuple[Splits, str]:
     Raises:
         ConfigError: If no trajectory of a part keeps three nodes.
     """
-    parts = {
-        name: [_ended(one, ends) for one in getattr(splits, name)]
-        for name in ("train", "val", "test")
-    }
+    given = {"train": splits.train, "val": splits.val, "test": splits.test}
+    parts = {name: [_ended(one, ends) for one in part] for name, part in given.items()}
     rollouts = [_ended(one, ends) for one in splits.integration.each()]
     for name, part in {**parts, "integration": rollouts}.items():
         if max(len(one.q) for one in part) < FEWEST:
@@ -38,9 +36,8 @@ def ended(splits: Splits, ends: Sequence[Range]) -> tuple[Splits, str]:
                 f"joint limits end every motion of data.n_{name} before its third node; "
                 "set system.limits=off or choose a narrower system.box"
             )
-    before = {name: getattr(splits, name) for name in parts}
     counts = ", ".join(
-        f"{sum(len(a.q) < len(b.q) for a, b in zip(part, before[name], strict=True))} of "
+        f"{sum(len(a.q) < len(b.q) for a, b in zip(part, given[name], strict=True))} of "
         f"{len(part)} {name}"
         for name, part in parts.items()
     )

@@ -153,9 +153,8 @@ def _usual(left: np.ndarray) -> np.ndarray:
 
 def _runs(strange: np.ndarray, hit: np.ndarray) -> list[tuple[int, int]]:
     """Return the first and last row of the runs of strange rows in which there is a hit."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], strange.astype(int), [0]])))
-    each = zip(edges[::2], edges[1::2], strict=True)
-    return [(int(a), int(b) - 1) for a, b in each if hit[a:b].any()]
+    edges = np.flatnonzero(np.diff(strange, prepend=False, append=False)).reshape(-1, 2)
+    return [(int(a), int(b) - 1) for a, b in edges if hit[a:b].any()]
 
 
 def _states(motions: Sequence[Motion], coordinates: Coordinates, h: float) -> np.ndarray:
