@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, final
+from typing import Annotated, Any, final
 
 import torch
 from jaxtyping import Float
@@ -24,9 +24,11 @@ from symo_exp.systems.base import VIEW, LagrangianSystem, Linkage, Skeleton
 class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
     """A rigid body with controls in body axes.
 
-    A subclass gives the pseudo-inertia about the origin of its body axes and the gravity, and, to
-    be drawn, points of the body.
+    A subclass gives the pseudo-inertia about the origin of its body axes and, to be drawn, points
+    of the body. ``gravity`` is a vector in world axes or a number, downwards.
     """
+
+    gravity: Any
 
     @property
     @abstractmethod
@@ -34,9 +36,10 @@ class RigidBodySystem(RigidBodyLagrangian, LagrangianSystem):
         """The pseudo-inertia of the body about its origin, float64."""
 
     @property
-    @abstractmethod
     def acceleration_of_gravity(self) -> Float[Tensor, " 3"]:
         """Gravity in world axes [m/s^2], float64."""
+        gravity = self.gravity if isinstance(self.gravity, tuple) else (0.0, 0.0, -self.gravity)
+        return torch.tensor(gravity, dtype=torch.float64)
 
     @property
     @abstractmethod
@@ -96,11 +99,6 @@ class RigidBody(RigidBodySystem):
 
     @property
     @override
-    def acceleration_of_gravity(self) -> Tensor:
-        return torch.tensor(self.gravity, dtype=torch.float64)
-
-    @property
-    @override
     def frame(self) -> tuple[Tensor, tuple[tuple[int, int], ...], float]:
         centre = torch.tensor(self.centre, dtype=torch.float64)
         size = max(float(centre.norm()), float(torch.tensor(self.inertia).max() / self.mass) ** 0.5)
@@ -132,11 +130,6 @@ class SphericalPendulum(RigidBodySystem):
         across = self.mass * (self.length**2 / 12 + self.radius**2 / 4)
         along = self.mass * self.radius**2 / 2
         return body_of(self.mass, (0.0, 0.0, -self.length / 2), (across, across, along))
-
-    @property
-    @override
-    def acceleration_of_gravity(self) -> Tensor:
-        return torch.tensor([0.0, 0.0, -self.gravity], dtype=torch.float64)
 
     @property
     @override
@@ -187,11 +180,6 @@ class Quadrotor(RigidBodySystem):
     @override
     def body(self) -> Tensor:
         return body_of(self.mass, (0.0, 0.0, 0.0), self.inertia)
-
-    @property
-    @override
-    def acceleration_of_gravity(self) -> Tensor:
-        return torch.tensor([0.0, 0.0, -self.gravity], dtype=torch.float64)
 
     @property
     @override
