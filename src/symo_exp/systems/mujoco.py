@@ -9,6 +9,7 @@ switched off with a note; the result is checked against MuJoCo's own acceleratio
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -61,13 +62,7 @@ def read_mechanism(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 @lru_cache(maxsize=4)  # the jobs of a sweep share it
 def _read(path: str, file: str, version: int) -> dict[str, Any]:
-    where = f"system.model={path}"
-    with warnings_heard() as warnings:
-        try:
-            model = load_model(file)
-        except Exception as error:  # whatever a parser says
-            raise ConfigError(f"{where}: MuJoCo cannot read it: {shortened(error)}") from None
-        return _with(of_model(model, where), warnings)
+    return _loaded(f"system.model={path}", lambda: load_model(file), "MuJoCo cannot read it")
 
 
 @lru_cache(maxsize=4)
@@ -78,19 +73,21 @@ def environment_mechanism(name: str) -> dict[str, Any]:
         ConfigError: If there is no such environment or it has features that are not supported.
     """
     where = f"system.id={name}"
+    return _loaded(where, lambda: environment_model(name), "Gymnasium cannot make it")
+
+
+def _loaded(where: str, load: Callable[[], Any], failed: str) -> dict[str, Any]:
+    """Return the mechanism of a model, MuJoCo's warnings among its notes."""
     with warnings_heard() as warnings:
         try:
-            model = environment_model(name)
-        except Exception as error:  # an environment is anybody's code
-            raise ConfigError(f"{where}: Gymnasium cannot make it: {shortened(error)}") from None
+            model = load()
+        except Exception as error:  # whatever a parser says; an environment is anybody's code
+            raise ConfigError(f"{where}: {failed}: {shortened(error)}") from None
         if not isinstance(model, library().MjModel):
             raise ConfigError(
                 f"{where} is not an environment with a MuJoCo model; give one, such as Swimmer-v5"
             )
-        return _with(of_model(model, where), warnings)
-
-
-def _with(found: dict[str, Any], warnings: list[str]) -> dict[str, Any]:
+        found = of_model(model, where)
     return found | {"notes": [*found["notes"], *dict.fromkeys(warnings)]}
 
 
