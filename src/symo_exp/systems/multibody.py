@@ -75,11 +75,9 @@ class Multibody(LagrangianSystem):
             u=tuple(map(tuple, self.mechanism["inputs"]["ranges"])),
         )
         vars(self)["box"] = completed(self.box, own)
-        for name, values in (
-            ("viscous", tuple(joint.damping for joint in self._movers)),
-            ("coulomb", tuple(joint.friction for joint in self._movers)),
-        ):
-            vars(self)[name] = values if getattr(self, name) is None else getattr(self, name)
+        for name, own_name in ("viscous", "damping"), ("coulomb", "friction"):
+            if getattr(self, name) is None:
+                vars(self)[name] = tuple(getattr(joint, own_name) for joint in self._movers)
         super().__post_init__()
 
     @cached_property
