@@ -85,8 +85,19 @@ class Renderer:
         self._fps = frames_per_second
         self._pygame: Any = None
         self._window: Any = None
-        if mode == "human":
-            self._open(title)
+        if mode != "human":
+            return
+        try:
+            import pygame
+        except ImportError as error:
+            raise ConfigError(
+                f"a window needs pygame, which is not installed: {install_command('render')}"
+            ) from error
+        self._pygame = pygame
+        pygame.display.init()
+        pygame.display.set_caption(title)
+        self._window = pygame.display.set_mode((SIZE, SIZE))
+        self._clock = pygame.time.Clock()
 
     def show(self, picture: np.ndarray) -> np.ndarray | None:
         """Return the picture (SIZE, SIZE, 3), uint8, ``None`` after showing it in the window."""
@@ -104,16 +115,3 @@ class Renderer:
         if self._window is not None:
             self._pygame.display.quit()
             self._window = None
-
-    def _open(self, title: str) -> None:
-        try:
-            import pygame
-        except ImportError as error:
-            raise ConfigError(
-                f"a window needs pygame, which is not installed: {install_command('render')}"
-            ) from error
-        self._pygame = pygame
-        pygame.display.init()
-        pygame.display.set_caption(title)
-        self._window = pygame.display.set_mode((SIZE, SIZE))
-        self._clock = pygame.time.Clock()
