@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
@@ -20,6 +21,7 @@ SEEDS = 1000
 """Difference of the seeds of fits of the same candidate to the same data."""
 
 
+@dataclass(frozen=True)
 class Fits:
     """The fits of a search. Attempts at the same fit differ in their seeds.
 
@@ -33,19 +35,13 @@ class Fits:
         clock: Whether trainings are ended when they take much longer than planned.
     """
 
-    def __init__(
-        self,
-        sweep: Sweep,
-        machine: Machine,
-        plan: Plan,
-        given: Mapping[str, str],
-        *,
-        experiment: str,
-        seed: int,
-        clock: bool,
-    ) -> None:
-        self._sweep, self._machine, self._plan, self._given = sweep, machine, plan, given
-        self._experiment, self._seed, self._clock = experiment, seed, clock
+    sweep: Sweep
+    machine: Machine
+    plan: Plan
+    given: Mapping[str, str]
+    experiment: str
+    seed: int
+    clock: bool
 
     def check(self, candidates: Sequence[Candidate]) -> None:
         """Build candidates, at least one, until one can be fitted.
@@ -55,7 +51,7 @@ class Fits:
         """
         errors = []
         for candidate in candidates:
-            error = self._sweep.refusal(self._overrides_of_fold(candidate, 0))
+            error = self.sweep.refusal(self._overrides_of_fold(candidate, 0))
             if error is None:
                 return
             errors.append(error)
@@ -65,10 +61,10 @@ class Fits:
         self, todo: Sequence[tuple[Candidate, int]], attempt: int = 0
     ) -> list[tuple[Candidate, int, RunFolder | ConfigError]]:
         """Fit candidates to folds, side by side."""
-        count = self._plan.folds
+        count = self.plan.folds
         words = [self._overrides_of_fold(candidate, k, attempt) for candidate, k in todo]
         names = [f"{candidate.name}, fold {k + 1} of {count}" for candidate, k in todo]
-        found = self._sweep.perform(words, names)
+        found = self.sweep.perform(words, names)
         return [(c, k, folder) for (c, k), folder in zip(todo, found, strict=True)]
 
     def to_all(
@@ -95,15 +91,15 @@ class Fits:
 
     def _performed(self, words: Sequence[list[str]], names: Sequence[str]) -> list[RunFolder]:
         folders = []
-        for folder in self._sweep.perform(words, names):
+        for folder in self.sweep.perform(words, names):
             if isinstance(folder, ConfigError):
                 raise folder
             folders.append(folder)
         return folders
 
     def _overrides_of_fold(self, candidate: Candidate, k: int, attempt: int = 0) -> list[str]:
-        fold = f"data.fold=[{k},{self._plan.folds}]"
-        return self._overrides(candidate, self._plan.seconds, attempt, fold)
+        fold = f"data.fold=[{k},{self.plan.folds}]"
+        return self._overrides(candidate, self.plan.seconds, attempt, fold)
 
     def _overrides_of_last(
         self,
@@ -114,8 +110,8 @@ class Fits:
         without: Collection[str] = (),
     ) -> list[str]:
         """Return the overrides of a fit to all data, or to as many as there is time for."""
-        seconds = self._plan.most_seconds(candidate, self._machine)
-        if seconds >= self._machine.seconds:
+        seconds = self.plan.most_seconds(candidate, self.machine)
+        if seconds >= self.machine.seconds:
             without = [*without, "data.seconds"]
         return self._overrides(
             candidate,
@@ -140,8 +136,8 @@ class Fits:
         """Return the overrides of a fit to data of a length, those of the command line last."""
         settings = by_key(
             [
-                *self._machine.settings,
-                f"experiment={self._experiment}",
+                *self.machine.settings,
+                f"experiment={self.experiment}",
                 "logger=none",
                 "trainer.compile=false",  # it takes longer than most of these trainings
                 "pictures=false",
@@ -149,7 +145,7 @@ class Fits:
                 f"learner.validation.iterations={ITERATIONS}",
                 f"data.seconds={seconds:g}",
                 self._limit(candidate, seconds),
-                *self._plan.overrides(candidate),
+                *self.plan.overrides(candidate),
                 *candidate.overrides(),
                 *more,
             ]
@@ -157,17 +153,17 @@ class Fits:
         if candidate.settings["dissipation"] == "none":
             settings = left_open(settings, ["dissipation"]) | {"dissipation": "dissipation=none"}
         kept = {key: word for key, word in settings.items() if key not in without}
-        found = {**left_open(kept, self._given), **self._given}
+        found = {**left_open(kept, self.given), **self.given}
         if attempt:
-            found["seed"] = f"seed={self._seed + SEEDS * attempt}"
+            found["seed"] = f"seed={self.seed + SEEDS * attempt}"
         return sorted(found.values(), key=lambda word: "." in word.partition("=")[0])
 
     def _limit(self, candidate: Candidate, seconds: float) -> str:
         """Return the setting of the time after which a training is ended."""
-        if not self._clock:
+        if not self.clock:
             return "trainer.time_limit=null"
-        nodes = round(seconds / self._machine.time_step)
-        limit = self._plan.limit(candidate, nodes, self._machine)
+        nodes = round(seconds / self.machine.time_step)
+        limit = self.plan.limit(candidate, nodes, self.machine)
         return f"trainer.time_limit={limit:.0f}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -119,9 +119,10 @@ def examine(
         flat, turning = known.coordinates.flat, known.coordinates.angular
         angular = [name for name, angle in zip(flat, turning, strict=False) if angle] or "none"
         input_matrix, rotations = known.input_matrix.tolist(), known.coordinates.rotations
-    return _Examination(data, angular, input_matrix, time_step, rotations, known).machine()
+    return _Examination(dict(data), angular, input_matrix, time_step, rotations, known).machine()
 
 
+@dataclass
 class _Examination:
     """The steps of ``examine``, whose arguments it has: each infers what is not given.
 
@@ -129,32 +130,28 @@ class _Examination:
     validation, become what a model is trained on.
     """
 
-    used: list[Recording]
-    test: list[Recording]
-    starts: dict[str, float]  # of the trajectories of the table [s]
-    moving: int  # how many of ``used`` are not at rest
-    angles: list[str]
-    space: Coordinates
+    data: dict[str, Any]
+    angular: Any
+    input_matrix: Any
+    time_step: float | None
+    rotations: Sequence[str]
+    known: System | None
+    settings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    used: list[Recording] = field(init=False)
+    test: list[Recording] = field(init=False)
+    starts: dict[str, float] = field(init=False)  # of the trajectories of the table [s]
+    moving: int = field(init=False)  # how many of ``used`` are not at rest
+    angles: list[str] = field(init=False)
+    space: Coordinates = field(init=False)
 
-    def __init__(
-        self,
-        data: Mapping[str, Any],
-        angular: Any,
-        input_matrix: Any,
-        time_step: float | None,
-        rotations: Sequence[str],
-        known: System | None,
-    ) -> None:
-        self.data, self.columns, self.where = dict(data), data.get("columns"), shown(data["path"])
-        self.angular, self.known, self.rotations = angular, known, rotations
-        self.input_matrix, self.matrix_is_given = input_matrix, input_matrix is not None
-        self.settings: list[str] = []
-        self.notes: list[str] = []
-        found = header(data["path"], self.columns)
+    def __post_init__(self) -> None:
+        self.columns, self.where = self.data.get("columns"), shown(self.data["path"])
+        self.matrix_is_given = self.input_matrix is not None
+        found = header(self.data["path"], self.columns)
         self.names, self.inputs = names("q", found), names("u", found)
-        if known is not None:
-            self.names, self.inputs = known.coordinates.measured, tuple(known.inputs)
-        self.time_step = time_step
+        if self.known is not None:
+            self.names, self.inputs = self.known.coordinates.measured, tuple(self.known.inputs)
 
     def machine(self) -> Machine:
         """Take all steps and return the machine."""
