@@ -12,13 +12,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from symo_exp.data.folds import VALIDATED
+from symo_exp.data.header import UNITS
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.horizon import EVERY, HORIZONS, LONG, RUN_IN
 from symo_exp.files import read_json, user_cache, write_text
 from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.recordings import Machine
 
-UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 REFERENCE = 0.25
 """Time of ``exercise`` on the machine on which the times below were measured [s]."""
 EPOCH, NODE = 8e-3, 4.5e-6
