@@ -194,5 +194,5 @@ def likelier(
     """
     if not all(math.isfinite(x[k]) for x in (one, other) for k in folds):
         return True
-    gain = float(np.mean([math.log(other[k] / one[k]) for k in folds]))
+    gain, _ = compared(other, one, folds)
     return count * gain > 0.5 * more * math.log(count)
