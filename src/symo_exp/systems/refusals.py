@@ -15,7 +15,6 @@ FREEDOMS = {"hinge": 1, "slide": 1, "ball": 3, "free": 6}
 
 def refusals(model: Any) -> Iterator[str]:
     """Yield a line for each feature of a model that is not supported."""
-    mj = library()
     for i in range(model.njnt):
         if joint_kind(model, i) in ("ball", "free") and model.jnt_stiffness[i]:
             yield f"joint {joint_name(model, i)}: springs of ball and free joints are not supported"
@@ -37,10 +36,11 @@ def refusals(model: Any) -> Iterator[str]:
         yield "wind is not supported; remove it"
     if model.geom_fluid[:, 0].any() and (model.opt.density or model.opt.viscosity):
         yield "fluidshape=ellipsoid is not supported; use fluidshape=none"
-    yield from _actuators(model, mj)
+    yield from _actuators(model)
 
 
-def _actuators(model: Any, mj: Any) -> Iterator[str]:
+def _actuators(model: Any) -> Iterator[str]:
+    mj = library()
     if getattr(model, "nactuator", model.nu) != model.nu:
         yield "an actuator has several controls; only one each is supported"
     if model.nu and model.opt.disableactuator:
