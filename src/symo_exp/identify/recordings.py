@@ -156,7 +156,8 @@ class _Examination:
     def machine(self) -> Machine:
         """Take all steps and return the machine."""
         self._name_rotations_and_inputs()
-        self._read_parts()
+        self.notes += self._read_parts(self.time_step)
+        self._tell_rest()
         self._tell_angles()
         self._read_units()
         self._tell_superfluous()
@@ -214,11 +215,31 @@ class _Examination:
             self.settings.append(_matrix_setting(self.input_matrix))
             self.notes.append(line)
 
-    def _read_parts(self) -> None:
-        """Read ``used`` and ``test``; count the recordings that move."""
-        parts = _parts(self.data, self._system("none"), self.time_step)
-        self.used, self.test, self.starts, told = parts
-        self.notes += told
+    def _read_parts(self, time_step: float | None) -> list[str]:
+        """Read ``used`` and ``test``, and return lines on them."""
+        data = self.data
+        unit = data.get("time_unit")
+        table = read_recordings(data["path"], self._system("none"), self.columns, unit)
+        named = {part: data.get(part) for part in ("train", "val", "test")}
+        counts = data.get("n_val"), data.get("n_test")
+        recordings: Sequence[Recording] = table.recordings
+        notes, note = list(table.notes), None
+        self.starts = {one.label: float(one.samples.t[0]) for one in recordings}
+        if data.get("leave_out") is not None:
+            recordings = without(recordings, data["leave_out"], time_step or STEPS[0])
+        if all(given is None for given in (*named.values(), *counts)):
+            finest = min(one.samples.step for one in recordings)
+            recordings, note = with_every_part(recordings, time_step or min(STEPS[0], finest))
+            notes += [note] if note else []
+        parts = divided(self.where, recordings, named, *counts)
+        self.used, self.test = [*parts["train"], *parts["val"]], parts["test"]
+        if not note:
+            count, tested = len(self.used), few([one.label for one in self.test])
+            notes.append(f"recordings: {count} to choose and train models, for the test {tested}")
+        return notes
+
+    def _tell_rest(self) -> None:
+        """Count the recordings that move, and tell of those at rest."""
         rest = at_rest(self.used)
         self.moving = rest.count(False)
         if still := [one.label for one, rests in zip(self.used, rest, strict=True) if rests]:
@@ -313,8 +334,8 @@ class _Examination:
             self.notes.append(_told_left_out(stretches, reason))
             left_out += stretches
             self.data["leave_out"] = left_out
-            used, *_ = _parts(self.data, self._system("none"), time_step)
-            continuous = [_continuous(one, self.space, self.data) for one in used]
+            self._read_parts(time_step)
+            continuous = [_continuous(one, self.space, self.data) for one in self.used]
             self.used, _ = uninterrupted(continuous, time_step)
         if left_out:
             self.settings.append(f"data.leave_out={override_value(left_out)}")
@@ -346,34 +367,6 @@ def _turned(where: str, recording: Recording, space: Coordinates) -> Recording:
     """Return a recording with rotation matrices instead of quaternions."""
     where = f"{where}: {titled(recording.label)}"
     return recording._replace(samples=turned(where, recording.samples, space))
-
-
-def _parts(
-    data: Mapping[str, Any], system: Recorded, time_step: float | None
-) -> tuple[list[Recording], list[Recording], dict[str, float], list[str]]:
-    """Return the recordings for training and validation, those for testing, and lines on both.
-
-    The third result is the time of the first sample of each trajectory of the table.
-    """
-    path = data["path"]
-    table = read_recordings(path, system, data.get("columns"), data.get("time_unit"))
-    named = {part: data.get(part) for part in ("train", "val", "test")}
-    counts = data.get("n_val"), data.get("n_test")
-    recordings: Sequence[Recording] = table.recordings
-    notes, note = list(table.notes), None
-    starts = {one.label: float(one.samples.t[0]) for one in recordings}
-    if data.get("leave_out") is not None:
-        recordings = without(recordings, data["leave_out"], time_step or STEPS[0])
-    if all(given is None for given in (*named.values(), *counts)):
-        finest = min(one.samples.step for one in recordings)
-        recordings, note = with_every_part(recordings, time_step or min(STEPS[0], finest))
-        notes += [note] if note else []
-    parts = divided(shown(path), recordings, named, *counts)
-    used = [*parts["train"], *parts["val"]]
-    if not note:
-        tested = few([one.label for one in parts["test"]])
-        notes.append(f"recordings: {len(used)} to choose and train models, for the test {tested}")
-    return used, parts["test"], starts, notes
 
 
 def _in_table(stretch: Stretch, starts: Mapping[str, float]) -> tuple[str, float, float]:
