@@ -172,16 +172,14 @@ class Multibody(LagrangianSystem):
     @override
     def with_constants(self, values: Mapping[str, Tensor]) -> Self:
         twin = super().with_constants({})
-        rows: list[list[Tensor]] = [[], [], [], [], []]
-        for i, joint in enumerate(self.joints):
-            own = [x[i] for x in self._numbers[:5]]
+        rows = []
+        for joint, *own in zip(self.joints, *self._numbers[:5], strict=True):
             if (body := values.get(f"{joint.name}.body")) is not None:
                 own[:3] = of_pseudo_inertia(body)
             own[3] = values.get(f"{joint.name}.armature", own[3])
             own[4] = values.get(f"{joint.name}.stiffness", own[4])
-            for column_of, value in zip(rows, own, strict=True):
-                column_of.append(value)
-        numbers = *(torch.stack(row) for row in rows), *self._numbers[5:]
+            rows.append(own)
+        numbers = *map(torch.stack, zip(*rows, strict=True)), *self._numbers[5:]
         kept = {name: getattr(self, name) for name in ("_tree", "joints", "coordinates", "_flat")}
         vars(twin).update(kept, _numbers=numbers)
         return twin
