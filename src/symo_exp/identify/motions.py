@@ -151,8 +151,13 @@ def dynamics(
     settings: list[str] = []
     notes: list[str] = []
     beginning = _beginning(recordings, max(EXAMINED, NODES * time_step))
-    motions = _of_rotations(_motions(beginning, time_step), coordinates)
-    left = _left_by_delays(motions, coordinates, time_step, driven=driven)
+    rotations = coordinates.space.normalised  # whose entries are fitted one by one
+    motions = [
+        (one, nodes, rotations(torch.tensor(q)).numpy())
+        for one, nodes, q in _motions(beginning, time_step)
+    ]
+    delays = DELAYS * min(1.0, time_step / UNHURRIED) if driven else np.zeros(1)
+    left = _best(delays, lambda delay: _unexplained(motions, coordinates, time_step, delay))
     if driven and left:
         lag, with_lag = _lag(motions, coordinates, time_step)
         if with_lag <= (1.0 - CLEAR) * min(left.values()):
@@ -484,12 +489,6 @@ def _motions(recordings: Sequence[Recording], h: float) -> list[Sampled]:
     return motions
 
 
-def _of_rotations(motions: Sequence[Sampled], coordinates: Coordinates) -> list[Sampled]:
-    """Return motions whose nodes are rotations, not their entries alone."""
-    nearest = coordinates.space.normalised
-    return [(one, nodes, nearest(torch.tensor(q)).numpy()) for one, nodes, q in motions]
-
-
 def _rest_velocity(paths: Sequence[np.ndarray], h: float) -> float:
     """Return a small part of the speed of the slowest coordinate that moves, if it is slow."""
     if not paths:
@@ -531,14 +530,6 @@ def _best(
     if (between := _lowest(left)) is not None and (share := unexplained(between)) is not None:
         left[float(f"{between:.3g}")] = share
     return left
-
-
-def _left_by_delays(
-    motions: Sequence[Sampled], coordinates: Coordinates, h: float, *, driven: bool
-) -> dict[float, float]:
-    """Return the share that is not explained with each delay; without inputs, with none."""
-    delays = DELAYS * min(1.0, h / UNHURRIED) if driven else np.zeros(1)
-    return _best(delays, lambda delay: _unexplained(motions, coordinates, h, delay))
 
 
 def _lag(motions: Sequence[Sampled], coordinates: Coordinates, h: float) -> tuple[float, float]:
