@@ -384,8 +384,7 @@ def _growth(
     if coordinates.rotations:
         return 0.0
     for step in sorted({h, *(larger for larger in STEPS if larger > h)}):
-        pairs = _pairs(_motions(recordings, step), step, delay)
-        rate = growth_rate(pairs, coordinates, step) if pairs else None
+        rate = growth_rate(_pairs(_motions(recordings, step), step, delay), coordinates, step)
         if rate is not None:
             return rate
     return 0.0
@@ -516,8 +515,7 @@ def _unexplained(
 
     Where it is not ``driven``, that which configurations and velocities do not explain.
     """
-    pairs = _pairs(motions, h, delay)
-    share = explained_power(pairs, coordinates, h, driven=driven) if pairs else None
+    share = explained_power(_pairs(motions, h, delay), coordinates, h, driven=driven)
     return None if share is None else 1.0 - share
 
 
@@ -610,7 +608,7 @@ def _stiffness(
     Training does not find springs from none within some tens of epochs: the inertia of what they
     move falls instead.
     """
-    slopes = spring_slopes(pairs, coordinates, h) if pairs else None
+    slopes = spring_slopes(pairs, coordinates, h)
     if slopes is None:
         return None
     stiffness = -0.5 * inertia * (slopes + slopes.T)
