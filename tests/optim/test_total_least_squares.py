@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import nn
 
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.galerkin import Galerkin
@@ -20,14 +21,17 @@ from symo_exp.models.true import TrueVariational
 from symo_exp.nets.affine import linear, repeated
 from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.lagrangians import NetworkLagrangian
+from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.roles import mark, mark_squares
 from symo_exp.optim.banded import Chain
 from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.training.learner import Learner
+from tests import pages
 from tests.learned import double_precision
 from tests.tables import arguments_of, explicit_integrators
 
+RECORDING = pages.ROOT / "recordings" / "motor_double_pendulum.parquet"
 H = 0.05
 NOISE = 5e-3
 ROOT = Newton(tolerance=1e-11, max_iterations=30)
@@ -154,6 +158,25 @@ class Falling(nn.Module):
             square = repeated(self.root, len(windows.q)).square()
             rise = rise - square * torch.cos(5.0 * windows.q)
         return windows.q_prev - 2.0 * windows.q + windows.q_next - H**2 * rise
+
+
+@pytest.mark.skipif(not RECORDING.exists(), reason="the recordings are not here")
+@pytest.mark.parametrize("seed", [1, 3, 5])
+def test_stages_go_on_where_machines_stick(seed, caplog):
+    """Curved steps of the nodes had every step refused, though straight ones are downhill."""
+    system = recorded_system(RECORDING, time_step=0.02, angular="all")
+    data = RecordedData(system=system, path=RECORDING, dtype="float64", seconds=12.0)
+    data.setup()
+    torch.manual_seed(seed)
+    with double_precision():
+        model = SyMo(
+            objective=PreconditionedResidual(), integrator=Galerkin(stages=1), root=ROOT,
+            lagrangian=PlanarLinks, dissipation=friction(), **arguments_of(system),
+        )  # fmt: skip
+    settings = {"starts": 1, "start": 10, "epochs": 8, "seed": seed}
+    _, found = train(model, data.trajectories("train"), **settings)
+    assert "no step lowers" not in caplog.text
+    assert float(found[-1]["noise_estimate"]) < 0.015
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

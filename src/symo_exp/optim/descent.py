@@ -53,6 +53,11 @@ class Move(NamedTuple):
     correction: Tensor | None = None
     """The part of the step that is of second order."""
 
+    def straight(self) -> Move:
+        """Return the move without what is of second order."""
+        step = self.step if self.correction is None else self.step - self.correction
+        return Move(step, None, self.predicted)
+
     def shortened(self, share: float) -> Move:
         """Return the move a ``share`` of the way along the parabola of the step."""
         shorter = self.predicted * share * (2.0 - share)

@@ -202,9 +202,16 @@ class NodesAndParameters(Descent):
     @override
     def take(self, move: Move) -> float:
         assert self._at is not None
+        value = self._placed(self._at, move)
+        if value >= self.objective and move.bend is not None and self._at.factor is not None:
+            # The bend is also that of the nodes' own way, which no damping of parameters shortens.
+            value = self._placed(self._at, move.straight())
+        return value
+
+    def _placed(self, at: Reduced, move: Move) -> float:
         moved = self.theta + move.step
         self._owner.place(moved)
-        x, r = self._arrived(self._at, move)
+        x, r = self._arrived(at, move)
         self._trial = x, r, moved
         return self._objective.value(x, r, moved)
 
