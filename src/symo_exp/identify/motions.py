@@ -308,9 +308,7 @@ def reversed_inputs(
     return none if gains is None else (input_matrix * gains).sum(axis=0) < 0.0
 
 
-def unresolved(
-    recordings: Sequence[Recording], coordinates: Coordinates, h: float
-) -> list[Stretch]:
+def too_fast(recordings: Sequence[Recording], coordinates: Coordinates, h: float) -> list[Stretch]:
     """Return when angles move too fast for samples a time step apart.
 
     There, a cubic polynomial through the two nodes before and the two after a node misses it.

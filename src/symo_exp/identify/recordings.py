@@ -36,7 +36,7 @@ from symo_exp.identify.motions import (
     fitting_time_step,
     reversed_inputs,
     struck,
-    unresolved,
+    too_fast,
 )
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.shell import override_value
@@ -47,7 +47,7 @@ TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
 which they are one."""
 REASONS = {
-    unresolved: "angles move too fast there for the distance of the samples",
+    too_fast: "angles move too fast there for the distance of the samples",
     struck: "something else moved the machine there, as the same states at other times show",
 }
 """Functions that find stretches to leave out, in this order, and why they are left out."""
