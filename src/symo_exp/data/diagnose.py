@@ -116,7 +116,7 @@ class Diagnosis:
         angles = self.turn[np.array(self.coordinates.turning)]
         verdict = "suits"
         if angles.size and angles.max() > COARSE:
-            verdict = "is coarse: a smaller one sees more of it, or data.leave_out skips fast parts"
+            verdict = "is coarse: a smaller one sees more, or data.leave_out skips what is fast"
         elif self.blur > NOISY:
             verdict = "is fine: noise hides the curvature, a larger one shows it"
         return (

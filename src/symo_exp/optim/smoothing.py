@@ -14,8 +14,9 @@ the diagonal: a part of the second derivative that Gauss-Newton leaves out. With
 ``θ_i`` grow like ``1/θ_i``, and with them the damping of all parameters, so that friction that is
 not there keeps the others from the data.
 
-A refused step is tried again with more damping: ``λ`` of the parameters or, if the nodes alone do
-not find their way, ``μ |x − x_before|²``, since dry friction bends the residuals within a step.
+A refused step is tried again without the acceleration, which is also that of the nodes' own way,
+then with more damping: ``λ`` of the parameters or, if the nodes alone do not find their way,
+``μ |x − x_before|²``, since dry friction bends the residuals within a step.
 """
 
 from __future__ import annotations
@@ -204,7 +205,7 @@ class NodesAndParameters(Descent):
         assert self._at is not None
         value = self._placed(self._at, move)
         if value >= self.objective and move.bend is not None and self._at.factor is not None:
-            # The bend is also that of the nodes' own way, which no damping of parameters shortens.
+            # No damping of the parameters shortens the nodes' own way and its bend.
             value = self._placed(self._at, move.straight())
         return value
 
