@@ -334,6 +334,7 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             lambda t: t.assign(t=[f"{x // 60:02}:{x % 60:02}" for x in range(len(t))]),
             "times such as 00:00 may be minutes and seconds, or hours and minutes",
         ),
+        (lambda t: t.assign(t=np.nan), "most of them in column t"),
         (
             lambda t: t.rename(columns={"t": "Time (s)", "q_0": "Arm Angle (rad)"}),
             '\'data.columns={t: "Time (s)", q_Arm: "Arm Angle (rad)"}\'',

@@ -290,9 +290,10 @@ def _from_dates(
         return (exact - exact.min()).reindex(times.index), UNITS[name]
     parts = times.astype(str).str.extract(f"^{MINUTES}$")
     if (parts[0].isna() & times.notna()).mean() <= DROPPED:
-        if not (parts[1].str.len() > 2).any():
+        found = times[parts[0].notna()]
+        if len(found) and not (parts[1].str.len() > 2).any():
             raise ConfigError(
-                f"{where}: times such as {times[times.first_valid_index()]} may be minutes and "
+                f"{where}: times such as {found.iloc[0]} may be minutes and "
                 "seconds, or hours and minutes; write them with hours, minutes and seconds, as "
                 "0:02:05, or as numbers"
             )
