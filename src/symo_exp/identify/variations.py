@@ -32,9 +32,9 @@ STRIBECK = 5.0
 INPUT_NOISE = 100.0
 """Noise of inputs over that of configurations where it is estimated, in units of the machine."""
 THE_STEP = "the time step"
-"""End of the parts of names that say which share of the time step a candidate has."""
+"""Words of the parts of names that say which share of the time step a candidate has."""
 ORDER = "Galerkin order"
-"""Beginning of those that say the order of its integrator."""
+"""Words of those that say the order of its integrator."""
 HIGHER = {"midpoint": (4, 3.6), "galerkin4": (6, 2.0)}
 """The next order of an integrator, and the cost of an epoch with it, relative to before."""
 HELD = 0.05
@@ -110,9 +110,8 @@ def with_half_the_step(candidate: Candidate, machine: Machine) -> list[Candidate
         return []
     count = round(machine.time_step / step)
     share = f"half {THE_STEP}" if count == 2 else f"1/{count} of {THE_STEP}"
-    parts = [part for part in candidate.name.split(", ") if not part.endswith(THE_STEP)]
-    halved = candidate.changed(share, 0.2, 2.0, system__time_step=f"{step:g}")
-    return [replace(halved, name=", ".join([*parts, share]))]
+    whole = _without(THE_STEP, candidate)
+    return [whole.changed(share, 0.2, 2.0, system__time_step=f"{step:g}")]
 
 
 def of_higher_order(candidate: Candidate, machine: Machine) -> list[Candidate]:
@@ -126,9 +125,14 @@ def of_higher_order(candidate: Candidate, machine: Machine) -> list[Candidate]:
     ):
         return []
     order, cost = HIGHER[integrator]
-    parts = [part for part in candidate.name.split(", ") if not part.startswith(ORDER)]
-    raised = candidate.changed("", 0.3, cost, integrator=f"galerkin{order}")
-    return [replace(raised, name=", ".join([*parts, f"{ORDER} {order}"]))]
+    lower = _without(ORDER, candidate)
+    return [lower.changed(f"{ORDER} {order}", 0.3, cost, integrator=f"galerkin{order}")]
+
+
+def _without(said: str, candidate: Candidate) -> Candidate:
+    """Return a candidate whose name has no part that says something."""
+    parts = (part for part in candidate.name.split(", ") if said not in part)
+    return replace(candidate, name=", ".join(parts))
 
 
 def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
