@@ -24,7 +24,8 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ex
 root_doc = "docs/index"
 include_patterns = [
     "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/**", "results/README.md",
-    "results/*/README.md", "results/*/report.md", "results/machines/rules.md", "recordings/*.md",
+    "results/*/README.md", "results/*/report.md", "results/machines/simulated.md",
+    "results/machines/rules.md", "recordings/*.md",
 ]  # fmt: skip
 exclude_patterns = [".*", "build", "outputs", "mlruns", "multirun", "src", "tests", "docs/site"]
 
