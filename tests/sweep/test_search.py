@@ -88,3 +88,33 @@ def test_the_search_that_ships_counts_and_ends_with_a_command_that_repeats_the_b
     again = shlex.split(told.removeprefix("to repeat it: "))[3:]
     assert main([*again, "logger=none", "pictures=false", "data.cache_dir=cache"]) == 0
     assert "finished already" in capsys.readouterr().out
+
+
+def test_a_search_without_a_run_that_succeeds_fails(workplace, capsys):
+    words = ["optimized_metric=test_mse", "learning_rate=choice(1e30)"]
+    assert main([*SEARCH, *words]) == 1
+    out = capsys.readouterr().out
+    assert "no trial has a finite test_mse" in out
+    assert "repeat" not in out
+
+
+def test_the_best_of_a_search_with_own_classes_is_repeated_with_them(workplace, capsys):
+    mine = workplace / "mine"
+    (mine / "objective").mkdir(parents=True)
+    source = """from symo_exp.models.objectives import Residual
+
+
+class Searched(Residual):
+    pass
+"""
+    (mine / "searched_objective.py").write_text(source)
+    yaml = "# An objective.\n_target_: searched_objective.Searched\n"
+    (mine / "objective" / "searched.yaml").write_text(yaml)
+    given = ["--config-dir", "mine", "code=mine", "objective=searched", "model=symo"]
+    words = [word for word in SEARCH if word != "model=node"]
+    assert main([*given, *words, "learning_rate=choice(1e-3,1e-2)"]) == 0
+    out = capsys.readouterr().out
+    (told,) = [line for line in out.splitlines() if line.startswith("to repeat it: ")]
+    again = shlex.split(told.removeprefix("to repeat it: "))[3:]
+    assert main([*again, "logger=none", "pictures=false", "data.cache_dir=cache"]) == 0
+    assert "finished already" in capsys.readouterr().out

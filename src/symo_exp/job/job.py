@@ -171,7 +171,7 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
                 tracker = parts.tracker
                 words = typed(hydras) if hydras.sweeper._target_ == OURS else None
                 choices, asked = dict(hydras.runtime.choices), list(hydras.overrides.task)
-                about = describe_job(settings, choices, asked, words)
+                about = describe_job(settings, choices, asked, words, own_folder(hydras))
             stopping.raise_if_requested()
             perform(parts, settings.values, folder, about, trained=trained)
         except stopping.Interrupted as error:
@@ -230,10 +230,13 @@ def typed(hydras: Any) -> list[str]:
     words = []
     if hydras.job.config_name != "config":
         words += ["-cn", hydras.job.config_name]
-    for source in hydras.runtime.config_sources:
-        if source.provider == "command-line":
-            words += ["--config-dir", source.path]
-    return [*words, *hydras.overrides.task]
+    return [*words, *own_folder(hydras), *hydras.overrides.task]
+
+
+def own_folder(hydras: Any) -> list[str]:
+    """Return the words that add the user's own configuration, by Hydra's part of the settings."""
+    own = [x.path for x in hydras.runtime.config_sources if x.provider == "command-line"]
+    return [word for path in own for word in ("--config-dir", path)]
 
 
 def describe_job(
@@ -241,6 +244,7 @@ def describe_job(
     choices: dict[str, Any],
     asked: Sequence[str],
     words: Sequence[str] | None = None,
+    own: Sequence[str] = (),
 ) -> About:
     """Describe the run; its name contains what its sweep varied: ``E2E-SyMo acrobot n=16``.
 
@@ -249,9 +253,10 @@ def describe_job(
         choices: The choice of each group.
         asked: Overrides on the command line.
         words: Words of its command; ``None``: those that repeat it without its sweep.
+        own: Words that add the user's own configuration, for ``None``.
     """
     found = differences(settings, choices)
-    words = found.alone() if words is None else words
+    words = [*own, *found.alone()] if words is None else words
     groups = {g: c for g, c in choices.items() if not g.startswith(("hydra/", "study"))}
     varied = [o for o in asked if o.partition("=")[0] in os.environ.get(VARIED, "").split(",")]
     told = [brief(o) for o in varied if not o.startswith(NAMED)]

@@ -46,7 +46,8 @@ class Differences(NamedTuple):
 
     def alone(self) -> list[str]:
         """Return the overrides that repeat a run of a search without the search."""
-        names = [*self.told, *self.changed, "experiment"]
+        code = ["code"] * (self.values.values["code"] is not None)
+        names = [*self.told, *self.changed, *code, "experiment"]
         values = [f"{name}={override_value(self.values.value(name))}" for name in names]
         return [*self.chosen, *self.choices, *values]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from contextlib import suppress
 from pathlib import Path
@@ -39,6 +40,9 @@ class AnnounceBest(Callback):
         found = yaml.safe_load(file.read_text(encoding="utf-8"))
         if "best_params" not in found:  # several objectives have no single best trial
             return
+        if not math.isfinite(found["best_value"]):
+            print(f"no trial has a finite {config.optimized_metric}")
+            raise SystemExit(1)  # as after a sweep with failed runs
         given = OverridesParser.create().parse_overrides(list(config.hydra.overrides.task))
         best = {key: override_value(value) for key, value in found["best_params"].items()}
         fixed = [
