@@ -1,6 +1,8 @@
 """Systems, methods and measures of a user are a class and a file in a folder of the user."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -137,6 +139,16 @@ def test_a_stored_run_is_loaded_without_code_that_is_not_given(mine, workplace):
     with pytest.raises(ConfigError, match=r"not_given\.Spring is refused.*code=FOLDER"):
         symo_exp.load(folder)
     assert not (workplace / "harm").exists()
+
+
+def test_a_finished_run_of_own_code_is_loaded_by_the_command_that_names_it(mine):
+    words = ["--config-dir", "mine_own", "code=mine_own", "system=spring", *QUIET]
+    words += ["model=true_variational", "measures=false"]
+    assert main(words) == 0
+    again = f"""import symo_exp
+assert symo_exp.run(*{words!r}).model.time_step > 0.0
+"""
+    subprocess.run([sys.executable, "-c", again], check=True, capture_output=True)
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,6 @@ def check_settings(settings: Settings, known: Mapping[str, Any]) -> None:
         settings: The settings of a run.
         known: The settings of the chosen files alone, unresolved.
     """
-    code.add(settings.values["code"])
     _check_node(settings.values, known, settings.references)
 
 

@@ -162,6 +162,7 @@ class Sweep:
         """Return a job whose places and, unless it is done, settings are checked."""
         job = self.composer.job(overrides, label)
         values = job.values
+        code.add(values["code"])  # also of finished runs, which may be loaded afterwards
         check_parts(job.settings, job.known)
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
         if values["resume"]:
