@@ -67,6 +67,35 @@ def test_a_study_of_a_user_that_returns_no_finding_is_named(workplace, capsys):
     assert told in capsys.readouterr().err
 
 
+TWICE = """
+from dataclasses import dataclass
+from symo_exp.evaluation.study import Finding, afresh
+
+@dataclass
+class Twice:
+    measure: str
+
+    def __call__(self, model, system, data, *, remember=afresh):
+        return Finding(measures={self.measure: 1.0})
+"""
+
+
+def test_a_study_does_not_replace_another_measure(workplace, capsys):
+    (workplace / "mine" / "study").mkdir(parents=True)
+    (workplace / "mine" / "twice_study.py").write_text(TWICE)
+    for name in ("one", "two"):
+        file = f"# @package study.{name}\n# A.\n_target_: twice_study.Twice\nmeasure: largest\n"
+        (workplace / "mine" / "study" / f"{name}.yaml").write_text(file)
+    words = ["--config-dir", "mine", "code=mine", "study=[one,two]", "model=true_ode"]
+    words += [*TINY, "pictures=false", "logger=none"]
+    for given, taken in [([], "largest"), (["study.one.measure=test_mse"], "test_mse")]:
+        assert main([*words, *given]) == 2
+        told = f"another measure of the run is named {taken}; rename this one"
+        assert told in capsys.readouterr().err
+    assert main([*words, "study.two.measure=other"]) == 0
+    assert main([*words, "study.two.measure=another"]) == 0  # its own name before
+
+
 @pytest.mark.parametrize(
     ("word", "wanted"),
     [("study=[forced,forcd]", "forced"), ("study=forced study.forced.steps=0", "from 1 to"),

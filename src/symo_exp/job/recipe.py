@@ -324,6 +324,11 @@ def _study(settings: Mapping[str, Any], folder: RunFolder, parts: Parts) -> None
         try:
             found = study(parts.model, parts.system, parts.data, remember=remember)
             instance("its result", found, Finding)
+            others = folder.measures(other for other in asked if other != name)
+            if taken := sorted(found.measures.keys() & others.keys()):
+                raise ConfigError(
+                    f"another measure of the run is named {taken[0]}; rename this one"
+                )
         except ConfigError as error:
             raise ConfigError(f"study={name}: {error}") from error
         columns = {key: x.numpy() for key, x in found.columns.items()}

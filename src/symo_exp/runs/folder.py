@@ -26,7 +26,7 @@ import logging
 import math
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -172,11 +172,13 @@ class RunFolder:
             about = About(**{**asdict(about), **kept})
         self._write(ABOUT, asdict(about))
 
-    def measures(self) -> dict[str, float]:
-        """Return the measures of the run and of its studies; none before they are computed."""
+    def measures(self, studies: Iterable[str] | None = None) -> dict[str, float]:
+        """Return the measures of the run and of some or all studies; none before their end."""
         found = self._read(MEASURES)
-        for file in sorted((self / STUDIES).glob("*.json")):
-            found |= self._read(f"{STUDIES}/{file.name}").get("measures", {})
+        if studies is None:
+            studies = sorted(file.stem for file in (self / STUDIES).glob("*.json"))
+        for name in studies:
+            found |= self._read(f"{STUDIES}/{name}.json").get("measures", {})
         return {name: float(value) for name, value in found.items()}
 
     def write_measures(self, measures: Mapping[str, float]) -> None:
