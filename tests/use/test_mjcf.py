@@ -359,7 +359,7 @@ def test_a_model_without_bodies_is_refused(tmp_path):
     truth = oscillator(2)
     coordinates = Coordinates(("a", "b"), (False, False))
     model = model_of(truth, coordinates, torch.eye(2).double())
-    with pytest.raises(ConfigError, match="does not consist of rigid bodies"):
+    with pytest.raises(ConfigError, match="this model does not consist of rigid bodies"):
         symo_exp.export(model, tmp_path / "machine.xml")
     assert not list(tmp_path.iterdir())
 

@@ -116,8 +116,8 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
 def linkage(lagrangian: Any, coordinates: Coordinates) -> Linkage:
     """Return the rigid bodies of a Lagrangian; refuse one that has none."""
     raise ConfigError(
-        f"{type(lagrangian).__name__} does not consist of rigid bodies, which .xml and .urdf "
-        "require; learn with lagrangian=planar, rigid, rigid_body or known, or write .pt2"
+        "this model does not consist of rigid bodies, which .xml and .urdf require; learn symo, "
+        "e2e_symo or l_node with lagrangian=planar, rigid, rigid_body or known, or write .pt2"
     )
 
 
