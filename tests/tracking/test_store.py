@@ -144,6 +144,21 @@ def test_a_deleted_experiment_is_reported(store):
         experiment_id(store, "e")
 
 
+@pytest.mark.parametrize("name", ["first", "second"])
+def test_a_store_that_was_moved_with_its_files_does_not_write_where_it_was(name, tmp_path):
+    """MLflow keeps absolute paths, of its own experiment and of others."""
+    before = find(None, tmp_path / "before")
+    for one in ("first", "second"):
+        run = connect(before).create_run(experiment_id(before, one))
+        connect(before).log_text(run.info.run_id, "text", "file.txt")
+    connect.cache_clear()
+    (tmp_path / "before").rename(tmp_path / "after")
+    with pytest.raises(ConfigError, match=f"would write files to {tmp_path}/before.*directory="):
+        experiment_id(find(None, tmp_path / "after"), name)
+    (tmp_path / "after").rename(tmp_path / "before")
+    assert experiment_id(before, name)
+
+
 def test_an_experiment_that_another_process_just_created(store, monkeypatch):
     """Behind a server there is no lock: between our look and our creation it appears."""
     client = connect(store)

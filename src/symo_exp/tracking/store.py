@@ -226,7 +226,21 @@ def experiment_id(store: Store, name: str) -> str:
             f"experiment {name!r} was deleted in {store}: restore it "
             f"(mlflow experiments restore -x {found.experiment_id}) or choose another name"
         )
+    if _was_moved(store, Path(str(found.artifact_location))):
+        raise ConfigError(
+            f"{store} was moved here, and MLflow would write files to {found.artifact_location}: "
+            "move it back, or give logger.directory=NAME for a new store, to which the commands of "
+            "finished runs upload them again"
+        )
     return str(found.experiment_id)
+
+
+def _was_moved(store: Store, kept: Path) -> bool:
+    """Return whether the folder that MLflow keeps by its absolute path now is beside the store."""
+    if store.database is None or store.artifacts is None or not kept.is_absolute():
+        return False
+    here = [Path(store.artifacts, *parts) for parts in ((), (kept.name,))]
+    return not kept.exists() and any(one.name == kept.name and one.is_dir() for one in here)
 
 
 def _is_unused(client: MlflowClient, store: Store) -> bool:
