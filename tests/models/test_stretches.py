@@ -99,8 +99,14 @@ def test_slopes_are_those_of_differences(kind, name, n):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_rollouts_evaluate_the_lagrangian_less_often_than_single_steps(n, monkeypatch):
+@pytest.mark.parametrize("rest_velocity", [0.01, 0.001])
+def test_rollouts_evaluate_the_lagrangian_less_often_than_single_steps(
+    rest_velocity, n, monkeypatch
+):
+    """Also where machines stick, so that stretches diverge: their first steps are solved."""
     flow, q, v, u = flow_and_starts("narrow dry friction", "midpoint", n)
+    flow.lagrangian = dissipative_chain(n, rest_velocity=rest_velocity).double()
+    q, v, u = q.repeat(5, 1), v.repeat(5, 1), torch.cat([u * scale for scale in range(5)])
     counts = []
     expand = type(flow.lagrangian).expand
 
@@ -133,9 +139,9 @@ def test_rows_without_a_solution_do_not_keep_others_from_their_slopes(kind, n, m
     expected = fitted_start(flow, measured, u)
     stretch, rolled = VariationalFlow.solve_stretch, []
 
-    def lossy(self, q, p, u):
-        path, at, found = stretch(self, q, p, u)
-        return path, at, found & (u[:, 0, 0] != lost)
+    def lossy(self, q, p, u, *guess):
+        path, at, solved = stretch(self, q, p, u, *guess)
+        return path, at, solved.where(u[:, 0, 0] != lost, 0)
 
     def counted(self, q, *arguments):
         rolled.append(len(q))
@@ -150,7 +156,8 @@ def test_rows_without_a_solution_do_not_keep_others_from_their_slopes(kind, n, m
     torch.testing.assert_close(found[0][others], path[others])
     torch.testing.assert_close(found[1][others], slopes[others])
     torch.testing.assert_close(fitted_start(flow, measured, u), expected, atol=1e-7, rtol=1e-5)
-    assert set(rolled) == {1 + 4 * n}
+    assert 1 + 4 * n in rolled
+    assert max(rolled) <= max(len(q), 1 + 4 * n)
 
 
 def test_other_root_finders_take_single_steps(monkeypatch):

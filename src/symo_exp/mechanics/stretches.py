@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from typing_extensions import override
 
@@ -31,6 +31,8 @@ from symo_exp.mechanics.variational import (
 
 FEW = 64
 """Rows up to which it costs more to select some than to continue with all."""
+FAST = 0.5
+"""Length of a change over that of the one before, up to which part of a stretch converges fast."""
 
 
 @dataclass(eq=False)
@@ -117,11 +119,11 @@ class StretchPoint(Rowwise):
 
     def norm(
         self, bounds: Bounds, own: Float[Tensor, "batch steps k k"] | None = None
-    ) -> Float[Tensor, " batch"]:
-        """Return the largest norm of a step, given its Jacobian in its own unknowns."""
+    ) -> Float[Tensor, "batch steps"]:
+        """Return the largest norm up to each step, given the Jacobians in their own unknowns."""
         if own is None or bounds.accuracy is None:
-            return bounds.norm(self.mismatch).amax(-1)
-        return bounds.norm(self.mismatch, solve(own, -self.mismatch)).amax(-1)
+            return bounds.norm(self.mismatch).cummax(-1).values
+        return bounds.norm(self.mismatch, solve(own, -self.mismatch)).cummax(-1).values
 
     def newton_step(
         self, before: StretchPoint | None
@@ -205,48 +207,57 @@ class StretchPoint(Rowwise):
 class StretchState(NamedTuple):
     """State of ``StretchNewton``."""
 
-    settled: Bool[Tensor, " batch"]
-    """Rows whose step is lost in rounding."""
+    roots: Bool[Tensor, "batch steps"]
+    """Whether all steps up to each are roots."""
+    settled: Bool[Tensor, "batch steps"]
+    """Whether the changes up to each step are lost in rounding."""
     before: StretchPoint | None
     """The previous iterate."""
-    length: Float[Tensor, " batch"]
-    """Of the previous step."""
-    lost: Bool[Tensor, " batch"]
-    """Rows in which a step was longer than the one before."""
+    length: Float[Tensor, "batch steps"]
+    """Of the previous change, up to each step."""
+    reach: Int[Tensor, " batch"]
+    """Steps from the start of the stretch that do not diverge."""
     own: Float[Tensor, "batch steps k k"] | None
     """Derivatives of the equations of each step in its own unknowns, at the previous iterate."""
 
 
 class StretchNewton(RootRule[StretchPoint, StretchState]):
-    """Undamped steps of Newton's method, dry friction by chords; rows that diverge are given up.
+    """Undamped steps of Newton's method, dry friction by chords; steps that diverge are given up.
 
-    A row diverges if a step is longer than the one before (the natural monotonicity test, Deuflhard
-    2011): what it would converge to later is a root far from the motion. The bounds are those of
-    each step.
+    A stretch diverges if a change is longer than the one before (the natural monotonicity test,
+    Deuflhard 2011): what it would converge to later is a root far from the motion. Its first steps
+    do not depend on those after them. They are solved as far as each change is at most half as long
+    as the one before. The bounds are those of each step.
     """
 
-    def converged(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, " batch"]:
-        """Return the rows that are roots, or as near to one as rounding allows."""
+    def solved(self, at: StretchPoint, state: StretchState) -> Int[Tensor, " batch"]:
+        """Return the number of steps, from the start of the stretch, that are solved."""
+        return self._roots(at, state).sum(1).minimum(state.reach)
+
+    def _roots(self, at: StretchPoint, state: StretchState) -> Bool[Tensor, "batch steps"]:
+        """Return whether all steps up to each are roots, or as near to one as rounding allows."""
         norm = at.norm(self.bounds)
         near = norm <= self.bounds.tolerance
         if state.own is not None and near.any():
             near = at.norm(self.bounds, state.own) <= self.bounds.tolerance
-        return ~state.lost & (near | (state.settled & norm.isfinite()))
+        return near | (state.settled & norm.isfinite())
 
     @override
     def start(self, x: Tensor, at: StretchPoint) -> StretchState:
-        none, own = torch.zeros_like(x[:, 0], dtype=torch.bool), None
-        bounds = self.bounds
+        bounds, (batch, steps, _), own = self.bounds, at.p.shape, None
         if bounds.accuracy is not None and bool((at.norm(bounds) <= bounds.tolerance).any()):
             own = at.newton_step(None)[1]
-        return StretchState(none, None, torch.full_like(x[:, 0], torch.inf), none, own)
+        none = torch.zeros(batch, steps, dtype=torch.bool, device=x.device)
+        reach = torch.full_like(none[:, 0], steps, dtype=torch.int64)
+        return StretchState(none, none, None, x.new_full((batch, steps), torch.inf), reach, own)
 
     @override
     def active(
         self, x: Tensor, at: StretchPoint, state: StretchState
     ) -> tuple[Tensor, StretchState]:
-        finite = at.norm(self.bounds).isfinite()
-        return finite & ~state.lost & ~self.converged(at, state), state
+        reach = state.reach.minimum(at.norm(self.bounds).isfinite().sum(1))
+        roots = self._roots(at, state)
+        return roots.sum(1) < reach, state._replace(roots=roots, reach=reach)
 
     @override
     def drops(self, active: int, rows: int, batch: int) -> bool:
@@ -256,15 +267,19 @@ class StretchNewton(RootRule[StretchPoint, StretchState]):
     def trial(
         self, x: Tensor, at: StretchPoint, state: StretchState
     ) -> tuple[Tensor, StretchState]:
-        sizes = self.bounds.sizes
-        step, own = at.newton_step(state.before)
-        there = at.moved(x, step)
-        settled = (step.abs() <= at.resolution(x, sizes)).all(-1)
-        length = relative(step, sizes).norm(dim=-1)
-        grows = (length > state.length) & ~settled
-        if grows.any():
-            grows &= ~self.converged(at, state)
-        return there, StretchState(settled, at, length, state.lost | grows, own)
+        sizes, steps = self.bounds.sizes, at.p.shape[1]
+        change, own = at.newton_step(state.before)
+        there = at.moved(x, change)
+        moves = (change.abs() > at.resolution(x, sizes)).unflatten(1, (steps, -1)).any(-1)
+        settled = ~moves.cummax(1).values
+        length = relative(change, sizes).unflatten(1, (steps, -1)).square().sum(-1).cumsum(1).sqrt()
+        done = settled | state.roots
+        grows, slow = (~((length <= share * state.length) | done) for share in (1.0, FAST))
+        whole = (state.reach == steps).unsqueeze(1)
+        last = (state.reach - 1).clamp(min=0).unsqueeze(1)
+        diverges = grows.where(whole, slow).gather(1, last).squeeze(1)
+        reach = state.reach.where(~diverges, slow.int().argmax(1))
+        return there, StretchState(state.roots, settled, at, length, reach, own)
 
     @override
     def judge(

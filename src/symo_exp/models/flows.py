@@ -25,7 +25,6 @@ from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.geodesic import on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
 from symo_exp.mechanics.roots import Newton, RootFinder, Sizes, iterate
-from symo_exp.mechanics.rows import put_rows
 from symo_exp.mechanics.space import FLAT, Space
 from symo_exp.mechanics.stretches import StretchMatching, StretchNewton, StretchPoint
 from symo_exp.mechanics.types import Windows
@@ -47,7 +46,7 @@ Carried = tuple[Tensor, Tensor, Tensor]
 ACCURACY = 1e-11
 """Bound on the error of a root in rollouts and in evaluation [unit of the coordinate]."""
 STRETCH, MOST_UPDATES = 10, 30
-"""Steps that a rollout solves at once, and iterations after which they are left to single steps."""
+"""Steps that a rollout solves at once, and iterations after which those that are solved count."""
 
 
 class Step(NamedTuple):
@@ -88,8 +87,6 @@ class Flow(nn.Module, ABC):
     """Units of the coordinates."""
     momentum_sizes: Sizes = None
     """Units of their momenta."""
-    stretch = STRETCH
-    """Steps that a rollout takes at a time."""
 
     def __init__(self, time_step: float) -> None:
         super().__init__()
@@ -127,15 +124,9 @@ class Flow(nn.Module, ABC):
         The state carried from node to node is ``(q, y)``, with ``y`` of ``encode``. ``advance``
         replaces ``self.advance``, as a compiled one does.
         """
-        y = self.encode(q, v)
-        start = q.unsqueeze(1), y.unsqueeze(1), torch.zeros_like(q[:, :1], dtype=torch.bool)
-        parts: list[Carried] = [start]
-        for k in range(0, u.shape[1] - 1, self.stretch):
-            state = parts[-1][0][:, -1], parts[-1][1][:, -1]
-            parts.append(self.advance_all(*state, u[:, k : k + self.stretch + 1], advance))
-        q, y, converged = (torch.cat(x, 1) for x in zip(*parts, strict=True))
+        q, y, converged = self.advance_all(q, self.encode(q, v), u, advance)
         v = self.decode(q.flatten(0, 1), y.flatten(0, 1)).view_as(y)
-        return Rollout(q, v, converged[:, 1:])
+        return Rollout(q, v, converged)
 
     def rollout_slopes(
         self, q: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"], u: Tensor
@@ -203,12 +194,12 @@ class Flow(nn.Module, ABC):
     def advance_all(
         self, q: Tensor, y: Tensor, u: Tensor, advance: Callable[..., Carried] | None = None
     ) -> Carried:
-        """Return ``(q, y)`` at all nodes after the first, and which rows have converged there."""
+        """Return ``(q, y)`` at all nodes, and which steps between them have converged."""
         nodes: list[Carried] = [(q, y, q)]
         for before, after in itertools.pairwise(u.unbind(1)):
             nodes.append((advance or self.advance)(*nodes[-1][:2], before, after))
-        q, y, converged = (torch.stack(x, 1) for x in zip(*nodes[1:], strict=True))
-        return q, y, converged
+        path, carried, converged = zip(*nodes, strict=True)
+        return torch.stack(path, 1), torch.stack(carried, 1), torch.stack(converged[1:], 1)
 
 
 def chained(
@@ -371,34 +362,58 @@ class VariationalFlow(Flow):
     def advance_all(
         self, q: Tensor, y: Tensor, u: Tensor, advance: Callable[..., Carried] | None = None
     ) -> Carried:
+        """Return all nodes of trajectories that solve stretches of steps, each at its own pace.
+
+        The step at which a stretch diverges is taken alone, and the next stretch begins after it.
+        """
         if advance is not None or not self.solves_stretches or u.shape[1] == 2:
             return super().advance_all(q, y, u, advance)
-        path, at, found = self.solve_stretch(q, y, u)
-        p, converged = at.p, found.unsqueeze(1).expand(path.shape[:2])
-        left = (~found & q.isfinite().all(1) & y.isfinite().all(1)).nonzero().squeeze(1)
-        if len(left) > 0:
-            single = super().advance_all(q[left], y[left], u[left])
-            path, p, converged = put_rows((path, p, converged), left, single)
-        return path, p, converged
+        count, last = len(u), u.shape[1] - 1
+        path, momenta = (
+            torch.cat((x.unsqueeze(1), x.new_full((count, last, x.shape[1]), torch.nan)), 1)
+            for x in (q, y)
+        )
+        converged = torch.zeros_like(path[:, :, 0], dtype=torch.bool)
+        every = torch.arange(count, device=q.device)
+        at = torch.zeros_like(every)
+        while True:
+            finite = torch.cat((path[every, at], momenta[every, at]), 1).isfinite().all(1)
+            rows = (finite & (at < last)).nonzero().squeeze(1)
+            if len(rows) == 0:
+                break
+            steps = min(STRETCH, last - int(at[rows].min()))
+            order = torch.arange(steps + 1, device=q.device)
+            ahead = (at[rows].unsqueeze(1) + order).clamp(max=last)
+            start, controls = (rows, at[rows]), u[rows.unsqueeze(1), ahead]
+            nodes, there, solved = self.solve_stretch(path[start], momenta[start], controls)
+            solved = solved.minimum(last - at[rows])
+            row, step = (order[1:] <= solved.unsqueeze(1)).nonzero(as_tuple=True)
+            reached = rows[row], ahead[row, step + 1]
+            path[reached], momenta[reached] = nodes[row, step], there.p[row, step]
+            converged[reached] = True
+            at[rows] += solved
+            alone = rows[(solved < steps) & (at[rows] < last)]
+            if len(alone) > 0:
+                start, end = (alone, at[alone]), (alone, at[alone] + 1)
+                single = self.advance(path[start], momenta[start], u[start], u[end])
+                path[end], momenta[end], converged[end] = single
+                at[alone] += 1
+        return path, momenta, converged[:, 1:]
 
     @override
     @torch.no_grad()
     def rollout_slopes(self, q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor] | None:
         if not self.solves_stretches:
             return super().rollout_slopes(q, v, u)
+        path = self.rollout(q, v, u).q
         (batch, n), at = v.shape, self.lagrangian.expand(q, v)
-        p, identity = at.values.v, torch.eye(n).to(q).expand(batch, n, n)
+        identity = torch.eye(n).to(q).expand(batch, n, n)
         top = torch.cat((identity, torch.zeros_like(identity)), dim=2)
         slope = torch.cat((top, torch.cat((at.curvature().vq, at.mass()), dim=2)), dim=1)
-        nodes, slopes = [q.unsqueeze(1)], [top.unsqueeze(1)]
-        for k in range(0, u.shape[1] - 1, self.stretch):
-            path, there, found = self.solve_stretch(q, p, u[:, k : k + self.stretch + 1])
-            path = path.where(found[:, None, None], torch.nan)
-            moved, slope = there.slopes(slope)
-            nodes.append(path)
-            slopes.append(moved)
-            q, p = path[:, -1], there.p[:, -1]
-        return torch.cat(nodes, 1), torch.cat(slopes, 1)
+        _, there, solved = self.solve_stretch(q, at.values.v, u, path[:, 1:])
+        known = (solved == u.shape[1] - 1)[:, None, None]
+        slopes = torch.cat((top.unsqueeze(1), there.slopes(slope)[0]), 1)
+        return torch.cat((path[:, :1], path[:, 1:].where(known, torch.nan)), 1), slopes
 
     @property
     def solves_stretches(self) -> bool:
@@ -407,18 +422,24 @@ class VariationalFlow(Flow):
         rows = isinstance(root, Newton) and root.stopping == "row"
         return rows and self.integrator.has_hessian
 
-    def solve_stretch(self, q: Tensor, p: Tensor, u: Tensor) -> tuple[Tensor, StretchPoint, Tensor]:
-        """Return the nodes after the first, the equations there, and which rows are solutions."""
+    def solve_stretch(
+        self, q: Tensor, p: Tensor, u: Tensor, guess: Tensor | None = None
+    ) -> tuple[Tensor, StretchPoint, Tensor]:
+        """Return the nodes after the first, the equations there, and how many steps are solved.
+
+        ``guess`` are the nodes to begin from; those of constant velocity if left out.
+        """
         steps, batch = u.shape[1] - 1, len(q)
         force = self.force(u.flatten(0, 1)).unflatten(0, (batch, steps + 1))
         forces = Forces(force[:, :-1], force[:, 1:])
         problem = StretchMatching(self.discrete, q, p, forces)
         t = self.time_step * torch.arange(1, steps + 1).to(q)
         moved = t[:, None] * self.decode(q, p).unsqueeze(1)
-        guess = self.space.retract(q.unsqueeze(1).expand(-1, steps, -1), moved)
+        if guess is None:
+            guess = self.space.retract(q.unsqueeze(1).expand(-1, steps, -1), moved)
         rule = StretchNewton(self.rollout_root.bounds)
         x, at, state = iterate(problem, problem.start(guess), rule, MOST_UPDATES)
-        return problem.nodes(x), at, rule.converged(at, state)
+        return problem.nodes(x), at, rule.solved(at, state)
 
     def _move(
         self, q: Tensor, p: Tensor, u: Tensor, u_next: Tensor, guess: Tensor, root: RootFinder
