@@ -8,12 +8,14 @@ import pytest
 import torch
 from torch import nn
 
+from benchmarks.machines import RandomMachine
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import DissipativeLagrangian, Friction
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.mechanics.variational import VariationalMidpoint
 from symo_exp.models.l_node import LNODE
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.symo import SyMo
@@ -173,10 +175,38 @@ def test_stages_go_on_where_machines_stick(seed, caplog):
             objective=PreconditionedResidual(), integrator=Galerkin(stages=1), root=ROOT,
             lagrangian=PlanarLinks, dissipation=friction(), **arguments_of(system),
         )  # fmt: skip
-    settings = {"starts": 1, "start": 10, "epochs": 8, "seed": seed}
+    settings = {"starts": 1, "start": 10, "epochs": 20, "seed": seed}
     _, found = train(model, data.trajectories("train"), **settings)
     assert "no step lowers" not in caplog.text
     assert float(found[-1]["noise_estimate"]) < 0.015
+
+
+@pytest.fixture(scope="module")
+def sticking(tmp_path_factory):
+    """A motor whose dry friction is nearly as large as its torque, with noise of 2e-4 rad."""
+    machine, path = RandomMachine(65), tmp_path_factory.mktemp("sticking") / "machine.parquet"
+    machine.record().to_parquet(path, index=False)
+    matrix = machine.input_matrix.tolist()
+    system = recorded_system(path, time_step=0.02, angular="all", input_matrix=matrix)
+    data = RecordedData(system=system, path=path, dtype="float64", fold=(1, 3), seconds=16.0)
+    data.setup()
+    return system, data.trajectories("train")
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_inertia_does_not_run_away_while_friction_is_small(seed, sticking):
+    """Where it is large, inputs do not matter, and residuals without friction are smaller."""
+    system, trajectories = sticking
+    torch.manual_seed(seed)
+    with double_precision():
+        model = SyMo(
+            objective=PreconditionedResidual(), integrator=VariationalMidpoint(), root=ROOT,
+            lagrangian=partial(PlanarLinks, initial_inertia=0.02),
+            dissipation=partial(LearnedDissipation, coulomb=True, start=2e-4),
+            **arguments_of(system),
+        )  # fmt: skip
+    _, found = train(model, trajectories, start=10, epochs=10, seed=seed)
+    assert float(found[-1]["noise_estimate"]) < 1.5e-3
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -70,7 +70,8 @@ class TotalLeastSquares(EpochOptimizer):
         epochs: Epochs of an ``ε``.
         late_from: Largest ``ε`` with late parameters.
         warm_up: Steps of Adam, its rate along a half cosine.
-        damping: Initial damping.
+        damping: Initial damping. First steps are short: friction starts from almost nothing, and
+            without it residuals are smallest where inertias are so large that inputs do not matter.
         velocity_weight: Noise of velocities over that of configurations [1/s].
         input_weight: Noise of inputs over that of configurations [N/m, N m/rad], in units of the
             coordinates if these are others; 0: inputs are exact.
@@ -92,7 +93,7 @@ class TotalLeastSquares(EpochOptimizer):
         epochs: int = 20,
         late_from: float = 0.3,
         warm_up: int = 300,
-        damping: float = 1e-2,
+        damping: float = 30.0,
         velocity_weight: float = 1.0,
         input_weight: float = 0.0,
         tolerance: float = 0.0,
