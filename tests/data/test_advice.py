@@ -64,6 +64,11 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
          "/j/header/stamp/nanosec": T % 1 * 1e9, "/j/position[0]": Q, "/j/effort[0]": U},
         {"t": "__time", "q": "/j/position[0]", "u": "/j/effort[0]"},
     ),
+    "a bag of ROS 1 as a table": (
+        {"rosbagTimestamp": T, "seq": range(len(T)), "secs": T // 1, "nsecs": T % 1 * 1e9,
+         "position_0": Q, "effort_0": U},
+        {"t": "rosbagTimestamp", "q": "position_0", "u": "effort_0"},
+    ),
     "a stamp of ROS": (
         {".header.seq": range(len(T)), ".header.stamp": T, ".pose.position.x": Q, ".cmd.data": U},
         {"t": ".header.stamp", "q": ".pose.position.x", "u": ".cmd.data"},
@@ -205,14 +210,14 @@ def test_an_index_without_a_name_is_suggested_as_times(
         np.testing.assert_allclose(found.samples.t, T, atol=1e-6)
 
 
-@pytest.mark.parametrize("stamp", ["header.stamp.", "/joints/header/stamp/", "stamp_"])
+@pytest.mark.parametrize("stamp", ["header.stamp.", "/joints/header/stamp/", "stamp_", ""])
 @pytest.mark.parametrize("parts", [("sec", "nanosec"), ("secs", "nsecs")])
 def test_the_parts_of_a_stamp_are_to_be_added(
     stamp: str, parts: tuple[str, str], tmp_path: Path
 ) -> None:
     path = tmp_path / "mine.csv"
     whole, rest = (f"{stamp}{part}" for part in parts)
-    stamps = {whole: 1_700_000_000 + T // 1, rest: T % 1 * 1e9}
+    stamps = {"seq": range(len(T)), whole: 1_700_000_000 + T // 1, rest: T % 1 * 1e9}
     said = f"add a column t with {whole} + 1e-9 * {rest} to the file"
     pd.DataFrame({**stamps, "position": Q}).to_csv(path, index=False)
     with pytest.raises(ConfigError, match=re.escape(said)) as error:
@@ -221,6 +226,42 @@ def test_the_parts_of_a_stamp_are_to_be_added(
     pd.DataFrame({**stamps, "q_arm": Q}).to_csv(path, index=False)
     with pytest.raises(ConfigError, match=re.escape(said)):
         headers(path, None)
+
+
+@pytest.mark.parametrize(
+    ("cells", "example"),
+    [
+        ([f"({x:.3f}, 0.5)" for x in Q], "'(0.000, 0.5)'"),
+        ([[x, 0.5] for x in Q], "array([0. , 0.5])"),
+        ([f"1.{500 + 99 * x:03.0f},25" for x in Q], "'1.500,25'"),
+        ([f"1,{500 + 99 * x:03.0f}.25" for x in Q], "'1,500.25'"),
+    ],
+)
+@pytest.mark.parametrize("name", ["position", "pose"])
+def test_coordinates_that_are_not_written_as_numbers_are_named(
+    name: str, cells: list, example: str, tmp_path: Path
+) -> None:
+    """Nothing else is guessed as a coordinate instead."""
+    path = tmp_path / "mine.parquet"
+    date = "2024-05-01"
+    pd.DataFrame({"time": T, name: cells, "other": U, "date": date}).to_parquet(path)
+    with pytest.raises(ConfigError, match=f"{name}: not read as numbers") as error:
+        headers(path, None)
+    assert example in str(error.value)
+    assert "data.columns" not in str(error.value)
+
+
+@pytest.mark.parametrize("unit", ["mm", "cm", "m"])
+def test_suggested_names_keep_units_of_length_that_results_have(unit: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame(
+        {"time": T, f"slide pos [{unit}]": Q, f"slide vel [{unit}/s]": U, "slide force [N]": U}
+    ).to_csv(path)
+    columns = advised(path)["columns"]
+    kept = "" if unit == "m" else f"_{unit}"
+    assert list(columns) == ["t", f"q_slide{kept}", f"v_slide{kept}", "u_slide"]
+    notes = examine({"path": str(path), "columns": columns}).notes
+    assert any(f"positions [{unit}]: slide" in note for note in notes)
 
 
 def test_names_that_are_made_up_say_no_kind() -> None:

@@ -103,6 +103,9 @@ WRITERS: dict[str, Writer] = {
     "names in a comment": text(lambda lines: ["# a log", "# " + lines[0], *lines[1:]]),
     "names in a comment, blanks": text(lambda lines: ["# " + lines[0], *lines[1:]], sep=" "),
     "a row of units": text(lambda lines: [lines[0], "s,rad,Nm", *lines[1:]]),
+    "a row of units above decimal commas": text(
+        lambda lines: [lines[0], "s;rad;Nm", *lines[1:]], sep=";", decimal=","
+    ),
     "nanoseconds of a clock": csv(
         "x.csv",
         lambda t: t.assign(t=(1e9 * t.t).round().astype("int64") + 1_700_000_000_000_000_000),
@@ -331,6 +334,10 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
         ),
         (lambda t: t.assign(t=1e3 * t.t), "give data.time_unit=ms"),
         (
+            lambda t: pd.concat(t.assign(t=1e3 * t.t + 0.7 * k).iloc[:300] for k in range(14)),
+            "times are 10 apart, and nothing says their unit; if they are in ms",
+        ),
+        (
             lambda t: t.assign(t=[f"{x // 60:02}:{x % 60:02}" for x in range(len(t))]),
             "times such as 00:00 may be minutes and seconds, or hours and minutes",
         ),
@@ -384,6 +391,23 @@ def test_doubtful_units_are_noted(change, said: str | None, tmp_path: Path, capl
     told = [r.getMessage() for r in caplog.records if "if angles are in" in r.getMessage()]
     told += [r.getMessage() for r in caplog.records if "times the slope" in r.getMessage()]
     assert [said in line for line in told] == [True] if said else not told
+
+
+@pytest.mark.parametrize(
+    ("large", "style"),
+    [("1.024,5", {"sep": ";", "decimal": ","}), ("1,024.5", {}), ("1 024.5", {}), ("1'024", {})],
+)
+def test_a_few_numbers_with_separators_of_thousands_are_not_left_out(
+    large: str, style: dict[str, str], tmp_path: Path
+) -> None:
+    table = motion()
+    words = table.q_0.astype(str).str.replace(".", style.get("decimal", "."))
+    table.assign(q_0=words.mask(table.index == 99, large)).to_csv(
+        tmp_path / "x.csv", index=False, **style
+    )
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    with pytest.raises(ConfigError, match=f"{large}.* in data row 100: write numbers as 1234.5"):
+        read_recordings(tmp_path / "x.csv", system)
 
 
 @pytest.mark.parametrize(

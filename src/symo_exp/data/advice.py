@@ -8,6 +8,7 @@ import shlex
 import warnings
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import pandas as pd
 
 from symo_exp.data.formats import few
@@ -16,7 +17,6 @@ from symo_exp.data.naming import (
     INPUT,
     PLACE,
     SPEED,
-    in_degrees,
     is_wanted,
     kind_of_column,
     names,
@@ -25,6 +25,7 @@ from symo_exp.data.naming import (
     short_names,
     slope_of,
     split_times,
+    unit_of,
     units_of_angles,
     unread_unit,
 )
@@ -48,6 +49,10 @@ STRIDE, ALIKE = 10, 0.95
 """Rows over which a column is compared with the sum of its rate, and their correlation at least."""
 UNNAMED = re.compile(r"$|__index_")
 """The beginning of the name of an index that was written along without one."""
+LISTS = (list, tuple, dict, np.ndarray)
+"""Types of cells with several numbers."""
+WRITTEN = re.compile(r"(?!.*\d-\d+-\d)[-+.,'\s()\[\]]*\d[-+\d.,'\se()\[\]]*", re.I)
+"""A number, or several, in another form than numbers are read in; no date."""
 KEY = re.compile(r"[\w/+.$%*@?| ()\[\]{}:=,\\-]+", re.ASCII)
 """Names of columns that can be typed as keys of a setting."""
 
@@ -80,7 +85,7 @@ def suggestion(
     free = [name for name in free if name not in itertools.chain(*stamps)]
     times = (
         [x for x, ours in every if ours == "t"]
-        or _times(free, table)
+        or _times(free, table, named=bool(stamps))
         or [x for x in found if UNNAMED.match(x) and found.count(x) == 1 and _measures(table[x])]
     )
     added = ""
@@ -89,7 +94,9 @@ def suggestion(
     elif stamps and not times:
         seconds, rest = stamps[0]
         added = f"add a column t with {seconds} + 1e-9 * {rest} to the file"
-    free = [name for name in free if not says_time(name) and is_number(table[name])]
+    free = [name for name in free if not says_time(name)]
+    text = [name for name in free if not is_number(table[name])]
+    free = [name for name in free if name not in text]
     unread = _unread_places(free, table)
     free = [name for name in free if name not in unread]
     if not names("q", new):
@@ -99,17 +106,19 @@ def suggestion(
         inputs = [] if names("u", new) else [name for name in free if kind_of_column(name) == "u"]
         mapping |= _places(free, table, inputs)
     mapped = [theirs for ours, theirs in mapping.items() if ours[:2] == "q_" and theirs]
-    if mapping == dict(columns or {}) or not (mapped or names("q", new)):
-        return added
-    text = (f"{added}, and " if added else "") + f"map them: {as_setting(mapping)}"
+    told = _told_text([name for name in text if name not in mapping.values()], table)
+    guessed = bool(mapped) and not any(map(kind_of_column, mapped))
+    if mapping == dict(columns or {}) or not (mapped or names("q", new)) or (guessed and told):
+        return "; ".join(filter(None, (told, added)))
+    mend = (f"{added}, and " if added else "") + f"map them: {as_setting(mapping)}"
     if units_of_angles(mapped) == {"deg"}:
-        text += " data.degrees=true"
-    if mapped and not any(map(kind_of_column, mapped)):
-        text += ", a guess, since no name says coordinate"
+        mend += " data.degrees=true"
+    if guessed:
+        mend += ", a guess, since no name says coordinate"
     silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
     if silent := [*unread, *silent]:
-        text += f", which leaves out {few(silent)}"
-    return text
+        mend += f", which leaves out {few(silent)}"
+    return "; ".join(filter(None, (mend, told)))
 
 
 def _unread_places(columns: Sequence[str], table: pd.DataFrame) -> list[str]:
@@ -134,6 +143,22 @@ def converting(columns: Sequence[str]) -> str:
     )
 
 
+def _told_text(columns: Sequence[str], table: pd.DataFrame) -> str:
+    """Return what to do about columns with numbers that are not read as such, such as lists."""
+    found: dict[str, object] = {}
+    for name in columns:
+        for cell in table[name].dropna().iloc[:9]:
+            if isinstance(cell, LISTS) or WRITTEN.fullmatch(str(cell)):
+                found.setdefault(name, cell)
+    if not found:
+        return ""
+    return (
+        f"{few(list(found))}: not read as numbers, such as {repr(next(iter(found.values())))[:40]};"
+        " write numbers as 1234.5, without units and separators of thousands, each in a column of "
+        "its own"
+    )
+
+
 def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> dict[str, str]:
     """Return columns of coordinates, their velocities and the inputs."""
     stems = {name: without_unit(name) for name in free}
@@ -143,13 +168,16 @@ def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> 
     speeds = {name: stem for name in free if (stem := slope_of(stems[name], stems.values()))}
     places = [x for x in free if kinds[x] == "q" and x not in speeds]
     places = places or _movements([x for x in free if x not in speeds], table)[:GUESSES]
-    mixed = len(units_of_angles(places)) > 1  # names keep what the setting of all cannot say
-    keys = short_names([x if mixed and in_degrees(x) else stems[x] for x in places], PLACE)
-    found = {f"q_{key}": x for key, x in zip(keys, places, strict=True)}
+    mixed = ["deg"] if len(units_of_angles(places)) > 1 else []
+    kept = {"mm", "cm", *mixed}  # names keep the units that no setting of all columns says
+    keys = short_names([stems[x] for x in places], PLACE)
+    units = [unit_of(x) for x in places]
+    ours = [f"{key}_{x}" if x in kept else key for key, x in zip(keys, units, strict=True)]
+    found = {f"q_{name}": x for name, x in zip(ours, places, strict=True)}
     rates = {short_name(stem, PLACE): name for name, stem in speeds.items()}
     rates |= {short_name(stems[name], SPEED): name for name in free if kinds[name] == "v"}
     if keys and set(keys) <= set(rates):
-        found |= {f"v_{key}": rates[key] for key in keys}
+        found |= {f"v_{name}": rates[key] for name, key in zip(ours, keys, strict=True)}
     return found | suggested_inputs(inputs, keys)
 
 
@@ -162,13 +190,18 @@ def suggested_inputs(given: Sequence[str], coordinates: Sequence[str]) -> dict[s
     return {f"u_{key}": name for key, name in zip(keys, every, strict=True)}
 
 
-def _times(free: Sequence[str], table: pd.DataFrame) -> list[str]:
+def _times(free: Sequence[str], table: pd.DataFrame, *, named: bool) -> list[str]:
     """Return columns of times, by their names or else by their values, likely ones first.
 
     Of clocks, those that count rows are last.
+
+    Args:
+        free: Columns that may be times.
+        table: The rows.
+        named: Whether names alone are believed.
     """
-    if named := [name for name in free if says_time(name)]:
-        return sorted(named, key=lambda name: not _is_clock(table[name]))
+    if (found := [name for name in free if says_time(name)]) or named:
+        return sorted(found, key=lambda name: not _is_clock(table[name]))
     clocks = [name for name in free if not kind_of_column(name) and _is_clock(table[name])]
     counts = [x for x in clocks if (_numbers(table[x]).diff().iloc[1:] == 1).all()]
     return [x for x in clocks if x not in counts] + counts

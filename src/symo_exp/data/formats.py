@@ -53,7 +53,9 @@ SEPARATOR = re.compile(r'"?sep=.?"?\s*')
 NUMBER = re.compile(r"\s*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?\s*")
 """A word that is a number, perhaps with a decimal comma."""
 DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+\D*\d*")
-"""A word that is a number with a decimal comma."""
+"""A word that is a number with a decimal comma, or with commas between thousands."""
+WITH_COMMA = r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$"
+"""A number with a decimal comma alone."""
 BEGINNING = 50
 """Lines of a text file from which its dialect is inferred."""
 NO_TEXT = "it is no text in a known encoding; save it as UTF-8"
@@ -279,7 +281,12 @@ class Dialect(NamedTuple):
                 f"a row has {self.cells} cells, the line of names {count}, {few(self.names)}; "
                 "names are in the first line that is no comment (#)"
             )
-        return table.iloc[:, :count].dropna(how="all").reset_index(drop=True)
+        table = table.iloc[:, :count].dropna(how="all").reset_index(drop=True)
+        if self.decimal == "," and self.separator != " ":  # a line of words has blanks, too
+            # beside words, such as a row of units, numbers are still text
+            words = table.select_dtypes(exclude="number")
+            table[words.columns] = words.replace(WITH_COMMA, r"\1.\2", regex=True)
+        return table
 
     @property
     def note(self) -> str | None:

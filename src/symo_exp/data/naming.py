@@ -54,9 +54,9 @@ CONVERSIONS = {
     "mrad": "rad = mrad / 1000", "rpm": "rad/s = 2 pi times rpm / 60", **_OF_TURNS, **_OF_COUNTS,
 }  # fmt: skip
 """Units of coordinates and velocities that are not read, and how they become some that are."""
-TIME_OF = re.compile(r".*(?:[./](?:t|times?)|[\W_](?:time)?stamps?)", re.I)
+TIME_OF = re.compile(r".*(?:[./](?:t|times?)|[\W_]stamps?|timestamps?)", re.I)
 """Names of times in those of messages of ROS, such as ``header.stamp``."""
-STAMP_PART = re.compile(r"(.*stamp[\W_])(n|nano)?sec(?:ond)?s?", re.I)
+STAMP_PART = re.compile(r"(.*stamp[\W_])?(n|nano)?sec(?:ond)?s?", re.I)
 """The beginning of a name of a part of such times, and whether it is that of nanoseconds."""
 
 
@@ -133,7 +133,7 @@ def _short(stem: str) -> str:
     return re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "column"
 
 
-def _unit_of(name: str) -> str:
+def unit_of(name: str) -> str:
     """Return the unit that a name ends with, degrees as ``deg``; nothing if it ends with none."""
     unit = UNIT.search(name)
     return re.sub(r"°|deg\w+", "deg", unit[2].lower()) if unit else ""
@@ -149,18 +149,18 @@ def unread_unit(name: str) -> str:
 
 def in_degrees(name: str) -> bool:
     """Return whether a name ends with degrees as its unit."""
-    return _unit_of(name) == "deg"
+    return unit_of(name) == "deg"
 
 
 def length_unit(name: str) -> str:
     """Return the unit of length that a name ends with; after an underscore, m may be a name."""
-    known = _unit_of(name) in ("mm", "cm") or re.search(r"[\s\[(]m[\])]?$", name)
-    return (_unit_of(name) or "m") if known else ""
+    known = unit_of(name) in ("mm", "cm") or re.search(r"[\s\[(]m[\])]?$", name)
+    return (unit_of(name) or "m") if known else ""
 
 
 def units_of_angles(columns: Sequence[str]) -> set[str]:
     """Return the units of angles at the ends of names, ``rad`` and ``deg``."""
-    return {_unit_of(name) for name in columns} & {"rad", "deg"}
+    return {unit_of(name) for name in columns} & {"rad", "deg"}
 
 
 def slope_of(stem: str, stems: Collection[str]) -> str | None:

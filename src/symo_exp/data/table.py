@@ -30,6 +30,8 @@ REPEATED = 0.01
 """Time between samples over the usual one up to which a time repeats an earlier one."""
 HUGE = 1e100
 """Size of a number beyond which it is none of a measurement, and its powers overflow."""
+THOUSANDS = r"\s*[-+]?\d{1,3}(?:[.,' ]\d{3})+(?:[.,]\d+)?\s*"
+"""A number with separators of thousands."""
 FAR = 100.0
 """Distance from the median over the usual range beyond which a coordinate may be a sensor's
 failure."""
@@ -341,8 +343,9 @@ def _numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
     if not pd.api.types.is_numeric_dtype(given):
         values = pd.to_numeric(given, errors="coerce")
         words = values.isna() & given.notna()
-        if words.mean() > DROPPED:
-            row = int(np.argmax(words))
+        large = given.astype(str).str.fullmatch(THOUSANDS) & words  # no failures, even if few
+        if words.mean() > DROPPED or large.any():
+            row = int(np.argmax(large if large.any() else words))
             raise ConfigError(
                 f"{where}: column {column} holds values that are not numbers, "
                 f"{repr(given.iloc[row])[:40]} in data row {row + 1}: write numbers as 1234.5, "
@@ -398,7 +401,9 @@ def _without_gaps(
 
 def _check_seconds(where: str, t: np.ndarray) -> None:
     """Refuse times without a stated unit whose samples would be slow or too fast in seconds."""
-    slow, fast = _gap(np.unique(t)), _gap(t)
+    in_order = np.mean(np.diff(t) > 0) > 0.5  # else rows of several recordings, or in any order
+    fast = _gap(t)
+    slow = fast if in_order else _gap(np.unique(t))
     if slow >= SLOW:
         step, unit = slow, next((name for name, unit in UNITS.items() if slow * unit < 0.1), "ns")
     elif fast <= FAST:
