@@ -114,11 +114,24 @@ def test_held_out_errors_are_in_the_unit_of_length_of_the_parameters(
     ("name", "unit"), [("x_mm", "mm"), ("x [cm]", "cm"), ("x_m", "m"), ("x m", "m"), ("x", "m")]
 )
 def test_lengths_in_another_unit_by_their_names_are_told(name, unit, workplace):
+    """Also if a setting gives the column another name."""
     sprung(1.0, 1.0).rename(columns={"q_x": f"q_{name}", "u_x": f"u_{name}"}).to_csv("mine.csv")
-    notes = examine({"path": "mine.csv"}).notes
-    assert any(f"positions [{unit}]: {name} (by names" in note for note in notes)
-    told = f"they are in {unit}, and kg is N s^2/{unit}; convert them"
-    assert any(told in note for note in notes) == (unit != "m")
+    mapped = {"q_slide": f"q_{name}", "u_slide": f"u_{name}"}
+    for shown, columns in {name: None, "slide": mapped}.items():
+        notes = examine({"path": "mine.csv", "columns": columns}).notes
+        assert any(f"positions [{unit}]: {shown} (by names" in note for note in notes)
+        told = f"they are in {unit}, and kg is N s^2/{unit}; convert them"
+        assert any(told in note for note in notes) == (unit != "m")
+
+
+@pytest.mark.parametrize(("name", "degrees"), [("Winkel [°]", True), ("Winkel [rad]", False)])
+def test_angles_in_degrees_by_their_names_in_the_file_are_read(name, degrees, workplace):
+    """Though they move so little that nothing else shows it."""
+    table = sprung(1.0, 1.0).rename(columns={"q_x": name})
+    table.to_csv("mine.csv", index=False)
+    machine = examine({"path": "mine.csv", "columns": {"q_a": name, "u_a": "u_x"}})
+    assert machine.coordinates.angular == (True,)
+    assert ("data.degrees=true" in machine.settings) == degrees
 
 
 @pytest.mark.parametrize("scale", [{"length": 0.0}, {"length": "mm"}, {"size": 1.0}, 1e-3])

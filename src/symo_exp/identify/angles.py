@@ -35,12 +35,18 @@ WHOLE = 0.3
 """Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
 
 
-def is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
-    """Return whether a coordinate is an angle; refuse one whose name and range do not tell."""
+def is_angle(name: str, written: str, columns: Sequence[np.ndarray]) -> bool:
+    """Return whether a coordinate is an angle; refuse one whose names and range do not tell.
+
+    Args:
+        name: Its name.
+        written: Its name in the file if that states a unit, else its name.
+        columns: Its values in each recording.
+    """
     words = re.split(r"[^a-z]+", name.lower())
-    if units_of_angles([name]) or any(re.fullmatch(ANGLE, word) for word in words):
+    if units_of_angles([written]) or any(re.fullmatch(ANGLE, word) for word in words):
         return True
-    if length_unit(name) or any(re.fullmatch(SLIDE, word) for word in words):
+    if length_unit(written) or any(re.fullmatch(SLIDE, word) for word in words):
         return False
     low, high = min(x.min() for x in columns), max(x.max() for x in columns)
     if high - low > SPAN or _wraps(columns, 2 * np.pi):
@@ -52,11 +58,16 @@ def is_angle(name: str, columns: Sequence[np.ndarray]) -> bool:
     )
 
 
-def told_units(chosen: Sequence[str], all_names: Sequence[str]) -> list[str]:
-    """Return a line on which coordinates are angles, and one on lengths in other units than m."""
+def told_units(chosen: Sequence[str], written: Mapping[str, str]) -> list[str]:
+    """Return a line on which coordinates are angles, and one on lengths in other units than m.
+
+    Args:
+        chosen: The angles.
+        written: All coordinates, and the name of each that states its unit.
+    """
     kinds = dict.fromkeys(chosen, "angles [rad]")
-    positions = [name for name in all_names if name not in chosen]
-    units = {name: length_unit(name) or "m" for name in positions}
+    positions = [name for name in written if name not in chosen]
+    units = {name: length_unit(written[name]) or "m" for name in positions}
     kinds |= {name: f"positions [{unit}]" for name, unit in units.items()}
     groups = {kind: [x for x in kinds if kinds[x] == kind] for kind in kinds.values()}
     parts = "; ".join(f"{kind}: {', '.join(group)}" for kind, group in groups.items())

@@ -15,7 +15,7 @@ from symo_exp.data.diagnose import ROUNDING, noise_of
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
-from symo_exp.data.naming import in_degrees, names
+from symo_exp.data.naming import in_degrees, names, unit_of
 from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
 from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
@@ -144,6 +144,7 @@ class _Examination:
     moving: int = field(init=False)  # how many of ``used`` are not at rest
     angles: list[str] = field(init=False)
     space: Coordinates = field(init=False)
+    written: dict[str, str] = field(init=False)  # by coordinate: the name that states its unit
 
     def __post_init__(self) -> None:
         self.columns, self.where = self.data.get("columns"), shown(self.data["path"])
@@ -204,7 +205,9 @@ class _Examination:
         alone = Recorded(
             names=self.names, rotations=self.rotations, angular="none", time_step=1.0
         ).coordinates
-        self.flat = alone.flat
+        self.flat, given = alone.flat, self.columns or {}
+        files = {name: str(given.get(f"q_{name}") or name) for name in self.flat}
+        self.written = {name: file if unit_of(file) else name for name, file in files.items()}
         self.body = self.known is None and len(self.rotations) == 1 and len(self.flat) in (0, 3)
         self.learned_inputs = 0
         if self.matrix_is_given:
@@ -249,7 +252,7 @@ class _Examination:
         """Infer which coordinates are angles."""
         if self.angular is None:
             columns = [[one.samples.q[:, i] for one in self.used] for i in range(len(self.flat))]
-            which = list(map(is_angle, self.flat, columns))
+            which = [*map(is_angle, self.flat, self.written.values(), columns)]
         else:
             which = list(self._system(self.angular).coordinates.angular)[: len(self.flat)]
         self.angles = [name for name, angle in zip(self.flat, which, strict=True) if angle]
@@ -259,11 +262,11 @@ class _Examination:
         if self.angular is None:
             chosen = override_value(self.angles) if self.angles else "none"
             self.settings.append(f"system.angular={chosen}")
-            self.notes += told_units(self.angles, self.flat) if self.flat else []
+            self.notes += told_units(self.angles, self.written) if self.flat else []
 
     def _read_units(self) -> None:
         """Infer whether angles are in degrees and wrapped; make them continuous, in radians."""
-        stated = [name for name in self.angles if in_degrees(name)]
+        stated = [name for name in self.angles if in_degrees(self.written[name])]
         if self._is_open("degrees") and 0 < len(stated) < len(self.angles):
             raise ConfigError(
                 f"data.degrees has no value yet: {few(stated)} is in degrees by its name, but not "
