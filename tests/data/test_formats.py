@@ -14,6 +14,7 @@ import pytest
 import scipy.io
 import torch
 
+from symo_exp.data.advice import as_setting
 from symo_exp.data.formats import files, from_arrays, table_of
 from symo_exp.data.parts import without
 from symo_exp.data.recorded import RecordedData, recorded_system
@@ -485,7 +486,34 @@ def test_a_clock_that_is_set_back_by_a_part_of_its_time_is_refused(label, tmp_pa
         np.testing.assert_allclose(found.samples.q[:, 0], table.q_0, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["run", "Trial_ID", "episode", "experiment no"])
+@pytest.mark.parametrize(
+    ("start", "clock", "told"),
+    [
+        (lambda k: 7.0 * k, 0.0, True),  # the motion starts anew elsewhere
+        (lambda k: 1.0 * k, 0.0, False),  # it goes on, as where the column is a state of it
+        (lambda k: 7.0 * k, 5.0, False),  # the recordings are cut at gaps
+    ],
+)
+def test_a_column_that_changes_where_positions_jump_is_not_passed_over(
+    start, clock, told, tmp_path: Path
+) -> None:
+    k = np.arange(600) // 100
+    t = 0.01 * np.arange(600)
+    q = np.sin(t - k + start(k))
+    table = pd.DataFrame({"t": t + clock * k, "q_0": q, "Versuch": k, "noise": np.arange(600) % 2})
+    table.to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
+    if not told:
+        assert len(read_recordings(tmp_path / "x.csv", system).recordings) == 1
+        return
+    with pytest.raises(ConfigError, match="positions jump where Versuch changes") as error:
+        read_recordings(tmp_path / "x.csv", system)
+    for columns, count in (({"trajectory": "Versuch"}, 6), ({"Versuch": None}, 1)):
+        assert as_setting(columns) in str(error.value)
+        assert len(read_recordings(tmp_path / "x.csv", system, columns).recordings) == count
+
+
+@pytest.mark.parametrize("name", ["run", "Trial_ID", "Trial #", "episode", "experiment no"])
 def test_a_column_of_recordings_needs_no_setting(name: str, tmp_path: Path) -> None:
     """The clock goes on from one to the next, so that nothing else tells them apart."""
     table = motion(6.0)

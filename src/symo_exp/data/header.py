@@ -56,7 +56,8 @@ KINDS = {"q": "coordinate", "v": "coordinate", "u": "input"}
 UNITS = {"d": 86400.0, "h": 3600.0, "min": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of time [s]."""
 TRAJECTORY = re.compile(
-    r"(?:traj|trajectory|episode|run|trial|rollout|experiment)(?:[_ ]?(?:id|no|nr|number|index))?",
+    r"(?:traj|trajectory|episode|run|trial|rollout|experiment)"
+    r"(?:[_ ]?(?:id|no|nr|number|index|#))?",
     re.I,
 )
 """Names that are read as ``trajectory``."""

@@ -35,6 +35,9 @@ THOUSANDS = r"\s*[-+]?\d{1,3}(?:[.,' ]\d{3})+(?:[.,]\d+)?\s*"
 FAR = 100.0
 """Distance from the median over the usual range beyond which a coordinate may be a sensor's
 failure."""
+JUMP, FEW_ROWS = 2.0, 10
+"""Step from a row to the next over the largest elsewhere beyond which it is a jump, and the rows
+between two of them, on average, from which a column may tell recordings apart."""
 SLOW, FAST = 1.0, 5e-6
 """Times between samples from which, and up to which, the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
@@ -177,9 +180,11 @@ def _read(
     table = _numbered(table, notes)
     _check_order(where, table)
     table = _without_repeats(where, table, notes)
-    recordings = tuple(_divided(where, table, wanted, len(inputs)))
     known = {*numbers, *OTHERS}
-    unread = [c.lstrip(".") for c in head.names if c and c not in known and c[:8] != "__index_"]
+    others = [c for c in head.names if c and c not in known and c[:8] != "__index_"]
+    _check_jumps(where, table, wanted["q"], others, dict(head.given))
+    recordings = tuple(_divided(where, table, wanted, len(inputs)))
+    unread = [c.lstrip(".") for c in others]
     notes += [f"columns that are not read: {few(unread)}"] if unread else []
     return RecordingTable(recordings, tuple(notes))
 
@@ -448,6 +453,33 @@ def _check_order(where: str, table: pd.DataFrame) -> None:
             raise ConfigError(
                 f"{where}: {titled(label)} goes back in time after t={t[back[0]]:.6g}; give "
                 "each recording a number of its own in the column trajectory, or sort the rows by t"
+            )
+
+
+def _check_jumps(
+    where: str, table: pd.DataFrame, places: Sequence[str], unread: Sequence[str], given: Columns
+) -> None:
+    """Refuse a column that is not read and tells recordings apart, between which positions jump.
+
+    Gaps between samples are no jumps: recordings are cut there.
+    """
+    if "trajectory" in table or len(table) < FEWEST:
+        return
+    rows = table.sort_values("t", kind="stable")
+    steps, q = np.diff(rows["t"]), np.abs(np.diff(rows[list(places)], axis=0))
+    usual = steps < JUMP * np.median(steps)
+    for column in unread:
+        words = rows[column].astype(str).to_numpy()
+        changes = usual & (words[1:] != words[:-1])
+        if column[0] == "." or not 0 < changes.sum() <= len(rows) / FEW_ROWS:
+            continue
+        most = q[usual & ~changes].max(axis=0, initial=0.0)
+        jumps = (q[changes] > JUMP * most).any(axis=1)
+        if jumps.mean() >= 0.5:
+            raise ConfigError(
+                f"{where}: positions jump where {column} changes, as between recordings; read it "
+                f"as their number, {as_setting({**given, 'trajectory': column})}, or leave it out, "
+                f"{omitting([column], given)}"
             )
 
 
