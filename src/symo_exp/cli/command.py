@@ -177,6 +177,9 @@ def _parsed(words: Sequence[str]) -> list[Override]:
             raise ConfigError(f"{word} goes around the checks; leave it out: one run needs no -m")
         if group == "query" and "COMP_LINE" not in os.environ:
             raise ConfigError(f"{word} answers a shell that completes a line; leave it out")
+        if group in ("hydra.launcher", "hydra.sweeper") and not isinstance(names, dict):
+            file = group.replace(".", "/")
+            raise ConfigError(f"{word} gives settings one value; choose a file by {file}=NAME")
         settings = isinstance(names, dict) and names
         if one.is_sweep_override() or settings or not any((CONF / group).glob("*.yaml")):
             continue

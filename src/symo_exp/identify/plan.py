@@ -19,6 +19,8 @@ from symo_exp.files import read_json, user_cache, write_text
 from symo_exp.identify.candidates import Candidate
 from symo_exp.identify.recordings import Machine
 
+LONGEST = 3.6e7
+"""Budget at most [s]."""
 REFERENCE = 0.25
 """Time of ``exercise`` on the machine on which the times below were measured [s]."""
 EPOCH, NODE = 8e-3, 4.5e-6
@@ -259,8 +261,11 @@ def seconds_of(text: object) -> float:
         value = float(found[1]) * UNITS[found[2] or "s"] if found else math.nan
     except ValueError:
         value = math.nan
-    if not (value > 0 and math.isfinite(value)):
-        raise ConfigError(f"budget={text}: expected a duration such as 90s, 10min or 1.5h")
+    if not 0 < value <= LONGEST:
+        raise ConfigError(
+            f"budget={text}: expected a duration such as 90s, 10min or 1.5h, at most "
+            f"{LONGEST / UNITS['h']:g}h"
+        )
     return value
 
 
