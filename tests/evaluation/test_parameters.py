@@ -120,6 +120,41 @@ def test_an_unforced_pendulum_is_determined_up_to_its_mass_as_well():
     assert "mass^-1" in " ".join(found) or "viscous_friction^-1" in " ".join(found)
 
 
+@pytest.mark.parametrize("mass_is_free", [True, False])
+def test_moments_about_the_joint_are_rows_where_masses_are_not_determined(mass_is_free):
+    """Motions about a fixed point are those of the moments, whatever the mass."""
+    system = SYSTEMS["rigid_body"]
+    lagrangian = KnownLagrangian(system=system)
+    parameters = [lagrangian.logarithms, lagrangian.factors]
+    (body,) = lagrangian.constants().values()
+    entries = [body[i, j] for i in range(4) for j in range(i + 1) if i < 3 or j < 3]
+    slopes = slopes_of(entries, parameters)
+    everything = torch.eye(slopes.shape[1]).double()
+    free = torch.linalg.svd(slopes.detach())[2][len(entries) :].T
+    posterior = Posterior(
+        0.0 * everything[0], 1e-3 * everything, free if mass_is_free else free[:, :0],
+        SIGMA, SIGMA, 100,
+    )  # fmt: skip
+    rows = physical_parameters(lagrangian, system.coordinates, parameters, posterior)
+    found = {row.name: row for row in rows}
+    determined = {row.name for row in rows if row.determined != "no"}
+    mass, (x, y, z) = system.mass, system.centre
+    if not mass_is_free:
+        assert determined == set(found)
+        assert found["body.mass"].value == pytest.approx(mass)
+        return
+    assert determined == {
+        *(f"body.mass_times_centre_{axis}" for axis in "xyz"),
+        *(f"body.inertia_about_joint_{axes}" for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
+    }
+    assert found["body.mass_times_centre_z"].value == pytest.approx(mass * z)
+    about = found["body.inertia_xx"].value + mass * (y * y + z * z)
+    assert found["body.inertia_about_joint_xx"].value == pytest.approx(about)
+    assert found["body.inertia_about_joint_xy"].value == pytest.approx(
+        found["body.inertia_xy"].value - mass * x * y
+    )
+
+
 def slopes_of(values, parameters):
     """The derivatives of numbers in the parameters, a row each."""
     options = {"retain_graph": True, "materialize_grads": True}

@@ -79,13 +79,15 @@ def physical_parameters(
         slopes = [_gradient(reading, parameters) for reading in found]
     if not found:
         return []
-    names, units, exact = zip(*found, strict=True)
+    names, units, exact, parts = zip(*found, strict=True)
     values = torch.stack([value.detach().double() for value in exact])
     numbers = _Numbers(names, units, values, torch.stack(slopes).double())
     one = None
     if not driven and not isinstance(conservative, KnownLagrangian):
         one, numbers = _relative(numbers, posterior)
-    rows = _rows(numbers, posterior)
+    plain = [i for i, own in enumerate(parts) if not own]
+    rows = _rows(numbers.only(plain), posterior)
+    rows += _combined(numbers, parts, {x.name for x in rows if x.determined == "no"}, posterior)
     if one is not None:
         note = "set to 1: without known forces, inertias and forces are relative to it"
         rows[one] = Parameter(names[one], 1.0, units[one], math.nan, "no", note)
@@ -179,6 +181,28 @@ def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
     sums, terms = _sums(numbers.only(free), along[free], posterior)
     free = [i for i in free if numbers.names[i] not in terms and float(numbers.values[i]) > 0.0]
     return rows + sums + _products(numbers.only(free), along[free], posterior)
+
+
+def _combined(
+    numbers: _Numbers, parts: Sequence[Sequence[str]], free: set[str], posterior: Posterior | None
+) -> list[Parameter]:
+    """Return rows of combinations that the data determine though not their ``parts``.
+
+    Args:
+        numbers: All numbers.
+        parts: Names of the numbers that each combines.
+        free: Names of those that the data do not determine.
+        posterior: Nothing is determined without one.
+    """
+    if posterior is None:
+        return []
+    fixed = (_free(numbers, posterior) == 0.0).all(dim=1) & _there(numbers)
+    note = "the combination that is determined"
+    return [
+        _certain(name, unit, value, slope, posterior, note)
+        for name, unit, value, slope, own, known in zip(*numbers, parts, fixed, strict=True)
+        if known and free.intersection(own)
+    ]
 
 
 def _absent(name: str, unit: str) -> Parameter:

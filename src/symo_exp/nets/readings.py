@@ -35,6 +35,8 @@ class Reading(NamedTuple):
     name: str
     unit: str
     value: Float[Tensor, ""]
+    of: tuple[str, ...] = ()
+    """Names of the numbers that it combines; it counts where data do not determine these."""
 
 
 @singledispatch
@@ -91,8 +93,10 @@ def _(module: KnownLagrangian, coordinates: Coordinates) -> list[Reading]:
         if value.ndim == 0:
             found.append(Reading(name, given.unit, value))
         else:
-            origin = torch.tensor(given.origin).to(value)
-            found += _body(name.removesuffix(".body"), value, origin)
+            shift = torch.eye(4).to(value)
+            shift[:3, 3] = -torch.tensor(given.origin).to(value)  # to the joint
+            body, label = shift @ value @ shift.mT, name.removesuffix(".body")
+            found += _body(label, body) + _moments(label, body)
     return found
 
 
@@ -254,12 +258,20 @@ def _(module: LearnedBodyDrag, coordinates: Coordinates) -> list[Reading]:
     return found
 
 
-def _body(name: str, body: Tensor, origin: Tensor | None = None) -> list[Reading]:
+def _body(name: str, body: Tensor) -> list[Reading]:
     """Mass, centre of mass from the joint, and inertia about the centre, of a pseudo-inertia."""
     mass, centre, inertia = of_pseudo_inertia(body)
-    centre = centre if origin is None else centre - origin
     found = [Reading(f"{name}.mass", "kg", mass), *_vector(f"{name}.centre", "m", centre)]
     return found + _symmetric(f"{name}.inertia", "kg m^2", inertia)
+
+
+def _moments(name: str, body: Tensor) -> list[Reading]:
+    """Moments about the joint, on which motions about it depend, of a pseudo-inertia."""
+    parts = tuple(reading.name for reading in _body(name, body))
+    second = body[:3, :3].diagonal().sum() * torch.eye(3).to(body) - body[:3, :3]
+    found = _vector(f"{name}.mass_times_centre", "kg m", body[3, :3])
+    found += _symmetric(f"{name}.inertia_about_joint", "kg m^2", second)
+    return [reading._replace(of=parts) for reading in found]
 
 
 def _symmetric(name: str, unit: str, matrix: Tensor) -> list[Reading]:
