@@ -457,6 +457,20 @@ def test_a_few_rows_without_a_number_are_left_out_and_it_is_said(tmp_path: Path)
     assert f"{len(table) - len(kept)} of {len(table)} rows" in note
 
 
+@pytest.mark.parametrize(("failure", "noted"), [(-999.0, True), (5.0, False)])
+def test_inputs_far_from_all_others_are_used_and_it_is_said(
+    failure: float, noted: bool, tmp_path: Path
+) -> None:
+    """They may be those of a sensor that fails, or a short push."""
+    table = motion()
+    table.assign(u_0=table.u_0.mask(table.index % 500 == 7, failure)).to_csv(tmp_path / "x.csv")
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    found = read_recordings(tmp_path / "x.csv", system)
+    assert found.recordings[0].samples.u[7] == failure
+    said = f"u_0 is far from its other values in 6 rows, such as {failure:g} in data row 8"
+    assert any(said in note for note in found.notes) == noted
+
+
 def test_a_clock_that_starts_anew_begins_a_recording(tmp_path: Path) -> None:
     table = motion(6.0)
     pieces = np.array_split(np.arange(len(table)), 3)

@@ -417,6 +417,12 @@ def test_an_input_that_never_acts_is_named_and_changes_nothing(seconds, workplac
     assert main(words) == 0
 
 
+def test_an_input_that_never_changes_is_named(workplace):
+    driven().assign(u_theta=0.3).to_csv("mine.csv", index=False)
+    mend = "u_theta is constant; if nothing acts, leave it out by 'data.columns={u_theta: null}'"
+    assert mend in examine({"path": "mine.csv"}).notes
+
+
 def test_a_free_machine_gets_no_estimate_of_its_inertia(workplace):
     table().to_csv("mine.csv", index=False)
     assert not any("inertia" in setting for setting in examine({"path": "mine.csv"}).settings)

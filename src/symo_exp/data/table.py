@@ -172,6 +172,7 @@ def _read(
         table[column] = _numbers(where, column, table[column])
     for column in wanted["q"]:
         table[column] = _without_failures(table[column].to_numpy())
+    notes += filter(None, (_told_failures(x, table[x].to_numpy()) for x in wanted["u"]))
     table = _without_gaps(where, table, numbers, notes, dict(head.given))
     if seconds is None:
         _check_seconds(where, table["t"].to_numpy())
@@ -379,6 +380,18 @@ def _without_failures(x: np.ndarray) -> np.ndarray:
         if np.ptp(one) <= 1e-3 * size and not (np.abs(beside - one[0]) <= 0.5 * size).any():
             found[start:end] = np.nan
     return found
+
+
+def _told_failures(column: str, x: np.ndarray) -> str:
+    """Return a line on the values of an input that would be failures of a position."""
+    odd = np.isnan(_without_failures(x)) & ~np.isnan(x)
+    if not odd.any():
+        return ""
+    return (
+        f"{column} is far from its other values in {int(odd.sum())} rows, such as {x[odd][0]:g} in "
+        f"data row {int(np.argmax(odd)) + 1}, and they are used; if a sensor failed there, empty "
+        "these cells in the file"
+    )
 
 
 def _without_gaps(

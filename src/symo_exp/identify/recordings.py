@@ -411,13 +411,18 @@ def _told_still(
 def _told_idle(
     recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
 ) -> list[str]:
-    """Return a line on the inputs that are always zero."""
-    acts = np.any([one.samples.u.any(axis=0) for one in recordings], axis=0)
-    idle = [f"u_{name}" for name, x in zip(names, acts, strict=True) if not x]
-    if not idle:
-        return []
-    told, them = ("is", "it") if len(idle) == 1 else ("are", "them")
-    return [f"{few(idle)} {told} always zero; leave {them} out by {omitting(idle, columns)}"]
+    """Return lines on the inputs that are always zero, and on others that never change."""
+    every = np.concatenate([one.samples.u for one in recordings])
+    still = [f"u_{name}" for name, x in zip(names, every.T, strict=True) if np.ptp(x) == 0.0]
+    idle = [name for name in still if not every[:, names.index(name[2:])].any()]
+    lines = []
+    constant = [name for name in still if name not in idle]
+    for found, told in ((idle, "always zero;"), (constant, "constant; if nothing acts,")):
+        are, them = ("is", "it") if len(found) == 1 else ("are", "them")
+        if found:
+            mend = omitting(found, columns)
+            lines.append(f"{few(found)} {are} {told} leave {them} out by {mend}")
+    return lines
 
 
 def _told_together(
