@@ -264,6 +264,25 @@ def test_suggested_names_keep_units_of_length_that_results_have(unit: str, tmp_p
     assert any(f"positions [{unit}]: slide" in note for note in notes)
 
 
+def test_a_quaternion_whose_rotation_has_no_name_is_no_four_coordinates(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_w": np.cos(Q), "q_x": np.sin(Q), "q_y": 0.0, "q_z": 0.0}).to_csv(path)
+    with pytest.raises(ConfigError, match="are a quaternion by their names") as error:
+        headers(path, None)
+    columns = settings_of(str(error.value))["columns"]
+    assert columns == {f"q_R_{part}": f"q_{part}" for part in "wxyz"}
+    assert examine({"path": str(path), "columns": columns}).body
+
+
+def test_forces_along_axes_are_no_place_beside_a_quaternion(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pose = {f"pose.{part}": Q for part in "wxyz"} | {f"torque.{axis}": U for axis in "xyz"}
+    pd.DataFrame({"t": T} | pose).to_csv(path)
+    columns = advised(path)["columns"]
+    assert [name for name in columns if name[0] == "q"] == [f"q_R_{part}" for part in "wxyz"]
+    assert list(columns.values())[-3:] == ["torque.x", "torque.y", "torque.z"]
+
+
 def test_names_that_are_made_up_say_no_kind() -> None:
     for stems in (["角度"], ["角度", "位置", "°"]):
         assert [kind_of_column(name) for name in short_names(stems)] == [""] * len(stems)

@@ -259,7 +259,8 @@ def _pose(stems: Mapping[str, str]) -> dict[str, str]:
     ends = {(stem[:-1], stem[-1:].lower()): name for name, stem in stems.items()}
     vectors = [stem for stem, end in ends if end == "x" and {(stem, "y"), (stem, "z")} <= set(ends)]
     turns = [stem for stem in vectors if (stem, "w") in ends]
-    others = (stem for stem in vectors if stem not in turns)
+    forces = [stem for stem in vectors if kind_of_column(ends[stem, "x"]) == "u"]
+    others = (stem for stem in vectors if stem not in (*turns, *forces))
     places = [x for x in others if not any(map(RATE.fullmatch, re.split(r"[^a-zA-Z]+", x)))]
     if not turns:
         return {}

@@ -166,11 +166,23 @@ def _doubtful(found: Sequence[str], new: Sequence[str], columns: Columns | None)
     read = [name for name in new if name.startswith("q_") and name not in given]
     unread = [name for name, ours in zip(found, new, strict=True) if name == ours]
     return (
-        _set_points(read, new, given)
+        _unnamed_rotation(read, given)
+        or _set_points(read, new, given)
         or _no_places(read, new, given)
         or _other_coordinates(read, unread, given)
         or _other_inputs(unread, new, given)
         or _other_units(found, new, given)
+    )
+
+
+def _unnamed_rotation(read: Sequence[str], given: Columns) -> str:
+    quaternion = [f"q_{part}" for part in "wxyz"]
+    if not set(quaternion) <= set(read):
+        return ""
+    named = {f"q_R_{name[2:]}": name for name in quaternion}
+    return (
+        f"{few(quaternion)} are a quaternion by their names; name its rotation, "
+        f"{as_setting({**given, **named})}"
     )
 
 
