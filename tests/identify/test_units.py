@@ -96,6 +96,18 @@ def test_a_log_in_any_unit_is_of_order_one_in_the_units_of_its_parameters(length
     assert stiffness == pytest.approx(15.0 * force / length, rel=0.1)
 
 
+@pytest.mark.parametrize("start", [30.0, 1e3, 1e5])
+def test_where_a_length_is_counted_from_changes_nothing(start, workplace):
+    """Absolute encoders of long axes count from afar."""
+    frame = sprung(1.0, 1.0)
+    frame.to_csv("near.csv", index=False)
+    frame.assign(q_x=start + frame.q_x).to_csv("far.csv", index=False)
+    near, far = (examine({"path": name}) for name in ("near.csv", "far.csv"))
+    assert far.settings == near.settings
+    assert far.explained == pytest.approx(near.explained, abs=1e-4)
+    assert far.stiffness[0][0] == pytest.approx(near.stiffness[0][0], rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("length", "force", "unit"),
     [(1.0, 1.0, "m"), (1e3, 1.0, "1000 m"), (1e-6, 1e-6, "1e-06 m")],

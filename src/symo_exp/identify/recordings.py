@@ -46,6 +46,8 @@ from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions, wi
 TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
 which they are one."""
+REMOTE = 100.0
+"""Distance of a length from zero, over its range, beyond which it is counted from its middle."""
 REASONS = {
     too_fast: "angles move too fast there for the distance of the samples",
     struck: "something else moved the machine there, as the same states at other times show",
@@ -164,7 +166,7 @@ class _Examination:
         self._tell_superfluous()
         self._doubt_units()
         finest = max(one.samples.step for one in (*self.used, *self.test))
-        self.used = [_turned(self.where, one, self.space) for one in self.used]
+        self.used = [_turned(self.where, one, self.space) for one in _near(self.used, self.space)]
         time_step = self._choose_time_step(finest)
         self._leave_out(time_step)
         driven = any(bool(one.samples.u.any()) for one in self.used)
@@ -393,6 +395,17 @@ def _continuous(recording: Recording, space: Coordinates, data: Mapping[str, Any
     if data.get("wrapped"):
         samples = unwrapped(samples, space)
     return recording._replace(samples=samples)
+
+
+def _near(recordings: Sequence[Recording], space: Coordinates) -> list[Recording]:
+    """Return recordings whose lengths are near zero, so that regressions on them lose no digits."""
+    every = np.concatenate([one.samples.q for one in recordings])
+    low, high = every.min(axis=0), every.max(axis=0)
+    middle, size = (low + high) / 2, high - low
+    far = (size > 0.0) & (np.abs(middle) > REMOTE * size)
+    far[[i for i in range(len(far)) if i >= len(space.flat) or space.angular[i]]] = False
+    shift = np.where(far, middle, 0.0)
+    return [x._replace(samples=x.samples._replace(q=x.samples.q - shift)) for x in recordings]
 
 
 def _told_still(
