@@ -48,6 +48,8 @@ TOGETHER, SMALL = 3.0, 0.1
 which they are one."""
 REMOTE = 100.0
 """Distance of a length from zero, over its range, beyond which it is counted from its middle."""
+TOO_FAR, MOVES = 1e4, 20.0
+"""That beyond which trainings lose too many digits, and the range over the noise of what moves."""
 REASONS = {
     too_fast: "angles move too fast there for the distance of the samples",
     struck: "something else moved the machine there, as the same states at other times show",
@@ -398,12 +400,22 @@ def _continuous(recording: Recording, space: Coordinates, data: Mapping[str, Any
 
 
 def _near(recordings: Sequence[Recording], space: Coordinates) -> list[Recording]:
-    """Return recordings whose lengths are near zero, so that regressions on them lose no digits."""
+    """Return recordings whose lengths are near zero, so that regressions on them lose no digits.
+
+    Raises:
+        ConfigError: If a length is so far from zero that trainings would lose too many.
+    """
     every = np.concatenate([one.samples.q for one in recordings])
     low, high = every.min(axis=0), every.max(axis=0)
     middle, size = (low + high) / 2, high - low
     far = (size > 0.0) & (np.abs(middle) > REMOTE * size)
     far[[i for i in range(len(far)) if i >= len(space.flat) or space.angular[i]]] = False
+    for i in np.flatnonzero(far & (np.abs(middle) > TOO_FAR * size)):
+        if size[i] > MOVES * noise_of([one.samples.q[:, i] for one in recordings]):
+            raise ConfigError(
+                f"q_{space.flat[i]} goes from {low[i]:.9g} to {high[i]:.9g}, too far from zero for "
+                "its motion; subtract its first value from all of them in the file"
+            )
     shift = np.where(far, middle, 0.0)
     return [x._replace(samples=x.samples._replace(q=x.samples.q - shift)) for x in recordings]
 
