@@ -335,7 +335,9 @@ def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     assert list(candidates.index) == ["links (chosen)", "network, learned friction"]
     assert candidates.error["links (chosen)"] == "0.141"
     assert candidates.failed["network, learned friction"] == "why"
-    assert "Error [1000 m, rad]: " in tables["recording_arm_csv_candidates"].notes[0]
+    notes = tables["recording_arm_csv_candidates"].notes
+    assert "Error [1000 m, rad]: " in notes[0]
+    assert f'symo_exp.load("{tmp_path / "best"}")' in notes[-1]
 
 
 def test_a_search_that_runs_shows_its_candidates_so_far_and_no_empty_table(tmp_path):

@@ -13,7 +13,7 @@ from symo_exp.report.figures import Figure
 from symo_exp.report.looks import duration, short
 from symo_exp.report.runs import run_table
 from symo_exp.report.tables import ResultTable
-from symo_exp.runs.folder import CANDIDATES, WINDOWS, RunFolder
+from symo_exp.runs.folder import BEST, CANDIDATES, WINDOWS, RunFolder
 
 NUMBERS = ["error", "over_chosen", "standard_error"]
 ERRORS = (
@@ -25,8 +25,8 @@ CHOICE = (
     "chosen one is the simplest that the best one does not beat by more than one standard error."
 )
 NO_CHOICE = (
-    "None is chosen yet: the search has not ended, or it found no model. Errors over different "
-    "numbers of folds are not comparable."
+    "None is chosen yet: the search has not ended, or it found no model. When it has ended, write "
+    "this page again. Errors over different numbers of folds are not comparable."
 )
 
 
@@ -75,6 +75,8 @@ def search_table(folder: Path, key: str) -> ResultTable:
         notes = [ERRORS.format(unit=unit), CHOICE]
         if not found.chosen.any():
             rows, notes[1] = rows.drop(columns="× chosen"), NO_CHOICE
+        else:
+            notes.append(f'The chosen model: symo_exp.load("{folder.parent / BEST}")')
     return ResultTable(f"{key}_candidates", "Candidates of the search", rows, notes)
 
 
