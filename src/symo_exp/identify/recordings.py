@@ -46,7 +46,8 @@ from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions, wi
 TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
 which they are one."""
-REMOTE = 100.0
+Stiffness = tuple[tuple[float, ...], ...]
+REMOTE = 20.0
 """Distance of a length from zero, over its range, beyond which it is counted from its middle."""
 TOO_FAR, MOVES = 1e4, 20.0
 """That beyond which trainings lose too many digits, and the range over the noise of what moves."""
@@ -148,6 +149,7 @@ class _Examination:
     moving: int = field(init=False)  # how many of ``used`` are not at rest
     angles: list[str] = field(init=False)
     space: Coordinates = field(init=False)
+    remote: np.ndarray = field(init=False)  # which coordinates are lengths far from zero
     written: dict[str, str] = field(init=False)  # by coordinate: the name that states its unit
 
     def __post_init__(self) -> None:
@@ -168,7 +170,7 @@ class _Examination:
         self._tell_superfluous()
         self._doubt_units()
         finest = max(one.samples.step for one in (*self.used, *self.test))
-        self.used = [_turned(self.where, one, self.space) for one in _near(self.used, self.space)]
+        self.used = [_turned(self.where, one, self.space) for one in self._near()]
         time_step = self._choose_time_step(finest)
         self._leave_out(time_step)
         driven = any(bool(one.samples.u.any()) for one in self.used)
@@ -178,6 +180,7 @@ class _Examination:
         lists = {
             "settings": (*self.settings, *shown_by.settings),
             "notes": (*self.notes, *shown_by.notes),
+            "stiffness": self._starting(shown_by.stiffness),
         }
         return Machine(
             **vars(shown_by) | lists,
@@ -307,6 +310,34 @@ class _Examination:
         if self.angular is None and not self.rotations:
             ask_for_angles(self.used, self.space)
 
+    def _near(self) -> list[Recording]:
+        """Return recordings whose lengths are near zero, so that regressions lose no digits.
+
+        Raises:
+            ConfigError: If a length is so far from zero that trainings would lose too many.
+        """
+        every = np.concatenate([one.samples.q for one in self.used])
+        low, high = every.min(axis=0), every.max(axis=0)
+        middle, size = (low + high) / 2, high - low
+        far = (size > 0.0) & (np.abs(middle) > REMOTE * size)
+        far[[i for i in range(len(far)) if i >= len(self.flat) or self.space.angular[i]]] = False
+        for i in np.flatnonzero(far & (np.abs(middle) > TOO_FAR * size)):
+            if size[i] > MOVES * noise_of([one.samples.q[:, i] for one in self.used]):
+                raise ConfigError(
+                    f"q_{self.flat[i]} goes from {low[i]:.9g} to {high[i]:.9g}, too far from zero "
+                    "for its motion; subtract its first value from all of them in the file"
+                )
+        self.remote = far[: len(self.flat)]
+        shift = np.where(far, middle, 0.0)
+        return [x._replace(samples=x.samples._replace(q=x.samples.q - shift)) for x in self.used]
+
+    def _starting(self, stiffness: Stiffness | None) -> Stiffness | None:
+        """Return a stiffness to start from, zero where its force at the place would be huge."""
+        if stiffness is None:
+            return None
+        near = np.outer(~self.remote, ~self.remote)
+        return tuple(map(tuple, np.where(near, stiffness, 0.0).tolist()))
+
     def _choose_time_step(self, finest: float) -> float:
         """Return the time step, and leave out stretches without samples for it."""
         found = self.time_step
@@ -397,27 +428,6 @@ def _continuous(recording: Recording, space: Coordinates, data: Mapping[str, Any
     if data.get("wrapped"):
         samples = unwrapped(samples, space)
     return recording._replace(samples=samples)
-
-
-def _near(recordings: Sequence[Recording], space: Coordinates) -> list[Recording]:
-    """Return recordings whose lengths are near zero, so that regressions on them lose no digits.
-
-    Raises:
-        ConfigError: If a length is so far from zero that trainings would lose too many.
-    """
-    every = np.concatenate([one.samples.q for one in recordings])
-    low, high = every.min(axis=0), every.max(axis=0)
-    middle, size = (low + high) / 2, high - low
-    far = (size > 0.0) & (np.abs(middle) > REMOTE * size)
-    far[[i for i in range(len(far)) if i >= len(space.flat) or space.angular[i]]] = False
-    for i in np.flatnonzero(far & (np.abs(middle) > TOO_FAR * size)):
-        if size[i] > MOVES * noise_of([one.samples.q[:, i] for one in recordings]):
-            raise ConfigError(
-                f"q_{space.flat[i]} goes from {low[i]:.9g} to {high[i]:.9g}, too far from zero for "
-                "its motion; subtract its first value from all of them in the file"
-            )
-    shift = np.where(far, middle, 0.0)
-    return [x._replace(samples=x.samples._replace(q=x.samples.q - shift)) for x in recordings]
 
 
 def _told_still(
