@@ -23,6 +23,10 @@ log = logging.getLogger(__name__)
 
 RATE = 1e-2
 """Initial rate of Adam, large enough to leave a basin."""
+DRIVEN, FREE = 30.0, 1e-2
+"""Initial damping where inputs act, and where none do. Friction starts from almost nothing, and
+without it residuals are smallest where inertias are so large that inputs do not matter: a long
+first step goes there."""
 HANDICAP = 1.5
 """Factor of the held-out loss of a start: smoothing biases it, which few held-out data may hide."""
 MOST_STARTS = 1000
@@ -70,8 +74,7 @@ class TotalLeastSquares(EpochOptimizer):
         epochs: Epochs of an ``ε``.
         late_from: Largest ``ε`` with late parameters.
         warm_up: Steps of Adam, its rate along a half cosine.
-        damping: Initial damping. First steps are short: friction starts from almost nothing, and
-            without it residuals are smallest where inertias are so large that inputs do not matter.
+        damping: Initial damping; if left out, it is large where inputs act, for short first steps.
         velocity_weight: Noise of velocities over that of configurations [1/s].
         input_weight: Noise of inputs over that of configurations [N/m, N m/rad], in units of the
             coordinates if these are others; 0: inputs are exact.
@@ -93,7 +96,7 @@ class TotalLeastSquares(EpochOptimizer):
         epochs: int = 20,
         late_from: float = 0.3,
         warm_up: int = 300,
-        damping: float = 30.0,
+        damping: float | None = None,
         velocity_weight: float = 1.0,
         input_weight: float = 0.0,
         tolerance: float = 0.0,
@@ -105,7 +108,10 @@ class TotalLeastSquares(EpochOptimizer):
         for name, value in (("start", start), ("epochs", epochs)):
             whole_number(f"optimizer.{name}", value)
         self.force_epochs = whole_number("optimizer.force_epochs", force_epochs, low=0)
-        sizes = ("damping", damping), ("velocity_weight", velocity_weight)
+        sizes = (
+            ("damping", FREE if damping is None else damping),
+            ("velocity_weight", velocity_weight),
+        )
         for name, size in (*sizes, *(("epsilons", e) for e in epsilons)):
             real(f"optimizer.{name}", size, above=0)
         real("optimizer.input_weight", input_weight, low=0)
@@ -120,6 +126,7 @@ class TotalLeastSquares(EpochOptimizer):
         self.stages = [*begins, *rounds, *again]
         self._starts = starts
         self.memory |= self._untrained() | {
+            "damping": FREE,
             "epoch": 0,
             "held": 0.0,
             "nodes": None,
@@ -150,12 +157,13 @@ class TotalLeastSquares(EpochOptimizer):
         chain = Chain.of(
             trajectories, velocities=model.reads_velocity, inputs=self.input_weight > 0
         )
-        epoch = memory["epoch"]
+        epoch, damping = memory["epoch"], self._first_damping(trajectories)
         stage = self.stage(epoch)
         before = self.stage(epoch - 1) if epoch else None
         if before is None:
             x = smoothed(trajectories, model.reads_velocity)
             memory["nodes"] = torch.cat((x, chain.x[:, chain.known :]), dim=1)
+            memory["damping"] = damping
             self._set_late(to_start=False)
             memory["initial"] = self._snapshot(0.0)
         elif before != stage:
@@ -167,10 +175,10 @@ class TotalLeastSquares(EpochOptimizer):
                     self._warm(model, chain, stage.start)
             elif stage.late and not before.late:
                 self._set_late(to_start=True)
-            memory["damping"], memory["held"] = min(memory["damping"], self.damping), 0.0
+            memory["damping"], memory["held"] = min(memory["damping"], damping), 0.0
             memory["ended"] = None
         if before is not None and epoch == self.force_epochs:
-            memory |= self._untrained() | {"ended": None}
+            memory |= self._untrained() | {"damping": damping, "ended": None}
         memory["epoch"] = epoch + 1
         if memory["ended"] is None:
             weight = chain.weights(model.sizes, self.velocity_weight, self.input_weight)
@@ -218,11 +226,15 @@ class TotalLeastSquares(EpochOptimizer):
             "precision": torch.repeat_interleave(precision, sizes),
         }
 
+    def _first_damping(self, trajectories: Sequence[Trajectory]) -> float:
+        if self.damping is not None:
+            return self.damping
+        return DRIVEN if any(bool(one.u.any()) for one in trajectories) else FREE
+
     def _untrained(self) -> dict[str, Any]:
-        """Return the initial damping, noise and priors."""
+        """Return the initial noise and priors."""
         precision = [FLAT if is_coefficient(p) else 1.0 for p in self.parameters]
         return {
-            "damping": self.damping,
             "noise": 1.0,
             "precision": torch.tensor(precision, dtype=torch.float64),
         }
