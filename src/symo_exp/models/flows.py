@@ -433,9 +433,9 @@ class VariationalFlow(Flow):
         force = self.force(u.flatten(0, 1)).unflatten(0, (batch, steps + 1))
         forces = Forces(force[:, :-1], force[:, 1:])
         problem = StretchMatching(self.discrete, q, p, forces)
-        t = self.time_step * torch.arange(1, steps + 1).to(q)
-        moved = t[:, None] * self.decode(q, p).unsqueeze(1)
         if guess is None:
+            t = self.time_step * torch.arange(1, steps + 1).to(q)
+            moved = t[:, None] * self.decode(q, p).unsqueeze(1)
             guess = self.space.retract(q.unsqueeze(1).expand(-1, steps, -1), moved)
         rule = StretchNewton(self.rollout_root.bounds)
         x, at, state = iterate(problem, problem.start(guess), rule, MOST_UPDATES)

@@ -126,7 +126,6 @@ class TotalLeastSquares(EpochOptimizer):
         self.stages = [*begins, *rounds, *again]
         self._starts = starts
         self.memory |= self._untrained() | {
-            "damping": FREE,
             "epoch": 0,
             "held": 0.0,
             "nodes": None,
