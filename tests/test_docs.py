@@ -43,6 +43,15 @@ def test_files_that_a_page_links_to_exist(page):
         assert "://" in link or (page.parent / link).exists(), link
 
 
+@pytest.mark.parametrize("page", PAGES, ids=pages.relative)
+def test_formulas_have_only_forms_that_the_site_draws(page):
+    """Docutils puts an index under an accented letter, and a power at the second bar of a norm."""
+    text = page.read_text(encoding="utf-8")
+    for formula in [*pages.blocks(text, "math"), *re.findall(r"\$([^$\n]+)\$", text)]:
+        assert not re.search(r"\\(hat|bar|d?dot|tilde|vec)( \w|\{\w+\})\}?_", formula), formula
+        assert not re.search(r"(?<!left)(?<!right)\\\|", formula), formula
+
+
 def test_the_tutorial_is_kept_without_what_it_gives():
     cells = json.loads((DOCS / "tutorial.ipynb").read_text(encoding="utf-8"))["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
