@@ -33,7 +33,7 @@ def made() -> str:
         for system in ("pendulum", "cartpole") for n in (8, 16, 32) for noise in (0.0, 0.01)
         for seed in (0, 1)
     ]  # fmt: skip
-    rows.append(row(status="FAILED", reason="out of memory", experiment="mine", seed=7))
+    rows.append(row(status="FAILED", reason="out of memory " * 40, experiment="mine", seed=7))
     return html(general_report(tidy(rows), "From a test."))
 
 
@@ -162,6 +162,22 @@ def test_the_first_column_stays_when_a_table_scrolls(browser, address):
     browser.execute_script("document.querySelector('#accuracy').parentElement.scrollLeft = 150")
     assert box_of(browser, cell)["left"] == pytest.approx(before["left"], abs=1)
     assert box_of(browser, "#accuracy td:nth-child(2)")["left"] < before["right"]
+
+
+@pytest.mark.parametrize("width", [1600, 390])
+def test_long_text_of_a_table_is_wrapped(width, browser, address):
+    look_at(browser, f"{address}#unfinished", width)
+    wait(browser, browser.find_element("id", "unfinished").is_displayed)
+    script = "return [...document.querySelectorAll('td')].map((c) => c.offsetWidth)"
+    assert max(browser.execute_script(script)) < 600
+
+
+def test_cells_of_a_heat_map_do_not_hide_the_shadow_at_a_cut_side(opened):
+    script = """return [...document.querySelectorAll('.heat td[style]')].map(
+        (cell) => getComputedStyle(cell).backgroundColor)"""
+    fills = opened.execute_script(script)
+    assert fills
+    assert all(re.search(r"/ 0[.\d]*\)$", fill) for fill in fills)
 
 
 @pytest.mark.parametrize("name", ["NODE", "RK4", "floor"])
