@@ -4,11 +4,14 @@ import os
 import re
 import shutil
 
+import pandas as pd
 import pytest
 
 from symo_exp.report.__main__ import general_report
+from symo_exp.report.document import Report, Section
 from symo_exp.report.page import html
 from symo_exp.report.runs import tidy
+from symo_exp.report.tables import ResultTable
 from tests.report.stores import MEASURES, row
 
 pytestmark = pytest.mark.browser
@@ -162,6 +165,17 @@ def test_the_first_column_stays_when_a_table_scrolls(browser, address):
     browser.execute_script("document.querySelector('#accuracy').parentElement.scrollLeft = 150")
     assert box_of(browser, cell)["left"] == pytest.approx(before["left"], abs=1)
     assert box_of(browser, "#accuracy td:nth-child(2)")["left"] < before["right"]
+
+
+@pytest.mark.parametrize("width", [1600, 390])
+def test_a_long_path_does_not_widen_the_page(width, browser, tmp_path):
+    path = "/a_folder" * 40
+    table = ResultTable("mine", path, pd.DataFrame({"a": [path], "b": ["1"]}), [path])
+    parts = [Section(key, path, [path], [table]) for key in ("first", "second")]
+    file = tmp_path / "index.html"
+    file.write_text(html(Report(path, path, parts, pd.DataFrame())), encoding="utf-8")
+    look_at(browser, file.as_uri(), width)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
 
 
 @pytest.mark.parametrize("width", [1600, 390])
