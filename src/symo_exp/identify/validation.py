@@ -63,7 +63,8 @@ class Trial:
         if self.reasons:
             return f"failed: {next(iter(self.reasons.values()))}"
         ended = f", {len(self.overran)} ran out of time" if self.overran else ""
-        folds = f"{len(self.errors)} fold(s), {self.seconds:.0f} s"
+        count = len(self.errors)
+        folds = f"{count} fold{'s' * (count != 1)}, {self.seconds:.0f} s"
         return f"error {self.mean():.3g} over {folds}{ended}"
 
 
