@@ -17,7 +17,17 @@ from symo_exp.report.cells import Compared, cells
 from symo_exp.report.charts import MARKERS, declare, draw_charts
 from symo_exp.report.document import Report
 from symo_exp.report.figures import Figure, Panel
-from symo_exp.report.looks import METHODS, TRUE, axis_label, in_order, look, short, written
+from symo_exp.report.looks import (
+    MEASURES,
+    METHODS,
+    TRUE,
+    axis_label,
+    in_order,
+    look,
+    measure_name,
+    short,
+    written,
+)
 from symo_exp.report.motions import (
     LONG,
     Studied,
@@ -322,6 +332,13 @@ def test_names_become_symbols():
     )
     assert axis_label("x", velocity=True, angular=False) == "dx/dt [m/s]"
     assert axis_label("tilt", angular=True) == "tilt [rad]"
+
+
+@pytest.mark.parametrize("angular", [True, False])
+def test_latex_of_every_measure_with_its_unit_needs_no_other_letters(angular):
+    names = [measure_name(metric, angular) for metric in MEASURES]
+    text = latex(ResultTable("mine", "mine", pd.DataFrame([["1"] * len(names)], columns=names)))
+    assert text.isascii()
 
 
 def test_latex_escapes_what_it_must():
