@@ -235,6 +235,18 @@ def test_help_shows_every_choice_with_a_line(flag, workplace, capsys):
         assert any(line[0] == file.stem and len(line) > 2 for line in lines if line), file
 
 
+@pytest.mark.parametrize("columns", [80, 100, 200])
+def test_help_fits_the_terminal(columns, workplace, monkeypatch, capsys):
+    """Lines are continued below their description; no word is lost."""
+    assert main(["-h"]) == 0
+    whole = capsys.readouterr().out
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert main(["-h"]) == 0
+    told = capsys.readouterr().out
+    assert told.split() == whole.split()
+    assert max(map(len, told.splitlines())) <= columns
+
+
 def test_help_and_settings_come_without_the_heavy_libraries(workplace):
     for words in (["-h"], ["model=node", "--cfg", "job"]):
         done = subprocess.run(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import takewhile
 from pathlib import Path
@@ -49,7 +52,21 @@ def help_text(folders: Sequence[Path] = ()) -> str:
     choices = [f"{g}={defaults.get(g, '')}\n{_choices([r / g for r in roots])}" for g in groups]
     sweeps = f"-cn (a sweep)\n{_choices([SWEEPS, *folders])}"
     said = "Learn the dynamics of a mechanical system from trajectories.\n"
-    return "\n".join([said, *examples, f"\nsettings\n{settings}", *choices, sweeps, NOTES])
+    return _wrapped(
+        "\n".join([said, *examples, f"\nsettings\n{settings}", *choices, sweeps, NOTES])
+    )
+
+
+def _wrapped(text: str) -> str:
+    """Return the text with lines that fit a terminal, continued below their second column."""
+    width, lines = shutil.get_terminal_size((1000, 0)).columns, []
+    for line in text.splitlines():
+        second = re.match(r" *(\S+( \S+)*  +)?", line)
+        indent = " " * (second.end() if second else 0)
+        lines += textwrap.wrap(
+            line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+        ) or [""]
+    return "\n".join(lines) + "\n"
 
 
 def _defaults() -> Iterator[tuple[str, object]]:
