@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from symo_exp.report.answer import ROOTS, answers, other_settings
-from symo_exp.report.cells import Compared
+from symo_exp.report.cells import Compared, cells
+from symo_exp.report.looks import short
 from symo_exp.report.tables import latex, markdown_table
 
 PAIRS = [("node", "rk4"), ("l_node", "rk4"), ("symo", "midpoint"), ("e2e_symo", "midpoint")]
@@ -140,6 +141,16 @@ def test_the_heat_map_ranks_and_the_best_are_bold():
     assert list(table.shades["energy MSE [J²], n=32"]) == pytest.approx([1, 2 / 3, 1 / 3, 0])
     assert "| NODE | **1** | **1** | **1** | **1** |" in markdown_table(table)
     assert r"NODE & \textbf{1} & \textbf{1} & \textbf{1} & \textbf{1} \\" in latex(table)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_the_heat_map_has_the_medians_of_the_other_tables(count):
+    runs = made(lambda pair, seed, _: 7.0**seed * (1 + PAIRS.index(pair)), seeds=range(count))
+    (table,) = answers(runs, Compared(""))[1]
+    found = cells(runs.assign(seconds=1.0, time_step=0.1))
+    medians = found[found.metric == "energy_mse"].set_index("method")["median"]
+    there = table.rows.set_index("")["energy MSE [J²], n=32"].str.split().str[0]
+    assert sorted(there) == sorted(map(short, medians))
 
 
 def test_there_is_no_answer_without_a_run_that_learned():

@@ -75,7 +75,7 @@ class Ranked(NamedTuple):
 
     def medians(self) -> pd.DataFrame:
         """Return the logarithms of the medians over seeds, a row for each system."""
-        return self.values.groupby("system").median()
+        return np.log10((10.0**self.values).groupby("system").median())
 
 
 def answers(runs: pd.DataFrame, compared: Compared) -> tuple[list[str], list[ResultTable]]:
@@ -243,7 +243,7 @@ def _interval(found: Ranked, best: str, second: str) -> MarginInterval:
     apart = []
     for stream, (_, rows) in enumerate(found.values[[best, second]].groupby("system")):
         both = rows.dropna().to_numpy()
-        medians = np.median(both[resampled(len(both), stream)], axis=1)
+        medians = np.log10(np.median(10.0 ** both[resampled(len(both), stream)], axis=1))
         apart.append(medians[:, 1] - medians[:, 0])
     return between(np.mean(apart, axis=0))
 
@@ -271,7 +271,7 @@ def heat_map(system: str, found: Iterable[Ranked]) -> ResultTable:
 
 
 def _against(power: float, least: float) -> str:
-    if power >= DIVERGED:
+    if power > DIVERGED - 1:  # the median of an even number is the mean of two
         return "diverged"
     return short(10**power) + (f" ×{_times(power - least)}" if power - least >= LEVEL else "")
 
