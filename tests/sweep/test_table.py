@@ -101,6 +101,19 @@ def test_a_single_run_has_no_room_for_marks_and_its_name_is_whole(tmp_path):
     assert "*" not in "".join(lines)
 
 
+def test_parameters_of_a_run_fit_the_terminal(tmp_path, monkeypatch):
+    folder = made(tmp_path / "a", test_mse=1.0)
+    note = f"determined only together with {', '.join(f'body.inertia_{i}' for i in range(9))}"
+    row = {"name": "body.mass", "value": 0.5, "standard_deviation": math.nan, "unit": "kg",
+           "determined": "no", "note": note}  # fmt: skip
+    folder.write_parameters([row])
+    whole = table(["SyMo"], [folder])
+    monkeypatch.setenv("COLUMNS", "80")
+    told = table(["SyMo"], [folder])
+    assert told.split() == whole.split()
+    assert max(map(len, told.splitlines())) <= 80 < max(map(len, whole.splitlines()))
+
+
 def test_measures_of_no_run_have_no_column_and_failures_have_a_reason(tmp_path):
     folders = [made(tmp_path / "a", test_mse=1.0), made(tmp_path / "b", status="failed")]
     assert "log" not in table(["seed=0", "seed=1"], folders)  # it has none

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
-import shutil
-import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import takewhile
 from pathlib import Path
 
 import yaml
 
+from symo_exp.process.terminal import fitted_lines
 from symo_exp.shell import python_command
 from symo_exp.shipped import CONF, SWEEPS
 
@@ -52,21 +50,8 @@ def help_text(folders: Sequence[Path] = ()) -> str:
     choices = [f"{g}={defaults.get(g, '')}\n{_choices([r / g for r in roots])}" for g in groups]
     sweeps = f"-cn (a sweep)\n{_choices([SWEEPS, *folders])}"
     said = "Learn the dynamics of a mechanical system from trajectories.\n"
-    return _wrapped(
-        "\n".join([said, *examples, f"\nsettings\n{settings}", *choices, sweeps, NOTES])
-    )
-
-
-def _wrapped(text: str) -> str:
-    """Return the text with lines that fit a terminal, continued below their second column."""
-    width, lines = shutil.get_terminal_size((1000, 0)).columns, []
-    for line in text.splitlines():
-        second = re.match(r" *(\S+( \S+)*  +)?", line)
-        indent = " " * (second.end() if second else 0)
-        lines += textwrap.wrap(
-            line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-        ) or [""]
-    return "\n".join(lines) + "\n"
+    parts = [said, *examples, f"\nsettings\n{settings}", *choices, sweeps, NOTES]
+    return "\n".join([*fitted_lines("\n".join(parts).splitlines()), ""])
 
 
 def _defaults() -> Iterator[tuple[str, object]]:

@@ -1,1 +1,1 @@
-"""The process itself: signals that stop it, and the status line of a terminal."""
+"""The process itself: signals that stop it, the status line and the width of a terminal."""

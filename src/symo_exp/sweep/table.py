@@ -14,6 +14,7 @@ from typing import Any
 from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.job.lines import MEASURES, brief, parameter_lines, run_line, units_of
 from symo_exp.process import phases, stopping
+from symo_exp.process.terminal import fitted_lines
 from symo_exp.report.looks import all_angles, duration, label_and_unit, written
 from symo_exp.runs.folder import LOG, RunFolder
 
@@ -52,7 +53,7 @@ def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
         if outcome.status != "finished"
         for log in [folder / LOG]
     ]
-    return "\n".join([*lines, *parameters, *verdicts, *failures])
+    return "\n".join([*lines, *fitted_lines(parameters), *verdicts, *failures])
 
 
 def aligned(names: Sequence[str], columns: Sequence[Sequence[str]]) -> list[str]:
