@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from symo_exp.report.runs import read_runs
+from symo_exp.report.runs import load_runs
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.runs.series import Series
 from symo_exp.tracking.publish import MlflowView
@@ -149,7 +149,7 @@ def many_runs(store: Store, count: int) -> None:
 
     def report() -> None:
         nonlocal found
-        found = read_runs(store, ["thesis"]).run_id.nunique()
+        found = load_runs(store, ["thesis"]).run_id.nunique()
 
     asked = {
         "all runs, for a report": report,

@@ -16,7 +16,7 @@ from symo_exp.report.__main__ import general_report, main
 from symo_exp.report.cells import settings_of
 from symo_exp.report.looks import in_order
 from symo_exp.report.motions import studied
-from symo_exp.report.runs import read_runs, save_runs, tidy
+from symo_exp.report.runs import load_runs, save_runs, tidy
 from symo_exp.report.tables import markdown_table
 from symo_exp.runs.folder import CANDIDATES
 from symo_exp.tracking.store import connect
@@ -301,7 +301,7 @@ def test_each_method_s_study_of_the_lowest_seed_is_drawn(store, tmp_path):
     other = {"test_mse": 1e-6, "long_term_fast_mse": 0.1}  # of a study with a longer name
     add_run(store, metrics=other, method="symo", seed=0)
     add(None, method="e2e_symo", seed=1)  # its file is gone
-    runs = read_runs(store)
+    runs = load_runs(store)
     (found,) = studied(runs, ["long_term", "forced"], store)
     assert (found.study, found.system, set(found.tables)) == ("long_term", "pendulum", set(PAIRS))
     assert list(found.tables) == sorted(PAIRS, key=in_order)  # whichever run was first

@@ -18,7 +18,7 @@ def test_a_row_for_each_measure_of_each_run(store, monkeypatch):
         add_run(store, seed=seed, system="cartpole", n_traj=8, noise_std=1e-4)
     connect(store).create_run(experiment_id(store, "thesis"), run_name="a sweep")
     monkeypatch.setattr(runs, "PAGE", 1)  # as a large store, which is read in pages
-    found = runs.read_runs(store)
+    found = runs.load_runs(store)
     assert list(found) == runs.COLUMNS
     assert len(found) == 2 * len(MEASURES)
     one = found[(found.seed == 1) & (found.metric == "test_mse")].iloc[0]
@@ -34,7 +34,7 @@ def test_run_folders_are_read_as_the_store_that_they_are_published_to(store, tmp
         folder = add_folder(place, status, values, n_traj=8, seed=seed, noise_std=None)
         MlflowView(experiment="mine", directory=store.database.parent).publish(folder)
     dead = add_folder(tmp_path / "outputs" / "more" / "dead", "running", seed=4)
-    there = runs.read_runs(store)
+    there = runs.load_runs(store)
     found = runs.load_runs([tmp_path / "outputs"])
     lost = found[found.seed == 4].iloc[0]
     assert (lost.status, "killed" in lost.reason) == ("FAILED", True)
@@ -81,7 +81,7 @@ def test_a_run_with_a_damaged_file_is_named_and_the_others_are_read(
 )  # fmt: skip
 def test_the_variant_is_the_recorded_one_or_else_the_preset(store, told, variant):
     add_run(store, told=told)
-    assert set(runs.read_runs(store).variant) == {variant}
+    assert set(runs.load_runs(store).variant) == {variant}
 
 
 @pytest.mark.parametrize("absent", [{"n_traj": None}, {"n_traj": "8.0"}, {"noise_std": "null"}])
@@ -108,17 +108,17 @@ def test_runs_are_selected_by_experiment_system_and_seed(store):
     for system, seed in (("pendulum", 0), ("acrobot", 0), ("acrobot", 1)):
         add_run(store, system=system, seed=seed)
     add_run(store, experiment="other", seed=7)
-    narrowed = runs.read_runs(store, ["thesis"], systems=["acrobot"], seeds=[0, 2])
+    narrowed = runs.load_runs(store, ["thesis"], systems=["acrobot"], seeds=[0, 2])
     assert set(zip(narrowed.system, narrowed.seed, strict=True)) == {("acrobot", 0)}
-    assert runs.read_runs(store).run_id.nunique() == 4
+    assert runs.load_runs(store).run_id.nunique() == 4
 
 
 def test_missing_stores_and_experiments_are_one_line(store, tmp_path):
     add_run(store, experiment="other")
     with pytest.raises(ConfigError, match=r"no experiment 'thesis' in .*; there are: other"):
-        runs.read_runs(store, ["thesis"])
+        runs.load_runs(store, ["thesis"])
     with pytest.raises(ConfigError, match="no tracking store at"):
-        runs.read_runs(find(None, tmp_path / "nowhere"))
+        runs.load_runs(find(None, tmp_path / "nowhere"))
     assert not (tmp_path / "nowhere").exists()
 
 

@@ -132,16 +132,13 @@ def _write(options: argparse.Namespace) -> list[Path]:
 
 def _read(options: argparse.Namespace) -> tuple[pd.DataFrame, str, Store | None]:
     """Return the runs, a sentence on where they are from, and their store unless in folders."""
-    from symo_exp.report.runs import load_runs, read_runs
+    from symo_exp.report.runs import load_runs
     from symo_exp.tracking.store import find
 
     asked = {"systems": options.system, "seeds": options.seed}
-    named, paths, store = options.experiment, _paths(options), None
-    if paths:
-        runs = load_runs(paths, named, **asked)
-    else:
-        store = find(options.tracking_uri, options.directory or STORE)
-        runs = read_runs(store, named, **asked)
+    named, paths = options.experiment, _paths(options)
+    store = None if paths else find(options.tracking_uri, options.directory or STORE)
+    runs = load_runs(store or paths, named, **asked)
     every = options.all or named or options.paths or options.runs
     if not every and runs.experiment.nunique() > 1:
         named = [_chosen(runs)]

@@ -70,50 +70,31 @@ Row = tuple[Mapping[str, Any], Mapping[str, float]]
 """A run: its columns and its measures."""
 
 
-def read_runs(
-    store: Store,
-    experiments: Sequence[str] = (),
-    *,
-    systems: Sequence[str] = (),
-    seeds: Sequence[int] = (),
-) -> pd.DataFrame:
-    """Return the runs of a tracking store.
-
-    One request reads a thousand runs with all their measures.
-
-    Args:
-        store: The store.
-        experiments: Names of experiments; all if empty.
-        systems: Names of systems; all if empty.
-        seeds: Seeds; all if empty.
-
-    Raises:
-        ConfigError: The store cannot be reached, or has no such experiment, system or seeds.
-    """
-    return _asked(tidy(_in_store(store, experiments)), (), systems, seeds)
-
-
 def load_runs(
-    paths: Sequence[Path],
+    source: Store | Sequence[Path],
     experiments: Sequence[str] = (),
     *,
     systems: Sequence[str] = (),
     seeds: Sequence[int] = (),
 ) -> pd.DataFrame:
-    """Return the runs below folders and in saved ``runs.csv`` and ``runs.parquet`` together.
+    """Return the runs of a tracking store, or those of folders and saved tables together.
 
-    Saved tables have no files of studies, so that their figures are missing.
+    One request to a store reads a thousand runs with all their measures. Saved tables have no files
+    of studies, so that their figures are missing.
 
     Args:
-        paths: Folders of runs, or files that a report saved.
+        source: A store, or folders of runs and ``runs.csv`` and ``runs.parquet`` of reports.
         experiments: Names of experiments; all if empty.
         systems: Names of systems; all if empty.
         seeds: Seeds; all if empty.
 
     Raises:
-        ConfigError: A path cannot be read or has no run, or no run has a name that is asked for.
+        ConfigError: The source cannot be read or has no run, or no run has a name that is asked
+            for.
     """
-    found = [_load_folders(path) if path.is_dir() else _load_table(path) for path in paths]
+    if isinstance(source, Store):
+        return _asked(tidy(_in_store(source, experiments)), (), systems, seeds)
+    found = [_load_folders(path) if path.is_dir() else _load_table(path) for path in source]
     return _asked(pd.concat(found), experiments, systems, seeds)
 
 
