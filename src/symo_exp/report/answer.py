@@ -20,7 +20,7 @@ from symo_exp.report.looks import (
     pair_name,
     short,
 )
-from symo_exp.report.ranking import MarginInterval, between, logarithms, resampled
+from symo_exp.report.ranking import between, logarithms, resampled
 from symo_exp.report.tables import ResultTable
 
 ROOTS = "test_newton_failed"
@@ -238,7 +238,7 @@ def _certainty(found: Ranked, best: str, second: str) -> tuple[bool, str]:
     return low > 0, f"95 % interval {_times(low)} to {_times(high)}, {seeds} seeds"
 
 
-def _interval(found: Ranked, best: str, second: str) -> MarginInterval:
+def _interval(found: Ranked, best: str, second: str) -> tuple[float, float]:
     """Return the interval of the margin in powers of ten, by resampling the seeds of a system."""
     apart = []
     for stream, (_, rows) in enumerate(found.values[[best, second]].groupby("system")):

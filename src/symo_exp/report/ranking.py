@@ -7,7 +7,6 @@ Resampling draws seeds with replacement.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,13 +19,6 @@ DRAWS = 2000
 LEVEL = 0.95
 
 
-class MarginInterval(NamedTuple):
-    """Bounds of an interval."""
-
-    low: float
-    high: float
-
-
 def wide(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
     """Return a row for each block, a column for each pair of method and integrator."""
     rows = runs[runs.metric == metric].drop_duplicates([*BLOCK, *PAIR], keep="last")
@@ -36,7 +28,7 @@ def wide(runs: pd.DataFrame, metric: str) -> pd.DataFrame:
 
 def margin(
     table: pd.DataFrame, lower: list[Pair], higher: list[Pair], higher_in: pd.DataFrame
-) -> tuple[float, MarginInterval, int]:
+) -> tuple[float, tuple[float, float], int]:
     """Return by how much the worst of ``lower`` lies below the best of ``higher``.
 
     Medians are taken over the seeds that all pairs have.
@@ -51,7 +43,7 @@ def margin(
         The margin in powers of ten, its interval from resampled seeds, and the number of seeds;
         NaN and 0 where a pair has not been run.
     """
-    nothing = math.nan, MarginInterval(math.nan, math.nan), 0
+    nothing = math.nan, (math.nan, math.nan), 0
     if not set(lower) <= set(table.columns) or not set(higher) <= set(higher_in.columns):
         return nothing
     small, large = table[lower].dropna(), higher_in[higher].dropna()
@@ -74,11 +66,11 @@ def resampled(count: int, stream: int = 0) -> np.ndarray:
     return np.random.default_rng(stream).integers(0, count, (DRAWS, count))
 
 
-def between(values: np.ndarray) -> MarginInterval:
-    """Return the central interval that has a share ``LEVEL`` of the values."""
+def between(values: np.ndarray) -> tuple[float, float]:
+    """Return the bounds of the central interval that has a share ``LEVEL`` of the values."""
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(values, [tail, 1 - tail])
-    return MarginInterval(float(low), float(high))
+    return float(low), float(high)
 
 
 def logarithms(values: pd.DataFrame | pd.Series) -> np.ndarray:

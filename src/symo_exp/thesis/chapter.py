@@ -113,7 +113,7 @@ def claims(measures: pd.DataFrame) -> ResultTable:
     rows = []
     for claim, published, ours in judge(measures):
         several = ours.seeds > 1
-        interval = f"{short(ours.interval.low)} to {short(ours.interval.high)}"
+        interval = " to ".join(map(short, ours.interval))
         rows.append({
             "section": claim["section"], "system": claim["system"], "statement": claim["text"],
             "n": claim["n_traj"], "by its own numbers": published.said, "by ours": ours.said,

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from symo_exp.report.looks import Pair
-from symo_exp.report.ranking import BLOCK, MarginInterval, margin, wide
+from symo_exp.report.ranking import BLOCK, margin, wide
 from symo_exp.thesis import published
 
 PAIRS: list[Pair] = [
@@ -40,7 +40,7 @@ class Verdict(NamedTuple):
 
     said: str
     margin: float
-    interval: MarginInterval
+    interval: tuple[float, float]
     seeds: int
 
 
@@ -65,7 +65,7 @@ def _decide(claim: Mapping[Any, Any], tables: Mapping[str, pd.DataFrame]) -> Ver
     size, interval, seeds = margin(small, _pairs(claim["lower"]), _pairs(claim["higher"]), large)
     factor, low, high = (10.0**x / claim["times"] for x in (size, *interval))
     said = "holds" if low > 1 else "does not hold" if high <= 1 else "undecided"
-    return Verdict(said if seeds else "not run", factor, MarginInterval(low, high), seeds)
+    return Verdict(said if seeds else "not run", factor, (low, high), seeds)
 
 
 def _pairs(words: str) -> list[Pair]:
