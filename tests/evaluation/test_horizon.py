@@ -16,8 +16,8 @@ from symo_exp.evaluation.horizon import (
     whole_error,
 )
 from symo_exp.evaluation.recordings import held_out_error
-from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
-from symo_exp.mechanics.types import Trajectory
+from symo_exp.evaluation.references import ConstantVelocity
+from symo_exp.mechanics.types import Trajectories, Trajectory
 from symo_exp.models.starts import closest_start, fitted_start
 
 H = 0.02
@@ -38,7 +38,7 @@ class Chain:
             spring = 3.0 * (q[-1].mean(1, keepdim=True) - q[-1])
             v.append(v[-1] + H * (u[:, k] + spring - self.gravity * q[-1].sin()))
             q.append(q[-1] + H * v[-1])
-        return ReferenceRollout(torch.stack(q, 1), torch.stack(v, 1))
+        return Trajectories(torch.stack(q, 1), torch.stack(v, 1), u)
 
 
 def swings(n: int, *seconds: float) -> tuple[Chain, list[Trajectory]]:
@@ -74,7 +74,7 @@ class Small:
 
     def rollout(self, q0, v0, u):
         path = self.model.rollout(q0 / self.sizes, v0 / self.sizes, u)
-        return ReferenceRollout(path.q * self.sizes, path.v * self.sizes)
+        return Trajectories(path.q * self.sizes, path.v * self.sizes, u)
 
 
 @EACH_N
@@ -141,7 +141,7 @@ class Off:
     def rollout(self, q0, v0, u):
         q = q0[:, None].repeat(1, u.shape[1], 1) + self.distance
         q[:, round(min(self.seconds, 1e3) / H) + 1 :] = torch.nan
-        return ReferenceRollout(q, torch.zeros_like(q))
+        return Trajectories(q, torch.zeros_like(q), u)
 
 
 def steady(*seconds: float, n: int = 2) -> list[Trajectory]:

@@ -8,8 +8,7 @@ import torch
 
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.learned import LearnedQuantities
-from symo_exp.evaluation.motion import Motion
-from symo_exp.evaluation.phase_space import log_volume
+from symo_exp.evaluation.motion import Motion, log_volume
 from symo_exp.evaluation.study import Finding
 from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
 from symo_exp.mechanics.galerkin import Galerkin

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from symo_exp.evaluation.recordings import on_recordings
-from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
-from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.evaluation.references import ConstantVelocity
+from symo_exp.mechanics.types import Coordinates, Trajectories, Trajectory
 from symo_exp.report import recordings
 from symo_exp.report.motions import ranking
 from symo_exp.report.paper import save_figure
@@ -30,11 +30,9 @@ def recorded(n: int, lost: bool = False, **more: object):
         far = (q0.abs().sum(1) > 0.6 * n)[:, None, None] & (torch.arange(u.shape[1]) > 20)[:, None]
         gone = far.clone()
         gone[:, :40] = False
-        return (
-            ReferenceRollout(*(x.where(~far, 1e300).where(~gone, math.nan) for x in path))
-            if lost
-            else path
-        )
+        if not lost:
+            return path
+        return Trajectories(*(x.where(~far, 1e300).where(~gone, math.nan) for x in path[:2]), u)
 
     t = H * torch.arange(200, dtype=torch.float64)[:, None]
     speed = 1.0 + torch.arange(n, dtype=torch.float64)

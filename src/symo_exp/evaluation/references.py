@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import torch
 from jaxtyping import Float
@@ -12,6 +12,7 @@ from torch import Tensor
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.space import FLAT, Space
+from symo_exp.mechanics.types import Trajectories
 
 SUBSTEPS = 10
 """Integration steps of a reference in a time step, so that the integrator's error is negligible."""
@@ -42,13 +43,6 @@ def check_fit(reference: Reference, n: int, m: int) -> None:
     )
 
 
-class ReferenceRollout(NamedTuple):
-    """A rollout, start included."""
-
-    q: Float[Tensor, "batch nodes n"]
-    v: Float[Tensor, "batch nodes n"]
-
-
 @dataclass(frozen=True)
 class ConstantVelocity:
     """Motion at constant velocity, ``q_k = q_0 + k h v_0``: the baseline without any model."""
@@ -56,12 +50,12 @@ class ConstantVelocity:
     time_step: float
     space: Space = FLAT
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
         """Return the motion from a start over as many nodes as ``u`` has."""
         t = self.time_step * torch.arange(u.shape[1]).to(q0)
         v = v0[:, None].expand(-1, len(t), -1)
         start = q0[:, None].expand(-1, len(t), -1)
-        return ReferenceRollout(self.space.retract(start, t[:, None] * v), v)
+        return Trajectories(self.space.retract(start, t[:, None] * v), v, u)
 
 
 @dataclass(frozen=True)
@@ -71,7 +65,7 @@ class Continuous:
     reference: Reference
     time_step: float
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
         """Return the motion from a start over as many nodes as ``u`` has."""
         method, h = RK4(), self.time_step / SUBSTEPS
         q, v = [q0], [v0]
@@ -82,4 +76,4 @@ class Continuous:
                 state = method.step(self.reference.acceleration, *state, *ends, h)
             q.append(state[0])
             v.append(state[1])
-        return ReferenceRollout(torch.stack(q, 1), torch.stack(v, 1))
+        return Trajectories(torch.stack(q, 1), torch.stack(v, 1), u)
