@@ -29,7 +29,7 @@ from benchmarks.cases import (
 )
 from benchmarks.cases import Windows as SharedWindows
 from symo_exp.compile import compile_rollout, compile_training
-from symo_exp.compile import compiler_available as compiler_available
+from symo_exp.compile.inductor import compiler_available as compiler_available
 from symo_exp.data.base import Once
 from symo_exp.mechanics.explicit import RK4, Midpoint
 from symo_exp.mechanics.roots import Newton

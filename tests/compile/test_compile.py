@@ -13,12 +13,11 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from symo_exp.compile import (
     compile_rollout,
     compile_training,
-    compiler_available,
     kernels,
     program,
     trains_compiled,
 )
-from symo_exp.compile.inductor import CompilerError, flatten, lower, unflatten
+from symo_exp.compile.inductor import CompilerError, compiler_available, flatten, lower, unflatten
 from symo_exp.mechanics.lagrangian import AutodiffExpansion
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.mechanics.types import Coordinates

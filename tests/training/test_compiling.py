@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 from torch._inductor.runtime import cache_dir_utils
 
-from symo_exp.compile import kernel_cache
+from symo_exp.compile.inductor import kernel_cache
 from symo_exp.training import compiling
 from symo_exp.training.compiling import COLD, WARM, CompileTraining, watches_much
 from tests.models.methods import learner, windows

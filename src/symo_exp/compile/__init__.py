@@ -13,28 +13,14 @@ from typing import Any
 
 from torch import Tensor
 
-from symo_exp.compile.inductor import (
-    CompilerError,
-    OpenRowsError,
-    compiler_available,
-    kernel_cache,
-)
-from symo_exp.compile.newton import RootLoss, VariationalAdvance
+from symo_exp.compile.inductor import CompilerError, OpenRowsError
+from symo_exp.compile.newton import RootLoss, Trainable, VariationalAdvance
 from symo_exp.compile.program import Program
-from symo_exp.compile.trainable import Trainable
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Windows
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import ExplicitFlow, VariationalFlow
 from symo_exp.models.objectives import NOTHING, RootError, Statistics
-
-__all__ = [
-    "compile_rollout",
-    "compile_training",
-    "compiler_available",
-    "kernel_cache",
-    "trains_compiled",
-]
 
 log = logging.getLogger(__name__)
 

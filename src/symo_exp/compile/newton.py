@@ -7,20 +7,21 @@ ended; an exported step takes a fixed number of them.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from symo_exp.compile.program import Program
-from symo_exp.compile.trainable import Trainable
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.roots import Newton, RootFinder, joint_norm
 from symo_exp.mechanics.types import Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, MomentumMatching
+from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import VariationalFlow
-from symo_exp.models.objectives import NOTHING, RootError, Statistics
+from symo_exp.models.objectives import NOTHING, Objective, RootError, Statistics
 
 
 class Iterate(NamedTuple):
@@ -85,6 +86,20 @@ def iterate_branch_free(
         iterations = before.iterations + wanting.to(x.dtype)
     onward = wanting & ~last
     return Iterate(x, at.expansion, jacobian, x + step, near, last, onward, iterations)
+
+
+class Trainable(Protocol):
+    """A model, its objective, and the uncompiled functions that compiled ones replace."""
+
+    model: DynamicsModel
+    objective: Objective
+    compiled: dict[str, Callable[..., Any]]
+
+    def loss(self, windows: Windows) -> Tensor:
+        """Return the loss."""
+
+    def uncompiled_training(self, windows: Windows) -> tuple[Tensor, Statistics]:
+        """Return the detached loss and the objective's statistics; leave gradients in place."""
 
 
 class RootLoss:

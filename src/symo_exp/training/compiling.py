@@ -11,7 +11,8 @@ import lightning
 import torch
 from typing_extensions import override
 
-from symo_exp.compile import compile_training, compiler_available, kernel_cache, trains_compiled
+from symo_exp.compile import compile_training, trains_compiled
+from symo_exp.compile.inductor import compiler_available, kernel_cache
 from symo_exp.process import phases
 
 log = logging.getLogger(__name__)
