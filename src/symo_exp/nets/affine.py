@@ -1,4 +1,4 @@
-"""Affine maps with parameter gradients for each sample.
+"""Affine maps, and tanh layers on jets, with parameter gradients for each sample.
 
 The gradient of a weight is a sum of outer products over the rows of a batch, ``Σ_r ḡ_r x_rᵀ``.
 Networks use their weights through this module: usually gradients are that sum; inside
@@ -38,6 +38,17 @@ def transposed(x: Float[Tensor, "rows out"], weight: Tensor) -> Tensor:
 def shift(x: Float[Tensor, "rows out"], bias: Tensor) -> Tensor:
     """Return ``x + b`` in each row."""
     return x + bias if _record is None else _Shift.apply(x, bias)
+
+
+def tanh_jet_layer(
+    x: Float[Tensor, "jet batch into"],
+    weight: Float[Tensor, "out into"],
+    bias: Float[Tensor, " out"],
+) -> Float[Tensor, "jet batch out"]:
+    """Return ``h = tanh(W x + b)`` in row 0, ``h_i = (1 − h²) W x_i`` in row ``i`` of the jet."""
+    if not torch.is_grad_enabled():
+        return _jet_value(x, weight, bias)[0]
+    return _TanhJetLayer.apply(x, weight, bias)
 
 
 def by_sample() -> bool:
@@ -196,3 +207,36 @@ class _Shift(torch.autograd.Function):
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor | None]:
         (bias,) = ctx.saved_tensors
         return cotangent, bias_gradient(bias, cotangent)
+
+
+def _jet_value(x: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the layer's jet, ``z`` without the bias, and ``h``, for the derivative."""
+    z = (x.flatten(0, 1) @ weight.T).unflatten(0, x.shape[:2])
+    h = torch.tanh(z[0] + bias)
+    return torch.cat((h.unsqueeze(0), z[1:] * (1.0 - h * h))), z, h
+
+
+class _TanhJetLayer(torch.autograd.Function):
+    """The layer with its derivative.
+
+    With cotangents ``G``: ``Z_i = (1 − h²) G_i``, ``Z₀ = (1 − h²) (G₀ − 2 h Σ_i G_i z_i)``.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        y, z, h = _jet_value(x, weight, bias)
+        ctx.save_for_backward(x, weight, bias, z, h)
+        return y
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor, Tensor | None, Tensor | None]:
+        x, weight, bias, z, h = ctx.saved_tensors
+        slope = 1.0 - h * h
+        bend = (cotangent[1:] * z[1:]).sum(0)
+        back = torch.cat(
+            (((cotangent[0] - 2.0 * h * bend) * slope).unsqueeze(0), cotangent[1:] * slope)
+        )
+        flat = back.flatten(0, 1)
+        by_weight = weight_gradient(weight, (flat, x.flatten(0, 1)))
+        return (flat @ weight).view_as(x), by_weight, bias_gradient(bias, back[0])

@@ -40,11 +40,16 @@ from symo_exp.mechanics.lagrangian import (
     vecmat,
 )
 from symo_exp.mechanics.space import Space
-from symo_exp.nets.affine import bias_gradient, linear, shift, weight_gradient
+from symo_exp.nets.affine import (
+    bias_gradient,
+    linear,
+    shift,
+    tanh_jet_layer,
+    weight_gradient,
+)  # fmt: skip
 from symo_exp.nets.embedding import Embedding, Features
 from symo_exp.nets.factor import FactorHead, HeadPoint
 from symo_exp.nets.harmonics import Harmonics
-from symo_exp.nets.jet import tanh_jet_layer
 from symo_exp.nets.mlp import MLP
 
 QUIET = 0.1
