@@ -36,7 +36,7 @@ from symo_exp.mechanics.types import Constant, Coordinates
 from symo_exp.systems.base import VIEW, LagrangianSystem, Linkage, Skeleton
 from symo_exp.systems.box import Range, SamplingBox, completed
 from symo_exp.systems.complex_step import STEP
-from symo_exp.systems.scene import scene
+from symo_exp.systems.mujoco_library import scene
 
 
 @final
