@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -25,11 +23,8 @@ def rates(
     """
     batch, n = v.shape
     space = lagrangian.space
-    if space.rotations:
-        axes = torch.eye(n, dtype=q.dtype, device=q.device).unsqueeze(1).expand(n, batch, n)
-        along_axes = torch.complex(q.expand(n, -1, -1), STEP * space.push(q, axes))
-    else:
-        along_axes = q + _imaginary_axes(n, q.dtype, q.device)
+    axes = torch.eye(n, dtype=q.dtype, device=q.device).unsqueeze(1).expand(n, batch, n)
+    along_axes = torch.complex(q.expand(n, -1, -1), STEP * space.push(q, axes))
     along_v = torch.complex(q, STEP * space.push(q, v)).unsqueeze(0)
     shifted = torch.cat([along_axes, along_v]).view(-1, q.shape[1])
     mass, potential = lagrangian.terms(shifted)
@@ -38,13 +33,6 @@ def rates(
     mass_slope_v = (mass.imag * v.unsqueeze(-2)).sum(-1) / STEP
     dq = 0.5 * (mass_slope_v[:n] * v).sum(-1) - slope / STEP
     return Rates(mass[0].real, mass_slope_v[n], dq.T)
-
-
-@cache
-def _imaginary_axes(n: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """``i ε`` times the unit vectors, (n, 1, n)."""
-    axes = STEP * torch.eye(n, dtype=dtype, device=device).unsqueeze(1)
-    return torch.complex(torch.zeros_like(axes), axes)
 
 
 def applies(
