@@ -72,7 +72,8 @@ def widened(
     windows = cut(every, model.time_step, run_in=True) if every else None
     if windows is None:
         return ModelPosterior(posterior)
-    windows = _some(windows, WINDOWS)
+    if len(windows.q) > WINDOWS:
+        windows = _rows(windows, torch.linspace(0, len(windows.q) - 1, WINDOWS).round().long())
     own = _predicted(model, windows)
     rolled = _rolled(model, own)
     by_parameters = spread(model.flow, posterior, *rolled, ROLLOUTS).double().cpu()
@@ -143,14 +144,6 @@ def _quantile(
     for k in range(1, len(found)):
         found[k] = found[k].where(found[k].isfinite(), found[k - 1])
     return found.nan_to_num(0.0, 0.0)
-
-
-def _some(windows: PredictionWindows, most: int) -> PredictionWindows:
-    """Return so many windows, evenly."""
-    count = len(windows.q)
-    if count <= most:
-        return windows
-    return _rows(windows, torch.linspace(0, count - 1, most).round().long())
 
 
 def _rows(windows: PredictionWindows, rows: Tensor) -> PredictionWindows:

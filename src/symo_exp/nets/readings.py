@@ -54,11 +54,8 @@ def _(module: DissipativeLagrangian, coordinates: Coordinates) -> list[Reading]:
 @readings.register(ScaledLagrangian)
 @readings.register(ScaledDissipation)
 def _(module: ScaledLagrangian | ScaledDissipation, coordinates: Coordinates) -> list[Reading]:
-    return [_in_si(reading, coordinates) for reading in readings(module.inner, coordinates)]
-
-
-def _in_si(reading: Reading, coordinates: Coordinates) -> Reading:
-    return reading._replace(value=coordinates.units.size(reading.unit) * reading.value)
+    size, found = coordinates.units.size, readings(module.inner, coordinates)
+    return [x._replace(value=size(x.unit) * x.value) for x in found]
 
 
 @readings.register

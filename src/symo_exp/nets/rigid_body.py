@@ -148,16 +148,18 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         body: BodyParameters | None = None,
     ) -> Gradients:
         found = super().gradients(q, v, body)
-        if self.potential_net is None:
-            return found
-        return found._replace(q=found.q - self.space.pull(q, _slope(self.potential_net, q)))
+        return found._replace(q=self._with_network(found.q, q))
 
     @override
     def rates(self, q: Float[Tensor, "batch N"], v: Float[Tensor, "batch n"]) -> Rates:
         found = super().rates(q, v)
+        return found._replace(q=self._with_network(found.q, q))
+
+    def _with_network(self, dq: Tensor, q: Tensor) -> Tensor:
+        """Return ``∂ℒ/∂q`` with the network of the potential, if there is one."""
         if self.potential_net is None:
-            return found
-        return found._replace(q=found.q - self.space.pull(q, _slope(self.potential_net, q)))
+            return dq
+        return dq - self.space.pull(q, _slope(self.potential_net, q))
 
     @override
     def curvature(

@@ -74,8 +74,9 @@ def motion_figures(runs: pd.DataFrame, drifting: pd.DataFrame, store: Store | No
         long = max(table.t.max() for table in tables.values())
         if one.study == LEARNED:
             title = f"{one.system}: what was learned, along a true motion"
-            turning = [one.angular] * len(_places(tables))
-            made.append(learned_figure(key, title, tables, (), turning).of(one.system))
+            names = coordinates(next(iter(tables.values())), "q_")
+            turning = [one.angular] * len(names)
+            made.append(learned_figure(key, title, tables, names, turning).of(one.system))
         else:
             title = f"{one.system}: {TITLES[one.study]}, the first {long:g} s"
             made.append(motion_figure(key, title, tables, one.angular).of(one.system))
@@ -164,8 +165,8 @@ def learned_figure(
         names: The names of the coordinates; those of the table if not given.
         angular: Which coordinates are angles; by their names if not given.
     """
-    columns = next(iter(tables.values())).columns
-    names = names or _places(tables)
+    table = next(iter(tables.values()))
+    names = names or coordinates(table, "q_")
 
     def unit(entry: str) -> str:
         # inertia_23; from ten coordinates on, two digits are not told apart
@@ -181,7 +182,7 @@ def learned_figure(
         )
         if column.startswith("inertia")
         else over_time(tables, column, f"{column}_true", f"{column} energy [J]")
-        for column in columns if f"{column}_true" in columns
+        for column in map(str, table) if f"{column}_true" in table
     ]  # fmt: skip
     return Figure(key, title, f"{FIRST} Potentials are shifted by a constant each.", panels)
 
@@ -289,15 +290,9 @@ def _jumps(angle: np.ndarray) -> np.ndarray:
         return np.asarray(np.abs(np.diff(angle, append=angle[-1])) > np.pi)
 
 
-def coordinates(table: pd.DataFrame) -> list[str]:
-    """Return the names of the coordinates of a motion beside the true one."""
-    return [c.removeprefix("q_true_") for c in map(str, table) if c.startswith("q_true_")]
-
-
-def _places(tables: Tables) -> list[str]:
-    """Return the names of the coordinates of learned quantities."""
-    columns = map(str, next(iter(tables.values())))
-    return [name.removeprefix("q_") for name in columns if name.startswith("q_")]
+def coordinates(table: pd.DataFrame, prefix: str = "q_true_") -> list[str]:
+    """Return the names of the coordinates; tables of learned quantities have the prefix ``q_``."""
+    return [c.removeprefix(prefix) for c in map(str, table) if c.startswith(prefix)]
 
 
 def first(tables: Tables, seconds: float = LONG) -> Tables:

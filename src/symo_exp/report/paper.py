@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib import figure as mpl
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter
 
 from symo_exp.report.figures import Figure, Panel, Trace
 from symo_exp.report.looks import RC, short
@@ -61,16 +60,12 @@ def draw(figure: Figure) -> mpl.Figure:
 
 
 def _panel(axes: Axes, panel: Panel) -> None:
-    axes.set(xscale="log" if panel.x_log else "linear", yscale="log" if panel.y_log else "linear")
+    axes.set(yscale="log" if panel.y_log else "linear")
     axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     for trace in panel.traces():
         _draw(axes, panel, trace)
     shown = {"ylim": panel.limits(), "xlim": panel.x_limits()}
     axes.set(**{name: bounds for name, bounds in shown.items() if bounds})
-    if panel.ticks:
-        axes.set_xticks(panel.ticks, [f"{x:g}" for x in panel.ticks])
-    if panel.x_log:
-        axes.xaxis.set_minor_formatter(NullFormatter())
     gone = [_off(trace) for trace in panel.traces() if not panel.shows(trace)]
     axes.text(
         0.5, 0.97, "\n".join(gone), transform=axes.transAxes, ha="center", va="top",
