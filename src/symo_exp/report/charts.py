@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ import pandas as pd
 import vl_convert
 
 from symo_exp.report.figures import SHOULD, Figure, Panel, Range, Trace
-from symo_exp.report.looks import Look
 
 WIDTH, HEIGHT = 300, 220
 """Size of the plot of a panel in a file [px]; the page fits the width to the window."""
@@ -131,11 +130,7 @@ class _Channels:
 
     def __init__(self, traces: Sequence[Trace], *, interactive: bool) -> None:
         words: dict[str, Any] = {"labelExpr": TICKED} if interactive else {}
-        self._by_method({trace.label: trace.look for trace in traces}, words)
-        self._by_integrator({trace.stroke.label: trace.stroke.dash for trace in traces}, words)
-        self._by_source({trace.source for trace in traces}, words)
-
-    def _by_method(self, looks: Mapping[str, Look], words: dict[str, Any]) -> None:
+        looks = {trace.label: trace.look for trace in traces}
         legend = alt.Legend(**words)
         colours = _scale({name: _colour(look.colour) for name, look in looks.items()})
         shapes = _scale({name: MARKERS[look.marker] for name, look in looks.items()})
@@ -143,18 +138,18 @@ class _Channels:
         self.fill = alt.Fill("method:N", scale=colours, legend=legend)
         self.shape = alt.Shape("method:N", scale=shapes, legend=legend)
 
-    def _by_integrator(self, strokes: Mapping[str, tuple[int, ...]], words: dict[str, Any]) -> None:
-        legend = _legend([name for name in strokes if name], words)
+        strokes = {trace.stroke.label: trace.stroke.dash for trace in traces}
         dashes = _scale({name: list(dash or (1, 0)) for name, dash in strokes.items()})
         fills = _scale({name: FILLS[len(dash)] for name, dash in strokes.items()})
-        self.dash = alt.StrokeDash("integrator:N", scale=dashes, legend=legend)
+        named = _legend([name for name in strokes if name], words)
+        self.dash = alt.StrokeDash("integrator:N", scale=dashes, legend=named)
         self.by_integrator = alt.FillOpacity("integrator:O", scale=fills, legend=None)
 
-    def _by_source(self, sources: Collection[str], words: dict[str, Any]) -> None:
-        legend = _legend([name for name in ("ours", "published") if name in sources], words)
+        sources = {trace.source for trace in traces}
         hollow = _scale({kind: float(kind != "published") for kind in OPACITY})
-        self.opacity = alt.Opacity("kind:O", scale=_scale(OPACITY), legend=legend)
-        self.width = alt.StrokeWidth("kind:O", scale=_scale(LINES), legend=legend)
+        both = _legend([name for name in ("ours", "published") if name in sources], words)
+        self.opacity = alt.Opacity("kind:O", scale=_scale(OPACITY), legend=both)
+        self.width = alt.StrokeWidth("kind:O", scale=_scale(LINES), legend=both)
         self.by_source = alt.FillOpacity("kind:O", scale=hollow, legend=None)
 
 
