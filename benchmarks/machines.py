@@ -253,13 +253,14 @@ def identify(number: int, folder: Path, budget: str, extra: list[str]) -> dict[s
 def summary(table: pd.DataFrame) -> str:
     """Return how many machines have a verdict, and errors at 0.5 s over those of the truth."""
     found = table[table.code == 0].set_index("machine")
-    worse = list(found.index[~(found["rmse_0.5s"] < found["constant_velocity_rmse_0.5s"])])
+    worse = found.index[~(found["rmse_0.5s"] < found["constant_velocity_rmse_0.5s"])]
     times = (found["rmse_0.5s"] / found["true_rmse_0.5s"]).sort_values()
     largest = ", ".join(f"{ratio:.2g} (machine {i})" for i, ratio in times[::-1][:5].items())
     without = int(found.verdict.str.startswith("no model").sum())
     return (
         f'{len(found)} of {len(table)} machines have a verdict, {without} of them "no model"; no '
-        f"better than constant velocity at 0.5 s: {', '.join(map(str, worse)) or 'none'}\n"
+        f"better than constant velocity at 0.5 s: "
+        f"{', '.join(f'machine {i}' for i in worse) or 'none'}\n"
         f"error at 0.5 s over that of the true system: median {times.median():.2g}, "
         f"largest {largest}"
     )
@@ -272,7 +273,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--budget", default="2min")
     parser.add_argument("--folder", type=Path, default=Path("outputs/machines"))
-    parser.add_argument("--table", type=Path, default=Path("results/machines/random.csv"))
+    parser.add_argument("--table", type=Path, default=Path("outputs/machines/random.csv"))
     parser.add_argument("extra", nargs="*", help="further settings of the command")
     given = parser.parse_args(arguments)
     done = set(pd.read_csv(given.table).machine) if given.table.exists() else set()

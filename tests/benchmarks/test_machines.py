@@ -1,5 +1,6 @@
 """Random machines: mechanics that are right, recordings that the one command answers."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from benchmarks.machines import COLUMNS, GRAVITY, RandomMachine, identify, summary
+from benchmarks.machines import COLUMNS, GRAVITY, RandomMachine, identify, main, summary
 from symo_exp.evaluation.references import check_fit
+from tests.pages import ROOT
 
 EVERY = range(12)
 
@@ -92,8 +94,20 @@ def test_the_summary_counts_failures_and_ranks_errors_over_those_of_the_truth():
     errors = ["rmse_0.5s", "constant_velocity_rmse_0.5s", "true_rmse_0.5s"]
     said = summary(pd.DataFrame(rows, columns=["machine", "code", "verdict", *errors]))
     assert said.startswith('2 of 3 machines have a verdict, 1 of them "no model"')
-    assert "at 0.5 s: 5\n" in said
+    assert "at 0.5 s: machine 5\n" in said
     assert said.endswith("median 3, largest 4 (machine 5), 2 (machine 3)")
+
+
+def test_a_machine_of_the_kept_table_can_be_run_again(tmp_path, monkeypatch):
+    kept = ROOT / "results" / "machines" / "random.csv"
+    (tmp_path / "results" / "machines").mkdir(parents=True)
+    copy = shutil.copy(kept, tmp_path / "results" / "machines")
+    monkeypatch.chdir(tmp_path)
+    row = pd.read_csv(kept).set_index("machine", drop=False).loc[11].to_dict()
+    monkeypatch.setattr("benchmarks.machines.identify", lambda *given: row)
+    main(["--first", "11", "--count", "1"])
+    assert list(pd.read_csv("outputs/machines/random.csv").machine) == [11]
+    assert Path(copy).read_bytes() == kept.read_bytes()
 
 
 def test_machines_cover_the_range_and_are_the_same_every_time():
