@@ -2,8 +2,12 @@
 
 import ast
 import importlib
+import runpy
+import shutil
 import sys
+from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import symo_exp
@@ -62,3 +66,25 @@ def test_the_table_of_drawn_trajectories(runs, scripts, monkeypatch):
     assert float(low) <= float(middle) <= float(high)
     assert float(published) > 0.0
     assert below.endswith("%")
+
+
+def test_the_table_of_noise_keeps_other_runs_and_counts_none_twice(runs, tmp_path, monkeypatch):
+    noise = ROOT / "results" / "noise"
+    script = shutil.copy(noise / "table.py", tmp_path)
+    shutil.copy(noise / "runs.csv", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["table.py", str(runs)])
+    for _ in range(2):
+        runpy.run_path(script, run_name="__main__")
+    before, after = (pd.read_csv(folder / "runs.csv") for folder in (noise, tmp_path))
+    assert len(after) == len(before) + 1
+
+
+def test_a_machine_of_the_coverage_is_not_counted_twice(tmp_path):
+    kept = ROOT / "results" / "uncertainty" / "runs.csv"
+    copy = Path(shutil.copy(kept, tmp_path))
+    script = runpy.run_path(str(kept.with_name("coverage.py")))
+    before = pd.read_csv(kept)
+    script["keep"](before.tail(2).assign(held=1), copy)
+    after = pd.read_csv(copy)
+    assert after.tail(2).held.tolist() == [1, 1]
+    assert after.drop(columns="held").equals(before.drop(columns="held"))

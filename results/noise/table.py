@@ -2,8 +2,9 @@
 
     python results/noise/table.py outputs/noise_* > results/noise/table.md
 
-Keeps the numbers of the finished runs in ``runs.csv`` beside this file; without an argument it
-reads that. Cells are medians over seeds and, in brackets, the range of all of them.
+Keeps the numbers of the finished runs in ``runs.csv`` beside this file, in place of earlier ones;
+without an argument it reads that. Cells are medians over seeds and, in brackets, the range of all
+of them.
 """
 
 import sys
@@ -17,6 +18,7 @@ from symo_exp.runs.before import model_settings
 from symo_exp.runs.folder import RunFolder
 
 HERE = Path(__file__).parent
+KEYS = ["system", "method", "structure", "noise", "input noise", "input weight"]
 MEASURES = ["test_mse", "integration_mse", "integration_mse_100", "energy_mse", "inertia_mse"]
 METHODS = {
     "SyMo": "SyMo",
@@ -68,9 +70,8 @@ def cell(values: pd.Series) -> str:
 
 
 def table(found: pd.DataFrame) -> str:
-    keys = ["system", "method", "structure", "noise", "input noise", "input weight"]
     cells = {m: (m, cell) for m in MEASURES}
-    rows = found.groupby(keys).agg(
+    rows = found.groupby(KEYS).agg(
         seeds=("seed", "nunique"), **cells, training=("seconds", "median")
     )
     rows["training"] = rows.training.map("{:.0f} s".format)
@@ -85,5 +86,6 @@ if __name__ == "__main__":
         found = pd.concat([runs(Path(folder)) for folder in sys.argv[1:]])
         if found.empty:
             sys.exit(f"no finished runs in {' '.join(sys.argv[1:])}; {kept} stays as it is")
-        found.to_csv(kept, index=False, float_format="%.4g")
+        both = pd.concat([pd.read_csv(kept), found]).drop_duplicates([*KEYS, "seed"], keep="last")
+        both.to_csv(kept, index=False, float_format="%.4g")
     print(table(pd.read_csv(kept)))

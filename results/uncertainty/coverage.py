@@ -8,10 +8,10 @@ it is learned, so that intervals alone are tested, not an integrator. Its known 
 learned from configurations and inputs, from constants that are wrong by up to 30 %; two further
 recordings choose which parameters are kept.
 
-A row is appended to ``runs.csv`` beside this file. It has, for one machine and optimiser, the
-number of physical parameters, how many lie in their intervals, their root mean square error in
-standard deviations, the share of the configurations of unseen motions over 2 s that lie in theirs,
-and the error of each parameter in standard deviations.
+A row is kept in ``runs.csv`` beside this file, in place of an earlier one. It has, for one machine
+and optimiser, the number of physical parameters, how many lie in their intervals, their root mean
+square error in standard deviations, the share of the configurations of unseen motions over 2 s that
+lie in theirs, and the error of each parameter in standard deviations.
 """
 
 import argparse
@@ -52,9 +52,9 @@ OPTIMIZERS: dict[str, Callable[..., EpochOptimizer]] = {
 EPOCHS = {"total_least_squares": 30, "levenberg_marquardt": 12}
 VALIDATE = 6
 RUNS = Path(__file__).parent / "runs.csv"
+KEY = ["system", "machine", "optimizer"]
 COLUMNS = [
-    "system", "machine", "optimizer", "noise", "noise_found", "parameters", "held", "rms_score",
-    "rollouts_held", "scores",
+    *KEY, "noise", "noise_found", "parameters", "held", "rms_score", "rollouts_held", "scores",
 ]  # fmt: skip
 
 
@@ -151,6 +151,13 @@ def row(kind: str, seed: int, optimizer: str) -> dict[str, Any]:
     }
 
 
+def keep(rows: pd.DataFrame, file: Path) -> None:
+    """Add rows in place of earlier ones."""
+    before = [pd.read_csv(file)] if file.exists() else []
+    both = pd.concat([*before, rows]).drop_duplicates(KEY, keep="last")
+    both.to_csv(file, index=False, float_format="%.4g")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("system", choices=list(CONSTANTS))
@@ -163,4 +170,4 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     for seed in range(given.first, given.first + given.count):
         rows = pd.DataFrame([row(given.system, seed, kind) for kind in chosen], columns=COLUMNS)
-        rows.to_csv(RUNS, mode="a", index=False, header=not RUNS.exists(), float_format="%.4g")
+        keep(rows, RUNS)
