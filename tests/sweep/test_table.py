@@ -107,6 +107,7 @@ def test_parameters_of_a_run_fit_the_terminal(tmp_path, monkeypatch):
     row = {"name": "body.mass", "value": 0.5, "standard_deviation": math.nan, "unit": "kg",
            "determined": "no", "note": note}  # fmt: skip
     folder.write_parameters([row])
+    monkeypatch.setenv("COLUMNS", "1000")
     whole = table(["SyMo"], [folder])
     monkeypatch.setenv("COLUMNS", "80")
     told = table(["SyMo"], [folder])
