@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -122,10 +122,10 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
     if not names("q", new) or "t" not in new:
         other = "" if where == shown(path) else ", or name the other files only, by data.path"
         raise ConfigError(f"{where}: {_lacking(file, found, new, columns, other)}")
-    if doubt := _doubtful(found, new, columns):
+    given = dict(columns or {})
+    if doubt := next(_doubts(found, new, given), None):
         raise ConfigError(f"{where}: {doubt}")
-    given = tuple((columns or {}).items())
-    return Header(tuple(new), unit, tuple(filter(None, (note, *notes))), given)
+    return Header(tuple(new), unit, tuple(filter(None, (note, *notes))), tuple(given.items()))
 
 
 def _check_names(where: str, found: Sequence[str]) -> None:
@@ -160,48 +160,50 @@ def _lacking(
     return f"no column {lacking}; it has {few(found)}; {mend}"
 
 
-def _doubtful(found: Sequence[str], new: Sequence[str], columns: Columns | None) -> str:
-    """Return a line on columns whose names contradict what they are read as; else nothing."""
-    given = dict(columns or {})
+def _doubts(found: Sequence[str], new: Sequence[str], given: Columns) -> Iterator[str]:
+    """Yield a line on columns whose names contradict what they are read as, for each kind."""
+    stems, quaternion = names("q", new), [f"q_{part}" for part in "wxyz"]
     read = [name for name in new if name.startswith("q_") and name not in given]
     unread = [name for name, ours in zip(found, new, strict=True) if name == ours]
-    return (
-        _unnamed_rotation(read, given)
-        or _set_points(read, new, given)
-        or _no_places(read, new, given)
-        or _other_coordinates(read, unread, given)
-        or _other_inputs(unread, new, given)
-        or _other_units(found, new, given)
-    )
-
-
-def _unnamed_rotation(read: Sequence[str], given: Columns) -> str:
-    quaternion = [f"q_{part}" for part in "wxyz"]
-    if not set(quaternion) <= set(read):
-        return ""
-    named = {f"q_R_{name[2:]}": name for name in quaternion}
-    return (
-        f"{few(quaternion)} are a quaternion by their names; name its rotation, "
-        f"{as_setting({**given, **named})}"
-    )
-
-
-def _set_points(read: Sequence[str], new: Sequence[str], given: Columns) -> str:
+    if set(quaternion) <= set(read):
+        named = {f"q_R_{name[2:]}": name for name in quaternion}
+        yield (
+            f"{few(quaternion)} are a quaternion by their names; name its rotation, "
+            f"{as_setting({**given, **named})}"
+        )
     wanted = [name for name in read if is_wanted(name)]
-    if not 0 < len(wanted) < len(names("q", new)):
-        return ""
-    return (
-        f"{few(wanted)}: what a controller wants, as such names say, is no coordinate; rename "
-        f"them, or leave them out, {omitting(wanted, given)}"
-    )
-
-
-def _no_places(read: Sequence[str], new: Sequence[str], given: Columns) -> str:
-    stems = names("q", new)
+    if 0 < len(wanted) < len(stems):
+        yield (
+            f"{few(wanted)}: what a controller wants, as such names say, is no coordinate; rename "
+            f"them, or leave them out, {omitting(wanted, given)}"
+        )
     wrong = [name for name in read if is_no_place(name[2:], stems)]
-    if not 0 < len(wrong) < len(stems):
-        return ""
-    left = [stem for stem in stems if f"q_{stem}" not in wrong]
+    if 0 < len(wrong) < len(stems):
+        yield _told_no_places(wrong, new, given)
+    plain = [name for name in unread if PLAIN.fullmatch(name)]
+    if read and plain:
+        mapped = {f"q_{key}": x for key, x in zip(short_names(plain, PLACE), plain, strict=True)}
+        yield (
+            f"{few(read)} would be coordinates by their names, and {few(plain)} would not; if the "
+            f"latter are, map them: {as_setting({**given, **dict.fromkeys(read), **mapped})}"
+        )
+    inputs = [name for name in unread if kind_of_column(name) == "u"]
+    if inputs and not names("u", new):
+        yield (
+            f"no column u_<name> with an input, but {few(inputs)}; map them, "
+            f"{as_setting({**given, **suggested_inputs(inputs, stems)})}, or leave them out, "
+            f"{omitting(inputs, given)}"
+        )
+    moved = {x: y for x, y in zip(new, found, strict=True) if x[:2] in ("q_", "v_")}
+    if odd := [name for name in moved.values() if unread_unit(name)]:
+        mend = omitting(odd, {x: y for x, y in given.items() if y not in odd})
+        rest = any(x[:2] == "q_" and y not in odd for x, y in moved.items())
+        yield converting(odd) + (f", or leave them out, {mend}" if rest else "")
+
+
+def _told_no_places(wrong: Sequence[str], new: Sequence[str], given: Columns) -> str:
+    """Return a line on coordinates that are velocities or inputs by their names."""
+    left = [stem for stem in names("q", new) if f"q_{stem}" not in wrong]
     rates = {slope_of(x[2:], left) or short_name(x[2:], SPEED): x for x in wrong}
     if len(left) == 1 and kind_of_column(wrong[0][2:]) == "v":
         rates.setdefault(left[0], wrong[0])
@@ -213,39 +215,6 @@ def _no_places(read: Sequence[str], new: Sequence[str], given: Columns) -> str:
         f"read the others, {as_setting({**given, **found, **dict.fromkeys(others)})}, or rename "
         "it if it is a coordinate"
     )
-
-
-def _other_coordinates(read: Sequence[str], unread: Sequence[str], given: Columns) -> str:
-    plain = [name for name in unread if PLAIN.fullmatch(name)]
-    if not (read and plain):
-        return ""
-    mapped = {f"q_{key}": x for key, x in zip(short_names(plain, PLACE), plain, strict=True)}
-    return (
-        f"{few(read)} would be coordinates by their names, and {few(plain)} would not; if the "
-        f"latter are, map them: {as_setting({**given, **dict.fromkeys(read), **mapped})}"
-    )
-
-
-def _other_inputs(unread: Sequence[str], new: Sequence[str], given: Columns) -> str:
-    inputs = [name for name in unread if kind_of_column(name) == "u"]
-    if not inputs or names("u", new):
-        return ""
-    mend = as_setting({**given, **suggested_inputs(inputs, names("q", new))})
-    return (
-        f"no column u_<name> with an input, but {few(inputs)}; map them, {mend}, or leave them "
-        f"out, {omitting(inputs, given)}"
-    )
-
-
-def _other_units(found: Sequence[str], new: Sequence[str], given: Columns) -> str:
-    every = zip(new, found, strict=True)
-    read = {ours: theirs for ours, theirs in every if ours[:2] in ("q_", "v_")}
-    wrong = [theirs for theirs in read.values() if unread_unit(theirs)]
-    if not wrong:
-        return ""
-    rest = {ours for ours, theirs in read.items() if ours[:2] == "q_" and theirs not in wrong}
-    mend = omitting(wrong, {x: y for x, y in given.items() if y not in wrong})
-    return converting(wrong) + (f", or leave them out, {mend}" if rest else "")
 
 
 def renamed(
