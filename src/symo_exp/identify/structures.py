@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 from symo_exp.identify.candidates import Candidate
@@ -30,21 +30,9 @@ FORCE_EPOCHS = 20
 """Epochs in which residuals are forces, where equations are known and of rigid links in space."""
 ARM = 4
 """Number of driven angles from which links in a plane are less probable than in space."""
-STRUCTURES: Mapping[str, Mapping[str, str]] = {
-    "relative": {"lagrangian": "planar"},
-    "absolute": {"lagrangian": "planar", "lagrangian.relative": "false"},
-    "general relative": {"lagrangian": "relative"},
-    "general absolute": {"lagrangian": "absolute"},
-    "small network": {
-        "lagrangian": "network", "net.width": "2", "net.depth": "1", "lagrangian.harmonics": "1",
-    },
-    "network": {"lagrangian": "network", "net.width": "8", "lagrangian.harmonics": "2"},
-    "rigid": {"lagrangian": "rigid"},
-    "body": {"lagrangian": "rigid_body"},
-    "known": {"lagrangian": "known"},
-    "turning network": {"lagrangian": "network", "net.width": "8", "lagrangian.harmonics": "0"},
-}  # fmt: skip
-"""Settings of the Lagrangians, the only place that names them."""
+PLANAR = {"lagrangian": "planar"}
+WIDE = {"lagrangian": "network", "net.width": "8"}
+SMALL = {"lagrangian": "network", "net.width": "2", "net.depth": "1", "lagrangian.harmonics": "1"}
 
 
 def ladder(machine: Machine) -> list[Candidate]:
@@ -83,7 +71,7 @@ def structures(machine: Machine) -> list[Candidate]:
             "dissipation.learned_rest": "true",
         }
         friction = {"dissipation": "known", **missing, **width}
-        known = _candidate(KNOWN, 1.0, "known", friction, growth=0.4)
+        known = _candidate(KNOWN, 1.0, {"lagrangian": "known"}, friction, growth=0.4)
         return [replace(known, forces=FORCE_EPOCHS if machine.driven else 0)]
     if machine.coordinates.rotations:
         return _turning(machine)
@@ -93,38 +81,39 @@ def structures(machine: Machine) -> list[Candidate]:
     # with inputs no friction is suitable for all machines, and a second start finds the fit
     start = {} if machine.driven else {"dissipation.start": override_value(FREE_DAMPING)}
     starts = 2 if machine.driven else 1
-    name = f"{LINKS}{relative}"
-    found = _in_space(machine)
-    found.append(_candidate(name, 1.0, "relative", {**FRICTION, **start}, 1.0, starts))
-    small = _candidate("small network", 3.0, "small network", FRICTION, cost=1.3, starts=2)
-    if _is_arm(machine):
-        return _with_springs([*found, small], machine)
-    if several:
-        name = f"{LINKS}, absolute angles"
-        found.append(_candidate(name, 1.1, "absolute", {**NEIGHBOURS, **start}, 1.0, starts))
-    name = f"general links{relative}"
-    found.append(_candidate(name, 1.8, "general relative", FRICTION, 1.2, starts, 1.5))
-    if several:
-        name = "general links, absolute angles"
-        found.append(_candidate(name, 1.9, "general absolute", NEIGHBOURS, 1.2, starts, 1.5))
-    found.append(small)
-    found.append(_candidate(NETWORK, 4.0, "network", FRICTION, cost=1.7, starts=2, growth=2.9))
-    if several:
-        name = f"{NETWORK}, {BETWEEN}"
-        found.append(_candidate(name, 4.1, "network", NEIGHBOURS, cost=1.7, starts=2, growth=2.9))
-    return _with_springs(found, machine)
+    found = [
+        *_in_space(machine),
+        _candidate(f"{LINKS}{relative}", 1.0, PLANAR, FRICTION | start, 1.0, starts),
+        _candidate("small network", 3.0, SMALL, FRICTION, 1.3, 2),
+    ]
+    if not _is_arm(machine):
+        general, network = {"lagrangian": "relative"}, WIDE | {"lagrangian.harmonics": "2"}
+        found += [
+            _candidate(f"general links{relative}", 1.8, general, FRICTION, 1.2, starts, 1.5),
+            _candidate(NETWORK, 4.0, network, FRICTION, 1.7, 2, 2.9),
+        ]
+        if several:
+            planar, general = {**PLANAR, "lagrangian.relative": "false"}, {"lagrangian": "absolute"}
+            links, general_links = f"{LINKS}, absolute angles", "general links, absolute angles"
+            found += [
+                _candidate(links, 1.1, planar, NEIGHBOURS | start, 1.0, starts),
+                _candidate(general_links, 1.9, general, NEIGHBOURS, 1.2, starts, 1.5),
+                _candidate(f"{NETWORK}, {BETWEEN}", 4.1, network, NEIGHBOURS, 1.7, 2, 2.9),
+            ]
+    found.sort(key=lambda candidate: candidate.rank)
+    return found if machine.stiffness is None else [sprung(one, machine) for one in found]
 
 
 def _candidate(
     name: str,
     rank: float,
-    structure: str,
+    lagrangian: Mapping[str, str],
     friction: Mapping[str, str],
     cost: float = 1.0,
     starts: int = 1,
     growth: float = 0.0,
 ) -> Candidate:
-    settings = {"integrator": "midpoint", **STRUCTURES[structure], **friction}
+    settings = {"integrator": "midpoint", **lagrangian, **friction}
     return Candidate(name, rank, settings, cost, starts, growth)
 
 
@@ -133,7 +122,8 @@ def _in_space(machine: Machine) -> list[Candidate]:
     n, angular = machine.coordinates.n, machine.coordinates.angular
     if n < 3 or not all(angular):
         return []
-    found = _candidate("rigid links in space", 2.0, "rigid", FRICTION, cost=1.8, growth=0.4)
+    rigid = {"lagrangian": "rigid"}
+    found = _candidate("rigid links in space", 2.0, rigid, FRICTION, cost=1.8, growth=0.4)
     if not machine.driven:
         return [found]
     start = math.exp(sum(map(math.log, machine.friction)) / n)
@@ -151,19 +141,13 @@ def _is_arm(machine: Machine) -> bool:
     return machine.driven and len(angular) >= ARM and all(angular)
 
 
-def _with_springs(candidates: Iterable[Candidate], machine: Machine) -> list[Candidate]:
-    """Return candidates in their order, with springs where these explain the motion."""
-    found = sorted(candidates, key=lambda candidate: candidate.rank)
-    return found if machine.stiffness is None else [sprung(one, machine) for one in found]
-
-
 def _turning(machine: Machine) -> list[Candidate]:
     """Return a candidate of every structure of a machine that turns freely, the simplest first."""
     found = []
     if machine.body:
         learned = {"lagrangian.learned_inputs": str(machine.learned_inputs)}
-        given = {"lagrangian.radius": f"{machine.radius:g}", **learned, **drag(machine)}
-        first = _candidate(BODY, 1.0, "body", given, 1.6)
+        given = {"lagrangian": "rigid_body", "lagrangian.radius": f"{machine.radius:g}", **learned}
+        first = _candidate(BODY, 1.0, given, drag(machine), 1.6)
         found.append(first)
         if machine.learned_inputs:
             width = {"lagrangian__input_width": "4"}
@@ -172,5 +156,6 @@ def _turning(machine: Machine) -> list[Candidate]:
         found.append(first.changed("learned potential", 1.2, 1.3, **width))
     if not machine.learned_inputs:
         friction = drag(machine) if machine.body else {"dissipation": "viscous"}
-        found.append(_candidate(NETWORK, 4.0, "turning network", friction, 2.5, 2, 3.0))
+        network = WIDE | {"lagrangian.harmonics": "0"}
+        found.append(_candidate(NETWORK, 4.0, network, friction, 2.5, 2, 3.0))
     return found
