@@ -29,7 +29,6 @@ from symo_exp.identify.validation import (
     choose,
     fold_error,
     likelier,
-    noise_of_fit,
     noisy_folds,
     parameters_of,
     with_least_noise,
@@ -88,16 +87,11 @@ class Rounds:
         self._screened = 0.0  # that of the first rounds
         self._trials: dict[str, Trial] = {}
         self._baselines: dict[int, float] = {}
-        self._folders: dict[tuple[str, int], RunFolder] = {}
 
     @property
     def trials(self) -> list[Trial]:
         """All candidates that were tried, the simplest first."""
         return sorted(self._trials.values(), key=lambda t: t.candidate.rank)
-
-    def folders(self, trial: Trial) -> list[RunFolder]:
-        """Return the fits of a trial to folds, those that ended well."""
-        return [self._folders[trial.candidate.name, k] for k in trial.errors]
 
     def best(self) -> Trial | None:
         """Return the simplest of the best candidates, of those with the most folds."""
@@ -305,12 +299,8 @@ class Rounds:
         return beats(coarse.errors, fine.errors, folds) or self._likelier(coarse, fine, folds, -1)
 
     def _likelier(self, one: Trial, other: Trial, folds: Sequence[int], more: int) -> bool:
-        noises = self.noises(one), self.noises(other)
-        return likelier(*noises, folds, more, self._nodes * self._machine.coordinates.n)
-
-    def noises(self, trial: Trial) -> dict[int, float]:
-        """Return the estimated noise in the folds of a trial that ended well."""
-        return {k: noise_of_fit(self._folders[trial.candidate.name, k]) for k in trial.errors}
+        count = self._nodes * self._machine.coordinates.n
+        return likelier(one.noises(), other.noises(), folds, more, count)
 
     def _simpler(
         self, candidates: Sequence[Candidate], base: Trial, folds: Sequence[int]
@@ -358,13 +348,9 @@ class Rounds:
     def _in_time_for(
         self, candidates: Sequence[Candidate], folds: Sequence[int]
     ) -> list[Candidate]:
-        """Return the candidates that there is time for on further folds, and print the others.
+        """Return the candidates, the best first, that there is time for on all of some folds.
 
-        The time that the plan has reserved for later stages is kept.
-
-        Args:
-            candidates: The candidates, the best first.
-            folds: Those that are done and further ones.
+        The others are printed. The time that the plan has reserved for later stages is kept.
         """
 
         def needed(tried: Sequence[Candidate]) -> float:
@@ -427,7 +413,7 @@ class Rounds:
             return None
         trial = min(done, key=lambda t: t.mean())
         fold = min(trial.errors, key=lambda k: trial.errors[k])
-        return self._folders[trial.candidate.name, fold]
+        return trial.folders[fold]
 
     def _fit_again(self, candidates: Iterable[Candidate]) -> None:
         """Fit folds that ended at another minimum again, from other seeds.
@@ -439,7 +425,7 @@ class Rounds:
             todo = [(c, k) for c in candidates for k in self._at_other_minima(c)]
             self._spend(todo)
             for candidate, k, folder in self._fits.to_folds(todo, attempt) if todo else []:
-                before = self._folders[candidate.name, k]
+                before = self._trial(candidate).folders[k]
                 if isinstance(folder, ConfigError):
                     continue
                 quieter = with_least_noise([before, folder]) is folder
@@ -454,10 +440,10 @@ class Rounds:
         There are none for candidates whose start is not drawn, which have no other minima, and for
         those with far more noise than another candidate, which do not explain the motion.
         """
-        mine = self.noises(self._trial(candidate))
+        mine = self._trial(candidate).noises()
         if not candidate.has_minima or not mine:
             return []
-        least = min(x for t in self._trials.values() for x in self.noises(t).values())
+        least = min(x for t in self._trials.values() for x in t.noises().values())
         return noisy_folds(mine) if min(mine.values()) <= NOISY * least else []
 
     def _note(self, candidate: Candidate, k: int, folder: RunFolder | ConfigError) -> None:
@@ -482,7 +468,7 @@ class Rounds:
             )  # fmt: skip
             return
         trial.errors[k] = max(mine, LEAST)
-        self._folders[candidate.name, k] = folder
+        trial.folders[k] = folder
         if trial.parameters is None:
             trial.parameters = parameters_of(folder)
         if len(read(folder / SERIES)) < self._plan.effort.fewest(candidate):

@@ -149,14 +149,15 @@ class Search:
     def _conclude(self, fits: Fits, rounds: Rounds, best: Trial) -> int:
         """Fit the chosen candidate to all data, test it and print what was found."""
         plan, machine = self._plan, self._machine
-        epochs = self._last_epoch(best, rounds.folders(best))
+        folds = list(best.folders.values())
+        epochs = self._last_epoch(best.candidate, folds)
         seconds = plan.most_seconds(best.candidate, machine)
         share = "all" if seconds >= machine.seconds else f"{100 * seconds / machine.seconds:.0f} %"
         print(f"chosen: {best.candidate.name}; fitted to {share} of train and val", flush=True)
-        last = self._last_fits(fits, best.candidate, epochs, min(rounds.noises(best).values()))
+        last = self._last_fits(fits, best.candidate, epochs, min(best.noises().values()))
         folder = with_least_noise(list(last.values()))
         if folder.outcome().status == "finished":  # it alone is tested
-            folder.write_folds(rounds.folders(best))  # their errors widen its intervals
+            folder.write_folds(folds)  # their errors widen its intervals
             attempt = next(k for k, fit in last.items() if fit is folder)
             fits.test(best.candidate, epochs, attempt)
         self._summary(rounds.trials, best)
@@ -281,16 +282,9 @@ class Search:
     def _last_fits(
         self, fits: Fits, candidate: Candidate, epochs: int, noise: float
     ) -> dict[int, RunFolder]:
-        """Fit the chosen candidate from several seeds, from more if all end with far more noise.
+        """Return fits of the chosen candidate from several seeds, by their attempts.
 
-        Args:
-            fits: Fits candidates.
-            candidate: The chosen one.
-            epochs: Epochs of a fit.
-            noise: That of the quietest fold.
-
-        Returns:
-            The fits by their attempts.
+        There are more seeds if all end with far more than the ``noise`` of the quietest fold.
         """
         first = self._plan.last_fits(candidate, self._machine)
         found = fits.to_all(candidate, epochs, range(first))
@@ -328,10 +322,10 @@ class Search:
         self._print_doubts()
         return 1
 
-    def _last_epoch(self, best: Trial, folds: Sequence[RunFolder]) -> int:
+    def _last_epoch(self, candidate: Candidate, folds: Sequence[RunFolder]) -> int:
         """Return the epochs of the last stage that no other one surpasses in the folds."""
         each = self._plan.effort.epochs
-        begun = self._plan.effort.begun(best.candidate)
+        begun = self._plan.effort.begun(candidate)
         losses = []
         for fold in folds:
             ends = [(r["epoch"] + 1 - begun, r["val_loss"]) for r in read(fold / SERIES)

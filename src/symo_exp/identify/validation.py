@@ -35,8 +35,8 @@ WORST, LEAST = 10.0, 1e-12
 class Trial:
     """A candidate and the results of its folds.
 
-    ``errors`` are those of the folds that ended well, ``reasons`` say why the others did not;
-    ``overran`` are those that were ended by the clock.
+    ``errors`` and ``folders`` are those of the folds that ended well, ``reasons`` say why the
+    others did not; ``overran`` are those that were ended by the clock.
     """
 
     candidate: Candidate
@@ -45,6 +45,7 @@ class Trial:
     seconds: float = 0.0
     overran: set[int] = field(default_factory=set)
     parameters: int | None = None
+    folders: dict[int, RunFolder] = field(default_factory=dict)
 
     @property
     def failed(self) -> bool:
@@ -57,6 +58,10 @@ class Trial:
         if not chosen or any(k not in self.errors for k in chosen):
             return math.inf
         return math.exp(float(np.mean([math.log(self.errors[k]) for k in chosen])))
+
+    def noises(self) -> dict[int, float]:
+        """Return the estimated noise in the folds that ended well."""
+        return {k: noise_of_fit(folder) for k, folder in self.folders.items()}
 
     def told(self) -> str:
         """Return the result in words."""
