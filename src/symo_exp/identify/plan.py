@@ -100,9 +100,8 @@ class Effort:
 
     def training(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
         """Return the time of a training on the reference machine without validations [s]."""
-        epoch = candidate.cost_of_epoch(machine.coordinates.n) * (
-            EPOCH + NODE * machine.coordinates.n**2 * nodes
-        )
+        n = machine.coordinates.n
+        epoch = candidate.cost_of_epoch(n) * (EPOCH + NODE * n**2 * nodes)
         epoch *= DRIVEN if machine.driven else 1.0
         return STARTING + WARM_UP * (candidate.starts - 1) + epoch * self.total(candidate)
 
@@ -112,6 +111,7 @@ class Effort:
         Steps are taken one after another, for all windows at once, and again along the longest
         recording as a whole, unless errors are compared over shorter times than usual.
         """
+        n = machine.coordinates.n
         step = float(candidate.settings.get("system.time_step", machine.time_step))
         held_out = machine.seconds / FOLDS
         piece = min(machine.seconds / machine.recordings, held_out)
@@ -119,18 +119,14 @@ class Effort:
         piece = min(piece, max(VALIDATED, piece * seconds / held_out))
 
         def rolled(length: float, rows: float) -> float:
-            return (
-                length
-                / step
-                * (STEP + ROW * machine.coordinates.n * (machine.coordinates.n + 1) * rows)
-            )
+            return length / step * (STEP + ROW * n * (n + 1) * rows)
 
         window = min(machine.horizon, piece) + FITTED * min(RUN_IN, LEAD * piece)
         found = rolled(window, max(1.0, seconds / min(EVERY, piece)))
         if piece >= LONG and machine.horizon >= HORIZONS[-1]:
             found += rolled(piece, seconds / piece)
         slow = math.sqrt(candidate.cost * step / machine.time_step)
-        if machine.driven and machine.coordinates.n > 1 and not machine.coordinates.rotations:
+        if machine.driven and n > 1 and not machine.coordinates.rotations:
             slow *= STICKING
         return slow * found * self.total(candidate) / self.between(candidate)
 
@@ -256,11 +252,9 @@ def seconds_of(text: object) -> float:
     Raises:
         ConfigError: If it is none.
     """
-    found = re.fullmatch(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*(s|min|h)?\s*", str(text))
-    try:
-        value = float(found[1]) * UNITS[found[2] or "s"] if found else math.nan
-    except ValueError:
-        value = math.nan
+    number = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?"
+    found = re.fullmatch(rf"\s*({number})\s*(s|min|h)?\s*", str(text))
+    value = float(found[1]) * UNITS[found[2] or "s"] if found else math.nan
     if not 0 < value <= LONGEST:
         raise ConfigError(
             f"budget={text}: expected a duration such as 90s, 10min or 1.5h, at most "
