@@ -39,8 +39,11 @@ def divided(
     named: Mapping[str, Sequence[object] | None],
     n_val: int | None,
     n_test: int | None,
-) -> Parts:
-    """Return the recordings of each part, in the order of the table.
+    time_step: float,
+) -> tuple[Parts, Sequence[Recording], str | None]:
+    """Return the recordings of each part in the order of the table, and all of them.
+
+    Without names and numbers these are those of ``with_every_part``, whose line is the last result.
 
     Args:
         where: The beginning of error messages.
@@ -49,6 +52,7 @@ def divided(
         n_val: Number of recordings for validation, those before the test ones. Without names and
             without a split ``None`` is one; a number goes before the column ``split``.
         n_test: Number of recordings for testing, the last ones; ``None`` as for ``n_val``.
+        time_step: Distance of the nodes [s].
 
     Raises:
         ConfigError: If a part is empty.
@@ -59,6 +63,9 @@ def divided(
         raise ConfigError(
             f"data.{next(iter(listed))} names trajectories: leave out data.n_val and data.n_test"
         )
+    note = None
+    if not (listed or counted):
+        recordings, note = with_every_part(recordings, time_step)
     if counted:
         parts = _by_count(where, recordings, n_val, n_test)
     elif listed or any(r.part for r in recordings):
@@ -80,7 +87,7 @@ def divided(
                 f"{', '.join(PARTS)}; name some by data.{part}=[...] of "
                 f"{_named([r.label for r in recordings])}"
             )
-    return parts
+    return parts, recordings, note
 
 
 def _labels(part: str, given: object) -> list[str]:

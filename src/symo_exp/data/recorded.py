@@ -20,7 +20,7 @@ from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, shown, titled
 from symo_exp.data.header import header
 from symo_exp.data.naming import names
-from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, with_every_part, without
+from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, without
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
@@ -169,7 +169,6 @@ class RecordedData(DataModule):
         whole_number("data.n_integration", n_integration)
         where, space, h = shown(path), system.coordinates, system.time_step
         table = read_recordings(path, system, columns, time_unit)
-        notes = list(table.notes)
         longest = max((one.samples.seconds for one in table.recordings), default=0.0)
         delay = real("data.input_delay", input_delay, low=-longest, high=longest)  # else no input
         lag = real("data.input_lag", input_lag, low=0.0, high=LONGEST_LAG)
@@ -178,10 +177,7 @@ class RecordedData(DataModule):
         if leave_out is not None:
             recordings = without(recordings, leave_out, h)
         named = {"train": train, "val": val, "test": test}
-        if all(given is None for given in (*named.values(), n_val, n_test)):
-            recordings, note = with_every_part(recordings, h)
-            notes += [note] if note else []
-        parts = divided(where, recordings, named, n_val, n_test)
+        parts, recordings, note = divided(where, recordings, named, n_val, n_test, h)
         if fold is not None:
             parts = folded(parts, fold)
         if seconds is not None:
@@ -214,6 +210,7 @@ class RecordedData(DataModule):
         with np.errstate(all="ignore"):  # values that overflow
             doubts = list(_doubts(space, self._sampled))
         read, resampled = _told_read(where, recordings, parts), _told_resampled(parts, h)
+        notes = filter(None, (*table.notes, note))
         self._report = [read, *notes, *resampled, *gaps, *doubts]
         if batch_size is None:
             batch_size = math.ceil(sum(len(t.q) - 2 for t in found["train"]) / BATCHES)

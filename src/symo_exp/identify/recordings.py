@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.advice import Columns, omitting
+from symo_exp.data.advice import omitting
 from symo_exp.data.diagnose import ROUNDING, noise_of
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
 from symo_exp.data.naming import in_degrees, names, unit_of
-from symo_exp.data.parts import divided, uninterrupted, with_every_part, without
+from symo_exp.data.parts import PARTS, divided, uninterrupted, without
 from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.errors import ConfigError
@@ -167,10 +167,11 @@ class _Examination:
         self._tell_rest()
         self._tell_angles()
         self._read_units()
-        self._tell_superfluous()
-        self._doubt_units()
+        self._tell_still()
+        self._tell_together()
+        self._tell_idle()
         finest = max(one.samples.step for one in (*self.used, *self.test))
-        self.used = [_turned(self.where, one, self.space) for one in self._near()]
+        self.used = self._near()
         time_step = self._choose_time_step(finest)
         self._leave_out(time_step)
         driven = any(bool(one.samples.u.any()) for one in self.used)
@@ -228,25 +229,21 @@ class _Examination:
     def _read_parts(self, time_step: float | None) -> list[str]:
         """Read ``used`` and ``test``, and return lines on them."""
         data = self.data
-        unit = data.get("time_unit")
-        table = read_recordings(data["path"], self._system("none"), self.columns, unit)
-        named = {part: data.get(part) for part in ("train", "val", "test")}
-        counts = data.get("n_val"), data.get("n_test")
+        system, unit = self._system("none"), data.get("time_unit")
+        table = read_recordings(data["path"], system, self.columns, unit)
+        named = {part: data.get(part) for part in PARTS}
         recordings: Sequence[Recording] = table.recordings
-        notes, note = list(table.notes), None
         self.starts = {one.label: float(one.samples.t[0]) for one in recordings}
         if data.get("leave_out") is not None:
             recordings = without(recordings, data["leave_out"], time_step or STEPS[0])
-        if all(given is None for given in (*named.values(), *counts)):
-            finest = min(one.samples.step for one in recordings)
-            recordings, note = with_every_part(recordings, time_step or min(STEPS[0], finest))
-            notes += [note] if note else []
-        parts = divided(self.where, recordings, named, *counts)
+        step = time_step or min((STEPS[0], *(one.samples.step for one in recordings)))
+        counts = data.get("n_val"), data.get("n_test")
+        parts, _, note = divided(self.where, recordings, named, *counts, step)
         self.used, self.test = [*parts["train"], *parts["val"]], parts["test"]
-        if not note:
+        if note is None:
             count, tested = len(self.used), few([one.label for one in self.test])
-            notes.append(f"recordings: {count} to choose and train models, for the test {tested}")
-        return notes
+            note = f"recordings: {count} to choose and train models, for the test {tested}"
+        return [*table.notes, note]
 
     def _tell_rest(self) -> None:
         """Count the recordings that move, and tell of those at rest."""
@@ -272,7 +269,10 @@ class _Examination:
             self.notes += told_units(self.angles, self.written) if self.flat else []
 
     def _read_units(self) -> None:
-        """Infer whether angles are in degrees and wrapped; make them continuous, in radians."""
+        """Infer whether angles are in degrees and wrapped; make them continuous, in radians.
+
+        Units and angles that are open are refused where another reading explains far more.
+        """
         stated = [name for name in self.angles if in_degrees(self.written[name])]
         if self._is_open("degrees") and 0 < len(stated) < len(self.angles):
             raise ConfigError(
@@ -290,28 +290,74 @@ class _Examination:
             self.settings += settings
             self.notes.append(f"angles jump by a turn: read with {' '.join(settings)}")
             self.data |= dict.fromkeys(units, True)
-        self.used = [_continuous(one, self.space, self.data) for one in self.used]
-
-    def _is_open(self, name: str) -> bool:
-        """Return whether a setting of data has no value yet."""
-        return self.data.get(name) is None
-
-    def _tell_superfluous(self) -> None:
-        """Tell of coordinates that never move, or move as another one does, and of idle inputs."""
-        self.notes += _told_still(self.used, self.flat, self.columns)
-        self.notes += _told_together(self.used, self.flat, self.columns)
-        if self.known is None:
-            self.notes += _told_idle(self.used, self.inputs, self.columns)
-
-    def _doubt_units(self) -> None:
-        """Refuse units and angles that are open where another reading explains far more."""
+        self.used = self._continuous()
         if self._is_open("degrees") and not self.rotations:
             ask_for_degrees(self.used, self.space)
         if self.angular is None and not self.rotations:
             ask_for_angles(self.used, self.space)
 
+    def _continuous(self) -> list[Recording]:
+        """Return ``used`` with angles in radians that go on beyond a turn."""
+        found = [one.samples for one in self.used]
+        if self.data.get("degrees"):
+            found = [in_radians(samples, self.space) for samples in found]
+        if self.data.get("wrapped"):
+            found = [unwrapped(samples, self.space) for samples in found]
+        return [one._replace(samples=x) for one, x in zip(self.used, found, strict=True)]
+
+    def _is_open(self, name: str) -> bool:
+        """Return whether a setting of data has no value yet."""
+        return self.data.get(name) is None
+
+    def _tell_still(self) -> None:
+        """Tell of lengths and angles that never move, if others or a rotation do."""
+        motion = np.max([np.ptp(one.samples.q, axis=0) for one in self.used], axis=0)
+        still = [f"q_{name}" for name, size in zip(self.flat, motion, strict=False) if size == 0.0]
+        if 0 < len(still) < len(motion):
+            told = "never moves" if len(still) == 1 else "never move"
+            mend = omitting(still, self.columns)
+            line = f"{few(still)} {told}; for a model without such a coordinate, give {mend}"
+            self.notes.append(line)
+
+    def _tell_together(self) -> None:
+        """Tell of lengths and angles that are in a constant ratio to an earlier one."""
+        names = self.flat
+        noise = [noise_of([one.samples.q[:, i] for one in self.used]) for i in range(len(names))]
+        about = np.concatenate([one.samples.q - one.samples.q.mean(axis=0) for one in self.used])
+        found = {}
+        for i, j in itertools.combinations(range(len(names)), 2):
+            x, y = about[:, i], about[:, j]
+            if names[j] in found or not (x.any() and y.any()):
+                continue
+            ratio = float(x @ y / (x @ x))
+            apart = float(np.std(y - ratio * x))
+            most = TOGETHER * math.hypot(noise[j], ratio * noise[i]) + ROUNDING * float(np.ptp(y))
+            if apart <= most and apart <= SMALL * float(np.std(y)):
+                found[names[j]] = f"q_{names[j]} is {ratio:.3g} times q_{names[i]}"
+        if found:
+            mend = omitting([f"q_{name}" for name in found], self.columns)
+            self.notes.append(
+                f"{few(list(found.values()))}, but for noise: a gear joins them, or one is what "
+                f"the other should be; for a model without such a coordinate, give {mend}"
+            )
+
+    def _tell_idle(self) -> None:
+        """Tell of inputs that are always zero, and of others that never change."""
+        if self.known is not None:
+            return
+        every = np.concatenate([one.samples.u for one in self.used])
+        columns = {f"u_{name}": x for name, x in zip(self.inputs, every.T, strict=True)}
+        still = [name for name, x in columns.items() if np.ptp(x) == 0.0]
+        idle = [name for name in still if not columns[name].any()]
+        constant = [name for name in still if columns[name].any()]
+        for found, told in ((idle, "always zero;"), (constant, "constant; if nothing acts,")):
+            are, them = ("is", "it") if len(found) == 1 else ("are", "them")
+            if found:
+                mend = omitting(found, self.columns)
+                self.notes.append(f"{few(found)} {are} {told} leave {them} out by {mend}")
+
     def _near(self) -> list[Recording]:
-        """Return recordings whose lengths are near zero, so that regressions lose no digits.
+        """Return ``used`` with rotation matrices, and lengths near zero: no digits are lost.
 
         Raises:
             ConfigError: If a length is so far from zero that trainings would lose too many.
@@ -329,7 +375,11 @@ class _Examination:
                 )
         self.remote = far[: len(self.flat)]
         shift = np.where(far, middle, 0.0)
-        return [x._replace(samples=x.samples._replace(q=x.samples.q - shift)) for x in self.used]
+        moved = [one.samples._replace(q=one.samples.q - shift) for one in self.used]
+        return [
+            one._replace(samples=turned(f"{self.where}: {titled(one.label)}", samples, self.space))
+            for one, samples in zip(self.used, moved, strict=True)
+        ]
 
     def _starting(self, stiffness: Stiffness | None) -> Stiffness | None:
         """Return a stiffness to start from, zero where its force at the place would be huge."""
@@ -363,20 +413,27 @@ class _Examination:
         """Leave out where samples do not resolve the motion or something else moves the machine."""
         if not self._is_open("leave_out"):
             return
-        left_out: list[tuple[str, float, float]] = []
+        left_out: list[Stretch] = []
         for finds, reason in REASONS.items():
             found = finds(self.used, self.space, time_step)
             if not found:
                 continue
-            stretches = [_in_table(one, self.starts) for one in found]
-            self.notes.append(_told_left_out(stretches, reason))
+            stretches = [self._in_table(one) for one in found]
+            told = few([f"{name} {low:g} to {high:g} s".lstrip() for name, low, high in stretches])
+            self.notes.append(f"left out: {told}; {reason} (data.leave_out=[] keeps all)")
             left_out += stretches
             self.data["leave_out"] = left_out
             self._read_parts(time_step)
-            continuous = [_continuous(one, self.space, self.data) for one in self.used]
-            self.used, _ = uninterrupted(continuous, time_step)
+            self.used, _ = uninterrupted(self._continuous(), time_step)
         if left_out:
             self.settings.append(f"data.leave_out={override_value(left_out)}")
+
+    def _in_table(self, stretch: Stretch) -> Stretch:
+        """Return the trajectory of the table that has a stretch, and its times after the start."""
+        label, low, high = stretch
+        whole = [x for x in self.starts if x in ("", label) or label.startswith(f"{x}/")]
+        name = max(whole, key=len)  # pieces have the name of the trajectory first
+        return name, round(low - self.starts[name], 4), round(high - self.starts[name], 4)
 
     def _direct_inputs(self, time_step: float) -> np.ndarray:
         """Return the matrix of the inputs, in the directions in which they act."""
@@ -399,90 +456,6 @@ class _Examination:
 
 def _matrix_setting(matrix: Sequence[Sequence[float]]) -> str:
     return f"system.input_matrix={str(matrix).replace(' ', '')}"
-
-
-def _turned(where: str, recording: Recording, space: Coordinates) -> Recording:
-    """Return a recording with rotation matrices instead of quaternions."""
-    where = f"{where}: {titled(recording.label)}"
-    return recording._replace(samples=turned(where, recording.samples, space))
-
-
-def _in_table(stretch: Stretch, starts: Mapping[str, float]) -> tuple[str, float, float]:
-    """Return the trajectory of the table that a stretch is in, and its times after the start."""
-    label, low, high = stretch
-    whole = [name for name in starts if name in ("", label) or label.startswith(f"{name}/")]
-    name = max(whole, key=len)  # pieces have the name of the trajectory first
-    return name, round(low - starts[name], 4), round(high - starts[name], 4)
-
-
-def _told_left_out(stretches: Sequence[tuple[str, float, float]], reason: str) -> str:
-    where = few([f"{name} {low:g} to {high:g} s".lstrip() for name, low, high in stretches])
-    return f"left out: {where}; {reason} (data.leave_out=[] keeps all)"
-
-
-def _continuous(recording: Recording, space: Coordinates, data: Mapping[str, Any]) -> Recording:
-    """Return a recording whose angles are in radians and go on beyond a turn."""
-    samples = recording.samples
-    if data.get("degrees"):
-        samples = in_radians(samples, space)
-    if data.get("wrapped"):
-        samples = unwrapped(samples, space)
-    return recording._replace(samples=samples)
-
-
-def _told_still(
-    recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
-) -> list[str]:
-    """Return a line on the lengths and angles that never move, if others or a rotation do."""
-    motion = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
-    still = [f"q_{name}" for name, size in zip(names, motion, strict=False) if size == 0.0]
-    if not 0 < len(still) < len(motion):
-        return []
-    told = "never moves" if len(still) == 1 else "never move"
-    mend = omitting(still, columns)
-    return [f"{few(still)} {told}; for a model without such a coordinate, give {mend}"]
-
-
-def _told_idle(
-    recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
-) -> list[str]:
-    """Return lines on the inputs that are always zero, and on others that never change."""
-    every = np.concatenate([one.samples.u for one in recordings])
-    still = [f"u_{name}" for name, x in zip(names, every.T, strict=True) if np.ptp(x) == 0.0]
-    idle = [name for name in still if not every[:, names.index(name[2:])].any()]
-    lines = []
-    constant = [name for name in still if name not in idle]
-    for found, told in ((idle, "always zero;"), (constant, "constant; if nothing acts,")):
-        are, them = ("is", "it") if len(found) == 1 else ("are", "them")
-        if found:
-            mend = omitting(found, columns)
-            lines.append(f"{few(found)} {are} {told} leave {them} out by {mend}")
-    return lines
-
-
-def _told_together(
-    recordings: Sequence[Recording], names: Sequence[str], columns: Columns | None
-) -> list[str]:
-    """Return a line on the lengths and angles that are in a constant ratio to an earlier one."""
-    noise = [noise_of([one.samples.q[:, i] for one in recordings]) for i in range(len(names))]
-    about = np.concatenate([one.samples.q - one.samples.q.mean(axis=0) for one in recordings])
-    found = {}
-    for i, j in itertools.combinations(range(len(names)), 2):
-        x, y = about[:, i], about[:, j]
-        if names[j] in found or not (x.any() and y.any()):
-            continue
-        ratio = float(x @ y / (x @ x))
-        apart = float(np.std(y - ratio * x))
-        most = TOGETHER * math.hypot(noise[j], ratio * noise[i]) + ROUNDING * float(np.ptp(y))
-        if apart <= most and apart <= SMALL * float(np.std(y)):
-            found[names[j]] = f"q_{names[j]} is {ratio:.3g} times q_{names[i]}"
-    if not found:
-        return []
-    mend = omitting([f"q_{name}" for name in found], columns)
-    return [
-        f"{few(list(found.values()))}, but for noise: a gear joins them, or one is what the other "
-        f"should be; for a model without such a coordinate, give {mend}"
-    ]
 
 
 def _inferred_matrix(
