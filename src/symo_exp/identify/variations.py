@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from symo_exp.data.parts import LONGEST_GAP
@@ -80,13 +80,12 @@ def _of_turning(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     """Yield variations of a candidate with rotations, the most promising first."""
     settings = candidate.settings
     if settings["dissipation"] == "viscous" and machine.body:
-        yield _with_friction(candidate, drag(machine), PLACE_AND_START, FRICTION_NAMES, "")
+        yield _with_friction(candidate, drag(machine), "")
     yield from finer(candidate, machine)
     if machine.driven:
         yield from _delayed(candidate, machine)
     if settings["dissipation"] in ("viscous", "body_drag"):
-        learned, name = {"dissipation": "learned"}, "learned friction"
-        yield _with_friction(candidate, learned, PLACE_AND_START, FRICTION_NAMES, name)
+        yield _with_friction(candidate, {"dissipation": "learned"}, "learned friction")
 
 
 def finer(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
@@ -209,47 +208,41 @@ def with_learned_friction(candidate: Candidate, machine: Machine) -> Candidate:
 def with_less_friction(candidate: Candidate) -> Iterator[Candidate]:
     """Yield simplifications of a candidate: viscous friction alone, then none."""
     if candidate.settings["dissipation"] not in ("viscous", "known", "none"):
-        viscous, name = {"dissipation": "viscous"}, "viscous friction"
-        yield _with_friction(candidate, viscous, PLACE_AND_START, FRICTION_NAMES, name)
+        yield _with_friction(candidate, {"dissipation": "viscous"}, "viscous friction")
     if candidate.settings["dissipation"] != "none":
-        none, replaced = {"dissipation": "none"}, {*FRICTION_NAMES, BETWEEN}
-        yield _with_friction(candidate, none, (), replaced, "no friction")
+        yield _with_friction(candidate, {"dissipation": "none"}, "no friction")
 
 
 def with_friction_of(candidate: Candidate, other: Candidate) -> Candidate:
-    """Return a candidate with the friction of another one.
-
-    Where friction acts, on coordinates or between neighbours, and its start remain.
-    """
+    """Return a candidate with the friction of another one."""
     given = {
         key: value
         for key, value in other.settings.items()
         if key.startswith("dissipation") and key not in PLACE_AND_START
     }
     name = ", ".join(part for part in other.name.split(", ") if part in FRICTION_NAMES)
-    return _with_friction(candidate, given, PLACE_AND_START, FRICTION_NAMES, name)
+    return _with_friction(candidate, given, name)
 
 
-def _with_friction(
-    candidate: Candidate,
-    given: Mapping[str, str],
-    kept: Collection[str],
-    replaced: Collection[str],
-    name: str,
-) -> Candidate:
-    """Return a candidate with other settings of friction, whose name replaces others."""
+def _with_friction(candidate: Candidate, given: Mapping[str, str], name: str) -> Candidate:
+    """Return a candidate with other settings of friction, whose name replaces others.
+
+    Where friction acts, on coordinates or between neighbours, and its start remain if there is any.
+    """
+    none = given["dissipation"] == "none"
+    kept = () if none else PLACE_AND_START
+    replaced = {*FRICTION_NAMES, BETWEEN} if none else FRICTION_NAMES
     settings = {
         key: value
         for key, value in candidate.settings.items()
         if key in kept or not key.startswith("dissipation")
     } | dict(given)
-    parts = [part for part in candidate.name.split(", ") if part not in replaced]
+    parts = (part for part in candidate.name.split(", ") if part not in replaced)
+    more = _friction_rank(settings) - _friction_rank(candidate.settings)
     return replace(
         candidate,
-        name=", ".join([*parts, *([name] if name else [])]),
-        rank=round(
-            candidate.rank + _friction_rank(settings) - _friction_rank(candidate.settings), 9
-        ),
+        name=", ".join(filter(None, [*parts, name])),
+        rank=round(candidate.rank + more, 9),
         settings=settings,
         cost=candidate.cost * _friction_cost(settings) / _friction_cost(candidate.settings),
     )
