@@ -147,11 +147,6 @@ def unread_unit(name: str) -> str:
     return word if words and (word := words[-1].lower()) in CONVERSIONS else ""
 
 
-def in_degrees(name: str) -> bool:
-    """Return whether a name ends with degrees as its unit."""
-    return unit_of(name) == "deg"
-
-
 def length_unit(name: str) -> str:
     """Return the unit of length that a name ends with; after an underscore, m may be a name."""
     known = unit_of(name) in ("mm", "cm") or re.search(r"[\s\[(]m[\])]?$", name)

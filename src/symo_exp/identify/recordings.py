@@ -15,7 +15,7 @@ from symo_exp.data.diagnose import ROUNDING, noise_of
 from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
-from symo_exp.data.naming import in_degrees, names, unit_of
+from symo_exp.data.naming import names, unit_of
 from symo_exp.data.parts import PARTS, divided, uninterrupted, without
 from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.table import Recording, read_recordings
@@ -218,13 +218,33 @@ class _Examination:
         self.written = {name: file if unit_of(file) else name for name, file in files.items()}
         self.body = self.known is None and len(self.rotations) == 1 and len(self.flat) in (0, 3)
         self.learned_inputs = 0
-        if self.matrix_is_given:
+        if not self.matrix_is_given:
+            self._infer_matrix(alone.names)
+
+    def _infer_matrix(self, coordinates: tuple[str, ...]) -> None:
+        """Infer the matrix of the inputs, where anything tells it.
+
+        Inputs with the names of coordinates, units apart, drive these. The matrix of a body that
+        turns freely is zero, and is to be learned. No inputs, or one for each coordinate, need no
+        matrix.
+        """
+        inputs = self.inputs
+        if not inputs or [*map(without_unit, inputs)] == [*map(without_unit, coordinates)]:
             return
-        if (inferred := _inferred_matrix(alone.names, self.inputs, self.body)) is not None:
-            self.input_matrix, line = inferred
-            self.learned_inputs = 0 if np.any(self.input_matrix) else len(self.inputs)
-            self.settings.append(_matrix_setting(self.input_matrix))
-            self.notes.append(line)
+        if found := matrix_by_names(coordinates, inputs):
+            driven = [coordinates[row.index(1)] for row in zip(*found, strict=True)]
+            pairs = [f"u_{x} drives q_{y}" for x, y in zip(inputs, driven, strict=True)]
+            self.notes.append(f"inputs: {', '.join(pairs)}, by their names")
+        elif self.body:
+            found, self.learned_inputs = [[0] * len(inputs) for _ in coordinates], len(inputs)
+            self.notes.append(
+                "inputs: the forces and torques that they cause are learned, in body axes, so that "
+                "the inertia is known up to a factor (system.input_matrix=... gives them)"
+            )
+        else:
+            return
+        self.input_matrix = found
+        self.settings.append(_matrix_setting(found))
 
     def _read_parts(self, time_step: float | None) -> list[str]:
         """Read ``used`` and ``test``, and return lines on them."""
@@ -273,7 +293,7 @@ class _Examination:
 
         Units and angles that are open are refused where another reading explains far more.
         """
-        stated = [name for name in self.angles if in_degrees(self.written[name])]
+        stated = [name for name in self.angles if unit_of(self.written[name]) == "deg"]
         if self._is_open("degrees") and 0 < len(stated) < len(self.angles):
             raise ConfigError(
                 f"data.degrees has no value yet: {few(stated)} is in degrees by its name, but not "
@@ -456,25 +476,3 @@ class _Examination:
 
 def _matrix_setting(matrix: Sequence[Sequence[float]]) -> str:
     return f"system.input_matrix={str(matrix).replace(' ', '')}"
-
-
-def _inferred_matrix(
-    coordinates: tuple[str, ...], inputs: tuple[str, ...], body: bool
-) -> tuple[list[list[int]], str] | None:
-    """Return the matrix of inputs and a line on it, ``None`` where nothing tells it.
-
-    Inputs with the names of coordinates, units apart, drive these. The matrix of a ``body`` that
-    turns freely is zero, and is to be learned. No inputs, or one for each coordinate, need no
-    matrix.
-    """
-    if not inputs or [*map(without_unit, inputs)] == [*map(without_unit, coordinates)]:
-        return None
-    if found := matrix_by_names(coordinates, inputs):
-        driven = [coordinates[row.index(1)] for row in zip(*found, strict=True)]
-        pairs = [f"u_{x} drives q_{y}" for x, y in zip(inputs, driven, strict=True)]
-        return found, f"inputs: {', '.join(pairs)}, by their names"
-    learned = (
-        "inputs: the forces and torques that they cause are learned, in body axes, so that the "
-        "inertia is known up to a factor (system.input_matrix=... gives them)"
-    )
-    return ([[0] * len(inputs) for _ in coordinates], learned) if body else None
