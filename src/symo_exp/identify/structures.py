@@ -39,9 +39,10 @@ def ladder(machine: Machine) -> list[Candidate]:
     """Return the candidates that every search begins with, the simplest first."""
     found = structures(machine)
     first = found[0]
+    kinds = ("asymmetric friction", "constant force")  # of motors, screws and belts
+    motors = [with_kinds(first, kinds, 0.2, machine)] if machine.driven else []
     if machine.known:
-        kinds = ("asymmetric friction", "constant force")
-        return [*found, with_kinds(first, kinds, 0.2, machine)] if machine.driven else found
+        return [*found, *motors]
     if machine.coordinates.rotations:
         found.append(next(with_less_friction(first)))
         return sorted(found, key=lambda candidate: candidate.rank)
@@ -49,9 +50,8 @@ def ladder(machine: Machine) -> list[Candidate]:
     plain = list(without_springs(first))
     links += plain
     found += plain
-    if machine.driven:  # motors, screws and belts
-        found.append(with_kinds(first, ("asymmetric friction", "constant force"), 0.2, machine))
-    else:  # bearings: dry friction may be too little to be found
+    found += motors
+    if not machine.driven:  # bearings: dry friction may be too little to be found
         found += [next(with_less_friction(candidate)) for candidate in links]
     if networks := [one for one in found if one.name.split(", ")[0] == NETWORK]:
         found.append(with_learned_friction(networks[0], machine))
