@@ -10,6 +10,7 @@ from typing import Any, final
 
 import numpy as np
 import torch
+from scipy.integrate import cumulative_trapezoid
 from typing_extensions import Unpack, override
 
 from symo_exp.checks import real, whole_number
@@ -372,7 +373,7 @@ def _angles(samples: Samples, coordinates: Coordinates) -> np.ndarray:
 
 def _check_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
     """Refuse angles that jump."""
-    bends = np.abs(np.diff(samples.q, 2, axis=0)).max(0, initial=0.0)
+    bends = np.abs(np.diff(samples.q, 2, axis=0)).max(0, initial=0)
     jumps = _angles(samples, coordinates) & (bends > np.pi)
     if jumps.any():
         turns = np.where(jumps, np.abs(np.diff(samples.q, axis=0)).max(0), 0.0)
@@ -484,7 +485,7 @@ def _ratio(samples: Samples, i: int) -> float:
     """
     assert samples.v is not None
     t, v = samples.t - samples.t[0], samples.v[:, i]
-    moved = np.concatenate([[0.0], np.cumsum(np.diff(t) * (v[1:] + v[:-1]) / 2)])
-    moved, q = (x - np.polyval(np.polyfit(t, x, 1), t) for x in (moved, samples.q[:, i]))
+    paths = cumulative_trapezoid(v, t, initial=0), samples.q[:, i]
+    moved, q = (x - np.polyval(np.polyfit(t, x, 1), t) for x in paths)
     ratio = math.copysign(float(np.std(moved) / (np.std(q) or np.nan)), float(moved @ q))
     return ratio if ratio and math.isfinite(ratio) else 1.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
 DENSE = 1 / 3
@@ -89,7 +90,7 @@ def averaged(t: np.ndarray, u: np.ndarray, nodes: np.ndarray, h: float) -> np.nd
     edges = np.clip(np.stack([nodes - h / 2, nodes + h / 2]), t[0], t[-1])
     k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 2)
     steps, rises = np.diff(t)[:, None], np.diff(u, axis=0)
-    until = np.concatenate([np.zeros_like(u[:1]), np.cumsum(steps * (u[1:] + u[:-1]) / 2, axis=0)])
+    until = cumulative_trapezoid(u, t, axis=0, initial=0)
     past = (edges - t[k])[..., None]
     impulse = until[k] + past * (u[k] + past * rises[k] / steps[k] / 2)
     return np.asarray((impulse[1] - impulse[0]) / (edges[1] - edges[0])[:, None])
