@@ -193,12 +193,7 @@ def suggested_inputs(given: Sequence[str], coordinates: Sequence[str]) -> dict[s
 def _times(free: Sequence[str], table: pd.DataFrame, *, named: bool) -> list[str]:
     """Return columns of times, by their names or else by their values, likely ones first.
 
-    Of clocks, those that count rows are last.
-
-    Args:
-        free: Columns that may be times.
-        table: The rows.
-        named: Whether names alone are believed.
+    Of clocks, those that count rows are last. Where times are ``named``, values say nothing.
     """
     if (found := [name for name in free if says_time(name)]) or named:
         return sorted(found, key=lambda name: not _is_clock(table[name]))

@@ -191,16 +191,14 @@ class DataModule(lightning.LightningDataModule, ABC):
 
     def val_dataloader(self) -> Once[TrainingSamples]:
         """Return a loader of one item: the samples that are watched during training."""
-        return Once(lambda: self._placed("watched", self._watched))
+        watched = self.trajectories(self.monitor)[: self.monitor_trajectories]
+        return Once(lambda: self._placed("watched", lambda: self._samples(watched)))
 
     def transfer_batch_to_device(
         self, batch: Any, device: torch.device, dataloader_idx: int
     ) -> Any:
         """Return the batch: loaders gather on the device."""
         return batch
-
-    def _watched(self) -> TrainingSamples:
-        return self._samples(self.trajectories(self.monitor)[: self.monitor_trajectories])
 
     def _samples(self, trajectories: Sequence[Trajectory]) -> TrainingSamples:
         return _converted(self.cut(trajectories), self.dtype)

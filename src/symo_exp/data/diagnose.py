@@ -50,8 +50,7 @@ class Diagnosis:
         noise: Standard deviation of the noise of each coordinate's samples [rad, m].
         encoder: Step of each coordinate's encoder [rad, m], 0 where none is seen.
         turn: Largest change of each coordinate in a time step [rad, m].
-        curvature: Root mean square of ``h² q̈`` of each coordinate [rad, m].
-        blur: Noise of the nodes over curvature, the largest.
+        blur: Noise of the nodes over curvature, the root mean square of ``h² q̈``, the largest.
     """
 
     coordinates: Coordinates
@@ -64,7 +63,6 @@ class Diagnosis:
     noise: np.ndarray
     encoder: np.ndarray
     turn: np.ndarray
-    curvature: np.ndarray
     blur: float
 
     @property
@@ -175,7 +173,6 @@ def diagnose(
         noise=noise,
         encoder=np.array([encoder_of(columns) for columns in _columns(sampled)]),
         turn=np.max([np.abs(np.diff(path, axis=0)).max(0) for path in paths], axis=0),
-        curvature=curvature,
         blur=float(np.max(blur / np.maximum(curvature, np.finfo(float).tiny))),
     )
 

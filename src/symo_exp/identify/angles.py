@@ -11,12 +11,7 @@ import numpy as np
 
 from symo_exp.data.diagnose import SUSPECT
 from symo_exp.data.formats import few
-from symo_exp.data.naming import (
-    ANGLE,
-    SLIDE,
-    length_unit,
-    units_of_angles,
-)
+from symo_exp.data.naming import ANGLE, SLIDE, length_unit, units_of_angles
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 from symo_exp.identify.motions import explained_by_angles
@@ -134,11 +129,7 @@ def _ask(
 ) -> None:
     """Refuse a setting that is left open if another reading explains a motion much better.
 
-    Args:
-        setting: Its name.
-        choices: Its values.
-        ranges: Ranges of the coordinates in question.
-        readings: Explained share of the accelerations' power by another reading and the present.
+    ``readings`` are the explained shares of the accelerations' power by that and the present one.
     """
     (reading, other), (present, plain) = readings.items()
     if plain is None or other is None or plain > WELL:

@@ -319,15 +319,11 @@ class Rounds:
     def _affordable(
         self, candidates: Sequence[Candidate], best: Trial, keep: float = 0.0
     ) -> list[Candidate]:
-        """Return the candidates that there is time for, and print the others.
+        """Return the candidates, the best first, that there is time for, and print the others.
 
         There is time for the first folds of each, and for all folds of the costliest ``PROMOTED``,
-        before the last fits of the best one; at least the time that the plan has reserved.
-
-        Args:
-            candidates: The candidates, the most promising first.
-            best: The best one so far, whose last fits also need time.
-            keep: Planned time that is kept for what follows [s].
+        before the last fits of the ``best`` one; at least the time that the plan has reserved.
+        Of the planned time, ``keep`` [s] is left for what follows.
         """
         first, others = range(self._plan.first), range(self._plan.first, len(best.errors))
 
