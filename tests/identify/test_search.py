@@ -35,6 +35,12 @@ def table(count=5, seconds=2.0, h=0.02, name="theta"):
     )
 
 
+def test_a_table_without_rows_is_refused(tmp_path):
+    (tmp_path / "mine.csv").write_text("trajectory,t,q_a\n")
+    with pytest.raises(ConfigError, match="has 0 trajectories, too few"):
+        examine({"path": str(tmp_path / "mine.csv")})
+
+
 @pytest.mark.slow
 def test_one_command_ends_with_a_model_a_table_and_a_verdict(workplace, capsys, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(workplace / "cache"))
