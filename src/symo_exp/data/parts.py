@@ -291,19 +291,21 @@ def _in_blocks(
         rounds = int(min(max(span // (BLOCK * len(PATTERN)), 1), ROUNDS))
         size = span / (rounds * len(PATTERN))
         gap = min(GAP, size / 10)
-        for part, first, last in _stretches(pattern * rounds):
+        order = pattern * rounds
+        changes = [k for k in range(1, len(order)) if order[k] != order[k - 1]]
+        for first, last in itertools.pairwise([0, *changes, len(order)]):
             low, high = start + first * size + gap * (first > 0), start + last * size
             samples = one.samples.rows((clock >= low) & (clock <= high))
             low, high = np.interp([low, high], clock, one.samples.t - one.samples.t[0])
             name = f"{low:.4g} to {high:.4g} s"
             label = f"{one.label}/{name}" if one.label else name
-            blocks.append(one._replace(label=label, part=part, samples=samples))
+            blocks.append(one._replace(label=label, part=order[first], samples=samples))
         rest = float(clock[-1]) - span
         left = f" ({rest:.3g} s at rest are left out)" if rest > 0 else ""
         told.append(f"{span:.4g} s{left} in {rounds * len(PATTERN)} blocks of {size:.3g} s")
-    order = ", ".join(pattern)
     return blocks, (
-        f"split in time: {' and '.join(told)}, in turn {order}; {gap:.2g} s left out between parts"
+        f"split in time: {' and '.join(told)}, in turn {', '.join(pattern)}; {gap:.2g} s left out "
+        "between parts"
     )
 
 
@@ -337,12 +339,3 @@ def _moving(samples: Samples) -> tuple[float, float]:
     end = t[min(len(t) - at_rest(q[::-1], acts[::-1]), len(t) - 1)]
     start = start if RESTS <= start < t[-1] else 0.0
     return float(start), float(end if t[-1] - end >= RESTS and end > start else t[-1])
-
-
-def _stretches(parts: Sequence[str]) -> Iterator[tuple[str, int, int]]:
-    """Yield runs of equal parts: the part, its first block and the block after its last."""
-    at = 0
-    for part, group in itertools.groupby(parts):
-        size = len(list(group))
-        yield part, at, at + size
-        at += size
