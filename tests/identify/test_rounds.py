@@ -16,13 +16,14 @@ from tests.identify.test_plan import machine
 class ToldFits:
     """Fits that end with a told error and noise, each in a folder of its own.
 
-    They take ``pace`` times the time of a plan.
+    They take ``pace`` times the time of a plan; without it the clock does not count.
     """
 
-    def __init__(self, folder, told, one, plan, pace=1.0):
+    def __init__(self, folder, told, one, plan, pace=None):
         self.folder, self.told, self.done = folder, told, []
+        self.machine, self.plan, self.given, self.clock = one, plan, {}, pace is not None
         nodes = round(plan.seconds / one.time_step)
-        self.seconds = lambda candidate: pace * plan.expected(candidate, nodes, one)
+        self.seconds = lambda candidate: (pace or 1.0) * plan.expected(candidate, nodes, one)
 
     def to_folds(self, todo, attempt=0):
         found = []
@@ -46,12 +47,8 @@ def prepared(tmp_path, monkeypatch):
 
     def prepare(told, one, budget=600.0, pace=None):
         plan = plans.make_plan(one, ladder(one), budget, 2, 1.0, "key")
-        fits = ToldFits(tmp_path, told, one, plan, pace or 1.0)
-        search = Rounds(
-            fits, one, plan, {},
-            clock=pace is not None, progressed=lambda *_: None,
-        )  # fmt: skip
-        return search, fits, plan
+        fits = ToldFits(tmp_path, told, one, plan, pace)
+        return Rounds(fits, lambda *_: None), fits, plan
 
     return prepare
 

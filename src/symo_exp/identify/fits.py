@@ -32,7 +32,8 @@ class Fits:
         given: Overrides of the command line by what they set; they replace those of candidates.
         experiment: The experiment of the runs.
         seed: That of the first attempts.
-        clock: Whether trainings are ended when they take much longer than planned.
+        clock: Whether the time that runs take counts, not plans alone: trainings are ended when
+            they take much longer than planned, and there is less time for further ones.
     """
 
     sweep: Sweep

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from symo_exp.errors import ConfigError
 from symo_exp.identify import plan as plans
@@ -16,8 +16,6 @@ from symo_exp.identify.candidates import (
     structure_of,
 )
 from symo_exp.identify.fits import Fits
-from symo_exp.identify.plan import Plan
-from symo_exp.identify.recordings import Machine
 from symo_exp.identify.structures import structures
 from symo_exp.identify.validation import (
     LEAST,
@@ -62,27 +60,16 @@ class Rounds:
     """The candidates of a search and the results of their folds.
 
     Args:
-        fits: Fits candidates.
-        machine: The recorded machine.
-        plan: The plan of the search.
-        given: What the command line sets.
-        clock: Whether the time that is left depends on how long runs took, not on plans alone.
+        fits: Fits candidates to the recordings of a machine by a plan.
         progressed: Called with the best fit and the candidates so far after every round.
     """
 
     def __init__(
-        self,
-        fits: Fits,
-        machine: Machine,
-        plan: Plan,
-        given: Collection[str],
-        *,
-        clock: bool,
-        progressed: Callable[[RunFolder, Sequence[Trial]], object],
+        self, fits: Fits, progressed: Callable[[RunFolder, Sequence[Trial]], object]
     ) -> None:
-        self._fits, self._machine, self._plan, self._given = fits, machine, plan, given
-        self._clock, self._progressed = clock, progressed
-        self._nodes = round(plan.seconds / machine.time_step)  # of a fold
+        self._fits, self._progressed = fits, progressed
+        self._machine, self._plan, self._given = fits.machine, fits.plan, fits.given
+        self._nodes = round(fits.plan.seconds / fits.machine.time_step)  # of a fold
         self._spent = 0.0  # planned time of the runs so far, one after another [s]
         self._screened = 0.0  # that of the first rounds
         self._trials: dict[str, Trial] = {}
@@ -364,7 +351,7 @@ class Rounds:
 
     def _pace(self) -> float:
         """Return how many times longer than planned the runs so far took."""
-        if not self._clock:
+        if not self._fits.clock:
             return 1.0
         took = sum(trial.seconds for trial in self._trials.values())
         return max(FASTEST, took / self._spent)

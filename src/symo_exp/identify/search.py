@@ -131,10 +131,7 @@ class Search:
         if replaced := self._replaced(every):
             print(f"of every candidate, whatever its name says: {' '.join(replaced)}")
         print(self._told_plan(len(candidates), len(every) - len(candidates)), flush=True)
-        rounds = Rounds(
-            fits, machine, plan, self._given,
-            clock=self._clock, progressed=self._keep,
-        )  # fmt: skip
+        rounds = Rounds(fits, self._keep)
         rounds.screen(planned)
         rounds.deepen(others)
         if (best := rounds.refine()) is None:
