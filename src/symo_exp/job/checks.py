@@ -44,16 +44,6 @@ _WANTED = {
 _STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
-def check_settings(settings: Settings, known: Mapping[str, Any]) -> None:
-    """Refuse settings that do not exist, have no value, or a value of the wrong type.
-
-    Args:
-        settings: The settings of a run.
-        known: The settings of the chosen files alone, unresolved.
-    """
-    _check_node(settings.values, known, settings.references)
-
-
 def check_parts(settings: Settings, known: Mapping[str, Any]) -> None:
     """Refuse a configuration in which a setting was deleted, or a part names no class."""
     if missing := sorted(known.keys() - settings.values.keys() - {"hydra"}):
@@ -64,16 +54,22 @@ def check_parts(settings: Settings, known: Mapping[str, Any]) -> None:
             raise ConfigError(f"{part} names no class: its file needs a _target_")
 
 
-def _check_node(
+def check_settings(
     node: Mapping[str, Any],
     known: Mapping[str, Any],
     references: Mapping[str, str],
     prefix: str = "",
 ) -> None:
-    """Check every key and the type of every value below a node.
+    """Refuse settings that do not exist, have no value, or a value of the wrong type.
 
     A node with a ``_target_`` may hold what its constructor takes; any other node, what the files
     have at the same place. A reference is checked where it points to.
+
+    Args:
+        node: The settings of a run, or those below a name.
+        known: Those of the chosen files alone, unresolved.
+        references: As in ``Settings``.
+        prefix: The name, with a dot.
     """
     if "_target_" in node:
         hints = _parameters(node["_target_"], f"{prefix}_target_")
@@ -92,7 +88,7 @@ def _check_node(
             for item in value if isinstance(value, list) else [value]:
                 if isinstance(item, Mapping):
                     there = files if isinstance(files, Mapping) else {}
-                    _check_node(item, there, references, f"{name}.")
+                    check_settings(item, there, references, f"{name}.")
 
 
 def _check_value(name: str, value: Any, hint: Any) -> None:

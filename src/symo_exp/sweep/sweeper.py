@@ -171,7 +171,7 @@ class Sweep:
                 raise refusal
         if not job.is_left_out():
             self.composer.check_choices(job)
-            check_settings(job.settings, job.known)
+            check_settings(job.values, job.known, job.settings.references)
         return job
 
     def check(self, jobs: Sequence[Job]) -> None:
