@@ -106,7 +106,8 @@ def read_recordings(
     if time_unit is not None:
         one_of("data.time_unit", time_unit, tuple(UNITS))
     found = headers(path, columns)
-    tables = []
+    recordings: list[Recording] = []
+    notes: list[str] = []
     labels = _labels([file for file, _ in found])
     for (file, head), label in zip(found, labels, strict=True):
         with readable(path):
@@ -115,12 +116,12 @@ def read_recordings(
         where = shown(path if len(found) == 1 else file)
         inputs = tuple(system.inputs)
         one = _read(where, file, version, head, seconds, system.coordinates, inputs)
-        if len(found) > 1:
-            one = one._replace(recordings=tuple(_within(label, one.recordings)))
-        tables.append(one._replace(notes=(*head.notes, *one.notes)))
-    recordings, copies = _without_copies([each for one in tables for each in one.recordings])
-    notes = dict.fromkeys(note for one in tables for note in one.notes)
-    return RecordingTable(tuple(recordings), (*notes, *copies))
+        notes += [*head.notes, *one.notes]
+        for each in one.recordings:
+            name = label if len(one.recordings) == 1 else f"{label}/{each.label}"
+            recordings.append(each._replace(label=name) if len(found) > 1 else each)
+    recordings, copies = _without_copies(recordings)
+    return RecordingTable(tuple(recordings), (*dict.fromkeys(notes), *copies))
 
 
 def _without_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list[str]]:
@@ -148,12 +149,6 @@ def _labels(files: Sequence[Path]) -> list[str]:
     plain = [one.with_suffix("").as_posix() for one in below]
     choices = [one.stem for one in files], plain, [one.as_posix() for one in below]
     return next(names for names in choices if len(set(names)) == len(names))
-
-
-def _within(label: str, recordings: Sequence[Recording]) -> Iterator[Recording]:
-    for one in recordings:
-        alone = len(recordings) == 1
-        yield one._replace(label=label if alone else f"{label}/{one.label}")
 
 
 @lru_cache(maxsize=64)  # shared by the jobs of a sweep
