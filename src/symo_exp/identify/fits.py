@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -19,6 +19,8 @@ ITERATIONS = 5
 """Of the fit of starts in validations: more refine those of motions that stick alone."""
 SEEDS = 1000
 """Difference of the seeds of fits of the same candidate to the same data."""
+COMPARED = ("logger=none", "pictures=false", "measures=false")
+"""Settings of fits that are compared, not shown."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Fits:
         Raises:
             ConfigError: If the candidate is refused.
         """
-        words = [self._overrides_of_last(candidate, epochs, attempt) for attempt in attempts]
+        words = [self._overrides_of_last(candidate, epochs, k, *COMPARED) for k in attempts]
         names = [f"{candidate.name}, fit {attempt + 1}" for attempt in attempts]
         return dict(zip(attempts, self._performed(words, names), strict=True))
 
@@ -87,7 +89,7 @@ class Fits:
             ConfigError: If the candidate is refused.
         """
         shown = "pictures=true", "measures=true"
-        words = self._overrides_of_last(candidate, epochs, attempt, *shown, without=["logger"])
+        words = self._overrides_of_last(candidate, epochs, attempt, *shown)
         self._performed([words], [candidate.name])
 
     def _performed(self, words: Sequence[list[str]], names: Sequence[str]) -> list[RunFolder]:
@@ -99,21 +101,17 @@ class Fits:
         return folders
 
     def _overrides_of_fold(self, candidate: Candidate, k: int, attempt: int = 0) -> list[str]:
-        fold = f"data.fold=[{k},{self.plan.folds}]"
-        return self._overrides(candidate, self.plan.seconds, attempt, fold)
+        seconds = self.plan.seconds
+        more = f"data.fold=[{k},{self.plan.folds}]", f"data.seconds={seconds:g}", *COMPARED
+        return self._overrides(candidate, seconds, attempt, *more)
 
     def _overrides_of_last(
-        self,
-        candidate: Candidate,
-        epochs: int,
-        attempt: int,
-        *more: str,
-        without: Collection[str] = (),
+        self, candidate: Candidate, epochs: int, attempt: int, *more: str
     ) -> list[str]:
         """Return the overrides of a fit to all data, or to as many as there is time for."""
         seconds = self.plan.most_seconds(candidate, self.machine)
-        if seconds >= self.machine.seconds:
-            without = [*without, "data.seconds"]
+        if seconds < self.machine.seconds:
+            more = (*more, f"data.seconds={seconds:g}")
         return self._overrides(
             candidate,
             seconds,
@@ -123,28 +121,18 @@ class Fits:
             f"trainer.validate_every={epochs}",  # once: nothing is held out
             "optimizer.tolerance=1e9",  # so that the last parameters are kept
             *more,
-            without=without,
         )
 
     def _overrides(
-        self,
-        candidate: Candidate,
-        seconds: float,
-        attempt: int,
-        *more: str,
-        without: Collection[str] = (),
+        self, candidate: Candidate, seconds: float, attempt: int, *more: str
     ) -> list[str]:
         """Return the overrides of a fit to data of a length, those of the command line last."""
         settings = by_key(
             [
                 *self.machine.settings,
                 f"experiment={self.experiment}",
-                "logger=none",
                 "trainer.compile=false",  # it takes longer than most of these trainings
-                "pictures=false",
-                "measures=false",
                 f"learner.validation.iterations={ITERATIONS}",
-                f"data.seconds={seconds:g}",
                 self._limit(candidate, seconds),
                 *self.plan.overrides(candidate),
                 *candidate.overrides(),
@@ -153,8 +141,7 @@ class Fits:
         )
         if candidate.settings["dissipation"] == "none":
             settings = left_open(settings, ["dissipation"]) | {"dissipation": "dissipation=none"}
-        kept = {key: word for key, word in settings.items() if key not in without}
-        found = {**left_open(kept, self.given), **self.given}
+        found = {**left_open(settings, self.given), **self.given}
         if attempt:
             found["seed"] = f"seed={self.seed + SEEDS * attempt}"
         return sorted(found.values(), key=lambda word: "." in word.partition("=")[0])
