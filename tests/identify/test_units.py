@@ -109,6 +109,27 @@ def test_where_a_length_is_counted_from_changes_nothing(start, workplace):
     assert far.stiffness == ((0.0,),)  # its force would be huge there: a training finds it
 
 
+@pytest.mark.parametrize("start", [100.0, 2e3])
+def test_where_a_length_is_counted_from_changes_nothing_if_a_push_is_left_out(start, workplace):
+    h, x, v, path = 0.01, 0.5, 0.0, []
+    t = np.arange(0.0, 60.0, h)
+    u = 2.0 * np.cos(3.1 * t)
+    for force in u + 25.0 * np.sin(9.0 * t) * (np.abs(t - 30.3) < 0.3):
+        path.append(x)
+        v += h * (force - 0.3 * v - 36.0 * x)
+        x += h * v
+    noise = 1e-5 * np.random.default_rng(0).normal(size=len(t))
+    found = []
+    for place in 0.0, start:
+        frame = pd.DataFrame({"t": t, "q_x": place + np.array(path) + noise, "u_x": u})
+        frame.to_csv(f"{place}.csv", index=False)
+        found.append(examine({"path": f"{place}.csv"}))
+    near, far = found
+    assert any(word.startswith("data.leave_out=") for word in near.settings)
+    assert far.settings == near.settings
+    assert far.explained == pytest.approx(near.explained, abs=1e-6)
+
+
 def test_a_length_too_far_from_zero_is_refused_unless_it_never_moves(workplace):
     frame = sprung(1.0, 1.0)
     frame.assign(q_x=1e5 + frame.q_x).to_csv("mine.csv", index=False)

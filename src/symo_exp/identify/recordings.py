@@ -377,7 +377,7 @@ class _Examination:
                 self.notes.append(f"{few(found)} {are} {told} leave {them} out by {mend}")
 
     def _near(self) -> list[Recording]:
-        """Return ``used`` with rotation matrices, and lengths near zero: no digits are lost.
+        """Return ``used`` with rotation matrices and lengths near zero; regressions lose no digits.
 
         Raises:
             ConfigError: If a length is so far from zero that trainings would lose too many.
@@ -444,7 +444,8 @@ class _Examination:
             left_out += stretches
             self.data["leave_out"] = left_out
             self._read_parts(time_step)
-            self.used, _ = uninterrupted(self._continuous(), time_step)
+            self.used = self._continuous()
+            self.used, _ = uninterrupted(self._near(), time_step)
         if left_out:
             self.settings.append(f"data.leave_out={override_value(left_out)}")
 
