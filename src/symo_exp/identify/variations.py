@@ -168,13 +168,8 @@ def sprung(candidate: Candidate, machine: Machine) -> Candidate:
 def without_springs(candidate: Candidate) -> Iterator[Candidate]:
     """Yield a candidate without its springs, nothing if it has none."""
     if "springs" in candidate.settings:
-        parts = candidate.name.split(", ")
-        yield replace(
-            candidate,
-            name=", ".join(part for part in parts if part != SPRINGS),
-            rank=candidate.rank - SPRINGS_RANK,
-            settings=left_open(candidate.settings, ["springs"]),
-        )
+        rank, settings = candidate.rank - SPRINGS_RANK, left_open(candidate.settings, ["springs"])
+        yield replace(_without(SPRINGS, candidate), rank=rank, settings=settings)
 
 
 def drag(machine: Machine) -> dict[str, str]:
