@@ -19,10 +19,10 @@ from torch import Tensor
 import symo_exp
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.evaluation.horizon import Predictions, cut, predict
-from symo_exp.evaluation.references import ConstantVelocity, ReferenceRollout
+from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.space import Space, rotation_vector
-from symo_exp.mechanics.types import Trajectory
+from symo_exp.mechanics.types import Trajectories, Trajectory
 from symo_exp.models.starts import RollsOut
 
 TIME_STEP, HORIZON = 0.02, 0.5
@@ -119,14 +119,14 @@ class PhysicalModel:
         torque = u[:, 1:4] * self._torques - torch.linalg.cross(spin, self._inertia * spin)
         return torch.cat((linear, torque / self._inertia), dim=1)
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
         """Return the motion from a start over as many nodes as ``u`` has."""
         q, v = [q0], [v0]
         for before, after in zip(u[:, :-1].unbind(1), u[:, 1:].unbind(1), strict=True):
             state = RK4().step(self.acceleration, q[-1], v[-1], before, after, TIME_STEP, SPACE)
             q.append(state[0])
             v.append(state[1])
-        return ReferenceRollout(torch.stack(q, 1), torch.stack(v, 1))
+        return Trajectories(torch.stack(q, 1), torch.stack(v, 1), u)
 
 
 def fitted_physics(flights: Sequence[Trajectory]) -> PhysicalModel:

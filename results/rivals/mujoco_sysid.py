@@ -23,7 +23,7 @@ from machines import TIME_STEP, Machine
 from mujoco import sysid
 from torch import Tensor
 
-from symo_exp.evaluation.references import ReferenceRollout
+from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "MuJoCo's sysid", "links in a plane, the makers' lengths and start; velocities"
@@ -135,7 +135,7 @@ class Chain:
     absolute: bool
     time_step = TIME_STEP
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
         n, steps = q0.shape[1], u.shape[1] - 1
         start = np.zeros((len(q0), 1 + 2 * n))
         start[:, 1:] = torch.cat([relative(x, self.absolute) for x in (q0, v0)], dim=1).numpy()
@@ -151,7 +151,7 @@ class Chain:
         if self.absolute:
             q, v = q.cumsum(2), v.cumsum(2)
         joined = (torch.cat((a[:, None], b), dim=1) for a, b in ((q0, q), (v0, v)))
-        return ReferenceRollout(*joined)
+        return Trajectories(*joined, u)
 
 
 def relative(x: Tensor, absolute: bool) -> Tensor:

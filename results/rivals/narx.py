@@ -19,7 +19,7 @@ from sysidentpy.model_structure_selection import FROLS
 from sysidentpy.parameter_estimation import LeastSquares
 from torch import Tensor
 
-from symo_exp.evaluation.references import ReferenceRollout
+from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "sysidentpy", "angles are angles"
@@ -38,14 +38,14 @@ class Narx:
     driven: bool
     time_step = TIME_STEP
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
         q, y = [q0], [v0]
         for held in u[:, :-1].unbind(1):
             z = regressors(y[-1], q[-1], held, driven=self.driven)
             parts = [p(z) @ w for p, w in zip(self.products, self.weights, strict=True)]
             y.append(torch.stack(parts, 1))
             q.append(q[-1] + TIME_STEP * y[-1])
-        return ReferenceRollout(torch.stack(q, 1), torch.stack(y, 1))
+        return Trajectories(torch.stack(q, 1), torch.stack(y, 1), u)
 
 
 def fitted(machine: Machine, *, degree: int, terms: int) -> Narx:

@@ -26,7 +26,7 @@ from jax_sysid.models import Model
 from machines import TIME_STEP, Machine
 from torch import Tensor
 
-from symo_exp.evaluation.references import ReferenceRollout
+from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "jax-sysid", "angles are angles; velocities"
@@ -95,7 +95,7 @@ class StateSpace:
 
         self.rolled = jax.jit(rolled)
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
         (rows, n), room = q0.shape, 1 << (len(q0) - 1).bit_length()  # few shapes to compile
         start = torch.cat((q0, v0), dim=1)
         held = np.zeros((u.shape[1] - 1, room, u.shape[2]))
@@ -104,7 +104,7 @@ class StateSpace:
         first[:rows] = start.numpy() / self.scale
         found = np.array(self.rolled(first, held))[:, :rows] * np.asarray(self.scale)
         path = torch.cat((start[None], torch.from_numpy(found))).transpose(0, 1)
-        return ReferenceRollout(path[..., :n], path[..., n:])
+        return Trajectories(path[..., :n], path[..., n:], u)
 
 
 def fitted(

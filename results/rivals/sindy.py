@@ -18,8 +18,8 @@ from machines import TIME_STEP, Machine
 from polynomials import Products
 from torch import Tensor
 
-from symo_exp.evaluation.references import ReferenceRollout
 from symo_exp.mechanics.explicit import RK4
+from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.starts import RollsOut
 
 NAME, GIVEN = "pysindy", "angles are angles; velocities and accelerations from the recording"
@@ -54,7 +54,7 @@ class Sparse:
         matrix = torch.eye(q.shape[1]).to(q) - torch.einsum("bk,kij->bij", turned, self.coupling)
         return torch.linalg.solve_ex(matrix, right)[0]
 
-    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> ReferenceRollout:
+    def rollout(self, q0: Tensor, v0: Tensor, u: Tensor) -> Trajectories:
         rule, h = RK4(), TIME_STEP / SUBSTEPS
         q, v = [q0], [v0]
         for before, after in itertools.pairwise(u.unbind(1)):
@@ -64,7 +64,7 @@ class Sparse:
                 state = rule.step(self.acceleration, *state, a, b, h)
             q.append(state[0])
             v.append(state[1])
-        return ReferenceRollout(torch.stack(q, 1), torch.stack(v, 1))
+        return Trajectories(torch.stack(q, 1), torch.stack(v, 1), u)
 
 
 def differentiated(machine: Machine, given: str, window: int) -> tuple[Tensor, ...]:
