@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from symo_exp.evaluation.verdict import verdict
-from symo_exp.identify.doubts import doubts, hopeless
+from symo_exp.identify.doubts import doubts, hopeless, missed
 from symo_exp.identify.recordings import Machine
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
@@ -33,6 +33,16 @@ def test_each_doubt_has_a_line(changed, wanted):
     found = list(doubts(replace(SOUND, **changed)))
     assert len(found) == (wanted is not None)
     assert all(wanted in line for line in found)
+
+
+@pytest.mark.parametrize(
+    ("unseen", "error", "told"),
+    [(1e-3, 9e-3, False), (1e-3, 0.02, True), (0.0, 0.02, False), (1e-3, math.inf, False)],
+)
+def test_a_fit_that_leaves_far_more_than_noise_is_doubted(unseen, error, told):
+    found = list(missed(replace(SOUND, unseen=unseen), error, "rad"))
+    assert len(found) == told
+    assert all(f"{error:.2g} rad" in line for line in found)
 
 
 @pytest.mark.parametrize(

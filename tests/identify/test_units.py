@@ -94,6 +94,8 @@ def test_a_log_in_any_unit_is_of_order_one_in_the_units_of_its_parameters(length
     assert 0.01 <= inertia <= 100.0
     stiffness = machine.stiffness[0][0] * units.mass / units.time**2
     assert stiffness == pytest.approx(15.0 * force / length, rel=0.1)
+    unseen = machine.unseen * units.length / length
+    assert 0.95e-4 < unseen < max(1.1e-4, 1.1e-3 * np.std(sprung(1.0, 1.0).q_x))
 
 
 @pytest.mark.parametrize("start", [30.0, 1e3])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 from symo_exp.evaluation.verdict import WINDOW, beside_baseline, outlasts
@@ -15,6 +16,8 @@ is no model."""
 USEFUL, PART = 0.1, 0.5
 """Time to which a model is usable at least [s], if its errors over longer times are no better, and
 the share of the time over which errors are compared if that is less."""
+MISSED = 10.0
+"""Errors of a fit, over those that say nothing against it, above which no candidate suits."""
 LITTLE = 10.0
 """Length below which recordings are short [s]."""
 
@@ -48,3 +51,19 @@ def doubts(machine: Machine) -> Iterator[str]:
         yield f"the recordings are short: {machine.seconds:.2g} s"
     if machine.delay:
         yield f"inputs seem to act {1e3 * machine.delay:g} ms after they are recorded"
+
+
+def missed(machine: Machine, error: float, unit: str) -> Iterator[str]:
+    """Yield that a model does not suit the recordings it was fitted to, if its errors say so.
+
+    Args:
+        machine: The recorded machine.
+        error: Root mean square of the errors that the fit leaves.
+        unit: Their unit.
+    """
+    if 0.0 < MISSED * machine.unseen < error < math.inf:
+        yield (
+            f"the fit leaves errors of {error:.2g} {unit}, and noise is {machine.unseen:.2g} at "
+            "most: no candidate has a force that acts, an input acts otherwise than it is "
+            "recorded, as where a motor saturates, or recordings differ, as by a load"
+        )

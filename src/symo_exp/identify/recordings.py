@@ -39,6 +39,7 @@ from symo_exp.identify.motions import (
     too_fast,
 )
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import Units
 from symo_exp.shell import override_value
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions, without_unit
@@ -49,6 +50,8 @@ which they are one."""
 Stiffness = tuple[tuple[float, ...], ...]
 REMOTE = 20.0
 """Distance of a length from zero, over its range, beyond which it is counted from its middle."""
+UNSEEN = 1e-3
+"""Share of a motion, of angles at most of 1 rad, up to which errors may be those of integrators."""
 TOO_FAR, MOVES = 1e4, 20.0
 """That beyond which trainings lose too many digits, and the range over the noise of what moves."""
 REASONS = {
@@ -75,6 +78,8 @@ class Machine(Dynamics):
         learned_inputs: Number of inputs of a body whose matrix is learned; 0: it is given, or there
             are none.
         known: Whether its equations are known, but for their constants.
+        unseen: Errors of a fit that say nothing against it, root mean square over lengths and
+            angles: their noise, or ``UNSEEN`` of their motion if that is more, in ``units``.
 
     The other arguments are those of ``Dynamics``; ``settings`` and ``notes`` are those of the whole
     machine.
@@ -91,6 +96,7 @@ class Machine(Dynamics):
     body: bool = False
     learned_inputs: int = 0
     known: bool = False
+    unseen: float = 0.0
 
     @property
     def nodes(self) -> int:
@@ -196,7 +202,18 @@ class _Examination:
             body=self.body and not self.angles,
             learned_inputs=self.learned_inputs,
             known=known,
+            unseen=self._unseen(shown_by.units),
         )
+
+    def _unseen(self, units: Units) -> float:
+        """Return ``Machine.unseen``."""
+        squares = []
+        for i, angle in enumerate(self.space.angular[: len(self.flat)]):
+            columns = [one.samples.q[:, i] for one in self.used]
+            motion = float(np.std(np.concatenate(columns)))
+            size = np.fmax(noise_of(columns), UNSEEN * (min(motion, 1.0) if angle else motion))
+            squares.append((size if angle else size / units.length) ** 2)
+        return math.sqrt(np.mean(squares)) if squares else 0.0
 
     def _system(self, angular: Any) -> Recorded:
         return Recorded(

@@ -12,7 +12,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from symo_exp.evaluation.verdict import comparison, verdict
 from symo_exp.files import read_json
 from symo_exp.identify import plan as plans
 from symo_exp.identify.candidates import Candidate, distinct_candidates, with_lagrangian
-from symo_exp.identify.doubts import doubts, hopeless
+from symo_exp.identify.doubts import doubts, hopeless, missed
 from symo_exp.identify.fits import Fits, by_key
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
@@ -165,7 +165,7 @@ class Search:
             print(f"the last fit with the least noise of {len(last)} is kept")
         if (done := len(read(folder / SERIES))) < epochs:
             print(f"the last fit ran out of time after {done} of {epochs} epochs")
-        self._print_verdict(folder.measures(), self._link(folder))
+        self._print_verdict(folder.measures(), noise_of_fit(folder), self._link(folder))
         return 0
 
     def _replaced(self, candidates: Sequence[Candidate]) -> list[str]:
@@ -289,7 +289,7 @@ class Search:
             found |= fits.to_all(candidate, epochs, range(first, plans.MOST_FITS))
         return found
 
-    def _print_verdict(self, measures: Mapping[str, float], model: Path) -> None:
+    def _print_verdict(self, measures: Mapping[str, float], error: float, model: Path) -> None:
         label = verdict(measures) or "not judged"
         if failed := hopeless(measures, self._machine.horizon):
             bad = label.startswith("no")
@@ -301,8 +301,9 @@ class Search:
         if "open_loop_rmse" in measures:
             whole = f"{measures['open_loop_rmse']:.2g} {self._unit}"
             print(f"  RMSE over whole test recordings, in open loop from their start: {whole}")
-        if failed or beside is None:
-            self._print_doubts()
+        if not label.startswith("good"):
+            reasons = [*missed(self._machine, error, self._unit_of_held_out)]
+            self._tell([*doubts(self._machine), *reasons] if failed or beside is None else reasons)
         print(f'the model: symo_exp.load("{os.path.relpath(model)}")')
 
     @property
@@ -310,13 +311,14 @@ class Search:
         """The unit of errors."""
         return ", ".join(self._machine.coordinates.units_of_errors)
 
-    def _print_doubts(self) -> None:
-        for line in doubts(self._machine):
+    @staticmethod
+    def _tell(reasons: Iterable[str]) -> None:
+        for line in reasons:
             print(f"  possible reason: {line}")
 
     def _no_model(self) -> int:
         print("verdict: no model")
-        self._print_doubts()
+        self._tell(doubts(self._machine))
         return 1
 
     def _last_epoch(self, candidate: Candidate, folds: Sequence[RunFolder]) -> int:
