@@ -506,6 +506,27 @@ def test_coordinates_that_a_gear_joins_are_named(bent, told, workplace):
     assert all(note.endswith("give 'data.columns={q_motor: \"motor [rad]\"}'") for note in found)
 
 
+@pytest.mark.parametrize(
+    ("ratio", "bent", "told"),
+    [
+        (50.0, 0.02, True),
+        (-50.0, 0.02, True),
+        (0.02, 0.02, True),
+        (2.0, 0.02, False),
+        (50.0, 0.2, False),
+    ],
+)
+def test_angles_that_an_elastic_gear_joins_are_to_be_in_one_scale(ratio, bent, told, workplace):
+    frame = table(name="arm")
+    frame["q_motor"] = ratio * (frame.q_arm + bent * np.sin(20.0 * frame.t))
+    frame.to_csv("mine.csv", index=False)
+    notes = examine({"path": "mine.csv", "degrees": False}).notes
+    found = [note for note in notes if "elastic gear" in note]
+    fast, times = ("q_motor", ratio) if abs(ratio) > 1.0 else ("q_arm", 1.0 / ratio)
+    assert len(found) == told
+    assert all(f"divide {fast} by its ratio, about {round(times)}," in note for note in found)
+
+
 @pytest.mark.parametrize(("place", "step"), [(0.1, 0.005), (0.3, 0.0013), (123.456, 0.0013)])
 def test_coordinates_that_never_move_set_neither_the_time_step_nor_units(place, step, workplace):
     """Between samples at irregular times, they have rounding errors."""

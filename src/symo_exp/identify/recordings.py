@@ -47,6 +47,8 @@ from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions, wi
 TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
 which they are one."""
+GEARED = 5.0
+"""Ratio of two angles, or its inverse, from which an elastic gear seems to join them."""
 Stiffness = tuple[tuple[float, ...], ...]
 REMOTE = 20.0
 """Distance of a length from zero, over its range, beyond which it is counted from its middle."""
@@ -357,8 +359,8 @@ class _Examination:
             self.notes.append(line)
 
     def _tell_together(self) -> None:
-        """Tell of lengths and angles that are in a constant ratio to an earlier one."""
-        names = self.flat
+        """Tell of lengths and angles that are, or are nearly, in a constant ratio to others."""
+        names, angular = self.flat, self.space.angular
         noise = [noise_of([one.samples.q[:, i] for one in self.used]) for i in range(len(names))]
         about = np.concatenate([one.samples.q - one.samples.q.mean(axis=0) for one in self.used])
         found = {}
@@ -369,8 +371,18 @@ class _Examination:
             ratio = float(x @ y / (x @ x))
             apart = float(np.std(y - ratio * x))
             most = TOGETHER * math.hypot(noise[j], ratio * noise[i]) + ROUNDING * float(np.ptp(y))
-            if apart <= most and apart <= SMALL * float(np.std(y)):
+            if apart > SMALL * float(np.std(y)):
+                continue
+            if apart <= most:
                 found[names[j]] = f"q_{names[j]} is {ratio:.3g} times q_{names[i]}"
+            elif angular[i] and angular[j] and abs(math.log(abs(ratio))) > math.log(GEARED):
+                fast, times = (names[j], ratio) if abs(ratio) > 1.0 else (names[i], 1 / ratio)
+                self.notes.append(
+                    f"q_{names[j]} is nearly {ratio:.3g} times q_{names[i]}: an elastic gear seems "
+                    f"to join them; divide q_{fast} by its ratio, about {times:.3g}, in the file, "
+                    "and multiply a torque on it, since angles that turn so fast need a small time "
+                    "step"
+                )
         if found:
             mend = omitting([f"q_{name}" for name in found], self.columns)
             self.notes.append(
