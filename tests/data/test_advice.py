@@ -421,6 +421,14 @@ def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
         headers(tmp_path, None)
 
 
+@pytest.mark.parametrize("name", ["omega_rad_s", "v_arm", "motor_speed"])
+def test_velocities_alone_are_to_be_integrated(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, name: Q, "torque": U}).to_csv(path, index=False)
+    with pytest.raises(ConfigError, match=rf"add it .*the integral of a velocity \({name}\)"):
+        headers(path, None)
+
+
 def test_names_of_inputs_are_not_passed_over(tmp_path: Path) -> None:
     """A machine with the columns t, q_arm and torque is not free."""
     path = tmp_path / "mine.csv"

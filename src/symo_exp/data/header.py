@@ -156,6 +156,9 @@ def _lacking(
             "line that is no comment (#)"
         )
     lacking = "t with times" if names("q", new) else "q_<name> with a coordinate"
+    speeds = [name for name in found if name[:2] == "v_" or kind_of_column(name) == "v"]
+    if speeds and not names("q", new):
+        other = f", as the integral of a velocity ({few(speeds)}) over time{other}"
     mend = suggestion(found, new, table, columns) or f"add it to the file{other}"
     return f"no column {lacking}; it has {few(found)}; {mend}"
 
