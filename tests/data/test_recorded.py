@@ -230,6 +230,14 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
             lambda t: t.iloc[[*range(9), *range(60)]].sort_values(["trajectory", "t"]),
             "9 of 69 rows",
         ),
+        (
+            lambda t: t.assign(t=t["t"] + 1.7e9).iloc[[1, 0, *range(2, 10)]],
+            "goes back in time after t=1700000000.05; give",
+        ),
+        (
+            lambda t: t.assign(t=t["t"] + 1.7e9).iloc[[0, 1, 1, *range(2, 9)]],
+            "first t=1700000000.05; at most",
+        ),
         (lambda t: pd.concat([t, t.iloc[:2]]), "trajectory 0 goes back in time after t=0.45"),
         (lambda t: t.assign(q_x=t["q_x"].where(t.index % 9 > 0)), "most of them in column q_x"),
         (lambda t: t.assign(v_x=t["v_x"].where(t.index % 9 > 0, math.inf)), "in column v_x"),

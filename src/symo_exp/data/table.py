@@ -459,7 +459,7 @@ def _check_order(where: str, table: pd.DataFrame) -> None:
         back = np.flatnonzero(np.diff(t) < 0)
         if 0 < len(back) < len(t) / 4:
             raise ConfigError(
-                f"{where}: {titled(label)} goes back in time after t={t[back[0]]:.6g}; give "
+                f"{where}: {titled(label)} goes back in time after t={t[back[0]]:.13g}; give "
                 "each recording a number of its own in the column trajectory, or sort the rows by t"
             )
 
@@ -508,7 +508,7 @@ def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.Da
     if again.mean() > DROPPED:
         at = table["t"].iloc[int(np.argmax(again))]
         raise ConfigError(
-            f"{where}: {told}, first t={at:.6g}; at most {100 * DROPPED:g} % are left out: give "
+            f"{where}: {told}, first t={at:.13g}; at most {100 * DROPPED:g} % are left out: give "
             "each recording a number of its own in the column trajectory, or times more digits"
         )
     notes.append(f"{told} and are left out")
