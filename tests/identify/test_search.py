@@ -456,6 +456,19 @@ def test_the_setting_that_an_unclear_name_needs_can_be_typed(name, workplace):
     assert main(words) == 0
 
 
+@pytest.mark.parametrize("known", ["arm", "cart"])
+def test_all_coordinates_that_may_be_angles_are_asked_for_at_once(known, workplace):
+    """An answer for the first alone, such as none, would make lengths of the others."""
+    frame = table(name="trolley")
+    frame.assign(q_sway=2.0 * frame.q_trolley, **{f"q_{known}": frame.q_trolley}).to_csv(
+        "mine.csv", index=False
+    )
+    with pytest.raises(ConfigError, match=r"q_trolley \(.* q_sway \(.*are angles") as error:
+        examine({"path": "mine.csv"})
+    assert f"q_{known}" not in str(error.value)
+    assert ('"arm"' in str(error.value)) == (known == "arm")
+
+
 @pytest.mark.parametrize("name", ["0", "1e3", "arm [rad]", "joint, left", "null"])
 def test_angles_with_any_name_are_a_setting(name, workplace):
     frame = table(name=name)

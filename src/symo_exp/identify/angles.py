@@ -30,8 +30,8 @@ WHOLE = 0.3
 """Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
 
 
-def is_angle(name: str, written: str, columns: Sequence[np.ndarray]) -> bool:
-    """Return whether a coordinate is an angle; refuse one whose names and range do not tell.
+def is_angle(name: str, written: str, columns: Sequence[np.ndarray]) -> bool | None:
+    """Return whether a coordinate is an angle, ``None`` if its names and range do not tell.
 
     Args:
         name: Its name.
@@ -46,10 +46,29 @@ def is_angle(name: str, written: str, columns: Sequence[np.ndarray]) -> bool:
     low, high = min(x.min() for x in columns), max(x.max() for x in columns)
     if high - low > SPAN or _wraps(columns, 2 * np.pi):
         return True
+    return None
+
+
+def ask_which_turn(
+    kinds: Mapping[str, bool | None], columns: Mapping[str, Sequence[np.ndarray]]
+) -> None:
+    """Refuse coordinates of which nothing tells whether they are angles, all in one question.
+
+    Args:
+        kinds: By coordinate: whether it is an angle, ``None``: unknown.
+        columns: By coordinate: its values in each recording.
+    """
+    unknown = [name for name, angle in kinds.items() if angle is None]
+    if not unknown:
+        return
+    every = {name: np.concatenate(columns[name]) for name in unknown}
+    told = few([f"q_{name} ({x.min():.3g} to {x.max():.3g})" for name, x in every.items()])
+    one, several = f"is {told} an angle [rad] or a position [m]", f"which of {told} are angles"
+    possible = override_value([name for name, angle in kinds.items() if angle is not False])
     raise ConfigError(
-        f"system.angular has no value yet: is q_{name}, which goes from {low:.3g} to {high:.3g}, "
-        f"an angle [rad] or a position [m]? Give system.angular=all, none or a list, as "
-        f"{shlex.quote(f'system.angular={override_value([name])}')}"
+        f"system.angular has no value yet: {one if len(unknown) == 1 else several}? Give "
+        "all angles by system.angular=all, none or a list, as "
+        f"{shlex.quote(f'system.angular={possible}')}"
     )
 
 

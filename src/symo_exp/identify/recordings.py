@@ -23,6 +23,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.identify.angles import (
     ask_for_angles,
     ask_for_degrees,
+    ask_which_turn,
     is_angle,
     told_units,
     turn_settings,
@@ -293,9 +294,14 @@ class _Examination:
 
     def _tell_angles(self) -> None:
         """Infer which coordinates are angles."""
+        which: Sequence[bool | None]
         if self.angular is None:
-            columns = [[one.samples.q[:, i] for one in self.used] for i in range(len(self.flat))]
-            which = [*map(is_angle, self.flat, self.written.values(), columns)]
+            columns = {
+                name: [one.samples.q[:, i] for one in self.used] for i, name in enumerate(self.flat)
+            }
+            kinds = {name: is_angle(name, self.written[name], x) for name, x in columns.items()}
+            ask_which_turn(kinds, columns)
+            which = list(kinds.values())
         else:
             which = list(self._system(self.angular).coordinates.angular)[: len(self.flat)]
         self.angles = [name for name, angle in zip(self.flat, which, strict=True) if angle]
