@@ -234,7 +234,9 @@ def test_steps_are_halved_as_long_as_the_error_decreases(least, prepared):
 
 
 @pytest.mark.parametrize(("error", "chosen"), [(100.0, "relative"), (10.0, "planar")])
-def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(error, chosen, prepared):
+def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(
+    error, chosen, prepared, capsys
+):
     """That is, if they have more than a fiftieth of the error of constant velocity, here 20."""
 
     def told(settings):
@@ -246,6 +248,8 @@ def test_candidates_that_a_plan_left_out_are_tried_if_the_others_are_poor(error,
     search.screen(planned)
     search.deepen(others)
     assert search.best().candidate.settings["lagrangian"] == chosen
+    said = capsys.readouterr().out
+    assert ("further candidates, since none so far suits" in said) == (chosen == "relative")
 
 
 @pytest.mark.parametrize("pace", [None, 0.5, 2.0])

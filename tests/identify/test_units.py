@@ -170,6 +170,13 @@ def test_lengths_in_another_unit_by_their_names_are_told(name, unit, workplace):
         assert any(told in note for note in notes) == (unit != "m")
 
 
+@pytest.mark.parametrize(("decimals", "told"), [(0, True), (2, False)])
+def test_lengths_in_whole_numbers_are_told(decimals, told, workplace):
+    sprung(1e5, 1.0).round({"q_x": decimals}).to_csv("mine.csv", index=False)
+    notes = examine({"path": "mine.csv"}).notes
+    assert any("lengths of x are whole numbers" in note for note in notes) == told
+
+
 @pytest.mark.parametrize(("name", "degrees"), [("Winkel [°]", True), ("Winkel [rad]", False)])
 def test_angles_in_degrees_by_their_names_in_the_file_are_read(name, degrees, workplace):
     """Though they move so little that nothing else shows it."""

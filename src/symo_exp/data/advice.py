@@ -114,7 +114,7 @@ def suggestion(
     if units_of_angles(mapped) == {"deg"}:
         mend += " data.degrees=true"
     if guessed:
-        mend += ", a guess, since no name says coordinate"
+        mend += " (a guess, since no name says coordinate)"
     silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
     if silent := [*unread, *silent]:
         mend += f", which leaves out {few(silent)}"

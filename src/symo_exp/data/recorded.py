@@ -33,7 +33,7 @@ from symo_exp.systems.recorded import Recorded
 TIME_TOLERANCE = 1e-3
 """Largest relative difference of a recorded step that equals ``system.time_step``."""
 FEW_NUMBERS = 8
-"""Values of an angle up to which whole numbers are no sign of counts."""
+"""Values of a coordinate up to which whole numbers are no sign of counts."""
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
 UNIT = 1e-3
@@ -281,14 +281,21 @@ def refuse_counts(
     for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
         if not angular:
             continue
-        values = np.unique(np.concatenate([one.samples.q[:, i] for one in recordings]))
-        if len(values) > FEW_NUMBERS and (values % 1 == 0).all():
+        columns = [one.samples.q[:, i] for one in recordings]
+        if are_counts(columns):
+            low, high = min(x.min() for x in columns), max(x.max() for x in columns)
             raise ConfigError(
-                f"{where}: q_{name} has whole numbers only, from {values[0]:g} to {values[-1]:g}, "
+                f"{where}: q_{name} has whole numbers only, from {low:g} to {high:g}, "
                 "and is an angle: convert counts of an encoder to radians in the file (counts "
                 "times 2 pi over the counts of a turn), without jumps where counts start anew; "
                 "for degrees, give data.degrees=true"
             )
+
+
+def are_counts(columns: Sequence[np.ndarray]) -> bool:
+    """Return whether a coordinate has more than ``FEW_NUMBERS`` values, all of them whole."""
+    values = np.unique(np.concatenate(columns))
+    return len(values) > FEW_NUMBERS and bool((values % 1 == 0).all())
 
 
 def _trajectory(

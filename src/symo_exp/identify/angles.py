@@ -12,6 +12,7 @@ import numpy as np
 from symo_exp.data.diagnose import SUSPECT
 from symo_exp.data.formats import few
 from symo_exp.data.naming import ANGLE, SLIDE, length_unit, units_of_angles
+from symo_exp.data.recorded import are_counts
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 from symo_exp.identify.motions import explained_by_angles
@@ -72,12 +73,15 @@ def ask_which_turn(
     )
 
 
-def told_units(chosen: Sequence[str], written: Mapping[str, str]) -> list[str]:
-    """Return a line on which coordinates are angles, and one on lengths in other units than m.
+def told_units(
+    chosen: Sequence[str], written: Mapping[str, str], columns: Mapping[str, Sequence[np.ndarray]]
+) -> list[str]:
+    """Return a line on which coordinates are angles, and lines on lengths in other units than m.
 
     Args:
         chosen: The angles.
         written: All coordinates, and the name of each that states its unit.
+        columns: By coordinate: its values in each recording.
     """
     kinds = dict.fromkeys(chosen, "angles [rad]")
     positions = [name for name in written if name not in chosen]
@@ -91,6 +95,11 @@ def told_units(chosen: Sequence[str], written: Mapping[str, str]) -> list[str]:
         lines.append(
             f"lengths of {few(odd)} are used as they are: where results say m, they are in {unit}, "
             f"and kg is N s^2/{unit}; convert them in the file for results in SI units"
+        )
+    if counted := [name for name in positions if name not in odd and are_counts(columns[name])]:
+        lines.append(
+            f"lengths of {few(counted)} are whole numbers: where results say m, they are in that "
+            "unit, such as counts of an encoder; convert them in the file for results in SI units"
         )
     return lines
 

@@ -295,10 +295,10 @@ class _Examination:
     def _tell_angles(self) -> None:
         """Infer which coordinates are angles."""
         which: Sequence[bool | None]
+        columns = {
+            name: [one.samples.q[:, i] for one in self.used] for i, name in enumerate(self.flat)
+        }
         if self.angular is None:
-            columns = {
-                name: [one.samples.q[:, i] for one in self.used] for i, name in enumerate(self.flat)
-            }
             kinds = {name: is_angle(name, self.written[name], x) for name, x in columns.items()}
             ask_which_turn(kinds, columns)
             which = list(kinds.values())
@@ -311,7 +311,7 @@ class _Examination:
         if self.angular is None:
             chosen = override_value(self.angles) if self.angles else "none"
             self.settings.append(f"system.angular={chosen}")
-            self.notes += told_units(self.angles, self.written) if self.flat else []
+            self.notes += told_units(self.angles, self.written, columns) if columns else []
 
     def _read_units(self) -> None:
         """Infer whether angles are in degrees and wrapped; make them continuous, in radians.

@@ -109,7 +109,9 @@ class Rounds:
         first = range(self._plan.first)
         if (best := self.best()) is None or best.mean(first) <= POOR * self._baseline(first):
             return
-        self._promote(self._affordable(candidates, best), best)
+        if further := self._affordable(candidates, best):
+            print("further candidates, since none so far suits the machine", flush=True)
+        self._promote(further, best)
 
     def refine(self) -> Trial | None:
         """Do all stages after the first rounds; return what is chosen, nothing if all failed."""
