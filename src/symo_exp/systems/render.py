@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from PIL import Image, ImageDraw
 
@@ -70,48 +68,30 @@ def draw_skeleton(skeleton: Skeleton) -> np.ndarray:
     return np.array(image.resize((SIZE, SIZE), Image.Resampling.BOX))
 
 
-class Renderer:
-    """Pictures in a window of pygame (``human``) or as arrays (``rgb_array``).
+class Window:
+    """A window of pygame, with its frames per second and its title."""
 
-    Arrays need neither pygame nor a display.
-
-    Args:
-        mode: ``human`` or ``rgb_array``.
-        frames_per_second: Of the window.
-        title: Of the window.
-    """
-
-    def __init__(self, mode: str, frames_per_second: float, title: str) -> None:
-        self._fps = frames_per_second
-        self._pygame: Any = None
-        self._window: Any = None
-        if mode != "human":
-            return
+    def __init__(self, frames_per_second: float, title: str) -> None:
         try:
             import pygame
         except ImportError as error:
             raise ConfigError(
                 f"a window needs pygame, which is not installed: {install_command('render')}"
             ) from error
-        self._pygame = pygame
+        self._fps, self._pygame = frames_per_second, pygame
         pygame.display.init()
         pygame.display.set_caption(title)
         self._window = pygame.display.set_mode((SIZE, SIZE))
         self._clock = pygame.time.Clock()
 
-    def show(self, picture: np.ndarray) -> np.ndarray | None:
-        """Return the picture (SIZE, SIZE, 3), uint8, ``None`` after showing it in the window."""
-        if self._window is None:
-            return picture
+    def show(self, picture: np.ndarray) -> None:
+        """Show a picture (SIZE, SIZE, 3), uint8."""
         image = self._pygame.image.frombuffer(picture.tobytes(), (SIZE, SIZE), "RGB")
         self._window.blit(image, (0, 0))
         self._pygame.event.pump()
         self._pygame.display.flip()
         self._clock.tick(self._fps)
-        return None
 
     def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._pygame.display.quit()
-            self._window = None
+        """Close the window."""
+        self._pygame.display.quit()

@@ -40,7 +40,7 @@ from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import System
-from symo_exp.systems.render import SIZE, Renderer, draw_skeleton
+from symo_exp.systems.render import SIZE, Window, draw_skeleton
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
@@ -84,7 +84,7 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         self.action_space, self.observation_space = self._copies.actions, self._copies.observations
         self._last, self._age = _limit(max_episode_steps), 0
         self._state: np.ndarray | None = None
-        self._renderer: Renderer | None = None
+        self._window: Window | None = None
 
     @override
     def reset(
@@ -107,9 +107,9 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
 
     @override
     def close(self) -> None:
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     def _arrive(self, state: np.ndarray) -> np.ndarray:
         self._state = state
@@ -129,7 +129,6 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._state
 
     def _draw(self) -> np.ndarray | None:
-        assert self.render_mode is not None
         name, q = type(self.system).__name__, self.state()[0][0]
         picture = self.system.picture(q, SIZE)
         if picture is None:
@@ -137,9 +136,12 @@ class Environment(gymnasium.Env[np.ndarray, np.ndarray]):
             if figure is None:
                 raise ConfigError(f"{name} cannot be drawn: its class has no skeleton(q)")
             picture = draw_skeleton(figure)
-        if self._renderer is None:
-            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"], name)
-        return self._renderer.show(picture)
+        if self.render_mode == "rgb_array":
+            return picture
+        if self._window is None:
+            self._window = Window(self.metadata["render_fps"], name)
+        self._window.show(picture)
+        return None
 
 
 @final
