@@ -107,15 +107,17 @@ def _taken_apart(model: Any) -> dict[str, Any]:
     data.qpos[:] = model.qpos0
     mj.mj_kinematics(model, data)
     mj.mj_comPos(model, data)
-    last = _last_joints(model)
+    weld = model.body_weldid  # of bodies that move as one, the first, which has the joints
+    count = model.body_jntnum[weld]
+    last = np.where(count > 0, model.body_jntadr[weld] + count - 1, -1).tolist()
     joints: list[dict[str, Any]] = []
     free: list[list[int]] = []
     ends = [-1] * (model.njnt + 1)  # the place of each joint among ours; −1 of none
     for i in range(model.njnt):
-        found = _joints(model, data, i)
+        body, found = model.jnt_bodyid[i], _joints(model, data, i)
+        before = i - 1 if i > model.body_jntadr[body] else last[model.body_parentid[body]]
         for k, joint in enumerate(found):
-            parent = len(joints) - 1 if k else ends[_parent(model, i, last)]
-            joints.append({**joint, "parent": parent})
+            joints.append({**joint, "parent": len(joints) - 1 if k else ends[before]})
         ends[i] = len(joints) - 1
         joints[-1] |= _carried(model, data, [b for b in range(1, model.nbody) if last[b] == i])
         if len(found) > 1:
@@ -243,21 +245,6 @@ def _carried(model: Any, data: Any, bodies: list[int]) -> dict[str, Any]:
         inertia += axes * model.body_inertia[body] @ axes.T
         inertia += m * (c @ c * np.eye(3) - np.outer(c, c))
     return {"mass": mass, "centre": centre.tolist(), "inertia": inertia.tolist()}
-
-
-def _last_joints(model: Any) -> list[int]:
-    """Last joint that moves each body, −1 for none."""
-    last = [-1] * model.nbody
-    for body in range(1, model.nbody):
-        first, count = model.body_jntadr[body], model.body_jntnum[body]
-        last[body] = int(first + count - 1) if count else last[model.body_parentid[body]]
-    return last
-
-
-def _parent(model: Any, joint: int, last: list[int]) -> int:
-    body = model.jnt_bodyid[joint]
-    within = joint > model.body_jntadr[body]
-    return joint - 1 if within else last[model.body_parentid[body]]
 
 
 def _agrees(model: Any, found: dict[str, Any], where: str) -> None:
