@@ -21,7 +21,7 @@ from symo_exp.data.diagnose import (
 )
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.chain import ChainPendulum
-from symo_exp.systems.simulation import Solver, simulate_driven
+from symo_exp.systems.simulation import Solver, simulate
 
 H = 0.02
 
@@ -37,7 +37,7 @@ def motions(n: int, torque: float, count: int = 5, nodes: int = 120, size: float
         return torque * torch.sin(2 * t * (1 + 0.3 * wave) + wave)
 
     solver = Solver("DOP853", 1e-6, 1e-6)
-    q, _, u = simulate_driven(system, 0.5 * size * q0, 0.3 * size * v0, drive, nodes, solver)
+    q, _, u = simulate(system, 0.5 * size * q0, 0.3 * size * v0, drive, nodes, solver)
     return system, [(a.numpy(), b.numpy()) for a, b in zip(q, u, strict=True)]
 
 

@@ -18,7 +18,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.identify.recordings import examine
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.chain import ChainPendulum
-from symo_exp.systems.simulation import Solver, simulate_driven
+from symo_exp.systems.simulation import Solver, simulate
 
 H = 0.02
 BEGIN, END = 2.0, 2.2
@@ -42,7 +42,7 @@ def motions(n: int, blow: float, count: int = 6, steps: int = 300) -> list[pd.Da
         return recorded(t) + struck
 
     solver = Solver("DOP853", 1e-6, 1e-6)
-    q, _, _ = simulate_driven(system, 0.5 * q0, 0.3 * v0, drive, steps, solver)
+    q, _, _ = simulate(system, 0.5 * q0, 0.3 * v0, drive, steps, solver)
     t = H * np.arange(q.shape[1])
     u = np.stack([recorded(at).numpy() for at in t], axis=1)
     rng = np.random.default_rng(0)

@@ -20,7 +20,7 @@ from symo_exp.mechanics.lagrangian import Lagrangian, jacobian
 from symo_exp.mechanics.types import Trajectories
 from symo_exp.models.base import DynamicsModel
 from symo_exp.systems.base import LagrangianSystem, System
-from symo_exp.systems.simulation import Solver, simulate_driven
+from symo_exp.systems.simulation import Solver, simulate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ class Motion:
             return self._input(time, system).expand(len(q0), -1)
 
         def make() -> dict[str, np.ndarray]:
-            true = simulate_driven(system, q0, v0, drive, self.steps + 1, solver)
+            true = simulate(system, q0, v0, drive, self.steps + 1, solver)
             return {name: x.numpy() for name, x in true._asdict().items()}
 
         recipe = {

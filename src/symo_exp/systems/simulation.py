@@ -104,55 +104,31 @@ def simulate(
     system: LagrangianSystem,
     q0: Float[Tensor, "batch N"],
     v0: Float[Tensor, "batch n"],
-    u: Float[Tensor, "batch *nodes m"],
+    u: Float[Tensor, "batch *nodes m"] | Callable[[float], Float[Tensor, "batch m"]],
     steps: int,
     solver: Solver,
 ) -> Trajectories:
     """Integrate ``v̇ = H⁻¹ (B u + F_d − Ḣ v + ∂ℒ/∂q)`` over so many steps of ``system.time_step``.
 
-    ``u`` is (batch, m), constant along a trajectory, or (batch, steps + 1, m), one value a node;
-    the input is held from a node to the next. Angles are not wrapped. The entries of rotations are
+    ``u`` is (batch, m), constant along a trajectory, or (batch, steps + 1, m), one value a node,
+    held from a node to the next; or a function of time [s], 0 at the first node, whose values at
+    the nodes the trajectories hold. Angles are not wrapped. The entries of rotations are
     integrated, ``Ṙ = R [ω]``, and the rotation next to them is taken at every node. float64.
     """
-    u = u.double()
-    controls = u if u.dim() == 3 else u.unsqueeze(1).expand(-1, steps + 1, -1)
-    return _integrate(system, q0, v0, controls, lambda k, _: controls[:, k], solver)
-
-
-def simulate_driven(
-    system: LagrangianSystem,
-    q0: Float[Tensor, "batch N"],
-    v0: Float[Tensor, "batch n"],
-    drive: Callable[[float], Float[Tensor, "batch m"]],
-    steps: int,
-    solver: Solver,
-) -> Trajectories:
-    """Integrate under an input that is a function of time [s], 0 at the first node.
-
-    The trajectories hold its values at the nodes.
-    """
-    h = system.time_step
-    controls = torch.stack([drive(k * h).double() for k in range(steps + 1)], dim=1)
-    return _integrate(system, q0, v0, controls, lambda k, t: drive(k * h + t).double(), solver)
-
-
-def _integrate(
-    system: LagrangianSystem,
-    q0: Tensor,
-    v0: Tensor,
-    controls: Tensor,
-    control: Callable[[int, float], Tensor],
-    solver: Solver,
-) -> Trajectories:
-    """From node to node; ``control`` takes a node and the time [s] since it."""
     space, widths = system.space, [system.coordinates.width, system.coordinates.n]
+    h, drive = system.time_step, u if callable(u) else None
+    if callable(u):
+        controls = torch.stack([u(k * h).double() for k in range(steps + 1)], dim=1)
+    elif u.dim() == 3:
+        controls = u.double()
+    else:
+        controls = u.double().unsqueeze(1).expand(-1, steps + 1, -1)
 
     @torch.no_grad()
     def slope(k: int, t: float, x: np.ndarray) -> np.ndarray:
         q, v = torch.from_numpy(x).split(widths, dim=1)
-        return torch.cat(
-            [space.push(q, v), system.acceleration(q, v, control(k, t))], dim=1
-        ).numpy()
+        force = controls[:, k] if drive is None else drive(k * h + t).double()
+        return torch.cat([space.push(q, v), system.acceleration(q, v, force)], dim=1).numpy()
 
     def settle(x: np.ndarray) -> np.ndarray:
         q, v = torch.from_numpy(x).split(widths, dim=1)
@@ -160,6 +136,6 @@ def _integrate(
 
     start = torch.cat([q0, v0], dim=1).double().numpy()
     put_back = settle if space.rotations else None
-    states = solver.integrate(slope, start, controls.shape[1], system.time_step, put_back)
+    states = solver.integrate(slope, start, controls.shape[1], h, put_back)
     q, v = torch.from_numpy(states).transpose(0, 1).split(widths, dim=2)
     return Trajectories(q.contiguous(), v.contiguous(), controls.contiguous())
