@@ -8,8 +8,8 @@ import logging
 import os
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,11 @@ class Cache:
             return found
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
-            with _locked(path.with_suffix(".lock")):
+            with ExitStack() as stack:
+                # without locks, as on some network file systems, two processes may make the same
+                # data; the last file replaces the other, with the same bytes
+                with suppress(NotImplementedError):
+                    stack.enter_context(FileLock(path.with_suffix(".lock")))
                 found = _read(path, recipe, report=True)
                 if found is not None:
                     return found
@@ -121,16 +125,3 @@ def _save(file: Path, recipe: Mapping[str, Any], arrays: Arrays) -> None:
     contents: dict[str, Any] = {"recipe": np.array(_canonical(recipe)), **arrays}
     with open(file, "wb") as handle:
         np.savez(handle, **contents)
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Exclude other processes that use this lock file.
-
-    Where locks are not supported (some network file systems), two processes may make the same
-    data; the last file replaces the other, with the same bytes.
-    """
-    with ExitStack() as stack:
-        with suppress(NotImplementedError):
-            stack.enter_context(FileLock(path))
-        yield
