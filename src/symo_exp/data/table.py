@@ -242,13 +242,8 @@ def _groups(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     """Return the rows of each trajectory, by its name."""
     if "trajectory" not in table:
         return [("", table)]
-    try:
-        groups = table.groupby("trajectory", sort=False, observed=True)
-        return [(str(name), rows) for name, rows in groups]
-    except TypeError:
-        return [
-            (str(n), rows) for n, rows in table.groupby(table["trajectory"].astype(str), sort=False)
-        ]
+    names = table["trajectory"].map(str, na_action="ignore").astype(object)
+    return list(table.groupby(names, sort=False))
 
 
 def _check_places(
