@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from symo_exp.report.document import Report
     from symo_exp.tracking.store import Store
 
-VIEW = "symo_exp.report.__main__:general_report"
 THESIS = "symo_exp.thesis.view:thesis_report"
 """By name, so that nothing imports the thesis."""
 OUTPUTS, STORE = Path("outputs"), "mlruns"
@@ -61,7 +60,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
     "--no-page": {"action": "store_true", "help": "do not write index.html"},
     "--thesis": {
-        "action": "store_const", "const": THESIS, "default": VIEW, "dest": "view",
+        "action": "store_true",
         "help": "add chapter 6 of the thesis: its published numbers, tables and claims",
     },
 }  # fmt: skip
@@ -121,7 +120,9 @@ def _write(options: argparse.Namespace) -> list[Path]:
     from symo_exp.report.files import write_report
 
     runs, source, store = _read(options)
-    view: Callable[..., Report] = pkgutil.resolve_name(options.view)
+    view: Callable[..., Report] = general_report
+    if options.thesis:
+        view = pkgutil.resolve_name(THESIS)
     report = view(runs, source, store, options.settings)
     try:
         return write_report(report, options.out, formats=options.formats, page=not options.no_page)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from symo_exp.report.document import Report
@@ -32,7 +32,14 @@ def write_report(report: Report, out: Path, *, formats: Sequence[str], page: boo
     for name, table in report.extra.items():
         table.to_csv(out / name, index=False)
         files.append(out / name)
-    for name, text in _texts(report, pictures="png" in formats, page=page):
+    texts = {"report.md": markdown_report(report, pictures="png" in formats)}
+    for one in report.tables:
+        texts |= {f"tables/{one.key}.md": markdown_table(one), f"tables/{one.key}.tex": latex(one)}
+    if page:
+        from symo_exp.report.page import html
+
+        texts["index.html"] = html(report)
+    for name, text in texts.items():
         (out / name).parent.mkdir(exist_ok=True)
         (out / name).write_text(text, encoding="utf-8")
         files.append(out / name)
@@ -65,14 +72,3 @@ def markdown_report(report: Report, *, pictures: bool) -> str:
         lines += [f"## {section.title}"] * bool(body and section.key != "answer") + body
     lines.append(report.summary)
     return "\n\n".join(lines) + "\n"
-
-
-def _texts(report: Report, *, pictures: bool, page: bool) -> Iterator[tuple[str, str]]:
-    for table in report.tables:
-        yield f"tables/{table.key}.md", markdown_table(table)
-        yield f"tables/{table.key}.tex", latex(table)
-    yield "report.md", markdown_report(report, pictures=pictures)
-    if page:
-        from symo_exp.report.page import html
-
-        yield "index.html", html(report)

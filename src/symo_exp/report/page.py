@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jinja2
+import vl_convert
 
 from symo_exp.report.charts import config, declare
 from symo_exp.report.figures import Figure
@@ -33,7 +34,7 @@ def html(report: Report) -> str:
         loader=jinja2.FileSystemLoader(WEB), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters["bold"] = _bold
+    environment.filters["bold"] = lambda text: re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", str(text))
     figures = report.figures
     systems = {system for figure in figures for system in figure.systems}
     systems |= {table.system for table in report.tables}
@@ -77,12 +78,6 @@ def _held(figures: Sequence[Figure]) -> str:
 @functools.cache
 def _bundle() -> str:
     """Vega, Vega-Lite and vega-embed."""
-    import vl_convert
-
     return vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;").replace(
         "</script", "<\\/script"
     )
-
-
-def _bold(escaped: str) -> str:
-    return re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", str(escaped))
