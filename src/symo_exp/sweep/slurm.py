@@ -8,8 +8,7 @@ import subprocess
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -41,10 +40,6 @@ class Queue:
             raise ConfigError(f"hydra/launcher={choice}: {missing}")
         OmegaConf.update(master, "hydra.launcher.name", f"symo_exp-{uuid.uuid4().hex[:8]}")
         return cls(launcher.name)
-
-    def as_here(self, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the settings without the graphics processor that only the nodes have."""
-        return {**settings, "trainer": {**settings["trainer"], "accelerator": "cpu"}}
 
     def run(self, launch: Callable[[], object]) -> None:
         """Launch jobs and return when none of them runs or waits.

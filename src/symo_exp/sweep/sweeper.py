@@ -96,7 +96,10 @@ class Sweep:
         if check_only:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
-        _publish_missing(finished)
+        for job in finished:  # the store may lack some, as far as is known without MLflow
+            tracker = instantiate(job.values["logger"])
+            if not tracker.is_published(job.folder):
+                publish(tracker, job.folder)
         _warn_of_code([job for job in jobs if job.values["resume"]])
         if finished and len(jobs) > 1:
             print(f"{len(finished)} of {len(jobs)} runs are finished already", flush=True)
@@ -191,8 +194,10 @@ class Sweep:
             try:
                 check_folder(job.folder.path)
                 values = job.values
-                here = self._cluster.as_here(values) if self._cluster else values
-                parts = build(here, job.folder)
+                if self._cluster:  # only its nodes may have a graphics processor
+                    here = {**values["trainer"], "accelerator": "cpu"}
+                    values = values | {"trainer": here}
+                parts = build(values, job.folder)
                 if values["logger"] not in stores:
                     parts.tracker.check()
                     stores.append(values["logger"])
@@ -329,14 +334,6 @@ class Sweep:
         if signum is not None:
             return 128 + signum
         return 0 if all(job.folder.outcome().status == "finished" for job in jobs) else 1
-
-
-def _publish_missing(finished: Sequence[Job]) -> None:
-    """Publish finished runs that the store lacks, as far as is known without MLflow."""
-    for job in finished:
-        tracker = instantiate(job.values["logger"])
-        if not tracker.is_published(job.folder):
-            publish(tracker, job.folder)
 
 
 def _warn_of_code(jobs: Sequence[Job]) -> None:
