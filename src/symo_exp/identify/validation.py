@@ -16,8 +16,7 @@ from symo_exp.evaluation.recordings import held_out_error
 from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.identify.candidates import Candidate
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
-from symo_exp.runs.load import from_folder
-from symo_exp.runs.recordings import divided_recordings
+from symo_exp.runs.load import divided_recordings, from_folder
 from symo_exp.runs.series import read
 
 NOISY = 4.0

@@ -38,8 +38,7 @@ from symo_exp.runs.folder import (
     About,
     RunFolder,
 )
-from symo_exp.runs.load import from_folder, raised_by_constructor
-from symo_exp.runs.recordings import divided_recordings
+from symo_exp.runs.load import divided_recordings, from_folder, raised_by_constructor
 from symo_exp.runs.series import Series
 from symo_exp.systems.base import System
 from symo_exp.tracking.store import is_away

@@ -1,10 +1,10 @@
-"""The trained model that a run folder holds."""
+"""The trained model and the recordings of a run folder."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import hydra.utils
 import torch
@@ -16,7 +16,10 @@ from symo_exp.errors import ConfigError, first_line, shortened
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.uncertainty import ModelPosterior
 from symo_exp.runs import before
-from symo_exp.runs.folder import BEST, CHECKPOINT, CONFIG, POSTERIOR
+from symo_exp.runs.folder import BEST, CHECKPOINT, CONFIG, POSTERIOR, RunFolder
+
+if TYPE_CHECKING:
+    from symo_exp.data.base import Splits
 
 
 def from_folder(
@@ -40,6 +43,15 @@ def from_folder(
     model.posterior = _read_posterior(folder / POSTERIOR)
     model.input_matrix.copy_(system.input_matrix)  # it is not trained: not rounded either
     return model.eval()
+
+
+def divided_recordings(run: RunFolder) -> Splits:
+    """Return the recordings of a run, divided as its configuration says."""
+    config = run.config()
+    system = hydra.utils.instantiate(config["system"])
+    # given afterwards: Hydra would take a system, a dataclass, for configuration
+    splits: Splits = hydra.utils.instantiate(config["data"], _partial_=True)(system=system).load()
+    return splits
 
 
 def require_run(folder: Path) -> None:
