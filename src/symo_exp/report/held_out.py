@@ -41,35 +41,20 @@ KEYS = ["method", "integrator", "settings", "time_step"]
 PATH = re.compile(r"(?:^|, )data\.path=(?:\[[^\]]*\]|[^,]*)")
 
 
-def recording_sections(runs: pd.DataFrame) -> list[Section]:
-    """Return a section for each file of recordings, with a table and a figure."""
-    return [_section(name, rows) for name, rows in _files(runs).items()]
+def answer(name: str, rows: pd.DataFrame) -> str:
+    """Return the best model of a file, its error, baseline, noise and verdict in a sentence."""
+    medians = _medians(rows)
+    best = medians.iloc[0]
+    measures = _measures(best)
+    if "rmse_1s" not in medians:
+        return f"**{name}**: {verdict(measures) or 'not yet measured on the test part'}."
+    told = [text for text in (comparison(measures, _unit(rows)), verdict(measures)) if text]
+    which = f"**{pair_name(best.method, best.integrator)}**"
+    which += " predicts best" * (len(medians) > 1)
+    return f"**{name}**: {which}: {'; '.join(told)}."
 
 
-def recording_answers(runs: pd.DataFrame) -> list[str]:
-    """Return a sentence for each file: the best model, its error, baseline, noise and verdict."""
-    said = []
-    for name, rows in _files(runs).items():
-        medians = _medians(rows)
-        if "rmse_1s" not in medians:
-            known = verdict(_measures(medians.iloc[0])) or "not yet measured on the test part"
-            said.append(f"**{name}**: {known}.")
-            continue
-        best = medians.iloc[0]
-        who = pair_name(best.method, best.integrator)
-        measures = _measures(best)
-        told = [text for text in (comparison(measures, _unit(rows)), verdict(measures)) if text]
-        which = f"**{who}** predicts best" if len(medians) > 1 else f"**{who}**"
-        said.append(f"**{name}**: {which}: {'; '.join(told)}.")
-    return said
-
-
-def recording_names(runs: pd.DataFrame) -> list[str]:
-    """Return the names of the files of recordings, shortest first unless they are the same."""
-    return list(_files(runs))
-
-
-def _files(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+def recordings(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Return the measured runs of each file by its name, or by its path if names are equal."""
     there = runs[(runs.recording != "") & (runs.metric != "")]
     there = there.assign(settings=[PATH.sub("", v).removeprefix(", ") for v in there.variant])
@@ -100,7 +85,8 @@ def _measures(row: pd.Series) -> Mapping[str, float]:
     return {str(name): value for name, value in numbers.items()}
 
 
-def _section(name: str, rows: pd.DataFrame) -> Section:
+def section(name: str, rows: pd.DataFrame) -> Section:
+    """Return the errors of the models of a file, and figures and tables of the best one."""
     medians, key = _medians(rows), f"recording_{letters(name)}"
     tested = (rows.metric == TESTED).any()
     tables = [_errors_table(medians, key, _unit(rows))] if tested else []

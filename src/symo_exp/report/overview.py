@@ -6,12 +6,11 @@ from collections.abc import Iterable, Sequence
 
 import pandas as pd
 
-from symo_exp.report import curves, motions
+from symo_exp.report import curves, held_out, motions
 from symo_exp.report.answer import answers, other_settings
 from symo_exp.report.cells import DEFAULTS, MEDIANS, Compared, at_step, cells, usual_steps
 from symo_exp.report.document import Section
 from symo_exp.report.growth import growth
-from symo_exp.report.held_out import recording_answers, recording_names, recording_sections
 from symo_exp.report.looks import (
     all_angles,
     duration,
@@ -58,10 +57,11 @@ def sections(
     of_one_size = clean[clean.n_traj == clean.system.map(curves.usual_sizes(clean))]
     floors, grown = runs[runs.source == "floor"], growth(runs)
     intro = scope(runs, compared) if said else []
-    text = [*intro, *said, *recording_answers(recorded), *warning(every)]
+    files = held_out.recordings(recorded).items()
+    text = [*intro, *said, *(held_out.answer(*one) for one in files), *warning(every)]
     parts = [
         Section("answer", "Answer", text, heat_maps),
-        *recording_sections(recorded),
+        *(held_out.section(*one) for one in files),
         Section("sizes", "Errors over the size of the training set",
                 figures=curves.data_size(drawn)),
         Section("noise", "Errors over noise", figures=curves.noise_figures(drawn)),
@@ -86,7 +86,7 @@ def title(runs: pd.DataFrame) -> str:
         return "No runs"
     methods = sorted(set(learned.method))
     simulated = learned[learned.recording == ""]
-    systems = [*sorted(set(simulated.system)), *recording_names(learned)]
+    systems = [*sorted(set(simulated.system)), *held_out.recordings(learned)]
     of = look(methods[0]).label if len(methods) == 1 else f"{len(methods)} methods"
     where = " and ".join(filter(None, (", ".join(systems[:-1]), *systems[-1:])))
     name = ", ".join(sorted(set(runs.experiment)))

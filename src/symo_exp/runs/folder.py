@@ -27,7 +27,7 @@ import math
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -73,33 +73,26 @@ class RunFolder:
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Hold the lock; wait for it while another process works on the same run."""
-        lock = self._lock()
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            log.info("%s: another process works on this run; waiting for it", self)
-            lock.acquire(poll_interval=0.5)
-        except NotImplementedError:  # a file system without locks
+        with ExitStack() as stack:
+            with suppress(NotImplementedError):  # a file system without locks
+                try:
+                    stack.enter_context(self._lock().acquire(timeout=0))
+                except Timeout:
+                    log.info("%s: another process works on this run; waiting for it", self)
+                    stack.enter_context(self._lock().acquire(poll_interval=0.5))
             yield
-            return
-        try:
-            yield
-        finally:
-            lock.release()
 
     def in_use(self) -> bool:
         """Return whether a process holds the lock; false where there are no locks."""
         if not (self / ".lock").exists():
             return False
-        lock = self._lock()
         try:
-            lock.acquire(timeout=0)
+            with self._lock().acquire(timeout=0):
+                return False
         except Timeout:
             return True
         except (OSError, NotImplementedError):  # a place without locks, or only to be read
             return False
-        lock.release()
-        return False
 
     def died(self) -> bool:
         """Return whether the process of the run was killed."""
