@@ -1,8 +1,10 @@
 """Pictures of recorded motions, for 1, 2 and 3 degrees of freedom."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -48,7 +50,7 @@ def recorded(n: int, lost: bool = False, **more: object):
 
 
 def rows_of(found):
-    return pd.DataFrame({name: column.numpy() for name, column in found.columns().items()})
+    return pd.DataFrame(found.columns())
 
 
 DAMPED = SimpleNamespace(force=lambda q, v: -0.3 * v)
@@ -100,8 +102,19 @@ def test_lost_predictions_are_drawn_until_they_are_lost(tmp_path):
 
 def test_the_table_has_no_rows_after_the_end_of_a_trajectory():
     _, measures, found = recorded(2)
-    columns = found.columns()
-    assert columns["q_true_theta_1"].isfinite().all()
-    short = columns["trajectory"] == 1
-    assert short.sum() == 60 - 9
-    assert columns["window"].max() + 1 == measures["windows"]
+    rows = rows_of(found)
+    assert np.isfinite(rows.q_true_theta_1).all()
+    assert (rows.trajectory == 1).sum() == 60 - 9
+    assert rows.window.max() + 1 == measures["windows"]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [(["swing", "push/2 to 5 s"], "trajectory swing, from 1.62 s"), (["", ""], "from 0.18 s")],
+)
+def test_windows_are_titled_by_the_names_of_the_recordings(names, said):
+    model, _, found = recorded(1)
+    table = rows_of(replace(found, names=names))
+    assert set(table.trajectory) == set(names)
+    (figure,) = recordings.recording_figures(model, table, "symo", "run")
+    assert said in [panel.title for panel in figure.panels]

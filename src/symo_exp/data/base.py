@@ -80,6 +80,8 @@ class DataModule(lightning.LightningDataModule, ABC):
 
     recorded: ClassVar[bool] = False
     """True if the motions were measured."""
+    test_names: Sequence[str] = ()
+    """Names of the recordings that are for test."""
     cut: Callable[[Sequence[Trajectory]], TrainingSamples]
     """Makes the samples of the loaders."""
 

@@ -204,6 +204,7 @@ class RecordedData(DataModule):
             name: [_trajectory(where, one, space, h, wrapped=wrapped) for one in part]
             for name, part in parts.items()
         }
+        self.test_names = [one.label for one in parts["test"]]
         rollouts = found["test"][:n_integration]
         shortest = min(len(t.q) for t in rollouts)
         self._splits = Splits(**found, integration=stacked(rollouts, shortest))

@@ -75,7 +75,8 @@ def evaluate(
         found |= measure(case)
     if not data.recorded:
         return Evaluation(found, rollouts)
-    errors, recorded = on_recordings(model, data.trajectories("test"), reference)
+    test = data.trajectories("test")
+    errors, recorded = on_recordings(model, test, reference, data.test_names)
     return Evaluation(found | errors, rollouts, recorded)
 
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -47,12 +48,14 @@ class RecordedPredictions:
     interval: Interval | None = None
     dissipation: Float[Tensor, "windows nodes n"] | None = None
     """The generalised force of the learned dissipation along the predictions of the model."""
+    names: Sequence[str] = ()
+    """Names of the trajectories; without any they are numbered."""
 
-    def columns(self) -> dict[str, Tensor]:
+    def columns(self) -> dict[str, np.ndarray]:
         """Return a table with a row for each node of each window.
 
-        Its columns are ``window``, ``trajectory``, ``start`` [s] (of the window, in its
-        trajectory), ``t`` [s] (from there), ``q_<name>``, ``v_<name>`` (predicted),
+        Its columns are ``window``, ``trajectory``, its name, ``start`` [s] (of the window, in
+        its trajectory), ``t`` [s] (from there), ``q_<name>``, ``v_<name>`` (predicted),
         ``q_true_<name>``, ``v_true_<name>`` (measured) and ``error`` [rad, m], the root mean
         square over coordinates; of a reference, ``q_reference_<name>`` and ``error_reference``; of
         a model with a posterior ``q_lower_<name>`` and ``q_upper_<name>``, its 90 % interval; of
@@ -79,7 +82,10 @@ class RecordedPredictions:
         table["error"] = found.distances()
         if self.reference is not None:
             table["error_reference"] = self.reference.distances()
-        return {name: values[there] for name, values in table.items()}
+        columns = {name: values[there].numpy() for name, values in table.items()}
+        if self.names:
+            columns["trajectory"] = np.array(self.names)[columns["trajectory"]]
+        return columns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +150,10 @@ def held_out_error(
 
 
 def on_recordings(
-    model: DynamicsModel, trajectories: Sequence[Trajectory], reference: Reference | None = None
+    model: DynamicsModel,
+    trajectories: Sequence[Trajectory],
+    reference: Reference | None = None,
+    names: Sequence[str] = (),
 ) -> tuple[dict[str, float], RecordedPredictions | None]:
     """Return the measures of recordings (docs/metrics.md) and the predictions of the windows.
 
@@ -155,6 +164,7 @@ def on_recordings(
         model: The model, in float64.
         trajectories: The recordings to predict.
         reference: A model to compare with.
+        names: Those of the recordings.
     """
     h, place, units = model.time_step, model.input_matrix, model.coordinates.sizes
     who: dict[str, RollsOut] = {
@@ -172,7 +182,7 @@ def on_recordings(
         found = {prefix: predict(one, windows, place, units) for prefix, one in who.items()}
         measures |= _errors(found, suffix)
         if run_in:
-            recorded = _recorded(model, found[""], found.get("reference_"))
+            recorded = _recorded(model, found[""], found.get("reference_"), names)
             if recorded.interval is not None:
                 measures |= coverage(recorded.model, recorded.interval)
             usable = tolerance(windows, model.coordinates.turning)
@@ -203,14 +213,17 @@ def _errors(found: Mapping[str, Predictions], suffix: str) -> dict[str, float]:
 
 
 def _recorded(
-    model: DynamicsModel, found: Predictions, reference: Predictions | None
+    model: DynamicsModel,
+    found: Predictions,
+    reference: Predictions | None,
+    names: Sequence[str],
 ) -> RecordedPredictions:
     """Return predictions with the interval and the dissipation of the model, where it has them."""
     interval = None
     if model.posterior is not None and not model.coordinates.space.rotations:
         interval = interval_of(model, model.posterior, found)
     return RecordedPredictions(
-        model.coordinates, found, reference, interval, _dissipation(model, found)
+        model.coordinates, found, reference, interval, _dissipation(model, found), names
     )
 
 

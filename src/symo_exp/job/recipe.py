@@ -20,9 +20,7 @@ from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.forces import unlearned_forces
 from symo_exp.evaluation.intervals import Predicted
 from symo_exp.evaluation.parameters import physical_parameters
-from symo_exp.evaluation.recordings import RecordedPredictions
 from symo_exp.evaluation.references import check_fit
-from symo_exp.evaluation.rollouts import Rollouts
 from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.evaluation.uncertainty import posterior_of
 from symo_exp.models.base import DynamicsModel
@@ -99,9 +97,10 @@ def perform(
             phases.say(f"{about.name}: measuring")
             _keep_parameters(parts, folder)
             evaluation = evaluate(parts.model.cpu(), parts.system, parts.data, parts.reference)
-            _tell(folder, ROLLOUTS, evaluation.rollouts)
+            rollouts = evaluation.rollouts.columns()
+            folder.write_table(ROLLOUTS, {name: x.numpy() for name, x in rollouts.items()})
             if evaluation.recorded is not None:
-                _tell(folder, WINDOWS, evaluation.recorded)
+                folder.write_table(WINDOWS, evaluation.recorded.columns())
             if not drawn:
                 phases.say(f"{about.name}: drawing pictures")
                 _draw(parts, evaluation, about, folder / PICTURES)
@@ -293,10 +292,6 @@ def _predicted(parts: Parts, folder: RunFolder) -> list[Predicted]:
     held_out = parts.data.trajectories("val") if parts.data.recorded else []
     every = [*parts.data.trajectories("train"), *held_out] if held_out else []
     return [Predicted(None, every)]
-
-
-def _tell(folder: RunFolder, name: str, found: Rollouts | RecordedPredictions) -> None:
-    folder.write_table(name, {key: x.numpy() for key, x in found.columns().items()})
 
 
 def _draw(parts: Parts, evaluation: Evaluation, about: About, folder: Path) -> None:

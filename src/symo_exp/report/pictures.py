@@ -65,7 +65,7 @@ def draw_run(
     if measured:
         made = [recordings.measured_figure(figure) for figure in made]
     if found.recorded is not None:
-        table = pd.DataFrame({k: x.numpy() for k, x in found.recorded.columns().items()})
+        table = pd.DataFrame(found.recorded.columns())
         made += recordings.recording_figures(model, table, method, title)
     paths = [save_figure(figure, folder) for figure in made]
     if system.skeleton(rollouts.q_true[0, 0]) is not None:

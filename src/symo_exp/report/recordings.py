@@ -26,6 +26,8 @@ from symo_exp.report.looks import (
 from symo_exp.report.motions import over_time, points, ranked_as, ranking
 
 REFERENCE: Pair = ("reference", "")
+LONGEST_NAME = 22
+"""Characters of the name of a recording that fit above a panel."""
 
 
 def recording_figures(
@@ -60,7 +62,9 @@ def windows_figure(model: DynamicsModel, table: pd.DataFrame, method: str, title
             above.append(_beside(banded, one, f"q_reference_{name}"))
     unit = ", ".join(known.units_of_errors)
     for one in (window[1:] for window in chosen.values()):
-        said = f"trajectory {one.trajectory.iloc[0]} from {one.start.iloc[0]:.2f} s"
+        name = str(one.trajectory.iloc[0])  # none if it is alone
+        name = name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
+        said = f"trajectory {name}, " * bool(name) + f"from {one.start.iloc[0]:.2f} s"
         panel = over_time({(method, ""): one}, "error", None, f"RMS error [{unit}]", said, log=True)
         below.append(_beside(panel, one, "error_reference"))
     intervals = ", with 90 % intervals" * any(str(c).startswith("q_lower_") for c in table)
