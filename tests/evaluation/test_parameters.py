@@ -12,7 +12,7 @@ from symo_exp.mechanics.dissipation import DissipativeLagrangian
 from symo_exp.mechanics.galerkin import Galerkin
 from symo_exp.mechanics.roots import Newton
 from symo_exp.mechanics.types import Coordinates, Trajectory
-from symo_exp.mechanics.units import Units
+from symo_exp.mechanics.units import Units, product
 from symo_exp.models.learned import learned_lagrangian
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.true import TrueVariational
@@ -103,6 +103,23 @@ def test_a_driven_pendulum_is_determined_up_to_one_scale():
         a, b, c = (powers.get(x, 0.0) for x in ("gravity", "mass", "length"))
         assert a + c == pytest.approx(2.0 * b)
         assert row.value == pytest.approx(g**a * m**b * length**c)
+
+
+@pytest.mark.parametrize(
+    ("powers", "unit"),
+    [
+        ([("m/s^2", -1.0), ("m/s^2", 1.0)], "1"),
+        ([("m/s^2", 1.0), ("m", -1.0)], "1/s^2"),
+        ([("kg", 1.0), ("m", 2.0)], "kg m^2"),
+        ([("m/s^2", 0.5), ("m", -0.5), ("kg", 1.0)], "kg/s"),
+        ([("m/s^2", 0.5), ("kg", 0.5)], "m^(1/2) kg^(1/2)/s"),
+        ([("N m s/rad", 1.0), ("kg m^2", -1.0)], "N s/(m rad kg)"),
+        ([("N m / (kg m^2)", 1.0), ("kg / (kg m^2)", -1.0)], "N m/kg"),
+        ([("N^(1/3) m^(1/3)/s^(1/3)", 3.0), ("1", 2.0)], "N m/s"),
+    ],
+)
+def test_units_of_products_have_no_unit_twice(powers, unit):
+    assert product(powers) == unit
 
 
 def test_one_known_constant_determines_a_driven_pendulum():

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from symo_exp.mechanics.forced import ForcedLagrangian
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import product
 from symo_exp.nets.inputs import LearnedInputs
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.readings import Reading, readings
@@ -296,7 +297,8 @@ def _products(
             continue
         exact = doubled if (doubled % 2 != 0).any() else 0.5 * doubled
         name = _product(exact, names)
-        unit = _product(exact, [f"({unit})" for unit in units])
+        own = [(unit, x) for unit, x in zip(units, exact.tolist(), strict=True) if x]
+        unit = RELATIVE if RELATIVE in dict(own) else product(own)
         value = (exact * values.log()).sum().exp()
         slope = value * (exact / values) @ slopes
         rows.append(_certain(name, unit, value, slope, posterior, "product that is determined"))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -29,8 +31,7 @@ class Units(NamedTuple):
     def size(self, unit: str) -> float:
         """Return the unit of the same quantity, in an SI unit such as ``kg m^2`` or ``N s/m``."""
         found = 1.0
-        for below, name, power in re.findall(r"(/?)([A-Za-z]+|1)(?:\^\(?(\d+(?:/\d+)?)\)?)?", unit):
-            exponent = Fraction(power or 1) * (-1 if below else 1)
+        for name, exponent in _factors(unit):
             for size, times in zip(self, POWERS[name], strict=True):
                 found *= size ** float(exponent * times)
         return found
@@ -38,3 +39,35 @@ class Units(NamedTuple):
 
 SI = Units()
 """Metres, seconds and kilograms."""
+
+
+def product(powers: Iterable[tuple[str, float]]) -> str:
+    """Return the unit of a product of powers of quantities, without what cancels.
+
+    Args:
+        powers: The unit of each quantity and its power.
+    """
+    total: dict[str, Fraction] = defaultdict(Fraction)
+    for unit, power in powers:
+        above, _, divisor = unit.partition(" / ")  # as in N m / (kg m^2)
+        for part, sign in (above, 1), (divisor, -1):
+            for name, exponent in _factors(part):
+                total[name] += sign * exponent * Fraction(power)
+    total.pop("1", None)
+    above = " ".join(_power(name, x) for name, x in total.items() if x > 0) or "1"
+    below = [_power(name, -x) for name, x in total.items() if x < 0]
+    if len(below) > 1:
+        return f"{above}/({' '.join(below)})"
+    return "/".join([above, *below])
+
+
+def _power(name: str, exponent: Fraction) -> str:
+    if exponent == 1:
+        return name
+    return f"{name}^{exponent}" if exponent.denominator == 1 else f"{name}^({exponent})"
+
+
+def _factors(unit: str) -> Iterator[tuple[str, Fraction]]:
+    """Yield the units of which one such as ``kg m^2`` or ``N s/m`` is the product of powers."""
+    for below, name, power in re.findall(r"(/?)([A-Za-z]+|1)(?:\^\(?(\d+(?:/\d+)?)\)?)?", unit):
+        yield name, Fraction(power or 1) * (-1 if below else 1)
