@@ -39,7 +39,10 @@ def settings_of(message: str) -> dict[str, Any]:
 def advised(path: Path) -> dict[str, Any]:
     with pytest.raises(ConfigError) as error:
         headers(path, None)
-    assert ("leaves out L_N" in str(error.value)) == ("L_N" in path.read_text())
+    assert ("(without L_N)" in str(error.value)) == ("L_N" in path.read_text())
+    said, _, words = str(error.value).rpartition(": 'data.columns=")  # as it is to be copied
+    assert said
+    assert all(word.startswith("data.") for word in shlex.split(f"'data.columns={words}"))
     return settings_of(str(error.value))
 
 

@@ -110,15 +110,15 @@ def suggestion(
     guessed = bool(mapped) and not any(map(kind_of_column, mapped))
     if mapping == dict(columns or {}) or not (mapped or names("q", new)) or (guessed and told):
         return "; ".join(filter(None, (told, added)))
-    mend = (f"{added}, and " if added else "") + f"map them: {as_setting(mapping)}"
+    silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
+    silent = [*unread, *silent]
+    notes = ["a guess, since no name says coordinate"] * guessed
+    notes += [f"without {few(silent)}"] * bool(silent)
+    mend = (f"{added}, and " if added else "") + "map them"
+    mend += f" ({'; '.join(notes)})" * bool(notes) + f": {as_setting(mapping)}"
     if units_of_angles(mapped) == {"deg"}:
         mend += " data.degrees=true"
-    if guessed:
-        mend += " (a guess, since no name says coordinate)"
-    silent = [x for x in free if x not in mapping.values() and _may_move(x, table[x])]
-    if silent := [*unread, *silent]:
-        mend += f", which leaves out {few(silent)}"
-    return "; ".join(filter(None, (mend, told)))
+    return "; ".join(filter(None, (told, mend)))  # settings are last, where they can be copied
 
 
 def _unread_places(columns: Sequence[str], table: pd.DataFrame) -> list[str]:
