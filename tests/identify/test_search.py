@@ -399,6 +399,18 @@ def test_the_inertia_is_that_of_recordings_in_which_inputs_act(order, one, workp
         assert float(settings["lagrangian.initial_inertia"]) == pytest.approx(1.0, rel=0.1)
 
 
+@pytest.mark.parametrize("constant", [False, True])
+def test_an_input_that_never_changes_suggests_neither_an_inertia_nor_a_delay(constant, workplace):
+    frame = driven()
+    if constant:
+        frame["u_theta"] = 1.5
+    frame.to_csv("mine.csv", index=False)
+    said = "; ".join(examine({"path": "mine.csv"}).notes)
+    assert ("as inputs suggest" in said) != constant
+    assert ("inputs: no delay" in said) != constant
+    assert ("never change" in said) == constant
+
+
 @pytest.mark.parametrize("seconds", [5.0, 10.0, 20.0])
 def test_an_input_that_never_acts_is_named_and_changes_nothing(seconds, workplace):
     frame = driven()

@@ -166,6 +166,10 @@ def dynamics(
             settings.append(f"data.input_lag={lag:g}")
             notes.append(f"inputs: forces follow them with a time constant of {1e3 * lag:g} ms")
     delay, told = _delay(left)
+    inputs = [one.samples.u for one in beginning]
+    changes = not inputs or bool(np.ptp(np.concatenate(inputs), axis=0).any())
+    if not changes:
+        told = "inputs: they never change, which does not tell their delay"
     clear = not known and delay != 0.0 and left[delay] <= (1.0 - CLEAR) * left[0.0]
     if clear:
         free = _unexplained(motions, coordinates, time_step, driven=False)
@@ -180,6 +184,8 @@ def dynamics(
         matrix = matrix / units.size("N m")
         inertia, radius = _inertia(scaled, coordinates, step, matrix)
         if not known:
+            source = "as inputs suggest" if changes else "a guess, because inputs never change"
+            notes.append(f"scale: training starts with an inertia of {inertia:.2g}, {source}")
             settings += _start(scaled, coordinates, step, matrix, inertia, notes)
             units = units._replace(mass=_unit(inertia, FAR))
             inertia /= units.mass
@@ -233,11 +239,11 @@ def _start(
     inertia: float,
     notes: list[str],
 ) -> list[str]:
-    """Return the settings of a training that starts with an inertia, and add its ``notes``.
+    """Return the settings of a training that starts with an inertia.
 
-    The matrix of the inputs, in the units of the motions, is learned if these contradict it.
+    The matrix of the inputs, in the units of the motions, is learned if these contradict it, as
+    ``notes`` then say.
     """
-    notes.append(f"scale: training starts with an inertia of {inertia:.2g}, as inputs suggest")
     own = inertia / _unit(inertia, FAR)
     settings = [
         f"lagrangian.initial_inertia={own:.2g}", f"dissipation.start={DAMPING * own:.2g}",
