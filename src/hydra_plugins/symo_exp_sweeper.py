@@ -56,7 +56,7 @@ class SymoExpMachineSweeper(SymoExpSweeper):
         budget: Of wall time.
         clock: Whether stages are left out when the search grossly overruns its budget, and
             trainings ended; on a busy machine the plan alone may decide.
-        check_only: Whether nothing is run.
+        check_only: Say what the recordings show and what is planned, and run nothing.
     """
 
     def __init__(

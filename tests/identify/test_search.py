@@ -399,6 +399,17 @@ def test_the_inertia_is_that_of_recordings_in_which_inputs_act(order, one, workp
         assert float(settings["lagrangian.initial_inertia"]) == pytest.approx(1.0, rel=0.1)
 
 
+def test_a_check_says_what_a_search_infers_and_leaves_nothing(workplace, capsys):
+    driven().to_csv("mine.csv", index=False)
+    words = ["-cn", "machine", "data.path=mine.csv", "budget=20s", "hydra.sweeper.check_only=true"]
+    assert main(words) == 0
+    said = capsys.readouterr().out.splitlines()
+    notes = list(examine({"path": "mine.csv"}).notes)
+    assert said[: len(notes)] == notes
+    assert said[-1].startswith("plan: ")
+    assert not list(workplace.glob("outputs/**/*"))
+
+
 @pytest.mark.parametrize("constant", [False, True])
 def test_an_input_that_never_changes_suggests_neither_an_inertia_nor_a_delay(constant, workplace):
     frame = driven()

@@ -119,18 +119,18 @@ class Search:
         )  # fmt: skip
         if kept is None:  # a kept plan is that of a search that has begun
             fits.check(planned)
-        if check_only:
-            return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
         for note in machine.notes:
             print(note)
         if not machine.moves:
             return self._no_model()
-        if kept is None:
-            plans.keep_plan(self._folder / PLAN, plan)
         if replaced := self._replaced(every):
             print(f"of every candidate, whatever its name says: {' '.join(replaced)}")
         print(self._told_plan(len(candidates), len(every) - len(candidates)), flush=True)
+        if check_only:
+            return 0
+        if kept is None:
+            plans.keep_plan(self._folder / PLAN, plan)
         rounds = Rounds(fits, self._keep)
         rounds.screen(planned)
         rounds.deepen(others)
