@@ -410,6 +410,17 @@ def test_a_check_says_what_a_search_infers_and_leaves_nothing(workplace, capsys)
     assert not list(workplace.glob("outputs/**/*"))
 
 
+@pytest.mark.parametrize("sparse", [[], ["log_1"], ["log_0", "log_3"]])
+def test_recordings_with_fewer_samples_than_most_are_named(sparse, workplace):
+    for name, one in driven().groupby(driven().t // 4.0):
+        name = f"log_{name:.0f}"
+        one[:: 10 if name in sparse else 1].to_csv(f"{name}.csv", index=False)
+    (said,) = [x for x in examine({"path": "log_*.csv"}).notes if x.startswith("time step: ")]
+    finest = 0.05 if sparse else 0.005
+    assert f"samples every {finest:g} s" in said
+    assert said.partition(" s in ")[2].partition(", every 0.005 s")[0] == ", ".join(sparse)
+
+
 @pytest.mark.parametrize("constant", [False, True])
 def test_an_input_that_never_changes_suggests_neither_an_inertia_nor_a_delay(constant, workplace):
     frame = driven()

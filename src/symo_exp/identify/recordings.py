@@ -53,6 +53,8 @@ GEARED = 5.0
 Stiffness = tuple[tuple[float, ...], ...]
 REMOTE = 20.0
 """Distance of a length from zero, over its range, beyond which it is counted from its middle."""
+SPARSE = 1.5
+"""Distance of samples, over that of most recordings, from which a recording is named."""
 UNSEEN = 1e-3
 """Share of a motion, of angles at most of 1 rad, up to which errors may be those of integrators."""
 TOO_FAR, MOVES = 1e4, 20.0
@@ -452,6 +454,13 @@ class _Examination:
             found = fitting_time_step(paths, turns, finest)
             self.settings.append(f"system.time_step={found:g}")
             self.notes.append(f"time step: {found:g} s, samples every {finest:.3g} s")
+            steps = {one.label: one.samples.step for one in (*self.used, *self.test)}
+            usual = float(np.median(list(steps.values())))
+            if odd := [label for label, step in steps.items() if step > SPARSE * usual]:
+                self.notes[-1] += (
+                    f" in {few(odd)}, every {usual:.3g} s in most recordings; without the former, "
+                    "the time step may be shorter"
+                )
         elif found < finest * (1 - 1e-3):
             raise ConfigError(
                 f"system.time_step={found:g} is shorter than the {finest:.3g} s between samples of "
