@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import os
 import pkgutil
 import sys
 from collections.abc import Callable, Mapping
@@ -23,7 +24,7 @@ MODELS = "symo_exp.systems", "symo_exp.models", "symo_exp.mechanics", "symo_exp.
 _folders: list[Path] = []
 
 
-def add(folder: str | Path | None) -> None:
+def add(folder: str | os.PathLike[str] | None) -> None:
     """Have the modules of a folder found from now on; ``None`` adds nothing."""
     if folder is None:
         return

@@ -30,7 +30,7 @@ def load(
     directory: str | Path = "mlruns",
     dtype: torch.dtype | None = None,
     device: str | torch.device = "cpu",
-    code: str | Path | None = None,
+    code: str | os.PathLike[str] | None = None,
 ) -> DynamicsModel:
     """Load the trained model of a run, in evaluation mode.
 

@@ -21,11 +21,19 @@ from symo_exp.tracking.load import load
 
 
 class Run:
-    """A finished run, by its folder."""
+    """A finished run, by its folder.
 
-    def __init__(self, folder: str | os.PathLike[str]) -> None:
+    Args:
+        folder: The folder.
+        code: A folder with the user's own classes of a system or a method, as ``load`` takes it.
+    """
+
+    def __init__(
+        self, folder: str | os.PathLike[str], *, code: str | os.PathLike[str] | None = None
+    ) -> None:
         require_run(Path(folder).expanduser())
         self.folder = Path(folder).expanduser().absolute()
+        self._code = code
 
     def __repr__(self) -> str:
         return f"Run({os.path.relpath(self.folder)!r})"
@@ -36,7 +44,7 @@ class Run:
     @cached_property
     def model(self) -> DynamicsModel:
         """The trained model: ``symo_exp.load``."""
-        return load(self.folder)
+        return load(self.folder, code=self._code)
 
     @cached_property
     def measures(self) -> dict[str, float]:
