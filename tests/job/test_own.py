@@ -149,6 +149,11 @@ def test_a_finished_run_of_own_code_is_loaded_by_the_command_that_names_it(mine)
 assert symo_exp.run(*{words!r}).model.time_step > 0.0
 """
     subprocess.run([sys.executable, "-c", again], check=True, capture_output=True)
+    (folder,) = (mine.parent / "outputs" / "default").glob("*-*")
+    other = f"""import symo_exp
+assert symo_exp.Run({str(folder)!r}, code="mine_own").model.time_step > 0.0
+"""
+    subprocess.run([sys.executable, "-c", other], check=True, capture_output=True)
 
 
 @pytest.mark.parametrize(
@@ -164,6 +169,26 @@ def test_only_what_the_folder_defines_may_be_named(mine):
     (mine / "objective" / "bounded.yaml").write_text(text)
     words = ["--config-dir", "mine_own", "code=mine_own", "objective=bounded", "model=symo"]
     assert "refused" in refusal(*words, *QUIET)
+
+
+@pytest.mark.parametrize(("model", "told"), [("node", True), ("symo", False)])
+def test_an_objective_that_a_method_does_not_read_is_told(model, told, workplace, capsys):
+    words = [f"model={model}", "objective=preconditioned", *QUIET, "measures=false"]
+    assert main(words) == 0
+    said = "".join(capsys.readouterr())
+    assert ("objective=preconditioned is not trained on" in said) == told
+
+
+def test_an_objective_of_another_kind_of_method_is_refused_in_a_line(mine, capsys):
+    file = mine / "objective" / "bounded.yaml"
+    objective = "".join(f"  {line}\n" for line in file.read_text().splitlines())
+    learner = "learner:\n  objective: ${objective}\n"
+    file.write_text(f"# @package _global_\nobjective:\n{objective}{learner}")
+    words = ["--config-dir", "mine_own", "code=mine_own", "objective=bounded", "model=node"]
+    assert main([*words, *QUIET, "measures=false"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "variational integrators" in line
+    assert "model=symo" in line
 
 
 @pytest.mark.parametrize(

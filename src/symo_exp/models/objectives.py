@@ -27,6 +27,7 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.checks import one_of
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import solve
 from symo_exp.mechanics.roots import relative
 from symo_exp.mechanics.types import TrainingSamples, Trajectory, Windows
@@ -117,6 +118,11 @@ class Residual(Objective):
 
     def imbalance(self, flow: VariationalFlow, windows: Windows) -> Float[Tensor, "samples n"]:
         """Return ``g`` [N s, N m s]."""
+        if not isinstance(flow, VariationalFlow):
+            raise ConfigError(
+                f"{type(self).__name__} is a residual of variational integrators, which this "
+                "method does not have; give model=symo or model=e2e_symo, or another objective"
+            )
         q_prev, q, q_next, _, _, *controls = windows
         f_prev, f, f_next = map(flow.force, controls)
         before, after = Forces(f_prev, f), Forces(f, f_next)
