@@ -232,6 +232,7 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
         ({}, {"test": []}, "data.test=[]: expected the names"),
         ({}, {"test": ["a"], "n_val": 1}, "leave out data.n_val"),
         ({"split": "val"}, {}, "no trajectory for train; its column split has val"),
+        ({"split": ""}, {"test": ["a"]}, "no trajectory for val; name some by data.val=[...]"),
         ({"split": ["train", "test"] * 20}, {}, "trajectory a is in the splits train, test"),
         ({"q_": 0.0}, {}, "system.input_matrix=null: say how the 2 input(s) (motor0, motor1)"),
         ({"v_leg": 0.0}, {}, "column v_leg belongs to no coordinate of the system (arm0, arm1)"),

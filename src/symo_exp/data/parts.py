@@ -81,10 +81,10 @@ def divided(
         )
     for part, chosen in parts.items():
         if not chosen:
-            given = few(sorted({r.part for r in recordings} - {""})) or "none"
+            given = few(sorted({r.part for r in recordings} - {""}))
+            split = f"its column split has {given}, expected {', '.join(PARTS)}; " * bool(given)
             raise ConfigError(
-                f"{where}: no trajectory for {part}; its column split has {given}, expected "
-                f"{', '.join(PARTS)}; name some by data.{part}=[...] of "
+                f"{where}: no trajectory for {part}; {split}name some by data.{part}=[...] of "
                 f"{_named([r.label for r in recordings])}"
             )
     return parts, recordings, note
