@@ -71,7 +71,7 @@ class DataModule(lightning.LightningDataModule, ABC):
         dtype: Precision of the windows.
         monitor: Trajectories whose windows are watched during training. With ``"held_out"`` a
             stopping rule needs no data beyond ``n_traj``.
-        monitor_trajectories: Only the first so many of them; ``None``: all.
+        monitor_trajectories: At most the first so many of them; ``None``: all.
         held_out: Number of trajectories taken out of the training set, its last ones; below 1,
             their share (at least one).
         velocities: ``"estimated"`` replaces the velocities of the training data by central
@@ -126,8 +126,9 @@ class DataModule(lightning.LightningDataModule, ABC):
         low = 1 if monitor == "held_out" else 0
         self.held_out = whole_number("data.held_out", held_out, low=low, high=n_traj - 1)
         there = self.held_out if monitor == "held_out" else counts[monitor]
-        watched = there if monitor_trajectories is None else monitor_trajectories
-        self.monitor_trajectories = whole_number("data.monitor_trajectories", watched, high=there)
+        if monitor_trajectories is not None:
+            there = min(there, whole_number("data.monitor_trajectories", monitor_trajectories))
+        self.monitor_trajectories = there
         self.cut = cut_windows
         self._on_device: dict[str, tuple[torch.device, TrainingSamples]] = {}
 
