@@ -58,6 +58,11 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
         {"__time": T, "/j/arm/position": Q, "/j/arm/velocity": U, "/j/arm/effort": U},
         {"t": "__time", "q": "/j/arm/position", "v": "/j/arm/velocity", "u": "/j/arm/effort"},
     ),
+    "counts of messages of joints": (
+        {"time": T, "/joint_states/header/seq": range(len(T)), "/joint_states/position[0]": Q,
+         "/joint_states/effort[0]": U},
+        {"t": "time", "q": "/joint_states/position[0]", "u": "/joint_states/effort[0]"},
+    ),
     "arrays of ROS": (
         {"time": T, ".position[0]": Q, ".effort[0]": U},
         {"t": "time", "q": ".position[0]", "u": ".effort[0]"},
