@@ -58,6 +58,11 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
         {"__time": T, "/j/arm/position": Q, "/j/arm/velocity": U, "/j/arm/effort": U},
         {"t": "__time", "q": "/j/arm/position", "v": "/j/arm/velocity", "u": "/j/arm/effort"},
     ),
+    "numbers of messages and states of drives": (
+        {"Time[ms]": 10 * np.arange(len(T)), "motor_id": np.arange(len(T)) % 2,
+         "Joint1_ActualPosition": Q, "Joint1_StatusWord": 39, "torque": U},
+        {"t": "Time[ms]", "q": "Joint1_ActualPosition", "u": "torque"},
+    ),
     "counts of messages of joints": (
         {"time": T, "/joint_states/header/seq": range(len(T)), "/joint_states/position[0]": Q,
          "/joint_states/effort[0]": U},
@@ -87,6 +92,10 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
     "units of another language": (
         {"Zeit [s]": T, "Größe [rad]": Q, "Moment [Nm]": U},
         {"t": "Zeit [s]", "q": "Größe [rad]", "u": "Moment [Nm]"},
+    ),
+    "products of units": (
+        {"Temps (s)": T, "Angle (rad)": Q, "Couple (N.m)": U, "Couple 2 (N·m)": U, "C (N*m)": Q},
+        {"t": "Temps (s)", "q": "Angle (rad)", "u": "Couple (N.m) Couple 2 (N·m) C (N*m)"},
     ),
     "units in words": (
         {"Zeit in s": T, "x in mm": Q, "F in N": U},

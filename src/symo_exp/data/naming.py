@@ -42,7 +42,7 @@ WANTED = re.compile(
 """A word of the name of what a controller wants, which the machine need not do."""
 OTHER = re.compile(
     r"(?:acc|accel|acceleration|ddot|ddq|qdd|jerk|bat|battery|vbus|supply|temp|temperature"
-    r"|seq|sequence)\d*",
+    r"|seq|sequence|id|status|statusword|word)\d*",
     re.I,
 )
 """A word of the name of what is no coordinate, velocity or input."""

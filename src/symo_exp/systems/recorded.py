@@ -17,7 +17,7 @@ from symo_exp.mechanics.units import SI, Units
 from symo_exp.systems.base import System
 
 UNIT = re.compile(
-    r"(_| in | *[\[(])((?:mm?|cm|rad|deg(?:s|rees?)?|°)(?:/s)?|n ?m|n|v|a)[\])]?$", re.I
+    r"(_| in | *[\[(])((?:mm?|cm|rad|deg(?:s|rees?)?|°)(?:/s)?|n[ .*·]?m|n|v|a)[\])]?$", re.I
 )
 """A unit at the end of a name, after an underscore or "in", or in brackets."""
 
