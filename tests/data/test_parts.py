@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import torch
 
-from symo_exp.data.parts import with_every_part
+from symo_exp.data.parts import divided, with_every_part
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
@@ -93,6 +93,15 @@ def test_a_part_that_the_column_split_lacks_is_taken_from_others(
     for part, labels in zip(("train", "val", "test"), wanted, strict=True):
         assert first(data, part) == pytest.approx([np.sin("abcde".index(x)) for x in labels])
     assert any("the column split has nothing for" in r.getMessage() for r in caplog.records)
+
+
+@pytest.mark.parametrize(("seconds", "time_step"), [(0.5, H), (40.0, 5.0)])
+def test_recordings_too_short_to_be_split_in_time_are_refused_with_the_distance_of_nodes(
+    seconds: float, time_step: float
+) -> None:
+    t = np.arange(0.0, seconds, time_step / 2)
+    with pytest.raises(ConfigError, match=rf"too short .* a node every {time_step:g} s"):
+        divided("mine.csv", [alone(t, np.sin(t))], {}, None, None, time_step)
 
 
 @pytest.mark.parametrize("lacking", ["val", "test"])

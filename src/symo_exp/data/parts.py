@@ -76,8 +76,8 @@ def divided(
         spans = " and ".join(f"{np.ptp(one.samples.t):.3g} s" for one in recordings) or "none"
         raise ConfigError(
             f"{where} has {_counted(recordings)}, too few for train, val and test, and too short "
-            f"to be split in time ({spans}); record longer ones, or more, and number trajectories "
-            "apart in a column trajectory"
+            f"to be split in time ({spans}, a node every {time_step:g} s); record longer ones, or "
+            "more, and number trajectories apart in a column trajectory"
         )
     for part, chosen in parts.items():
         if not chosen:
