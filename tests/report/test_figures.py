@@ -36,9 +36,11 @@ from symo_exp.report.motions import (
     learned_figure,
     motion_figure,
     phase_space_figure,
+    points,
 )  # fmt: skip
 from symo_exp.report.overview import sections
 from symo_exp.report.page import html, toggles
+from symo_exp.report.paper import save_figure
 from symo_exp.report.runs import COLUMNS
 from symo_exp.report.tables import ResultTable, latex
 from tests.models.methods import learned as methods
@@ -150,6 +152,13 @@ def test_a_logarithmic_axis_has_labels_all_along(low, high, tmp_path):
     third = (high / low) ** (1 / 3)
     for k in range(3):
         assert ((labels >= low * third**k * 0.99) & (labels <= low * third ** (k + 1))).any(), k
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_logarithmic_panel_without_a_positive_value_is_drawn_in_silence(tmp_path):
+    rows = points([0.0, 0.1], [0.0, np.nan], ("symo", "midpoint"))
+    figure = Figure("k", "", "", [Panel("", "time [s]", "error", rows, mark="line")])
+    assert save_figure(figure, tmp_path).is_file()
 
 
 def test_data_without_noise_stand_at_zero(tmp_path):

@@ -60,11 +60,12 @@ def draw(figure: Figure) -> mpl.Figure:
 
 
 def _panel(axes: Axes, panel: Panel) -> None:
-    axes.set(yscale="log" if panel.y_log else "linear")
+    limits = panel.limits()
+    axes.set(yscale="log" if panel.y_log and limits else "linear")
     axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label)
     for trace in panel.traces():
         _draw(axes, panel, trace)
-    shown = {"ylim": panel.limits(), "xlim": panel.x_limits()}
+    shown = {"ylim": limits, "xlim": panel.x_limits()}
     axes.set(**{name: bounds for name, bounds in shown.items() if bounds})
     gone = [_off(trace) for trace in panel.traces() if not panel.shows(trace)]
     axes.text(
