@@ -480,6 +480,13 @@ def test_angles_are_told_by_name(name, angle, workplace):
     assert examine({"path": "mine.csv"}).coordinates.angular == (angle,)
 
 
+@pytest.mark.parametrize(("file", "angle"), [("ball_position_m", False), ("ball_deg", True)])
+def test_angles_are_told_by_the_name_of_the_file(file, angle, workplace):
+    table(name="1").rename(columns={"q_1": file}).to_csv("mine.csv", index=False)
+    data = {"path": "mine.csv", "columns": {"q_ball": file}}
+    assert examine(data).coordinates.angular == (angle,)
+
+
 @pytest.mark.parametrize("name", ["0", "1e3", "a b", "a, b", "null", "it's"])
 def test_the_setting_that_an_unclear_name_needs_can_be_typed(name, workplace):
     table(name=name).to_csv("mine.csv", index=False)
