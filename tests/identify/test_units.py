@@ -144,7 +144,7 @@ def test_a_length_too_far_from_zero_is_refused_unless_it_never_moves(workplace):
 
 @pytest.mark.parametrize(
     ("length", "force", "unit"),
-    [(1.0, 1.0, "m"), (1e3, 1.0, "1000 m"), (1e-6, 1e-6, "1e-06 m")],
+    [(1.0, 1.0, "m"), (1e3, 1.0, "km"), (1e-6, 1e-6, "µm")],
 )
 def test_held_out_errors_are_in_the_unit_of_length_of_the_parameters(
     length, force, unit, workplace

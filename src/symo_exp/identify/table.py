@@ -13,10 +13,12 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 from symo_exp.sweep.table import aligned
 
+LENGTHS = {1e-9: "nm", 1e-6: "µm", 1e-3: "mm", 1.0: "m", 1e3: "km"}
+
 
 def unit_of_held_out(coordinates: Coordinates, units: Units) -> str:
     """Return the unit of held-out errors, in which lengths are in the unit of the parameters."""
-    length = "m" if units.length == 1.0 else f"{units.length:g} m"
+    length = LENGTHS.get(units.length, f"{units.length:g} m")
     return ", ".join(length if unit == "m" else unit for unit in coordinates.units_of_errors)
 
 
