@@ -26,7 +26,7 @@ from symo_exp.report.looks import (
 from symo_exp.report.motions import over_time, points, ranked_as, ranking
 
 REFERENCE: Pair = ("reference", "")
-LONGEST_NAME = 22
+LONGEST_NAME = 24
 """Characters of the name of a recording that fit above a panel."""
 
 
@@ -63,8 +63,10 @@ def windows_figure(model: DynamicsModel, table: pd.DataFrame, method: str, title
     unit = ", ".join(known.units_of_errors)
     for one in (window[1:] for window in chosen.values()):
         name = str(one.trajectory.iloc[0])  # none if it is alone
-        name = name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
-        said = f"trajectory {name}, " * bool(name) + f"from {one.start.iloc[0]:.2f} s"
+        name = f"trajectory {name}" if name.isdecimal() else name
+        if len(name) > LONGEST_NAME:  # names of files differ at their ends
+            name = f"{name[:8]}…{name[9 - LONGEST_NAME :]}"
+        said = f"{name}, " * bool(name) + f"from {one.start.iloc[0]:.2f} s"
         panel = over_time({(method, ""): one}, "error", None, f"RMS error [{unit}]", said, log=True)
         below.append(_beside(panel, one, "error_reference"))
     intervals = ", with 90 % intervals" * any(str(c).startswith("q_lower_") for c in table)
