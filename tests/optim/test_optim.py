@@ -241,6 +241,13 @@ def test_single_precision_is_refused(kind):
         kind(learner("node", "rk4", 1).float().parameters())
 
 
+@pytest.mark.parametrize(("count", "warned"), [(5000, False), (5001, True)])
+@pytest.mark.parametrize("kind", [LevenbergMarquardt, TotalLeastSquares])
+def test_normal_equations_of_many_parameters_are_warned_of(kind, count, warned, caplog):
+    kind([torch.zeros(count, dtype=torch.float64, requires_grad=True)])
+    assert ("takes minutes" in caplog.text) == warned
+
+
 @pytest.mark.parametrize(("name", "value"), [("iterations", 0), ("history", -1), ("history", 0)])
 def test_lbfgs_needs_steps_and_a_history(name, value):
     with pytest.raises(ConfigError, match=f"optimizer.{name}={value}: expected a whole number"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
@@ -21,6 +22,10 @@ from symo_exp.nets.affine import Linearised
 from symo_exp.optim.direct import direct_step
 
 Sample = TypeVar("Sample", bound=TrainingSamples)
+log = logging.getLogger(__name__)
+
+MANY = 5000
+"""Number of parameters above which steps that solve normal equations take minutes."""
 
 
 class Equations(Protocol):
@@ -99,16 +104,23 @@ class EpochOptimizer(Optimizer, ABC):
         self.finished = False
         self.memory: dict[str, Any] = {"best": math.inf, "waited": 0, "weights": None}
 
-    def require_double(self) -> None:
-        """Refuse parameters in single precision, for normal equations.
+    def require_normal_equations(self) -> None:
+        """Refuse parameters in single precision, and warn of so many that steps take minutes.
 
         Raises:
-            ConfigError: If there are some.
+            ConfigError: If there are some in single precision.
         """
         if any(p.dtype != torch.float64 for p in self.parameters):
             raise ConfigError(
                 f"{type(self).__name__} squares the condition number: it needs dtype=float64"
             )
+        count = sum(p.numel() for p in self.parameters)
+        if count > MANY:
+            log.warning(
+                "%s: a step solves equations of %d parameters, which takes minutes and %.2g GB "
+                "or more; give a smaller network, such as net.width=16, or optimizer=adam",
+                type(self).__name__, count, 8e-9 * count**2,
+            )  # fmt: skip
 
     @abstractmethod
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:

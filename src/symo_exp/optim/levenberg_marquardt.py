@@ -82,7 +82,7 @@ class LevenbergMarquardt(EpochOptimizer):
         if huber is not None:
             real("optimizer.huber", huber, above=0)
         super().__init__(params, patience=patience)
-        self.require_double()
+        self.require_normal_equations()
         self.shortest, self.huber = shortest, huber
         self.initial_damping = damping
         self.memory |= {"damping": damping, "loss": math.inf, "asked": math.inf}

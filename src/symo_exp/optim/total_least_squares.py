@@ -103,7 +103,7 @@ class TotalLeastSquares(EpochOptimizer):
         seed: int = 0,
     ) -> None:
         super().__init__(params, patience=10**9, tolerance=tolerance)
-        self.require_double()
+        self.require_normal_equations()
         whole_number("optimizer.starts", starts, high=MOST_STARTS)
         for name, value in (("start", start), ("epochs", epochs)):
             whole_number(f"optimizer.{name}", value)
