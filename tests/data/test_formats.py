@@ -615,6 +615,8 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
         ("absent.csv", None, "No such file"),
         ("absent.mat", None, "No such file"),
         ("x.xlsx", b"", r"expected a file that ends in \.csv, .*save the sheet as CSV"),
+        ("x.csv.gz", b"", r"expected a file that ends in \.csv, .*unpack it"),
+        ("x.jsonl", b"", r"expected a file that ends in \.csv, .*DataFrame\.to_csv"),
         ("x.txt", b"", "it is empty"),
         ("bare.csv", b"0.0,1.0,2.0\n0.1,1.0,2.0\n", r"first line has numbers \(0.0, 1.0, 2.0\)"),
         ("absent", None, "there is no such file or folder"),

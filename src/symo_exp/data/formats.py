@@ -59,8 +59,15 @@ WITH_COMMA = r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$"
 BEGINNING = 50
 """Lines of a text file from which its dialect is inferred."""
 NO_TEXT = "it is no text in a known encoding; save it as UTF-8"
-SPREADSHEETS = (".xlsx", ".xls", ".ods")
-"""Suffixes of files that have to be exported first."""
+OTHER_FILES = {
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), "save the sheet as CSV"),
+    **dict.fromkeys((".gz", ".bz2", ".xz", ".zst", ".zip", ".7z"), "unpack it"),
+    **dict.fromkeys(
+        (".json", ".jsonl", ".feather", ".h5", ".hdf5", ".pkl"),
+        "read it with pandas and write it by DataFrame.to_csv(..., index=False)",
+    ),
+}
+"""What to do with other files, by their suffix."""
 
 Location = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """One file, folder or glob pattern, or a list of them."""
@@ -135,7 +142,7 @@ def files(path: Location) -> list[Path]:
     if suffix(file) not in (*TABLES, *TEXT):
         if not file.exists():
             raise ConfigError(f"{shown(path)}: there is no such file or folder")
-        mend = "; save the sheet as CSV" if suffix(file) in SPREADSHEETS else ""
+        mend = f"; {known}" if (known := OTHER_FILES.get(suffix(file))) else ""
         raise ConfigError(
             f"{shown(path)}: expected a file that ends in {', '.join((*TEXT, *TABLES[2:]))} or "
             f"{TABLES[0]}, a ROS 2 bag, or a folder of these{mend}"
