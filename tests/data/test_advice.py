@@ -166,9 +166,14 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
         {"t": "timeStamp", "q": "jointAngle", "v": "jointVelocity", "u": "motorTorque"},
     ),
     "a rate that no name tells": (
-        {"t": T, "w": np.gradient(Q, T), "th": Q, "other": Q * U},
-        {"q": "th other"},
+        {"t": T, "w": np.gradient(Q, T), "one": Q, "other": Q * U},
+        {"q": "one other"},
     ),
+    "coordinates that rates name, beside one that a word names": (
+        {"t": T, "x": Q, "tilt": U, "lamp": Q, "xdot": U, "tiltdot": Q, "u": U},
+        {"q": "x tilt", "v": "xdot tiltdot", "u": "u"},
+    ),
+    "an abbreviated angle beside a position": ({"t": T, "x": Q, "th": U}, {"q": "x th"}),
     "seven joints": (
         {"t": T, **{f"{x}{k}": np.roll(Q, 99 * k) for x in ("q", "dq", "tau") for k in range(7)}},
         {"q": " ".join(f"q{k}" for k in range(7)), "v": " ".join(f"dq{k}" for k in range(7)),

@@ -166,7 +166,8 @@ def _places(free: Sequence[str], table: pd.DataFrame, inputs: Sequence[str]) -> 
         return pose | {f"u_{key}": x for key, x in zip(short_names(inputs), inputs, strict=True)}
     kinds = {name: kind_of_column(name) for name in free}
     speeds = {name: stem for name in free if (stem := slope_of(stems[name], stems.values()))}
-    places = [x for x in free if kinds[x] == "q" and x not in speeds]
+    moving = [x for x in free if stems[x] in speeds.values() and _may_move(x, table[x])]
+    places = [x for x in free if (kinds[x] == "q" or x in moving) and x not in speeds]
     places = places or _movements([x for x in free if x not in speeds], table)[:GUESSES]
     mixed = ["deg"] if len(units_of_angles(places)) > 1 else []
     kept = {"mm", "cm", *mixed}  # names keep the units that no setting of all columns says

@@ -9,7 +9,7 @@ from symo_exp.data.formats import IN_TIME, TIME
 from symo_exp.systems.recorded import UNIT, without_unit
 
 ANGLE = (
-    "theta|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link"
+    "theta|th|phi|psi|alpha|beta|angle|ang|rot|joint|shoulder|elbow|hip|knee|ankle|wrist|pole|arm|link"
     "|pendulum|upper|lower|roll|pitch|yaw|motor|wheel"
 )
 SLIDE = "x|y|z|pos|position|cart|slide|slider|lin|linear|prismatic|height|stroke|carriage|table|d"
