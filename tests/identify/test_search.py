@@ -35,6 +35,7 @@ def table(count=5, seconds=2.0, h=0.02, name="theta"):
     )
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_table_without_rows_is_refused(tmp_path):
     (tmp_path / "mine.csv").write_text("trajectory,t,q_a\n")
     with pytest.raises(ConfigError, match="has 0 trajectories, too few"):

@@ -391,7 +391,8 @@ def _check_turns(where: str, samples: Samples, coordinates: Coordinates) -> None
             mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
         raise ConfigError(
             f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
-            f"wrapped ({mend}); remove rows in which a sensor fails"
+            f"wrapped ({mend}); remove rows in which a sensor fails; sample more often what turns "
+            "so fast"
         )
 
 

@@ -409,7 +409,7 @@ def _without_gaps(
 
 def _check_seconds(where: str, t: np.ndarray) -> None:
     """Refuse times without a stated unit whose samples would be slow or too fast in seconds."""
-    in_order = np.mean(np.diff(t) > 0) > 0.5  # else rows of several recordings, or in any order
+    in_order = 2 * np.sum(np.diff(t) > 0) > len(t) - 1  # else rows of several recordings, or in any order
     fast = _gap(t)
     slow = fast if in_order else _gap(np.unique(t))
     if slow >= SLOW:
