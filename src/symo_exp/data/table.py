@@ -409,8 +409,8 @@ def _without_gaps(
 
 def _check_seconds(where: str, t: np.ndarray) -> None:
     """Refuse times without a stated unit whose samples would be slow or too fast in seconds."""
-    in_order = 2 * np.sum(np.diff(t) > 0) > len(t) - 1  # else rows of several recordings, or in any order
-    fast = _gap(t)
+    fast, in_order = _gap(t), 2 * np.sum(np.diff(t) > 0) > len(t) - 1
+    # other rows are those of several recordings, or in any order
     slow = fast if in_order else _gap(np.unique(t))
     if slow >= SLOW:
         step, unit = slow, next((name for name, unit in UNITS.items() if slow * unit < 0.1), "ns")

@@ -205,7 +205,8 @@ def dynamics(
         rest = _rest_velocity([q for q, _ in scaled], step)
     if rest != USUAL_REST:
         settings.append(f"dissipation.rest_velocity={rest:g}")
-        unit = "units of velocity" if units != SI else "m/s or rad/s"
+        unit = " or ".join(f"{x}/s" for x in coordinates.units_of_errors)
+        unit = "units of velocity" if units != SI else unit
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} {unit}")
     horizons = _horizons(_growth(beginning, coordinates, time_step, delay if clear else 0.0))
     if horizons != HORIZONS:
