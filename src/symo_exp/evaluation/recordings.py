@@ -54,7 +54,7 @@ class RecordedPredictions:
     def columns(self) -> dict[str, np.ndarray]:
         """Return a table with a row for each node of each window.
 
-        Its columns are ``window``, ``trajectory``, its name, ``start`` [s] (of the window, in
+        Its columns are ``window``, ``trajectory`` (its name), ``start`` [s] (of the window, in
         its trajectory), ``t`` [s] (from there), ``q_<name>``, ``v_<name>`` (predicted),
         ``q_true_<name>``, ``v_true_<name>`` (measured) and ``error`` [rad, m], the root mean
         square over coordinates; of a reference, ``q_reference_<name>`` and ``error_reference``; of

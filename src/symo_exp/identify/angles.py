@@ -39,10 +39,11 @@ def is_angle(name: str, written: str, columns: Sequence[np.ndarray]) -> bool | N
         written: Its name in the file if that states a unit, else its name.
         columns: Its values in each recording.
     """
-    words, every = (re.split(r"[^a-z]+", x.lower()) for x in (name, f"{name} {written}"))
+    words = re.split(r"[^a-z]+", name.lower())
     if units_of_angles([written]) or any(re.fullmatch(ANGLE, word) for word in words):
         return True
-    if length_unit(written) or any(re.fullmatch(SLIDE, word) for word in every):
+    words += re.split(r"[^a-z]+", written.lower())
+    if length_unit(written) or any(re.fullmatch(SLIDE, word) for word in words):
         return False
     low, high = min(x.min() for x in columns), max(x.max() for x in columns)
     if high - low > SPAN or _wraps(columns, 2 * np.pi):

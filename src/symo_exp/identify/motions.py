@@ -205,8 +205,8 @@ def dynamics(
         rest = _rest_velocity([q for q, _ in scaled], step)
     if rest != USUAL_REST:
         settings.append(f"dissipation.rest_velocity={rest:g}")
-        unit = " or ".join(f"{x}/s" for x in coordinates.units_of_errors)
-        unit = "units of velocity" if units != SI else unit
+        speeds = " or ".join(f"{unit}/s" for unit in coordinates.units_of_errors)
+        unit = speeds if units == SI else "units of velocity"
         notes.append(f"friction: a slow machine, dry friction fades below {rest:g} {unit}")
     horizons = _horizons(_growth(beginning, coordinates, time_step, delay if clear else 0.0))
     if horizons != HORIZONS:

@@ -173,9 +173,10 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
                 choices, asked = dict(hydras.runtime.choices), list(hydras.overrides.task)
                 about = describe_job(settings, choices, asked, words, own_folder(hydras))
             if "objective" not in settings.references.values():
-                for word in (word for word in asked if word.startswith("objective=")):
-                    told = "%s is not trained on: model=%s has an objective of its own"
-                    log.warning(told, word, choices["model"])
+                told = "%s is not trained on: model=%s has an objective of its own"
+                for word in asked:
+                    if word.startswith("objective="):
+                        log.warning(told, word, choices["model"])
             stopping.raise_if_requested()
             perform(parts, settings.values, folder, about, trained=trained)
         except stopping.Interrupted as error:
