@@ -171,14 +171,6 @@ def test_only_what_the_folder_defines_may_be_named(mine):
     assert "refused" in refusal(*words, *QUIET)
 
 
-@pytest.mark.parametrize(("model", "told"), [("node", True), ("symo", False)])
-def test_an_objective_that_a_method_does_not_read_is_told(model, told, workplace, capsys):
-    words = [f"model={model}", "objective=preconditioned", *QUIET, "measures=false"]
-    assert main(words) == 0
-    said = "".join(capsys.readouterr())
-    assert ("objective=preconditioned is not trained on" in said) == told
-
-
 def test_an_objective_of_another_kind_of_method_is_refused_in_a_line(mine, capsys):
     file = mine / "objective" / "bounded.yaml"
     objective = "".join(f"  {line}\n" for line in file.read_text().splitlines())

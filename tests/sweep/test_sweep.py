@@ -55,6 +55,27 @@ def test_a_failing_job_does_not_stop_the_others(swept):
     assert "Traceback" not in out
 
 
+@pytest.mark.parametrize(
+    ("words", "without_effect"),
+    [
+        (["model=node", "lagrangian=absolute", "root.guess=inertial", "root=broyden"], 3),
+        (["model=node", "objective=preconditioned", "net.width=8", "integrator=rk4"], 1),
+        (["model=node,symo", "lagrangian=relative", "objective=preconditioned", "-m"], 0),
+        (["model=symo", "lagrangian=absolute", "root.guess=inertial", "net.width=8"], 2),
+        (["model=l_node", "objective=smoothing", "dtype=float64"], 0),  # the optimizer
+        (["model=e2e_symo", "objective=horizon", "objective.horizon=5"], 0),
+        (["optimizer=lbfgs", "scheduler=none", "learning_rate=1e-2"], 1),
+        (["draws=published", "draws.interleaved=true", "springs=linear", "seed=1"], 0),
+    ],
+)
+def test_words_of_the_command_line_that_no_run_reads_are_told(
+    words, without_effect, workplace, capsys
+):
+    assert main([*words, "hydra.sweeper.check_only=true", "logger=none"]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "has no effect" in line]
+    assert len(told) == without_effect, told
+
+
 def test_a_multirun_is_one_parent_with_its_children(swept):
     from mlflow import MlflowClient
 

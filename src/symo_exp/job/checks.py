@@ -22,12 +22,9 @@ from typing_extensions import Unpack
 
 from symo_exp import code
 from symo_exp.errors import ConfigError, shortened
-from symo_exp.job.config import Settings
+from symo_exp.job.config import PARTS, Settings
 from symo_exp.job.moved import MOVED
 from symo_exp.shell import override_value
-
-PARTS = ("system", "data", "model", "learner", "trainer", "logger")
-"""The parts of every run; each of them names a class."""
 
 LONGEST = 255
 """Bytes of the name of a folder, which file systems allow."""

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 
 from symo_exp.errors import ConfigError
-from symo_exp.runs.digest import digest
+from symo_exp.runs.digest import INCIDENTAL, digest
+
+PARTS = "system", "data", "model", "learner", "trainer", "logger"
+"""The groups whose classes a run instantiates."""
+_ROOTS = {*PARTS, *INCIDENTAL, "seed", "dtype"}
+"""Settings that the program reads; others have an effect where one of these refers to them."""
 
 
 class Settings(NamedTuple):
@@ -21,7 +27,17 @@ class Settings(NamedTuple):
 
     def is_reference(self, name: str) -> bool:
         """Return whether a setting, or a node above it, only refers to another."""
-        return any(f"{name}.".startswith(f"{one}.") for one in self.references)
+        return _is_below(name, self.references)
+
+    def is_read(self, name: str) -> bool:
+        """Return whether a run reads a setting, or any below it, itself or by a reference."""
+        read: set[str] = set()
+        found = set(_ROOTS)
+        while found - read:
+            read |= found
+            inside = [text for one, text in self.references.items() if _is_below(one, read)]
+            found = {word for text in inside for word in re.findall(r"[\w.]+", text)}
+        return _is_below(name, read) or any(one.startswith(f"{name}.") for one in read)
 
     def value(self, name: str) -> Any:
         """Return the value of a dotted name, ``None`` where there is none."""
@@ -43,13 +59,20 @@ def unresolved(config: DictConfig) -> Any:
     return OmegaConf.to_container(config, resolve=False)
 
 
-def references(node: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+def references(node: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the dotted names of settings that refer to others, as ``${NAME}``, and ``NAME``."""
     for key, value in node.items():
         if isinstance(value, str) and "${" in value:
             yield f"{prefix}{key}", value.removeprefix("${").removesuffix("}")
         elif isinstance(value, Mapping):
             yield from references(value, f"{prefix}{key}.")
+        elif isinstance(value, list):
+            yield from references(dict(enumerate(value)), f"{prefix}{key}.")
+
+
+def _is_below(name: str, others: Collection[str]) -> bool:
+    """Return whether a dotted name is one of others, or that of a node below one of them."""
+    return any(f"{name}.".startswith(f"{one}.") for one in others)
 
 
 def run_folder(*, _root_: DictConfig) -> str:

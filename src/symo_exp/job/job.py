@@ -172,11 +172,6 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
                 words = typed(hydras) if hydras.sweeper._target_ == OURS else None
                 choices, asked = dict(hydras.runtime.choices), list(hydras.overrides.task)
                 about = describe_job(settings, choices, asked, words, own_folder(hydras))
-            if "objective" not in settings.references.values():
-                told = "%s is not trained on: model=%s has an objective of its own"
-                for word in asked:
-                    if word.startswith("objective="):
-                        log.warning(told, word, choices["model"])
             stopping.raise_if_requested()
             perform(parts, settings.values, folder, about, trained=trained)
         except stopping.Interrupted as error:

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import OverrideType
+from hydra.core.override_parser.types import Override, OverrideType
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 
 from symo_exp.errors import ConfigError
 from symo_exp.job.config import Settings, resolve, unresolved
 from symo_exp.job.job import is_done
+from symo_exp.runs.digest import relevant
 from symo_exp.runs.folder import RunFolder
 
 
@@ -129,12 +130,7 @@ class Composer:
     def job(self, overrides: list[str], label: str) -> Job:
         """Return the job of these overrides."""
         parsed = OverridesParser.create().parse_overrides(overrides)
-        groups = [o for o in parsed if "." not in o.key_or_group]  # Hydra looks for them slowly
-        choices = [
-            o
-            for o in groups
-            if self.options(o.key_or_group) and not isinstance(o.value(), dict)  # else settings
-        ]
+        choices = [o for o in parsed if self._is_choice(o)]
         values = [o for o in parsed if o not in choices and o.type is OverrideType.CHANGE]
         files = self.files(*(str(o.input_line) for o in choices))
         config = copy.deepcopy(self.files(*(str(o.input_line) for o in parsed if o not in values)))
@@ -143,6 +139,13 @@ class Composer:
         chosen = dict(config.hydra.runtime.choices)
         folder = RunFolder(f"{config.hydra.sweep.dir}/{config.hydra.sweep.subdir}")
         return Job(label, overrides, resolve(config), unresolved(files), chosen, folder)
+
+    def _is_choice(self, override: Override) -> bool:
+        """Return whether an override chooses a file of a group, and does not give settings."""
+        name = override.key_or_group
+        if "." in name or isinstance(override.value(), dict):
+            return False  # without looking for a group, which Hydra does slowly
+        return bool(self.options(name))
 
     def choices_with(self, group: str, name: str) -> list[str]:
         """Return the choices of a group that give a setting a value, as overrides."""
@@ -161,6 +164,24 @@ class Composer:
                     f"{group}={job.choices[group]} does not fit model={job.choices['model']}; "
                     f"possible: {', '.join(fits)}"
                 )
+
+    def unread(self, job: Job) -> list[str]:
+        """Return the overrides of a job that change nothing that its run reads."""
+        parsed = OverridesParser.create().parse_overrides(job.overrides)
+        return [str(o.input_line) for o in parsed if not self._is_read(o, job, parsed)]
+
+    def _is_read(self, override: Override, job: Job, parsed: Sequence[Override]) -> bool:
+        name, read = override.key_or_group, job.settings.is_read
+        if name.partition(".")[0] not in job.values or read(name):
+            return True
+        if not self._is_choice(override):
+            return False
+        choices = [o for o in parsed if self._is_choice(o)]  # their files may set other nodes too
+        every, others = (
+            dict(relevant(unresolved(self.files(*(str(o.input_line) for o in some)))))
+            for some in (choices, [o for o in choices if o is not override])
+        )
+        return any(every.get(one) != others.get(one) and read(one) for one in {**every, **others})
 
     def _composed(self, *overrides: str) -> DictConfig:
         """Return a configuration; of Hydra's own part only what names a folder is kept."""

@@ -93,9 +93,10 @@ class Sweep:
         finished = [job for job in jobs if job.is_left_out()]
         todo = [job for job in jobs if job not in finished]
         self.check(todo)
+        configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
+        self._warn_of_unread(jobs, arguments)
         if check_only:
             return 0
-        configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
         for job in finished:  # the store may lack some, as far as is known without MLflow
             tracker = instantiate(job.values["logger"])
             if not tracker.is_published(job.folder):
@@ -318,6 +319,20 @@ class Sweep:
                 value = override_value(os.environ.get(name, ""), nested=True)
                 config.hydra.overrides.hydra.append(f"++hydra.job.env_set.{name}={value}")
         return config
+
+    def _warn_of_unread(self, jobs: Sequence[Job], arguments: Sequence[str]) -> None:
+        """Log which words of the command line have no effect in any of its runs."""
+        asked = {argument.lstrip("+~").partition("=")[0] for argument in arguments}
+        unread = [set(self.composer.unread(job)) for job in jobs]
+        for word in dict.fromkeys(word for job in jobs for word in job.overrides):
+            name = word.lstrip("+~").partition("=")[0]
+            read = any(
+                word in job.overrides and word not in none
+                for job, none in zip(jobs, unread, strict=True)
+            )
+            if name in asked and not read:
+                told = "%s has no effect: no part of the run refers to %s (--cfg job prints it)"
+                log.warning(told, word, name)
 
     def _sum_up(self, jobs: Sequence[Job], finished: Sequence[Job]) -> int:
         """Print what came of the command and return its exit code."""
