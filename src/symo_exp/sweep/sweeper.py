@@ -94,7 +94,10 @@ class Sweep:
         todo = [job for job in jobs if job not in finished]
         self.check(todo)
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
-        self._warn_of_unread(jobs, arguments)
+        for word in self.unread(jobs, arguments, params):
+            name = word.lstrip("+~").partition("=")[0]
+            told = "%s has no effect: no part of the run refers to %s (--cfg job prints it)"
+            log.warning(told, word, name)
         if check_only:
             return 0
         for job in finished:  # the store may lack some, as far as is known without MLflow
@@ -177,6 +180,25 @@ class Sweep:
             self.composer.check_choices(job)
             check_settings(job.values, job.known, job.settings.references)
         return job
+
+    def unread(
+        self, jobs: Sequence[Job], arguments: Sequence[str], params: Mapping[str, Any]
+    ) -> list[str]:
+        """Return the words of a command that have no effect in any of its jobs.
+
+        Args:
+            jobs: All jobs of the command.
+            arguments: Overrides of the command line.
+            params: As in ``run``; words that replace values of these are not returned.
+        """
+        asked = {argument.lstrip("+~").partition("=")[0] for argument in arguments}
+        asked -= {name for key in params for name in key.split(",")}
+        unread, read = set[str](), set[str]()
+        for job in jobs:
+            without = self.composer.unread(job)
+            unread.update(without)
+            read.update(set(job.overrides) - set(without))
+        return [w for w in sorted(unread - read) if w.lstrip("+~").partition("=")[0] in asked]
 
     def check(self, jobs: Sequence[Job]) -> None:
         """Build the parts of every job, so that no mistake is found after others have run.
@@ -319,20 +341,6 @@ class Sweep:
                 value = override_value(os.environ.get(name, ""), nested=True)
                 config.hydra.overrides.hydra.append(f"++hydra.job.env_set.{name}={value}")
         return config
-
-    def _warn_of_unread(self, jobs: Sequence[Job], arguments: Sequence[str]) -> None:
-        """Log which words of the command line have no effect in any of its runs."""
-        asked = {argument.lstrip("+~").partition("=")[0] for argument in arguments}
-        unread = [set(self.composer.unread(job)) for job in jobs]
-        for word in dict.fromkeys(word for job in jobs for word in job.overrides):
-            name = word.lstrip("+~").partition("=")[0]
-            read = any(
-                word in job.overrides and word not in none
-                for job, none in zip(jobs, unread, strict=True)
-            )
-            if name in asked and not read:
-                told = "%s has no effect: no part of the run refers to %s (--cfg job prints it)"
-                log.warning(told, word, name)
 
     def _sum_up(self, jobs: Sequence[Job], finished: Sequence[Job]) -> int:
         """Print what came of the command and return its exit code."""
