@@ -300,6 +300,9 @@ def test_states_may_be_tensors_arrays_or_lists_single_or_batched(method, integra
         (lambda m: m.step([[0.0, 0.0]] * 3, [[0.0, 0.0]] * 2), r"expected \(3, 2\) for 3 states"),
         (lambda m: m.step([0.0, 0.0], [0.0, 0.0], 1.0), r"u has shape \(\): expected \(1\) for"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], [1.0]), r"u has .*: expected \(nodes, 1\)"),
+        (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], np.zeros((0, 1))), "u has no nodes: expected"),
+        (lambda m: torch.func.jacfwd(lambda q: m.step(q, q).q)(torch.zeros(2)), "use linearize"),
+        (lambda m: torch.func.jvp(m.potential, (torch.zeros(2),), (torch.ones(2),)), "tangent"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=-1), "steps=-1: expected a whole"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=2.0), "steps=2.0: expected a whole"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=True), "steps=True: expected a whole"),
@@ -329,6 +332,29 @@ def test_results_carry_a_gradient_only_where_an_argument_asks(method):
         assert tracked.requires_grad == (name != "rollout"), name
         with torch.no_grad():
             call(data.q.clone().requires_grad_(), data.v).numpy()
+
+
+@pytest.mark.parametrize(
+    ("method", "integrator"), [("node", "rk4"), ("l_node", "midpoint"), ("symo", "galerkin4")]
+)
+def test_results_are_the_same_in_inference_mode(method, integrator):
+    """Also from tensors that were made in it, such as the outputs of a policy."""
+    model, data = make(method, integrator, 2), windows(2)
+
+    def results(q, v, u):
+        step = model.step(q, v, u)
+        yield from (step.q, step.v, model.rollout(q, v, steps=2).q, *model.linearize(q, v, u))
+        yield model.inverse_dynamics(q, step.q, model.step(step.q, step.v, u).q)
+        yield model.for_evaluation().linearize(q, v, u).A
+        if model.lagrangian is not None:
+            yield model.energy(q, v)
+
+    wanted = list(results(data.q, data.v, data.u))
+    with torch.inference_mode():
+        found = list(results(*(x.clone() for x in (data.q, data.v, data.u))))
+    for a, b in zip(found, wanted, strict=True):
+        assert not a.requires_grad
+        assert torch.equal(a, b)
 
 
 def test_lists_and_arrays_of_any_layout_are_read_to_all_digits():

@@ -153,6 +153,13 @@ def test_double_precision_keeps_the_weights_and_does_not_round_the_input_matrix(
     assert torch.allclose(motion(trained, 1, 1).q.double(), motion(back, 1, 1).q, atol=1e-5)
 
 
+def test_a_model_that_was_loaded_in_inference_mode_can_be_linearized(folder):
+    trained = made(folder, config())
+    with torch.inference_mode():
+        back = load(folder)
+    assert torch.equal(back.linearize([0.1], [0.2]).A, trained.linearize([0.1], [0.2]).A)
+
+
 def test_the_package_exports_load(folder):
     made(folder, config())
     # the function, whatever module was imported before

@@ -17,6 +17,7 @@ from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.units import SI
 from symo_exp.models.control import Linear, inverse_dynamics, linearize
 from symo_exp.models.flows import Flow, Rollout, Step
+from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.models.inputs import Array, Inputs
 from symo_exp.models.objectives import Objective
 from symo_exp.models.uncertainty import Interval, ModelPosterior, interval, known, sample
@@ -89,6 +90,7 @@ class DynamicsModel(nn.Module):
         """The learned dissipation, if there is one."""
         return getattr(self.lagrangian, "dissipation", None)
 
+    @leaves_inference_mode
     def step(self, q: Array, v: Array, u: Array = None, u_next: Array = None) -> Step:
         """Return the state one time step later, differentiable in all arguments.
 
@@ -105,6 +107,7 @@ class DynamicsModel(nn.Module):
             step = self.flow.step(given.q, v, u, u_next)
         return Step(*(x[0] for x in step)) if given.single else step
 
+    @leaves_inference_mode
     def rollout(
         self, q0: Array, v0: Array, u: Array = None, *, steps: int | None = None
     ) -> Rollout:
@@ -136,6 +139,7 @@ class DynamicsModel(nn.Module):
         """
         return self.flow.rollout_slopes(*(x.to(self.input_matrix) for x in (q, v, u)))
 
+    @leaves_inference_mode
     def rollout_interval(
         self,
         q0: Array,
@@ -172,6 +176,7 @@ class DynamicsModel(nn.Module):
         found = interval(self.flow, known(self.posterior), q, v, controls, level)
         return Interval(*(x[0] for x in found)) if given.single else found
 
+    @leaves_inference_mode
     def sample(self, count: int, *, seed: int = 0) -> list[DynamicsModel]:
         """Return ``count`` models with parameters drawn from the posterior.
 
@@ -181,6 +186,7 @@ class DynamicsModel(nn.Module):
         count = whole_number("count", count, low=0)
         return sample(self, known(self.posterior), count, seed)
 
+    @leaves_inference_mode
     def linearize(self, q: Array, v: Array, u: Array = None) -> Linear:
         """Return the derivatives of ``(q, v)`` one time step later, in the state and the control.
 
@@ -200,6 +206,7 @@ class DynamicsModel(nn.Module):
         found = linearize(self.flow, given.q, given.state("v", v), given.control("u", u))[1]
         return Linear(*(x[0] for x in found)) if given.single else found
 
+    @leaves_inference_mode
     def inverse_dynamics(self, q_prev: Array, q: Array, q_next: Array) -> Tensor:
         """Return the held control (B, m) behind three configurations, one time step apart.
 
@@ -220,6 +227,7 @@ class DynamicsModel(nn.Module):
         u = inverse_dynamics(self.flow, given.q, q, q_next)
         return u[0] if given.single else u
 
+    @leaves_inference_mode
     def initial_velocity(self, windows: Windows) -> Tensor:
         """Return the velocity (samples, n) at node ``k`` with which a prediction starts.
 
@@ -227,6 +235,7 @@ class DynamicsModel(nn.Module):
         """
         return self.flow.initial_velocity(windows)
 
+    @leaves_inference_mode
     def predict(self, windows: Windows) -> Step:
         """Return the one-step prediction of node ``k+1``, which all measures use."""
         return self.flow.predict(windows)
@@ -247,6 +256,7 @@ class DynamicsModel(nn.Module):
         """Return the learned momentum ``p = H(q) v`` (B, n)."""
         return self._learned("momentum", q, v)
 
+    @leaves_inference_mode
     def _learned(self, quantity: str, q: Array, *v: Array) -> Tensor:
         if self.lagrangian is None:
             raise AttributeError(f"{type(self).__name__} learns no Lagrangian")
@@ -256,6 +266,7 @@ class DynamicsModel(nn.Module):
             value = getattr(self.lagrangian, quantity)(given.q, *velocity)
         return value[0] if given.single else value
 
+    @leaves_inference_mode
     def for_evaluation(self) -> DynamicsModel:
         """Return a copy for evaluation: double precision, roots found to convergence."""
         twin = copy.deepcopy(self)

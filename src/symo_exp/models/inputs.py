@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError, first_line
@@ -60,7 +61,10 @@ class Inputs:
         if (u is None) == (steps is None):
             raise ConfigError("a rollout needs either u, the control at every node, or steps")
         if steps is None:
-            return self._read("u", u, "nodes", self._m)
+            controls = self._read("u", u, "nodes", self._m)
+            if not controls.shape[1]:
+                raise ConfigError("u has no nodes: expected at least that of the start")
+            return controls
         return self._like.new_zeros(len(self.q), whole_number("steps", steps, low=0) + 1, self._m)
 
     def gradients(self) -> torch.set_grad_enabled:
@@ -105,10 +109,16 @@ class Inputs:
             if isinstance(found, np.ndarray):  # in any order of bytes and of axes
                 found = torch.from_numpy(found.astype(np.float64, order="C"))
             self._tracked |= found.requires_grad
-            return found.to(self._like)
+            found = found.to(self._like)
         except (TypeError, ValueError, RuntimeError) as error:
             told = f"{name} is not an array of numbers: {first_line(error)}"
             raise ConfigError(told) from None
+        if forward_ad.unpack_dual(found).tangent is not None:
+            raise ConfigError(
+                f"{name} has a tangent (torch.func.jvp or jacfwd), but models have no forward-mode "
+                "derivatives: use linearize, or torch.autograd.functional.jacobian of step"
+            )
+        return found.clone() if found.is_inference() else found  # its copy can have derivatives
 
     def _read(self, name: str, given: Array, *shape: int | str) -> Tensor:
         """Return numbers of a shape, in which a size given by a name may be any."""

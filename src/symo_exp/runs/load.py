@@ -14,6 +14,7 @@ from hydra.errors import InstantiationException
 from symo_exp import code
 from symo_exp.errors import ConfigError, first_line, shortened
 from symo_exp.models.base import DynamicsModel
+from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.models.uncertainty import ModelPosterior
 from symo_exp.runs import before
 from symo_exp.runs.folder import BEST, CHECKPOINT, CONFIG, POSTERIOR, RunFolder
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from symo_exp.data.base import Splits
 
 
+@leaves_inference_mode
 def from_folder(
     folder: Path, dtype: torch.dtype | None = None, device: str | torch.device = "cpu"
 ) -> DynamicsModel:

@@ -20,6 +20,7 @@ from symo_exp.errors import ConfigError, shortened
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
+from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.shell import python_command
 from symo_exp.tracking.load import load
 from symo_exp.use.mjcf import write_bodies
@@ -61,6 +62,7 @@ class FixedStep(nn.Module):
         return q_next, flow.decode(q_next, at.expansion.values.d2 + after), at.found
 
 
+@leaves_inference_mode
 def export(
     run: DynamicsModel | str | os.PathLike[str], path: str | Path, *, iterations: int = 5
 ) -> Path:
