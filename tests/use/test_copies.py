@@ -1,5 +1,6 @@
 """Vector environments and environments of models: the motion of single ones."""
 
+import pickle
 import warnings
 
 import gymnasium
@@ -66,6 +67,25 @@ def test_the_environment_of_a_model_is_accepted_and_is_its_step(method, integrat
     step = model.step(before[:2], before[2:], [2.0])
     np.testing.assert_allclose(after, torch.cat((step.q, step.v)), rtol=1e-12, atol=1e-12)
     assert reward == pytest.approx(float(system.potential(step.q[None])))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_environments_move_alike_in_inference_mode_and_after_pickling(known):
+    """That of the true equations and that of a model."""
+
+    def made():
+        if known:
+            return gymnasium.make("symo_exp/Acrobot-v0").unwrapped
+        return environment(model_of(SYSTEMS["acrobot"]))
+
+    def moved(env):
+        env.reset(seed=1)
+        return env.step([0.5])[0]
+
+    wanted = moved(made())
+    with torch.inference_mode():
+        np.testing.assert_array_equal(moved(made()), wanted)
+    np.testing.assert_array_equal(moved(pickle.loads(pickle.dumps(made()))), wanted)
 
 
 def test_vector_environments_are_registered_with_gymnasium():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,7 @@ import torch
 from torch import Tensor
 
 from symo_exp.errors import ConfigError
+from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver, simulate
 
@@ -44,12 +46,13 @@ class Copies:
                 f"coordinate(s) and {m} input(s)"
             )
         self.system, self.box = system, system.box
-        self._motion, self._reward = motion, reward or potential_reward(system)
+        self._motion, self._reward = motion, reward or partial(potential_reward, system)
         low, high = np.array(self.box.u, dtype=np.float64).reshape(-1, 2).T
         self.actions = gymnasium.spaces.Box(low, high, dtype=np.float64)
         shape = (system.coordinates.width + system.coordinates.n,)
         self.observations = gymnasium.spaces.Box(-np.inf, np.inf, shape=shape, dtype=np.float64)
 
+    @leaves_inference_mode
     def draw(
         self, random: np.random.Generator, count: int, options: Mapping[str, Any] | None = None
     ) -> np.ndarray:
@@ -75,6 +78,7 @@ class Copies:
             parts.append(np.broadcast_to(part, drawn.shape))
         return np.concatenate(parts, axis=1)
 
+    @leaves_inference_mode
     def move(self, states: np.ndarray, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return states, rewards and which copies are lost after a step.
 
@@ -123,16 +127,16 @@ def exact(system: System, solver: Solver) -> TimeStep:
     """Return the step of a true system, integrated like simulated data."""
     if not isinstance(system, LagrangianSystem):
         raise ConfigError(f"{type(system).__name__} has no known equations; give a model instead")
-
-    def move(q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        after = simulate(system, q, v, u, steps=1, solver=solver)
-        return after.q[:, 1], after.v[:, 1], torch.ones(len(q), dtype=torch.bool)
-
-    return move
+    return partial(_exact_step, system, solver)
 
 
-def potential_reward(system: System) -> Reward:
+def _exact_step(
+    system: LagrangianSystem, solver: Solver, q: Tensor, v: Tensor, u: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    after = simulate(system, q, v, u, steps=1, solver=solver)
+    return after.q[:, 1], after.v[:, 1], torch.ones(len(q), dtype=torch.bool)
+
+
+def potential_reward(system: System, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
     """Return the reward ``V(q)``, 0 where it is not known."""
-    if isinstance(system, LagrangianSystem):
-        return lambda q, v, u: system.potential(q)
-    return lambda q, v, u: q.new_zeros(len(q))
+    return system.potential(q) if isinstance(system, LagrangianSystem) else q.new_zeros(len(q))

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, final
 
 import gymnasium
@@ -39,6 +40,7 @@ from typing_extensions import override
 from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
+from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.systems.base import System
 from symo_exp.systems.render import SIZE, Window, draw_skeleton
 from symo_exp.systems.simulation import Solver
@@ -210,6 +212,7 @@ def _limit(steps: int | None) -> float:
     return np.inf if steps is None else whole_number("max_episode_steps", steps)
 
 
+@leaves_inference_mode
 def environment(
     subject: System | DynamicsModel,
     copies: int | None = None,
@@ -239,7 +242,7 @@ def environment(
                 "the system of this model is not known: give it, environment(model, system=...)"
             )
         _require_same_sizes(subject, system)
-        options = {"motion": _step_of(subject), **options}
+        options = {"motion": partial(_model_step, subject), **options}
     elif isinstance(subject, System):
         system = subject
     else:
@@ -267,14 +270,14 @@ def _require_same_sizes(model: DynamicsModel, system: System) -> None:
         )
 
 
-def _step_of(model: DynamicsModel) -> TimeStep:
-    def move(q: Tensor, v: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        path = model.rollout(q, v, torch.stack((u, u), dim=1))
-        return path.q[:, 1], path.v[:, 1], path.converged[:, 0]
+def _model_step(
+    model: DynamicsModel, q: Tensor, v: Tensor, u: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    path = model.rollout(q, v, torch.stack((u, u), dim=1))
+    return path.q[:, 1], path.v[:, 1], path.converged[:, 0]
 
-    return move
 
-
+@leaves_inference_mode
 def make_environment(
     system: str,
     parameters: Mapping[str, Any] | None = None,
