@@ -151,7 +151,8 @@ assert symo_exp.run(*{words!r}).model.time_step > 0.0
     subprocess.run([sys.executable, "-c", again], check=True, capture_output=True)
     (folder,) = (mine.parent / "outputs" / "default").glob("*-*")
     other = f"""import symo_exp
-assert symo_exp.Run({str(folder)!r}, code="mine_own").model.time_step > 0.0
+run = symo_exp.Run({str(folder)!r}, code="mine_own")
+assert symo_exp.load(run).time_step == run.model.time_step
 """
     subprocess.run([sys.executable, "-c", other], check=True, capture_output=True)
 

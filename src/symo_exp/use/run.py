@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 from PIL import Image
 
+from symo_exp import code as own
 from symo_exp.cli.command import Command, execute_all
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
@@ -31,9 +32,9 @@ class Run:
     def __init__(
         self, folder: str | os.PathLike[str], *, code: str | os.PathLike[str] | None = None
     ) -> None:
+        own.add(code)
         require_run(Path(folder).expanduser())
         self.folder = Path(folder).expanduser().absolute()
-        self._code = code
 
     def __repr__(self) -> str:
         return f"Run({os.path.relpath(self.folder)!r})"
@@ -44,7 +45,7 @@ class Run:
     @cached_property
     def model(self) -> DynamicsModel:
         """The trained model: ``symo_exp.load``."""
-        return load(self.folder, code=self._code)
+        return load(self.folder)
 
     @cached_property
     def measures(self) -> dict[str, float]:
