@@ -228,3 +228,19 @@ def test_impossible_exports_are_refused_in_one_line(tmp_path, monkeypatch):
     for arguments, said in [*wrong, ({"path": "x.onnx"}, "pip install onnx onnxscript")]:
         with pytest.raises(ConfigError, match=said):
             symo_exp.export(model, **arguments)
+
+
+def test_an_interrupted_export_keeps_the_file_before(tmp_path, monkeypatch):
+    save = torch.export.save
+
+    def interrupted(*arguments, **options):
+        save(*arguments, **options)
+        raise KeyboardInterrupt
+
+    path = tmp_path / "model.pt2"
+    path.write_text("before")
+    monkeypatch.setattr("torch.export.save", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        symo_exp.export(make("node", "rk4", 1), path)
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]

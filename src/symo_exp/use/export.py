@@ -17,6 +17,7 @@ from symo_exp.checks import whole_number
 from symo_exp.compile.inductor import simplify, stand_ins, trace
 from symo_exp.compile.newton import iterate_branch_free
 from symo_exp.errors import ConfigError, shortened
+from symo_exp.files import write_whole
 from symo_exp.mechanics.roots import Newton
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
@@ -156,7 +157,12 @@ def _pt2(program: Any, path: Path, model: DynamicsModel) -> None:
     with warnings.catch_warnings():
         # of buffers that are views of one tensor, each of which is written as it is
         warnings.filterwarnings("ignore", "No complete tensor found", UserWarning)
-        torch.export.save(program, path, extra_files={"symo_exp.txt": about})
+        write_whole(path, lambda new: _save(program, new, about))
+
+
+def _save(program: Any, path: Path, about: str) -> None:
+    with path.open("wb") as file:  # a name would have to end in .pt2
+        torch.export.save(program, file, extra_files={"symo_exp.txt": about})
 
 
 def _onnx(program: Any, path: Path, model: DynamicsModel) -> None:
