@@ -522,9 +522,50 @@ def test_a_column_that_changes_where_positions_jump_is_not_passed_over(
         return
     with pytest.raises(ConfigError, match="positions jump where Versuch changes") as error:
         read_recordings(tmp_path / "x.csv", system)
-    for columns, count in (({"trajectory": "Versuch"}, 6), ({"Versuch": None}, 1)):
+    # without the column, one of the leaps is too small to be told from a motion
+    for columns, count in (({"trajectory": "Versuch"}, 6), ({"Versuch": None}, 5)):
         assert as_setting(columns) in str(error.value)
         assert len(read_recordings(tmp_path / "x.csv", system, columns).recordings) == count
+
+
+def struck(q: np.ndarray) -> np.ndarray:
+    """A motion whose velocity jumps twice."""
+    t = 0.01 * np.arange(len(q))
+    return q + 5.0 * np.maximum(t - 2.005, 0.0) - 5.0 * np.maximum(t - 4.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "count"),
+    [
+        (lambda q: q, 3),
+        (lambda q: 1e3 * q, 3),  # in mm
+        (lambda q: q.round(2), 3),  # of an encoder
+        (lambda q: np.sin(0.01 * np.arange(len(q))), 1),
+        (lambda q: struck(np.sin(0.01 * np.arange(len(q)))), 1),  # blows
+        (lambda q: (0.02 * np.arange(len(q)) + np.pi) % (2 * np.pi) - np.pi, 1),
+        (lambda q: (np.arange(len(q)) + 180.0) % 360.0 - 180.0, 1),  # angles jump by a turn
+        (
+            lambda q: np.where(
+                np.arange(len(q)) % 200 == 77, 9.0, np.sin(0.01 * np.arange(len(q)))
+            ),
+            1,
+        ),
+        (lambda q: np.sin(0.01 * (np.arange(len(q)) // 5 * 5)), 1),  # a slower sensor
+        (lambda q: np.where(np.arange(len(q)) % 200 < 100, 0.0, 1.0), 1),  # two places only
+    ],
+)
+@pytest.mark.parametrize("pause", [0.0, 0.02])
+def test_positions_that_leap_begin_a_recording(change, count, pause: float, tmp_path: Path) -> None:
+    """No time tells of motions that were written one below the other."""
+    k = np.arange(900) // 300
+    t = 0.01 * np.arange(900)
+    q = np.array([1.0, 1.5, 0.8])[k] * np.cos(3.0 * (t - 3.0 * k))
+    table = pd.DataFrame({"t": t + pause * k, "q_0": change(q)})
+    table.to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
+    found = read_recordings(tmp_path / "x.csv", system)
+    assert len(found.recordings) == count
+    assert any("leap 2 time(s), first after t=2.99: 3 rec" in x for x in found.notes) == (count > 1)
 
 
 @pytest.mark.parametrize("name", ["run", "Trial_ID", "Trial #", "episode", "experiment no"])

@@ -38,6 +38,9 @@ failure."""
 JUMP, FEW_ROWS = 2.0, 10
 """Step from a row to the next over the largest elsewhere beyond which it is a jump, and the rows
 between two of them, on average, from which a column may tell recordings apart."""
+LEAP, TURNS = 4.0, (2 * math.pi, 360.0)
+"""Speed from a row to the next, over that just before and after and the largest elsewhere, beyond
+which another recording begins, and jumps of angles at which none does."""
 SLOW, FAST = 1.0, 5e-6
 """Times between samples from which, and up to which, the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
@@ -179,6 +182,7 @@ def _read(
     known = {*numbers, *OTHERS}
     others = [c for c in head.names if c and c not in known and c[:8] != "__index_"]
     _check_jumps(where, table, wanted["q"], others, dict(head.given))
+    table = _split_at_leaps(table, [f"q_{name}" for name in coordinates.flat], notes)
     recordings = tuple(_divided(where, table, wanted, len(inputs)))
     unread = [c.lstrip(".") for c in others]
     notes += [f"columns that are not read: {few(unread)}"] if unread else []
@@ -484,6 +488,34 @@ def _check_jumps(
                 f"as their number, {as_setting({**given, 'trajectory': column})}, or leave it out, "
                 f"{omitting([column], given)}"
             )
+
+
+def _split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str]) -> pd.DataFrame:
+    """Return a table in which recordings are numbered where positions leap.
+
+    A blow changes a velocity to that after it, and a sensor that fails for a row leaps twice. A
+    step far longer than both of its neighbours, and than all others, is that to the beginning of
+    another recording, unless an angle jumps by a turn.
+    """
+    if "trajectory" in table or len(table) < FEWEST or not places:
+        return table
+    rows = table.sort_values("t", kind="stable")
+    steps, moves = np.diff(rows["t"]), np.abs(np.diff(rows[list(places)], axis=0))
+    moves = np.min([moves, *(np.abs(moves - turn) for turn in TURNS)], axis=0)
+    speed = moves / np.maximum(steps, np.median(steps))[:, None]
+    beside = np.pad(speed, ((1, 1), (0, 0)))
+    sudden = speed > LEAP * np.maximum(beside[:-2], beside[2:])
+    most = np.where(sudden, 0.0, speed).max(axis=0)
+    leaps = (sudden & (speed > LEAP * most) & (most > 0.0)).any(axis=1)
+    starts = np.flatnonzero(leaps) + 1
+    lengths = np.diff([0, *starts, len(rows)])
+    if not len(starts) or lengths.min() < FEW_ROWS:
+        return table
+    notes.append(
+        f"positions leap {len(starts)} time(s), first after t={rows['t'].iloc[starts[0] - 1]:.6g}: "
+        f"{len(lengths)} recordings (a column trajectory says otherwise)"
+    )
+    return rows.assign(trajectory=np.repeat(np.arange(1, len(lengths) + 1), lengths))
 
 
 def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
