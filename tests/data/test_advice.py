@@ -174,6 +174,29 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
         {"q": "x tilt", "v": "xdot tiltdot", "u": "u"},
     ),
     "an abbreviated angle beside a position": ({"t": T, "x": Q, "th": U}, {"q": "x th"}),
+    "German": (
+        {"Zeit [s]": T, "Motorwinkel": Q, "Sollwinkel": U, "Winkelgeschwindigkeit": U,
+         "Drehmoment": U, "Temperatur": T},
+        {"t": "Zeit [s]", "q": "Motorwinkel", "u": "Drehmoment"},
+    ),
+    "German, of a slide": (
+        {"Zeit": T, "Weg": Q, "Weg_Soll": Q, "Kraft_N": U, "Beschleunigung": U},
+        {"t": "Zeit", "q": "Weg", "u": "Kraft_N"},
+    ),
+    "French": (
+        {"temps": T, "angle": Q, "vitesse": U, "couple": U, "consigne": Q, "accélération": Q},
+        {"t": "temps", "q": "angle", "u": "couple"},
+    ),
+    "Spanish": (
+        {"Tiempo (s)": T, "Ángulo 1": Q, "Velocidad 1": U, "Ángulo 2": U, "Velocidad 2": U,
+         "Corriente 1": U, "Corriente 2": Q},
+        {"t": "Tiempo (s)", "q": "Ángulo 1 Ángulo 2", "v": "Velocidad 1 Velocidad 2",
+         "u": "Corriente 1 Corriente 2"},
+    ),
+    "Portuguese": (
+        {"tempo": T, "posição": Q, "força": U, "tensão": Q},
+        {"t": "tempo", "q": "posição", "u": "força tensão"},
+    ),
     "seven joints": (
         {"t": T, **{f"{x}{k}": np.roll(Q, 99 * k) for x in ("q", "dq", "tau") for k in range(7)}},
         {"q": " ".join(f"q{k}" for k in range(7)), "v": " ".join(f"dq{k}" for k in range(7)),
@@ -388,7 +411,9 @@ def test_degrees_are_not_suggested_for_radians(tmp_path: Path) -> None:
     assert advised(path)["degrees"] is True
 
 
-@pytest.mark.parametrize("name", ["hip [degrees]", "hip_degree", "hip in degs", "hip_deg"])
+@pytest.mark.parametrize(
+    "name", ["hip [degrees]", "hip_degree", "hip in degs", "hip_deg", "hip [Grad]", "hip (degrés)"]
+)
 def test_degrees_are_known_by_every_spelling(name: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     pd.DataFrame({"t": T, name: Q}).to_csv(path, index=False)

@@ -23,6 +23,7 @@ import pandas as pd
 import pyarrow.parquet
 import scipy.io
 
+from symo_exp.data.languages import WORDS
 from symo_exp.errors import ConfigError, first_line, shortened
 
 TABLES = (".parquet", ".csv", ".npz", ".mat")
@@ -36,7 +37,8 @@ TIME_UNITS = {
 }  # fmt: skip
 """Units of time as names state them, by their spelling."""
 IN_UNIT = r"(?:_(UNIT)|(?: *[\[(]| in )(UNIT)[\])]?)".replace("UNIT", "|".join(TIME_UNITS))
-TIME = re.compile(rf"_*(?:t|times?|timestamps?|stamps?)(?:{IN_UNIT})?", re.IGNORECASE)
+CLOCKS = "|".join((*WORDS["time"].split(), *WORDS["timestamp"].split()))
+TIME = re.compile(rf"_*(?:t|times?|timestamps?|stamps?|{CLOCKS})(?:{IN_UNIT})?", re.IGNORECASE)
 """Names of a time column, with the unit that they state."""
 IN_TIME = re.compile(rf".+{IN_UNIT}", re.IGNORECASE)
 """Names that state a unit of time."""

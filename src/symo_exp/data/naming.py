@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 
 from symo_exp.data.formats import IN_TIME, TIME
+from symo_exp.data.languages import english, parts_of, plain
 from symo_exp.systems.recorded import UNIT, without_unit
 
 ANGLE = (
@@ -71,7 +72,7 @@ def kind_of_column(name: str) -> str:
 
     Nothing if the name does not tell.
     """
-    unit, words = UNIT.search(name), _words(without_unit(name))
+    unit, words = UNIT.search(name), meanings(without_unit(name))
     wanted = is_wanted(name)
     if any(map(OTHER.fullmatch, words)):
         return "-"
@@ -97,18 +98,24 @@ def is_no_place(stem: str, stems: Collection[str]) -> bool:
         stems: Names of all coordinates.
     """
     kind = kind_of_column(stem)
-    effort = kind == "u" and any(map(EFFORTS.fullmatch, _words(stem)))
+    effort = kind == "u" and any(map(EFFORTS.fullmatch, meanings(stem)))
     return kind in ("v", "-") or effort or slope_of(stem, stems) is not None
 
 
 def is_wanted(name: str) -> bool:
     """Return whether a name says what a controller wants."""
-    return any(map(WANTED.fullmatch, _words(name)))
+    return any(map(WANTED.fullmatch, meanings(name)))
 
 
 def _words(name: str) -> list[str]:
     """Return the words of a name, also of one such as ``jointAngle``."""
-    return re.findall(r"[A-Z]+\d*(?![a-z])|[A-Z]?[a-z]+\d*|\d+", name)
+    found = re.findall(r"[A-Z]+\d*(?![a-z])|[A-Z]?[a-z]+\d*|\d+", plain(name))
+    return [part for word in found for part in parts_of(word)]
+
+
+def meanings(name: str) -> list[str]:
+    """Return the words of a name in English."""
+    return [english(word) for word in _words(name)]
 
 
 def short_names(stems: Sequence[str], kind: re.Pattern[str] | None = None) -> list[str]:
@@ -122,7 +129,7 @@ def short_names(stems: Sequence[str], kind: re.Pattern[str] | None = None) -> li
 def short_name(stem: str, kind: re.Pattern[str]) -> str:
     """Return a name without the word that states its kind: ``1`` of ``q1``."""
     words = _words(stem)
-    kept = [match[1] if (match := kind.fullmatch(word)) else word for word in words]
+    kept = [match[1] if (match := kind.fullmatch(english(word))) else word for word in words]
     return "_".join(filter(None, kept)) or _short(stem)
 
 
@@ -131,13 +138,13 @@ def _short(stem: str) -> str:
 
     Where nothing is left it says nothing: ``x`` would be a position.
     """
-    return re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "column"
+    return re.sub(r"\W+", "_", plain(stem), flags=re.ASCII).strip("_") or "column"
 
 
 def unit_of(name: str) -> str:
     """Return the unit that a name ends with, degrees as ``deg``; nothing if it ends with none."""
     unit = UNIT.search(name)
-    return re.sub(r"°|deg\w+", "deg", unit[2].lower()) if unit else ""
+    return re.sub(r"°|deg\w+|gra[du]\w*", "deg", plain(unit[2]).lower()) if unit else ""
 
 
 def unread_unit(name: str) -> str:

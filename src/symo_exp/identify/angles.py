@@ -11,7 +11,7 @@ import numpy as np
 
 from symo_exp.data.diagnose import SUSPECT
 from symo_exp.data.formats import few
-from symo_exp.data.naming import ANGLE, SLIDE, length_unit, units_of_angles
+from symo_exp.data.naming import ANGLE, SLIDE, length_unit, meanings, units_of_angles
 from symo_exp.data.recorded import are_counts
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
@@ -39,16 +39,21 @@ def is_angle(name: str, written: str, columns: Sequence[np.ndarray]) -> bool | N
         written: Its name in the file if that states a unit, else its name.
         columns: Its values in each recording.
     """
-    words = re.split(r"[^a-z]+", name.lower())
+    words = _kinds(name)
     if units_of_angles([written]) or any(re.fullmatch(ANGLE, word) for word in words):
         return True
-    words += re.split(r"[^a-z]+", written.lower())
+    words += _kinds(written)
     if length_unit(written) or any(re.fullmatch(SLIDE, word) for word in words):
         return False
     low, high = min(x.min() for x in columns), max(x.max() for x in columns)
     if high - low > SPAN or _wraps(columns, 2 * np.pi):
         return True
     return None
+
+
+def _kinds(name: str) -> list[str]:
+    """Return the words of a name without numbers."""
+    return [word.lower().rstrip("0123456789") for word in meanings(name)]
 
 
 def ask_which_turn(

@@ -16,8 +16,9 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI, Units
 from symo_exp.systems.base import System
 
+DEGREES = r"deg(?:s|rees?|r[eé]s?)?|gra(?:d|di|dos|us)|°"
 UNIT = re.compile(
-    r"(_| in | *[\[(])((?:mm?|cm|rad|deg(?:s|rees?)?|°)(?:/s)?|n[ .*·]?m|n|v|a)[\])]?$", re.I
+    rf"(_| in | *[\[(])((?:mm?|cm|rad|{DEGREES})(?:/s)?|n[ .*·]?m|n|v|a)[\])]?$", re.I
 )
 """A unit at the end of a name, after an underscore or "in", or in brackets."""
 
