@@ -191,3 +191,13 @@ def test_angles_in_degrees_by_their_names_in_the_file_are_read(name, degrees, wo
 def test_a_scale_that_is_none_is_refused(scale):
     with pytest.raises(ConfigError, match=r"system\.scale.*expected"):
         Recorded(names=["x"], angular="none", time_step=0.01, scale=scale)
+
+
+@pytest.mark.parametrize(
+    ("factor", "name", "told"), [(1e3, "x", True), (1.0, "x", False), (1e3, "x_mm", False)]
+)
+def test_a_length_that_is_hardly_in_metres_is_told(factor, name, told, tmp_path):
+    table = sprung(factor, 1.0).rename(columns={"q_x": f"q_{name}"})
+    table.to_csv(tmp_path / "mine.csv", index=False)
+    notes = examine({"path": tmp_path / "mine.csv"}, input_matrix=[[1]]).notes
+    assert any("m, as its name states no unit" in note for note in notes) == told

@@ -27,6 +27,8 @@ better in degrees, whose sines are straight, although they act on angles in radi
 MUCH = 0.3
 """Share of the power that another reading explains in addition where it is likely, although
 something else moves the machine, too, or regressions represent it badly."""
+LONG = 30.0
+"""Range of a length without a unit [m] beyond which it is probably in another one."""
 WHOLE = 0.3
 """Distance of a jump from a whole turn, over a turn, up to which an angle is wrapped."""
 
@@ -106,6 +108,14 @@ def told_units(
         lines.append(
             f"lengths of {few(counted)} are whole numbers: where results say m, they are in that "
             "unit, such as counts of an encoder; convert them in the file for results in SI units"
+        )
+    ranges = {x: float(np.ptp(np.concatenate(columns[x]))) for x in positions}
+    ranges = {x: size for x, size in ranges.items() if size > LONG and x not in (*odd, *counted)}
+    if ranges:
+        told = few([f"{x} moves by {size:.3g} m" for x, size in ranges.items()])
+        lines.append(
+            f"{told}, as its name states no unit; if it is in mm or another one, convert it in the "
+            "file for results in SI units"
         )
     return lines
 
