@@ -486,6 +486,16 @@ def test_a_clock_that_starts_anew_begins_a_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("label", [{}, {"trajectory": 7}])
+def test_any_number_of_rows_may_be_written_twice(label, tmp_path: Path) -> None:
+    table = motion().assign(**label)
+    table.loc[table.index.repeat(2)].to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    found = read_recordings(tmp_path / "x.csv", system)
+    np.testing.assert_allclose(found.recordings[0].samples.q[:, 0], table.q_0, rtol=1e-12)
+    assert "3000 of 6000 rows are copies and are left out" in found.notes
+
+
+@pytest.mark.parametrize("label", [{}, {"trajectory": 7}])
 def test_a_clock_that_is_set_back_by_a_part_of_its_time_is_refused(label, tmp_path: Path) -> None:
     """Its times repeat earlier ones, and no other rows would tell of it."""
     table = motion().assign(**label)

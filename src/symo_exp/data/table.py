@@ -178,8 +178,8 @@ def _read(
         table["t"] *= seconds
     table = _numbered(table, notes)
     _check_order(where, table)
-    table = _without_repeats(where, table, notes)
     known = {*numbers, *OTHERS}
+    table = _without_repeats(where, table, known, notes)
     others = [c for c in head.names if c and c not in known and c[:8] != "__index_"]
     _check_jumps(where, table, wanted["q"], others, dict(head.given))
     table = _split_at_leaps(table, [f"q_{name}" for name in coordinates.flat], notes)
@@ -518,12 +518,19 @@ def _split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str]
     return rows.assign(trajectory=np.repeat(np.arange(1, len(lengths) + 1), lengths))
 
 
-def _without_repeats(where: str, table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
+def _without_repeats(
+    where: str, table: pd.DataFrame, known: set[str], notes: list[str]
+) -> pd.DataFrame:
     """Return the first row of each time; refuse a table in which many times repeat.
 
+    Rows that are the same as earlier ones in all ``known`` columns are left out, however many.
     Times very close to each other also count as repeated: slopes between their rows are those of
     the noise.
     """
+    copies = table.duplicated([name for name in table if name in known])
+    if copies.any():
+        notes.append(f"{int(copies.sum())} of {len(table)} rows are copies and are left out")
+        table = table[~copies].reset_index(drop=True)
     again = np.zeros(len(table), dtype=bool)
     for _, rows in _groups(table):
         t = rows["t"].sort_values(kind="stable")
