@@ -296,6 +296,14 @@ def test_coordinates_that_are_not_written_as_numbers_are_named(
     assert "data.columns" not in str(error.value)
 
 
+def test_a_column_with_empty_cells_has_numbers(tmp_path: Path) -> None:
+    """As that of an input with a clock of its own, whose rows are between those of positions."""
+    torque = np.where(np.arange(len(T)) % 3, np.nan, U)
+    pd.DataFrame({"t": T, "arm": Q, "torque": torque}).to_csv(tmp_path / "mine.csv", index=False)
+    columns = advised(tmp_path / "mine.csv")["columns"]
+    assert columns == {"q_arm": "arm", "u_torque": "torque"}
+
+
 @pytest.mark.parametrize("unit", ["mm", "cm", "m"])
 def test_suggested_names_keep_units_of_length_that_results_have(unit: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"

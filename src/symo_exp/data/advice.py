@@ -204,8 +204,8 @@ def _times(free: Sequence[str], table: pd.DataFrame, *, named: bool) -> list[str
 
 
 def is_number(values: pd.Series) -> bool:
-    """Return whether most values are numbers."""
-    return bool(_numbers(values).notna().mean() > 0.5)
+    """Return whether most values are numbers; empty cells are none."""
+    return bool(_numbers(values.dropna()).notna().mean() > 0.5)
 
 
 def _numbers(values: pd.Series) -> pd.Series:
