@@ -227,7 +227,11 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
         (lambda t: t.assign(t=2 * t["t"]), "a sample every 0.1 s"),
         (lambda t: t[(t["t"] < 0.19) | (t["t"] > 0.32)], "nothing is left for train; train: gaps"),
         (
-            lambda t: t.iloc[[*range(9), *range(60)]].sort_values(["trajectory", "t"]),
+            lambda t: (
+                t.iloc[[*range(9), *range(60)]]
+                .assign(v_x=range(69))
+                .sort_values(["trajectory", "t"])
+            ),
             "9 of 69 rows",
         ),
         (
@@ -235,7 +239,9 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
             "goes back in time after t=1700000000.05; give",
         ),
         (
-            lambda t: t.assign(t=t["t"] + 1.7e9).iloc[[0, 1, 1, *range(2, 9)]],
+            lambda t: (
+                t.assign(t=t["t"] + 1.7e9).iloc[[0, 1, 1, *range(2, 9)]].assign(v_x=range(10))
+            ),
             "first t=1700000000.05; at most",
         ),
         (lambda t: pd.concat([t, t.iloc[:2]]), "trajectory 0 goes back in time after t=0.45"),
