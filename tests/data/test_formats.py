@@ -670,6 +670,7 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
         ("x.jsonl", b"", r"expected a file that ends in \.csv, .*DataFrame\.to_csv"),
         ("x.txt", b"", "it is empty"),
         ("bare.csv", b"0.0,1.0,2.0\n0.1,1.0,2.0\n", r"first line has numbers \(0.0, 1.0, 2.0\)"),
+        ("bare.csv", b"0,0;1,0;2,5\n0,1;1,0;2,0\n", r"first line has numbers \(0,0, 1,0, 2,5\)"),
         ("absent", None, "there is no such file or folder"),
         ("x.npz", b"nonsense", "no archive of arrays"),
         ("x.npz", saved(np.save, np.ones(9)), "no archive of arrays"),

@@ -253,10 +253,7 @@ class Dialect(NamedTuple):
         if comments and re.match(NUMBER.pattern + r"(?:[,;\s]|$)", first):
             skipped, others = len(before), [first, *others]
             first = COMMENT.sub("", comments[-1], count=1)
-        counts = Counter({sign: first.count(sign) for sign in (",", ";", "\t", "|")})
-        separator, count = counts.most_common(1)[0]
-        if count == 0 and len(first.split()) > 1:
-            separator = " "
+        separator = _separator(first)
         names, *rows = _cells([first, *others], separator) or [[]]
         comma = any(DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
         return cls(
@@ -326,6 +323,19 @@ def _encoding(file: Path) -> str:
     except UnicodeDecodeError:
         return "cp1252"
     return "utf-8-sig"
+
+
+def _separator(line: str) -> str:
+    """Return the separator of the line of names, or of numbers where names are missing.
+
+    Commas are decimal signs if another one makes all cells numbers.
+    """
+    counts = Counter({sign: line.count(sign) for sign in (",", ";", "\t", "|")})
+    for sign, count in counts.items():
+        if sign != "," and count and all(map(NUMBER.fullmatch, line.split(sign))):
+            return sign
+    separator, count = counts.most_common(1)[0]
+    return " " if count == 0 and len(line.split()) > 1 else separator
 
 
 def _cells(lines: Sequence[str], separator: str) -> list[list[str]]:
