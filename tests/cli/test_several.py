@@ -114,22 +114,19 @@ def test_a_signal_keeps_the_rest_away(folder, monkeypatch, capsys):
     assert given == [["a", CHECK_ONLY], ["b", CHECK_ONLY], ["a"]] * 2
 
 
-def test_a_job_of_a_sweep_says_what_to_type_for_it_alone(folder):
-    words = ["--config-dir", str(folder), "-cn", "a", *TINY, "model=node", "pictures=false"]
-    assert main(words) == 0
-    for run in Path("outputs/default").iterdir():
-        about = json.loads((run / "run.json").read_text())
-        python, *typed = shlex.split(about["tags"]["symo_exp.command"])
-        assert (python, typed[:2]) == ("python", ["-m", "symo_exp"])
-        assert job_of(*typed[2:]).folder.path.name == run.name
-
-
-def test_a_sweep_says_the_command_that_repeats_it(folder):
+def test_a_sweep_and_each_of_its_jobs_say_the_command_that_repeats_them(folder):
     words = ["--config-dir", str(folder), "-cn", "a", *TINY[1:], "model=node", "pictures=false"]
     words += ["measures=false", "data.n_traj=2,3"]
     assert main(words) == 0
-    (file,) = Path("outputs/default/.sweeps").glob("*/run.json")
-    python, *typed = shlex.split(json.loads(file.read_text())["tags"]["symo_exp.command"])
-    assert (python, typed[:2]) == ("python", ["-m", "symo_exp"])
-    again = {job.folder.path.name for job in jobs_of(*typed[2:])}
-    assert again == {run.name for run in Path("outputs/default").glob("node-*")}
+
+    def jobs(record):
+        python, *typed = shlex.split(json.loads(record.read_text())["tags"]["symo_exp.command"])
+        assert (python, typed[:2]) == ("python", ["-m", "symo_exp"])
+        return {job.folder.path.name for job in jobs_of(*typed[2:])}
+
+    runs = [*Path("outputs/default").glob("node-*")]
+    assert len(runs) == 2
+    for run in runs:
+        assert jobs(run / "run.json") == {run.name}
+    (sweep,) = Path("outputs/default/.sweeps").glob("*/run.json")
+    assert jobs(sweep) == {run.name for run in runs}
