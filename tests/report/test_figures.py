@@ -130,7 +130,7 @@ def test_a_caption_names_the_lines_of_true_systems_where_there_are_any():
 @pytest.mark.parametrize("form", ["png", "svg", "pdf"])
 def test_a_chart_becomes_a_file_that_is_the_same_again(form, tmp_path):
     begins = {"png": b"\x89PNG", "svg": b"<svg", "pdf": b"%PDF"}
-    figure = FIGURES[0]
+    figure = min(FIGURES, key=lambda figure: sum(len(panel.rows) for panel in figure.panels))
     (first,) = draw_charts(figure, tmp_path / "a", [form])
     assert first.name == f"{figure.key}.{form}"
     assert first.read_bytes().startswith(begins[form])
