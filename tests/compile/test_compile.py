@@ -51,6 +51,7 @@ needs_compiler = pytest.mark.skipif(not compiler_available(), reason="no C++ com
 SLOW = [
     pytest.param(*case, marks=pytest.mark.slow)
     for case in [
+        ("symo", "midpoint", 1, "row", False),
         ("symo", "midpoint", 2, "row", True),
         ("node", "rk4", 2, "row", True),
         ("l_node", "rk4", 2, "row", True),
@@ -63,7 +64,7 @@ SLOW = [
 @needs_compiler
 @pytest.mark.parametrize(
     ("method", "integrator", "n", "stopping", "validation"),
-    [("symo", "midpoint", 1, "row", False), *SLOW],
+    [("node", "midpoint", 1, "row", False), *SLOW],
 )
 def test_loss_gradients_and_the_step_they_lead_to_are_the_uncompiled_ones(
     method, integrator, n, stopping, validation
@@ -134,8 +135,9 @@ def traced_only(monkeypatch):
     return graphs
 
 
-LONG = {("l_node", "dopri5"), ("l_node", "rk4"), ("symo", "galerkin4")}
-"""Those that take longest; other cases have the field or the integrator with another partner."""
+LONG = {("l_node", "dopri5"), ("l_node", "rk4"), ("symo", "galerkin4"), ("symo", "midpoint")}
+"""Those that take longest; other cases have the field or the integrator with another partner, and
+``test_rows_that_a_compiled_rollout_cannot_finish_are_as_uncompiled`` has roots."""
 
 
 @pytest.mark.usefixtures("traced_only")
@@ -308,12 +310,13 @@ def test_rows_that_a_compiled_rollout_cannot_finish_are_as_uncompiled():
     model, data = make("symo", "midpoint", 1, root=root), windows(1)
     v = data.v.clone()
     v[0], v[1] = 1e200, 80.0
-    one, three = (model.rollout(data.q, v, steps=steps) for steps in (1, 3))
+    u = torch.randn(len(v), 4, 1, dtype=torch.float64)
+    one, three = (model.rollout(data.q, v, x) for x in (u[:, :2], u))
     assert not one.converged[:2].any()
     assert three.converged[2:].all()
     compile_rollout(model)
-    torch.testing.assert_close(model.rollout(data.q, v, steps=1), one, equal_nan=True)
-    for found, expected in zip(model.rollout(data.q, v, steps=3), three, strict=True):
+    torch.testing.assert_close(model.rollout(data.q, v, u[:, :2]), one, equal_nan=True)
+    for found, expected in zip(model.rollout(data.q, v, u), three, strict=True):
         torch.testing.assert_close(found[2:], expected[2:])
 
 
