@@ -67,7 +67,7 @@ def fitted(units, angular, integrator, lagrangian):
         objective=PreconditionedResidual(),
     ).double()
     optimizer = TotalLeastSquares(
-        model.parameters(), epsilons=(1.0,), starts=1, start=2, epochs=2, input_weight=1e-2,
+        model.parameters(), epsilons=(1.0,), starts=1, start=1, epochs=2, input_weight=1e-2,
         damping=1e-2,  # the least one depends on the units of parameters, but not where steps end
     )  # fmt: skip
     while not optimizer.finished:
