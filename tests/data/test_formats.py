@@ -578,6 +578,43 @@ def test_positions_that_leap_begin_a_recording(change, count, pause: float, tmp_
     assert any("leap 2 time(s), first after t=2.99: 3 rec" in x for x in found.notes) == (count > 1)
 
 
+@pytest.mark.parametrize(
+    ("rows", "shown"),
+    [
+        (lambda k: k // 5 * 5, 180),  # a sensor of a fifth of the rate
+        (lambda k: (k * 10 // 35 * 35 + 9) // 10, 257),  # of 2/7
+        (lambda k: np.minimum(k, 450) // 5 * 5, 180),  # and then at rest
+        (lambda k: k, 900),
+        (lambda k: k // 5 * 5 + k % 5 // 2, 900),
+    ],
+)
+def test_positions_that_a_slow_sensor_repeats_are_left_out(rows, shown, tmp_path: Path) -> None:
+    k = np.arange(900)
+    t, place = 0.01 * k, np.sin(0.01 * rows(k))
+    table = pd.DataFrame({"t": t, "q_0": place, "u_0": k % 5 == 0}).astype(float)
+    table.to_csv(tmp_path / "x.csv", index=False)
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    found = read_recordings(tmp_path / "x.csv", system)
+    (one,) = found.recordings
+    assert len(one.samples.q) == shown
+    assert any("repeats its positions" in note for note in found.notes) == (shown < 900)
+    at = np.round(one.samples.t / 0.01).astype(int)
+    assert np.array_equal(one.samples.q[:, 0], place[at])
+    if shown == 180:
+        assert one.samples.u[1:-1] == pytest.approx(0.2)  # the mean of the five around each
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0, 3.0])
+def test_positions_that_an_encoder_repeats_are_kept(speed: float, tmp_path: Path) -> None:
+    k = np.arange(900)
+    for place in (np.floor(speed * k), np.round(50.0 * np.sin(0.01 * speed * k))):
+        table = pd.DataFrame({"t": 0.01 * k, "q_0": 0.01 * place})
+        table.to_csv(tmp_path / "x.csv", index=False)
+        system = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
+        (one,) = read_recordings(tmp_path / "x.csv", system).recordings
+        assert len(one.samples.q) == 900
+
+
 @pytest.mark.parametrize("name", ["run", "Trial_ID", "Trial #", "episode", "experiment no"])
 def test_a_column_of_recordings_needs_no_setting(name: str, tmp_path: Path) -> None:
     """The clock goes on from one to the next, so that nothing else tells them apart."""

@@ -41,6 +41,9 @@ between two of them, on average, from which a column may tell recordings apart."
 LEAP, TURNS = 4.0, (2 * math.pi, 360.0)
 """Speed from a row to the next, over that just before and after and the largest elsewhere, beyond
 which another recording begins, and jumps of angles at which none does."""
+VARIED = 2.0
+"""Usual change of a position over its smallest, from which changes are not single steps of an
+encoder."""
 SLOW, FAST = 1.0, 5e-6
 """Times between samples from which, and up to which, the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
@@ -184,6 +187,11 @@ def _read(
     _check_jumps(where, table, wanted["q"], others, dict(head.given))
     table = _split_at_leaps(table, [f"q_{name}" for name in coordinates.flat], notes)
     recordings = tuple(_divided(where, table, wanted, len(inputs)))
+    if (used := sum(len(one.samples.t) for one in recordings)) < len(table):
+        notes.append(
+            f"{used} of {len(table)} rows are used: in the others, a sensor slower than the log "
+            "repeats its positions"
+        )
     unread = [c.lstrip(".") for c in others]
     notes += [f"columns that are not read: {few(unread)}"] if unread else []
     return RecordingTable(recordings, tuple(notes))
@@ -234,7 +242,7 @@ def _divided(
                 f"{where}: {titled(label)} is in the splits {few(parts)}; a trajectory "
                 "belongs to one of them"
             )
-        rows = rows.sort_values("t", kind="stable")
+        rows = _without_holds(rows.sort_values("t", kind="stable"), wanted)
         fields = {kind: rows[list(names)].to_numpy() for kind, names in wanted.items()}
         v = fields["v"] if wanted["v"] else None
         u = fields["u"] if wanted["u"] else np.zeros((len(rows), inputs))
@@ -516,6 +524,39 @@ def _split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str]
         f"{len(lengths)} recordings (a column trajectory says otherwise)"
     )
     return rows.assign(trajectory=np.repeat(np.arange(1, len(lengths) + 1), lengths))
+
+
+def _without_holds(rows: pd.DataFrame, wanted: Mapping[str, Sequence[str]]) -> pd.DataFrame:
+    """Return the rows in which positions are new, with the means of inputs around them.
+
+    A sensor that is slower than the log repeats each position the same number of times, however
+    fast the machine moves, and the repeated ones are no measurements.
+    """
+    q, inputs = rows[list(wanted["q"])].to_numpy(), list(wanted["u"])
+    held = _rows_of_a_hold(q)
+    if held == 1:
+        return rows
+    new = np.flatnonzero(np.diff(q, axis=0, prepend=np.nan).any(axis=1))
+    ends = np.append(new[1:], len(rows))
+    kept = [np.arange(a, b, held) for a, b in zip(new, ends, strict=True)]  # several at rest
+    means = rows[inputs].rolling(held, center=True, min_periods=1).mean()
+    return rows.assign(**{name: means[name] for name in inputs}).iloc[np.concatenate(kept)]
+
+
+def _rows_of_a_hold(q: np.ndarray) -> int:
+    """Return in how many rows a sensor repeats each position, 1 if it is not slower than the log.
+
+    Positions of an encoder also repeat: where it turns slowly, and then change by a single step.
+    """
+    changes = np.abs(np.diff(q, axis=0))
+    new = np.flatnonzero(changes.any(axis=1))
+    if len(new) < FEW_ROWS:
+        return 1
+    low, high = np.quantile(np.diff(new), (0.1, 0.9))
+    changes = np.where(changes > 0.0, changes, np.nan)[new]
+    there = changes[:, np.isfinite(changes).any(axis=0)]
+    varied = np.nanmedian(there, axis=0) > VARIED * np.nanmin(there, axis=0)
+    return math.ceil(high) if low > 1 and high - low <= 1 and varied.any() else 1
 
 
 def _without_repeats(
