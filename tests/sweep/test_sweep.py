@@ -114,6 +114,36 @@ def test_finished_jobs_are_not_repeated(swept, workplace, capsys, monkeypatch):
     assert "finished already" in capsys.readouterr().out
 
 
+def test_a_finished_run_hides_no_resume_that_is_neither_true_nor_false(
+    swept, workplace, capsys, monkeypatch
+):
+    """``no`` is a text, which counts as true in Python: the run was not started anew."""
+    shutil.copytree(swept[0] / "outputs", workplace / "outputs")
+    monkeypatch.setattr(Sweep, "launch_all", lambda *_: pytest.fail("it started"))
+    assert main([*SWEPT, "logger=none", "optimizer.lr=1e-4", "resume=no"]) == 2
+    assert "resume=no has the wrong type: expected true or false" in capsys.readouterr().err
+
+
+def test_a_killed_worker_is_told_once(workplace, monkeypatch, caplog):
+    """Its neighbours that had not begun are started before it, in a round in which none dies."""
+    rounds = []
+
+    def launch(_, jobs):
+        rounds.append([one.values["seed"] for one in jobs])
+        for one in jobs:
+            begins = len(rounds) > 1 or one.values["seed"] == 0
+            one.folder.record("running" if begins else "waiting")
+            if len(rounds) > 1:
+                one.folder.record("finished")
+
+    monkeypatch.setattr(Sweep, "_launch", launch)
+    with planned(*SWEPT, "logger=none", "seed=0,1,2") as (sweep, jobs):
+        assert sweep.launch_all(jobs) == []
+    assert rounds == [[0, 1, 2], [1, 2], [0]]
+    told = [r.getMessage() for r in caplog.records if "was killed" in r.getMessage()]
+    assert told == ["a worker was killed: 3 run(s) are started again"]
+
+
 @pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 1)])
 def test_a_signal_beside_the_training_ends_the_sweep_and_keeps_what_is_finished(
     moment, finished, workplace, store, monkeypatch, capsys

@@ -41,8 +41,7 @@ class Job(NamedTuple):
 
     def is_left_out(self) -> bool:
         """Return whether the run has finished before and is not to be started anew."""
-        resumes: bool = self.values["resume"]
-        return resumes and is_done(self.values, self.folder)
+        return self.values["resume"] is True and is_done(self.values, self.folder)
 
 
 def expand(

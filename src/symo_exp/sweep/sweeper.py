@@ -289,14 +289,15 @@ class Sweep:
         todo = list(jobs)
         while todo and stopping.requested() is None:
             self._launch(todo)
-            died += [job for job in todo if job.folder.died()]
+            killed = [job for job in todo if job.folder.died()]
+            died += killed
             waiting = [job for job in todo if job.folder.outcome().status == "waiting"]
             if len(waiting) == len(todo):
                 if self._stopped:
                     log.error("no run was started: %s", self._stopped)
                 break
-            if died and stopping.requested() is None:
-                log.error("a worker was killed: %d runs are started again", len(died + waiting))
+            if killed and stopping.requested() is None:
+                log.error("a worker was killed: %d run(s) are started again", len(died + waiting))
             todo = waiting
         return died
 
