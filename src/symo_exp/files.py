@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Callable
@@ -40,6 +41,25 @@ def write_whole(path: Path, write: Callable[[Path], object], *, keep: Path | Non
 def write_text(path: Path, text: str) -> None:
     """Replace a file atomically by a text."""
     write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
+
+
+def write_state(path: Path, state: Any, *, keep: Path | None = None) -> None:
+    """Replace a file atomically by tensors and plain values, for ``torch.load``.
+
+    Args:
+        path: The file.
+        state: Tensors and plain values.
+        keep: As in ``write_whole``.
+
+    Raises:
+        OSError: If the file cannot be written, as on a full disk.
+    """
+    import torch
+
+    # in memory first: where it writes a file, torch.save tells of a full disk by a RuntimeError
+    content = io.BytesIO()
+    torch.save(state, content)
+    write_whole(path, lambda file: file.write_bytes(content.getbuffer()), keep=keep)
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import resource
 import shutil
 import signal
 import zipfile
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from unittest import mock
 
 import pytest
@@ -15,6 +15,7 @@ import symo_exp
 from symo_exp.process import stopping
 from symo_exp.runs.series import EPOCH, read
 from symo_exp.training import resuming
+from symo_exp.training.checkpoint import WholeFiles
 from symo_exp.training.divergence import DivergenceError
 from symo_exp.training.learner import Learner
 from tests.models.methods import learned
@@ -304,6 +305,31 @@ def test_a_disk_that_is_full_for_a_while_costs_only_checkpoints(
     monkeypatch.setattr("os.replace", full)
     assert go(SYMO, workplace / "run") == whole
     assert sum("No space left" in r.message for r in caplog.records) == 2
+
+
+@contextmanager
+def small_files():
+    """No file may grow beyond 4 kB, which ends as on a full disk: before all is written."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_checkpoint_that_is_cut_short_costs_nothing_else(whole, workplace, monkeypatch, caplog):
+    save, count = WholeFiles.save_checkpoint, 0
+
+    def cut_short(*given, **options):
+        nonlocal count
+        count += 1
+        with small_files() if count in (2, 3) else nullcontext():
+            save(*given, **options)
+
+    monkeypatch.setattr(WholeFiles, "save_checkpoint", cut_short)
+    assert go(SYMO, workplace / "run") == whole
+    assert sum(r.message.startswith("no checkpoint: ") for r in caplog.records) == 2
 
 
 def test_a_training_that_diverges_keeps_the_last_good_weights(workplace, monkeypatch, caplog):

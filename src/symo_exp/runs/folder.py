@@ -34,7 +34,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from symo_exp.files import read_json, write_text, write_whole
+from symo_exp.files import read_json, write_state, write_text, write_whole
 from symo_exp.runs.outcome import About, Outcome, Status, this_process
 
 log = logging.getLogger(__name__)
@@ -199,9 +199,7 @@ class RunFolder:
 
     def write_posterior(self, state: Mapping[str, Any]) -> None:
         """Write the posterior of a model's parameters."""
-        import torch
-
-        write_whole(self / POSTERIOR, lambda file: torch.save(dict(state), file))
+        write_state(self / POSTERIOR, dict(state))
 
     def folds(self) -> list[RunFolder]:
         """Return the runs of a cross-validation with the same settings, those that exist."""

@@ -17,7 +17,7 @@ from lightning.pytorch import callbacks
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 from typing_extensions import override
 
-from symo_exp.files import write_whole
+from symo_exp.files import write_state
 from symo_exp.process import stopping
 
 log = logging.getLogger(__name__)
@@ -33,7 +33,7 @@ class WholeFiles(TorchCheckpointIO):
         self, checkpoint: dict[str, Any], path: str | os.PathLike[str], storage_options: Any = None
     ) -> None:
         last = Path(path)
-        write_whole(last, lambda file: torch.save(checkpoint, file), keep=last.parent / PREVIOUS)
+        write_state(last, checkpoint, keep=last.parent / PREVIOUS)
 
     def load_checkpoint(
         self, path: str | os.PathLike[str], *args: Any, **kwargs: Any
