@@ -2,6 +2,7 @@
 
 import base64
 import gzip
+import itertools
 import json
 import math
 import re
@@ -152,6 +153,22 @@ def test_a_logarithmic_axis_has_labels_all_along(low, high, tmp_path):
     third = (high / low) ** (1 / 3)
     for k in range(3):
         assert ((labels >= low * third**k * 0.99) & (labels <= low * third ** (k + 1))).any(), k
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.048, 0.0632), (0.0101, 0.0142), (21.0, 29.0)])
+def test_labels_of_an_axis_are_apart(low, high, tmp_path):
+    """Times of training within a power of ten have long labels."""
+    x = np.geomspace(low, high, 5)
+    rows = pd.DataFrame({"x": x, "y": x, "method": "symo", "integrator": "", "source": "ours"})
+    panel = Panel("", "there", "", rows, x_log=True, mark="points")
+    (file,) = draw_charts(Figure("k", "", "", [panel]), tmp_path, ["svg"])
+    axis = file.read_text().partition(">there<")[0]
+    place = r'translate\(([-.\d]+),[-.\d]+\)"[^>]*font-size="10.5px"[^>]*opacity="1">([.\d]+)<'
+    shown = [(float(at), 3.3 * text.count(".") + 6.7 * len(text.replace(".", "")))
+             for at, text in re.findall(place, axis)]  # fmt: skip
+    assert len(shown) > 3
+    for (at, width), (after, other) in itertools.pairwise(shown):
+        assert after - at - (width + other) / 2 > 5.5  # px
 
 
 @pytest.mark.filterwarnings("error")

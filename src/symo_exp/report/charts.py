@@ -96,7 +96,7 @@ def config(theme: str) -> dict[str, Any]:
                   "fontWeight": "normal", "subtitleFontSize": 10.5},
         "axis": {"labelColor": soft, "titleColor": ink, "gridColor": grid, "domainColor": soft,
                  "tickColor": soft, "titleFontWeight": "normal", "labelFontSize": 10.5,
-                 "titleFontSize": 11, "labelOverlap": "greedy"},
+                 "titleFontSize": 11, "labelOverlap": "greedy", "labelSeparation": 6},
         "axisY": {"minExtent": 44},
         "legend": {"orient": "top", "direction": "horizontal", "title": None, "labelColor": ink,
                    "labelFontSize": 11.5, "labelLimit": 260, "columns": 6, "symbolOpacity": 1,
