@@ -11,6 +11,7 @@ import pytest
 
 from symo_exp.__main__ import main
 from symo_exp.job import job, recipe
+from symo_exp.process import stopping
 from symo_exp.process.stopping import Interrupted
 from symo_exp.runs.folder import RunFolder
 from symo_exp.sweep.compose import Job
@@ -142,6 +143,22 @@ def test_a_killed_worker_is_told_once(workplace, monkeypatch, caplog):
     assert rounds == [[0, 1, 2], [1, 2], [0]]
     told = [r.getMessage() for r in caplog.records if "was killed" in r.getMessage()]
     assert told == ["a worker was killed: 3 run(s) are started again"]
+
+
+@pytest.mark.parametrize(("signum", "told"), [(None, 1), (signal.SIGINT, 0)])
+def test_what_a_signal_breaks_in_the_launcher_is_not_an_error(
+    signum, told, workplace, monkeypatch, caplog
+):
+    """Workers that are interrupted while they start cannot read their task."""
+
+    def launch(sweep, jobs):
+        sweep._stopped = "A task has failed to un-serialize"
+        monkeypatch.setattr(stopping, "requested", lambda: signum)
+
+    monkeypatch.setattr(Sweep, "_launch", launch)
+    with planned(*SWEPT, "logger=none", "seed=0,1") as (sweep, jobs):
+        assert sweep.launch_all(jobs) == []
+    assert caplog.text.count("no run was started") == told
 
 
 @pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 1)])

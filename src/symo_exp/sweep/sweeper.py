@@ -293,7 +293,7 @@ class Sweep:
             died += killed
             waiting = [job for job in todo if job.folder.outcome().status == "waiting"]
             if len(waiting) == len(todo):
-                if self._stopped:
+                if self._stopped and stopping.requested() is None:
                     log.error("no run was started: %s", self._stopped)
                 break
             if killed and stopping.requested() is None:
