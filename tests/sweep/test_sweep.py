@@ -8,6 +8,7 @@ import shutil
 import signal
 
 import pytest
+from hydra.core.plugins import Plugins
 
 from symo_exp.__main__ import main
 from symo_exp.job import job, recipe
@@ -125,22 +126,33 @@ def test_a_finished_run_hides_no_resume_that_is_neither_true_nor_false(
     assert "resume=no has the wrong type: expected true or false" in capsys.readouterr().err
 
 
+def launched_by(launch, monkeypatch):
+    """Replace the launcher of Hydra by a function of the overrides of the jobs."""
+
+    class Launcher:
+        def launch(self, job_overrides, initial_job_idx):
+            launch(job_overrides)
+
+    monkeypatch.setattr(Plugins, "instantiate_launcher", lambda *_, **__: Launcher())
+
+
 def test_a_killed_worker_is_told_once(workplace, monkeypatch, caplog):
     """Its neighbours that had not begun are started before it, in a round in which none dies."""
     rounds = []
 
-    def launch(_, jobs):
-        rounds.append([one.values["seed"] for one in jobs])
-        for one in jobs:
-            begins = len(rounds) > 1 or one.values["seed"] == 0
-            one.folder.record("running" if begins else "waiting")
+    def launch(several):
+        rounds.append([words[-1] for words in several])
+        for words in several:
+            begins = len(rounds) > 1 or words[-1] == "seed=0"
+            folders[words[-1]].record("running" if begins else "waiting")
             if len(rounds) > 1:
-                one.folder.record("finished")
+                folders[words[-1]].record("finished")
 
-    monkeypatch.setattr(Sweep, "_launch", launch)
+    launched_by(launch, monkeypatch)
     with planned(*SWEPT, "logger=none", "seed=0,1,2") as (sweep, jobs):
+        folders = {one.overrides[-1]: one.folder for one in jobs}
         assert sweep.launch_all(jobs) == []
-    assert rounds == [[0, 1, 2], [1, 2], [0]]
+    assert rounds == [["seed=0", "seed=1", "seed=2"], ["seed=1", "seed=2"], ["seed=0"]]
     told = [r.getMessage() for r in caplog.records if "was killed" in r.getMessage()]
     assert told == ["a worker was killed: 3 run(s) are started again"]
 
@@ -151,11 +163,11 @@ def test_what_a_signal_breaks_in_the_launcher_is_not_an_error(
 ):
     """Workers that are interrupted while they start cannot read their task."""
 
-    def launch(sweep, jobs):
-        sweep._stopped = "A task has failed to un-serialize"
+    def launch(_):
         monkeypatch.setattr(stopping, "requested", lambda: signum)
+        raise RuntimeError("A task has failed to un-serialize")
 
-    monkeypatch.setattr(Sweep, "_launch", launch)
+    launched_by(launch, monkeypatch)
     with planned(*SWEPT, "logger=none", "seed=0,1") as (sweep, jobs):
         assert sweep.launch_all(jobs) == []
     assert caplog.text.count("no run was started") == told
