@@ -339,7 +339,7 @@ class ChartExpansion(Expansion):
 
     def torques(self, base: Tensor, u: Tensor | None, q: Tensor, v: Tensor) -> Torques:
         """Return the first derivatives, differentiable in all arguments and the parameters."""
-        chart = Chart.of(self.space, q)
+        chart = Chart.of(self.space, q) if q.requires_grad else self.chart
         point = self.space.turned(base, q, chart.rotations)
         gradients = self.at.gradients(point, matvec(chart.jacobian, v))
         return _torques(self.controlled, chart, point, u, v, gradients)

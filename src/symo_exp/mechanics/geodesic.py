@@ -137,13 +137,18 @@ class GeodesicExpansion(CondensedExpansion):
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
+        known = not (q0.requires_grad or q1.requires_grad)
+        return self.slots_at(q0, self._x if known else self._space.chart(q0, q1), forces)
+
+    @override
+    def slots_at(self, q0: Tensor, x: Tensor, forces: Forces | None = None) -> Slots:
         at, space = self._at, self._space
         basis, inner = at.basis, at.inner
-        x = space.chart(q0, q1)
         path = basis.path(space.origin(q0), x, inner, at.h)
         torques = self._points.torques(*at_points(basis, q0, forces), *path)
         slopes = basis.slopes(torques.gradients, at.h)
-        found = Ends.of(space, x).slots(slopes[-1], basis.total(torques.turned, at.h))
+        ends = Ends.of(space, x) if x.requires_grad else self._ends
+        found = ends.slots(slopes[-1], basis.total(torques.turned, at.h))
         return self.followed(found, slopes[1:-1])
 
     @override

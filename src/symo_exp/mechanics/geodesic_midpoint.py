@@ -148,7 +148,13 @@ class GeodesicMidpointExpansion(DiscreteExpansion):
 
     @override
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
-        middle = _Middle.of(self.space, q0, self.space.chart(q0, q1), self.h)
+        known = not (q0.requires_grad or q1.requires_grad)
+        return self.slots_at(q0, self.x if known else self.space.chart(q0, q1), forces)
+
+    @override
+    def slots_at(self, q0: Tensor, x: Tensor, forces: Forces | None = None) -> Slots:
+        known = not (q0.requires_grad or x.requires_grad)
+        middle = self.middle if known else _Middle.of(self.space, q0, x, self.h)
         return middle.slots(self.controlled, forces, self.at)
 
     @override

@@ -82,6 +82,15 @@ class DiscreteExpansion(Rowwise, ABC):
     def slots(self, q0: Tensor, q1: Tensor, forces: Forces | None = None) -> Slots:
         """Return the slot derivatives, differentiable; arguments hold the values of the point."""
 
+    def slots_at(
+        self,
+        q0: Float[Tensor, "batch N"],
+        x: Float[Tensor, "batch n"],
+        forces: Forces | None = None,
+    ) -> Slots:
+        """Return ``slots`` given ``q₁`` in the chart at ``q₀``."""
+        return self.slots(q0, x, forces)
+
 
 class VariationalIntegrator(ABC):
     """A rule that turns a Lagrangian and forces into discrete ones.
@@ -414,7 +423,7 @@ def differentiable_root(
 
     ``L_d`` was expanded around ``q_k`` and the root.
     """
-    residual = impulse + at.slots(q, space.point(q, x), forces).d1
+    residual = impulse + at.slots_at(q, x, forces).d1
     return space.point(q, attach_root(x, residual, jacobian))
 
 
