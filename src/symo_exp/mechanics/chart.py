@@ -30,7 +30,7 @@ from symo_exp.mechanics.lagrangian import (
     vecmat,
 )
 from symo_exp.mechanics.rows import Rowwise
-from symo_exp.mechanics.space import ExponentialSeries, Space, cross, polynomial, polynomial_slope
+from symo_exp.mechanics.space import ExponentialMap, Space, cross
 from symo_exp.mechanics.variational import Forces, Slots
 
 
@@ -77,9 +77,8 @@ class Chart(NamedTuple):
     """The exponential map at rows of coordinates."""
 
     space: Space
-    phi: Float[Tensor, "rows*r 3"]
-    """Rotation vectors, a row each."""
-    series: ExponentialSeries
+    map: ExponentialMap
+    """At the rotation vectors, a row each."""
     jacobian: Float[Tensor, "rows n n"]
     """``J``."""
     turn: Float[Tensor, "rows n n"]
@@ -90,70 +89,47 @@ class Chart(NamedTuple):
     @staticmethod
     def of(space: Space, x: Float[Tensor, "rows n"]) -> Chart:
         """Evaluate the map."""
-        phi = space.vectors(x)
-        series, n = ExponentialSeries.of(phi), x.shape[1]
-        jacobian = polynomial(phi, series.s, -series.a, series.b)
-        turn = polynomial(phi, series.s, series.sinc, series.a)
-        whole = space.blocks(jacobian, n, 1.0), space.blocks(turn, n, 1.0)
-        return Chart(space, phi, series, *whole, turn.unflatten(0, (-1, space.rotations)))
+        found, n = ExponentialMap.of(space.vectors(x)), x.shape[1]
+        turn = found.turn()
+        whole = space.blocks(found.jacobian(), n, 1.0), space.blocks(turn, n, 1.0)
+        return Chart(space, found, *whole, turn.unflatten(0, (-1, space.rotations)))
 
     def rate_slope(self, x: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
         """Return ``∂(J x)/∂φ``."""
-        c = self.series
-        found = polynomial_slope(self.phi, self.space.vectors(x), c.s, (-c.a, -c.a1), (c.b, c.b1))
+        found = self.map.jacobian_slope(self.space.vectors(x))
         return self.space.blocks(found, x.shape[1], 0.0)
 
     def momentum_slope(self, p: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
         """Return ``∂(Jᵀ p)/∂φ``."""
-        c = self.series
-        found = polynomial_slope(self.phi, self.space.vectors(p), c.s, (c.a, c.a1), (c.b, c.b1))
+        found = self.map.transposed_slope(self.space.vectors(p))
         return self.space.blocks(found, p.shape[1], 0.0)
 
     def bend(
         self, p: Float[Tensor, "rows n"], x: Float[Tensor, "rows n"]
     ) -> Float[Tensor, "rows n n"]:
-        """Return ``∂²(p · J x)/∂φ²``.
-
-        ``p · J x = p·x − a φ·c + b G`` with ``c = x × p``, ``G = (p·φ)(x·φ) − s p·x``.
-        """
-        phi, n = self.phi, p.shape[1]
-        s, _, _, a1, a2, b, b1, b2, *_ = (y[:, None, None] for y in self.series)
-        p, x = self.space.vectors(p), self.space.vectors(x)
-        c = torch.linalg.cross(x, p)
-        along, by_p, by_x, inner = (
-            (u * w).sum(-1)[:, None, None] for u, w in ((phi, c), (p, phi), (x, phi), (p, x))
-        )
-        slope = by_x.squeeze(-1) * p + by_p.squeeze(-1) * x - 2.0 * inner.squeeze(-1) * phi
-        g = by_p * by_x - s * inner
-
-        def outer(u: Tensor, w: Tensor) -> Tensor:
-            return u.unsqueeze(-1) * w.unsqueeze(-2)
-
-        mixed = outer(2.0 * (b1.squeeze(-1) * slope - a1.squeeze(-1) * c), phi)
-        found = mixed + mixed.mT + 4.0 * (b2 * g - a2 * along) * outer(phi, phi)
-        pair = outer(p, x)
-        found = found + b * (pair + pair.mT)
-        one = torch.eye(3, dtype=phi.dtype, device=phi.device)
-        found = found + 2.0 * (b1 * g - a1 * along - b * inner) * one
-        return self.space.blocks(found, n, 0.0)
+        """Return ``∂²(p · J x)/∂φ²``."""
+        found = self.map.jacobian_bend(self.space.vectors(p), self.space.vectors(x))
+        return self.space.blocks(found, p.shape[1], 0.0)
 
 
 class Ends(NamedTuple):
     """``J(δ)⁻¹`` between the ends of intervals."""
 
     space: Space
-    phi: Float[Tensor, "batch*r 3"]
-    series: ExponentialSeries
+    half: ExponentialMap
+    """At ``δ/2``."""
     inverse: Float[Tensor, "batch n n"]
-    """``J(δ)⁻¹ = I + ½ [δ] + γ [δ]²``."""
+    """``J(δ)⁻¹``."""
 
     @staticmethod
     def of(space: Space, x: Float[Tensor, "batch n"]) -> Ends:
         """Evaluate it."""
-        phi = space.vectors(x)
-        series = ExponentialSeries.of(phi)
-        inverse = polynomial(phi, series.s, 0.5, series.gamma)
-        return Ends(space, phi, series, space.blocks(inverse, x.shape[1], 1.0))
+        return Ends.around(space, ExponentialMap.of(0.5 * space.vectors(x)), x.shape[1])
+
+    @staticmethod
+    def around(space: Space, half: ExponentialMap, n: int) -> Ends:
+        """Evaluate it, given the map at ``δ/2``."""
+        return Ends(space, half, space.blocks(half.inverse_of_twice(), n, 1.0))
 
     def slots(self, last: Float[Tensor, "batch n"], turned: Float[Tensor, "batch n"]) -> Slots:
         """Return ``D₁`` and ``D₂``, given ``D₂ℓ_d`` and ``h Σᵢ bᵢ exp(φᵢ) Mᵢ``."""
@@ -164,9 +140,8 @@ class Ends(NamedTuple):
 
         ``J⁻ᵀ = J⁻¹ − [δ]``, so that the second is the first plus ``[y]``.
         """
-        c, y = self.series, self.space.vectors(last)
-        start = polynomial_slope(self.phi, y, c.s, (0.5, 0.0), (c.gamma, c.gamma1))
-        n = last.shape[1]
+        y, n = self.space.vectors(last), last.shape[1]
+        start = 0.5 * self.half.inverse_of_twice_slope(y)
         return self.space.blocks(start, n, 0.0), self.space.blocks(start + cross(y), n, 0.0)
 
 

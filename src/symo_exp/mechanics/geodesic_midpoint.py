@@ -90,7 +90,8 @@ class _Middle(NamedTuple):
         half = 0.5 * (origin + x)
         chart = Chart.of(space, half)
         q = space.turned(q0, half, chart.rotations)
-        return _Middle(h, chart, Ends.of(space, x), q, (x - origin) / h)
+        ends = Ends.around(space, chart.map, x.shape[1])
+        return _Middle(h, chart, ends, q, (x - origin) / h)
 
     def slots(
         self, controlled: Controlled, forces: Forces | None, at: Expansion | None = None

@@ -10,8 +10,8 @@ their own chart. With ``Jr`` the right Jacobian of ``exp``
 
     ω = Jr(φ) φ̇        Jr = I − a [φ] + b [φ]²        Jr⁻¹ = I + ½ [φ] + γ [φ]²
 
-The coefficients are entire functions of ``s = |φ|²`` (``γ`` up to a whole turn), computed by their
-series: they and their derivatives are smooth at 0.
+``a`` and ``b`` are entire functions of ``s = |φ|²``, computed by their series: they and their
+derivatives are smooth at 0. ``γ``, smooth up to a whole turn, follows from theirs at ``φ/2``.
 """
 
 from __future__ import annotations
@@ -29,57 +29,117 @@ LOOSE = 0.01
 """Largest entry of ``R Rᵀ − I`` of a matrix that is taken for a rotation: single precision loses
 1e-7 in a step."""
 TERMS = 16
-"""Terms of a series: exact to rounding up to half a turn, to 1e-12 up to a whole one."""
+"""Terms of a series, four times four: exact to rounding up to half a turn, to 1e-12 up to a whole
+one."""
 
 
-class ExponentialSeries(NamedTuple):
-    """Coefficients of ``exp``, ``Jr`` and ``Jr⁻¹`` of a batch of rotation vectors, in ``s``."""
+class ExponentialMap(NamedTuple):
+    """``exp`` at a batch of rotation vectors, with its coefficients in ``s`` and their slopes."""
 
-    s: Float[Tensor, " rows"]
-    """``|φ|²``."""
-    sinc: Float[Tensor, " rows"]
+    phi: Float[Tensor, "rows 3"]
+    hat: Float[Tensor, "rows 3 3"]
+    """``[φ]``."""
+    square: Float[Tensor, "rows 3 3"]
+    """``[φ]²``."""
+    sinc: Float[Tensor, "rows 1 1"]
     """``sin θ / θ``."""
-    a: Float[Tensor, " rows"]
+    a: Float[Tensor, "rows 1 1"]
     """``(1 − cos θ) / θ²``."""
-    a1: Float[Tensor, " rows"]
+    a1: Float[Tensor, "rows 1 1"]
     """``da/ds``."""
-    a2: Float[Tensor, " rows"]
+    a2: Float[Tensor, "rows 1 1"]
     """``d²a/ds²``."""
-    b: Float[Tensor, " rows"]
+    b: Float[Tensor, "rows 1 1"]
     """``(θ − sin θ) / θ³``."""
-    b1: Float[Tensor, " rows"]
+    b1: Float[Tensor, "rows 1 1"]
     """``db/ds``."""
-    b2: Float[Tensor, " rows"]
+    b2: Float[Tensor, "rows 1 1"]
     """``d²b/ds²``."""
-    e: Float[Tensor, " rows"]
-    """``(2 a − sinc) / s``."""
-    e1: Float[Tensor, " rows"]
-    """``de/ds``."""
 
     @staticmethod
-    def of(phi: Float[Tensor, "rows 3"]) -> ExponentialSeries:
-        """Evaluate the series."""
+    def of(phi: Float[Tensor, "rows 3"]) -> ExponentialMap:
+        """Evaluate the map."""
+        hat = cross(phi)
         s = phi.square().sum(-1)
-        powers = torch.stack((torch.ones_like(s), s), dim=-1)
-        power = s * s
-        while powers.shape[-1] < TERMS:
-            powers = torch.cat((powers, powers * power.unsqueeze(-1)), dim=-1)
-            power = power * power
-        return ExponentialSeries(s, *(powers @ _table(phi.dtype, phi.device)).unbind(-1))
+        square = s * s
+        low = torch.stack((torch.ones_like(s), s, square, square * s), dim=-1)
+        high = low.square().square()  # s⁰, s⁴, s⁸, s¹²
+        powers = (high.unsqueeze(-1) * low.unsqueeze(-2)).flatten(1)
+        coefficients = (powers @ _table(phi.dtype, phi.device))[:, :, None, None]
+        return ExponentialMap(phi, hat, torch.bmm(hat, hat), *coefficients.unbind(1))
 
-    @property
-    def gamma(self) -> Tensor:
-        """``γ = e / 2a``."""
-        return 0.5 * self.e / self.a
+    def turn(self) -> Float[Tensor, "rows 3 3"]:
+        """Return ``exp [φ]``, Rodrigues' formula."""
+        return self._polynomial(self.sinc, self.a)
 
-    @property
-    def gamma1(self) -> Tensor:
-        """``dγ/ds``."""
-        return 0.5 * (self.e1 * self.a - self.e * self.a1) / self.a.square()
+    def jacobian(self) -> Float[Tensor, "rows 3 3"]:
+        """Return ``Jr``."""
+        return self._polynomial(-self.a, self.b)
+
+    def inverse_of_twice(self) -> Float[Tensor, "rows 3 3"]:
+        """Return ``Jr(2φ)⁻¹ = I + [φ] + 4 γ(2φ) [φ]²``, with ``4 γ(2φ) = (a − b) / sinc``."""
+        return self._polynomial(1.0, (self.a - self.b) / self.sinc)
+
+    def jacobian_slope(self, x: Float[Tensor, "rows 3"]) -> Float[Tensor, "rows 3 3"]:
+        """Return ``∂(Jr x)/∂φ``."""
+        change = self.b1 * self.square - self.a1 * self.hat
+        return self._slope(cross(x), -self.a, self.b, torch.bmm(change, x.unsqueeze(-1)))
+
+    def transposed_slope(self, x: Float[Tensor, "rows 3"]) -> Float[Tensor, "rows 3 3"]:
+        """Return ``∂(Jrᵀ x)/∂φ``."""
+        change = self.b1 * self.square + self.a1 * self.hat
+        return self._slope(cross(x), self.a, self.b, torch.bmm(change, x.unsqueeze(-1)))
+
+    def inverse_of_twice_slope(self, x: Float[Tensor, "rows 3"]) -> Float[Tensor, "rows 3 3"]:
+        """Return ``∂(Jr(2φ)⁻¹ x)/∂φ``."""
+        g = (self.a - self.b) / self.sinc
+        g1 = (self.a1 - self.b1) / self.sinc + 0.5 * g.square()
+        return self._slope(cross(x), 1.0, g, g1 * torch.bmm(self.square, x.unsqueeze(-1)))
+
+    def jacobian_bend(
+        self, p: Float[Tensor, "rows 3"], x: Float[Tensor, "rows 3"]
+    ) -> Float[Tensor, "rows 3 3"]:
+        """Return ``∂²(p · Jr x)/∂φ²``.
+
+        ``p · Jr x = p·x − a φ·c + ½ b φᵀQφ`` with ``c = x × p``, ``Q = [p][x] + [x][p]``.
+        """
+        column, row = self.phi.unsqueeze(-1), self.phi.unsqueeze(-2)
+        product = torch.bmm(cross(p), cross(x))
+        form, c = product + product.mT, torch.linalg.cross(x, p).unsqueeze(-1)
+        formed = form @ column
+        g, along = 0.5 * (row @ formed), row @ c
+        own = self.b1 * formed - self.a1 * c + (self.b2 * g - self.a2 * along) * column
+        mixed = (2.0 * own) @ row
+        one, _ = _constants(p.dtype, p.device)
+        even = 2.0 * (self.b1 * g - self.a1 * along) * one
+        return self.b * form + mixed + mixed.mT + even
+
+    def _polynomial(
+        self, first: Tensor | float, second: Float[Tensor, "rows 1 1"]
+    ) -> Float[Tensor, "rows 3 3"]:
+        """Return ``I + f [φ] + g [φ]²``."""
+        one, _ = _constants(self.phi.dtype, self.phi.device)
+        return torch.addcmul(one + first * self.hat, second, self.square)
+
+    def _slope(
+        self,
+        turned: Float[Tensor, "rows 3 3"],
+        first: Tensor | float,
+        second: Float[Tensor, "rows 1 1"],
+        change: Float[Tensor, "rows 3 1"],
+    ) -> Float[Tensor, "rows 3 3"]:
+        """Return ``∂/∂φ`` of ``(I + f [φ] + g [φ]²) x``, given ``[x]``.
+
+        That is ``g ([x][φ] − 2 [φ][x]) − f [x] + 2 (df/ds [φ] x + dg/ds [φ]² x) φᵀ``; ``change`` is
+        the bracket at the end.
+        """
+        square = torch.baddbmm(torch.bmm(turned, self.hat), self.hat, turned, alpha=-2.0)
+        fixed = second * square - first * turned
+        return torch.baddbmm(fixed, change, self.phi.unsqueeze(-2), alpha=2.0)
 
 
 @cache
-def _table(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "terms series"]:
+def _table(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "terms coefficients"]:
     """Return the coefficients of the series, one in a column."""
 
     def sign(k: int) -> float:
@@ -89,12 +149,11 @@ def _table(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "terms ser
     sinc = [sign(k) / math.factorial(2 * k + 1) for k in range(count)]
     a = [sign(k) / math.factorial(2 * k + 2) for k in range(count)]
     b = [sign(k) / math.factorial(2 * k + 3) for k in range(count)]
-    e = [sign(k) * 2 * (k + 1) / math.factorial(2 * k + 4) for k in range(count)]
 
     def slope(f: list[float]) -> list[float]:
         return [k * x for k, x in enumerate(f)][1:]
 
-    columns = (sinc, a, slope(a), slope(slope(a)), b, slope(b), slope(slope(b)), e, slope(e))
+    columns = (sinc, a, slope(a), slope(slope(a)), b, slope(b), slope(slope(b)))
     rows = list(zip(*(column[:TERMS] for column in columns), strict=True))
     return torch.tensor(rows, dtype=torch.float64).to(dtype=dtype, device=device)
 
@@ -275,11 +334,7 @@ class Space:
         if not self.rotations:
             return gradient
         flat, by_turn = self._split(gradient)
-        moment = self._split(q)[1].mT @ by_turn
-        upper = (moment[..., 2, 1], moment[..., 0, 2], moment[..., 1, 0])
-        lower = (moment[..., 1, 2], moment[..., 2, 0], moment[..., 0, 1])
-        torque = torch.stack(upper, -1) - torch.stack(lower, -1)
-        return torch.cat((flat, torque.flatten(-2)), dim=-1)
+        return torch.cat((flat, torques(self._split(q)[1], by_turn).flatten(-2)), dim=-1)
 
     def chart_rate(
         self, x: Float[Tensor, "batch n"], v: Float[Tensor, "batch n"]
@@ -287,9 +342,8 @@ class Space:
         """Return ``φ̇ = Jr(φ)⁻¹ ω`` in a chart at coordinates ``x``, flat rates as they are."""
         if not self.rotations:
             return v
-        phi, (flat, omega) = self.vectors(x), self._parts(v)
-        series = ExponentialSeries.of(phi)
-        inverse = polynomial(phi, series.s, 0.5, series.gamma)
+        flat, omega = self._parts(v)
+        inverse = ExponentialMap.of(0.5 * self.vectors(x)).inverse_of_twice()
         rate = (inverse @ omega.reshape(-1, 3, 1)).view(v.shape[0], 3 * self.rotations)
         return torch.cat((flat, rate), dim=1)
 
@@ -365,11 +419,19 @@ def _constants(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor
     return one, torch.linalg.cross(one.unsqueeze(1), one.unsqueeze(0)).mT.flatten(1)
 
 
+def torques(
+    turn: Float[Tensor, "*batch 3 3"], by_turn: Float[Tensor, "*#batch 3 3"]
+) -> Float[Tensor, "*batch 3"]:
+    """Return the derivatives along ``R exp φ`` of a function with derivatives ``C`` in ``R``.
+
+    That is the sum of ``c × r`` over the rows of ``C`` and ``R``.
+    """
+    return torch.linalg.cross(by_turn, turn).sum(-2)
+
+
 def exponential(phi: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """Return ``exp [φ]`` by Rodrigues' formula."""
-    rows = phi.reshape(-1, 3)
-    series = ExponentialSeries.of(rows)
-    return polynomial(rows, series.s, series.sinc, series.a).view(*phi.shape, 3)
+    """Return ``exp [φ]``."""
+    return ExponentialMap.of(phi.reshape(-1, 3)).turn().view(*phi.shape, 3)
 
 
 def rotation_vector(turn: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
@@ -426,37 +488,3 @@ def of_quaternion(q: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
          2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
         dim=-1,
     ).unflatten(-1, (3, 3))  # fmt: skip
-
-
-def polynomial(
-    phi: Float[Tensor, "rows 3"],
-    s: Float[Tensor, " rows"],
-    first: Tensor | float,
-    second: Float[Tensor, " rows"],
-) -> Float[Tensor, "rows 3 3"]:
-    """Return ``I + f₁ [φ] + f₂ [φ]²``."""
-    one, _ = _constants(phi.dtype, phi.device)
-    outer = (second.unsqueeze(-1) * phi).unsqueeze(-1) * phi.unsqueeze(-2)
-    scaled = phi * (first if isinstance(first, float) else first.unsqueeze(-1))
-    return cross(scaled) + outer + (1.0 - second * s)[:, None, None] * one
-
-
-def polynomial_slope(
-    phi: Float[Tensor, "rows 3"],
-    x: Float[Tensor, "rows 3"],
-    s: Float[Tensor, " rows"],
-    first: tuple[Tensor | float, Tensor | float],
-    second: tuple[Tensor, Tensor],
-) -> Float[Tensor, "rows 3 3"]:
-    """Return ``∂/∂φ`` of ``(I + f₁ [φ] + f₂ [φ]²) x``, with ``f`` and ``df/ds`` given."""
-    (f, f1), (g, g1) = (
-        [c if isinstance(c, float) else c.unsqueeze(-1) for c in pair] for pair in (first, second)
-    )
-    along = (phi * x).sum(-1, keepdim=True)
-    one, _ = _constants(phi.dtype, phi.device)
-    change = 2.0 * (g1 * (phi * along - s.unsqueeze(-1) * x) - g * x)
-    if not isinstance(f1, float) or f1:
-        change = change + 2.0 * f1 * torch.linalg.cross(phi, x)
-    found = cross(-f * x) + change.unsqueeze(-1) * phi.unsqueeze(-2)
-    found = found + (g * phi).unsqueeze(-1) * x.unsqueeze(-2)
-    return found + (g * along).unsqueeze(-1) * one

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from typing_extensions import override
 
 from symo_exp.errors import ConfigError
-from symo_exp.mechanics.space import Space, cross
+from symo_exp.mechanics.space import Space, cross, torques
 from symo_exp.mechanics.types import Coordinates
 
 
@@ -99,10 +99,12 @@ class Embedding(nn.Module):
         flat = features.dx[:, : self._flat].unsqueeze(1) * self.selection.T
         if not self.space.rotations:
             return flat
-        one = torch.eye(3 * self.space.rotations).to(flat).expand(flat.shape[0], -1, -1)
-        turns = features.x[:, None, self._flat :].expand(-1, one.shape[1], -1)
-        entries = self.space.push(turns, one)
-        return block_diagonal(flat, entries)
+        units = cross(torch.eye(3, dtype=flat.dtype, device=flat.device))
+        turns = self.space.rotation_matrices(features.x)
+        entries = torch.einsum("brjk,ikl->brijl", turns, units).flatten(-2)  # R [eᵢ]
+        for block in entries.unbind(1):
+            flat = block_diagonal(flat, block)
+        return flat
 
     def to_coordinates(
         self, features: Features, cotangent: Float[Tensor, "batch features"]
@@ -110,8 +112,10 @@ class Embedding(nn.Module):
         """Return ``s_qᵀ c``, the derivatives in the coordinates of ``c · s(q)``."""
         if not self.space.rotations:
             return (features.dx * cotangent) @ self.selection
-        pulled = self.space.pull(features.x, features.dx * cotangent)
-        return torch.cat((pulled[:, : self._flat] @ self.selection, pulled[:, self._flat :]), dim=1)
+        first = slice(self._flat)
+        own = (features.dx[:, first] * cotangent[:, first]) @ self.selection
+        turns, by_turn = map(self.space.rotation_matrices, (features.x, cotangent))
+        return torch.cat((own, torques(turns, by_turn).flatten(1)), dim=1)
 
     def to_stored(
         self,
@@ -156,7 +160,7 @@ class Embedding(nn.Module):
             cotangent
         )
         trace = moment.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-        blocks = moment - trace * torch.eye(3).to(moment)
+        blocks = moment - trace * torch.eye(3, dtype=moment.dtype, device=moment.device)
         for block in blocks.unbind(1):
             flat = block_diagonal(flat, block)
         return flat
