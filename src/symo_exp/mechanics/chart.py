@@ -92,7 +92,7 @@ class Chart(NamedTuple):
         found, n = ExponentialMap.of(space.vectors(x)), x.shape[1]
         turn = found.turn()
         whole = space.blocks(found.jacobian(), n, 1.0), space.blocks(turn, n, 1.0)
-        return Chart(space, found, *whole, turn.unflatten(0, (-1, space.rotations)))
+        return Chart(space, found, *whole, turn.view(-1, space.rotations, 3, 3))
 
     def rate_slope(self, x: Float[Tensor, "rows n"]) -> Float[Tensor, "rows n n"]:
         """Return ``∂(J x)/∂φ``."""

@@ -366,12 +366,13 @@ class Space:
     def _split(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Return flat coordinates and rotations of stored numbers."""
         flat = q.shape[-1] - 9 * self.rotations
-        return q[..., :flat], q[..., flat:].unflatten(-1, (self.rotations, 3, 3))
+        turns = q[..., flat:].reshape(*q.shape[:-1], self.rotations, 3, 3)
+        return q[..., :flat], turns
 
     def _parts(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Return the flat part and the vectors of the rotations of a tangent."""
         flat = x.shape[-1] - 3 * self.rotations
-        return x[..., :flat], x[..., flat:].unflatten(-1, (self.rotations, 3))
+        return x[..., :flat], x[..., flat:].reshape(*x.shape[:-1], self.rotations, 3)
 
     def turns(self, x: Float[Tensor, "*batch n"]) -> Bool[Tensor, " n"]:
         """Return which components of tangents are of rotations."""
@@ -409,7 +410,7 @@ def space_of(q: Float[Tensor, "*batch N"], v: Float[Tensor, "*batch n"]) -> Spac
 
 def cross(x: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Return ``[x]``, the matrix of ``x ×``."""
-    return (x @ _constants(x.dtype, x.device)[1]).unflatten(-1, (3, 3))
+    return (x @ _constants(x.dtype, x.device)[1]).view(*x.shape, 3)
 
 
 @cache

@@ -42,6 +42,7 @@ class Embedding(nn.Module):
     owner: Tensor
     selection: Tensor
     bend: Tensor
+    spin: Tensor
     turn: Tensor | None
 
     def __init__(
@@ -58,6 +59,9 @@ class Embedding(nn.Module):
         self.register_buffer("turn", turn if relative else None, persistent=False)
         # selection[f, i] = 1 if coordinate i is in the owner of feature f.
         self.register_buffer("selection", turn[owner], persistent=False)
+        # the map from the entries of R to those of R [e₁], R [e₂] and R [e₃]
+        spin = torch.einsum("jm,ikl->jkiml", torch.eye(3), cross(torch.eye(3)))
+        self.register_buffer("spin", spin.reshape(9, 27), persistent=False)
         bend = torch.cat((torch.zeros(len(straight)), -torch.ones(2 * len(angles))))
         self.register_buffer("bend", bend, persistent=False)
 
@@ -99,10 +103,8 @@ class Embedding(nn.Module):
         flat = features.dx[:, : self._flat].unsqueeze(1) * self.selection.T
         if not self.space.rotations:
             return flat
-        units = cross(torch.eye(3, dtype=flat.dtype, device=flat.device))
-        turns = self.space.rotation_matrices(features.x)
-        entries = torch.einsum("brjk,ikl->brijl", turns, units).flatten(-2)  # R [eᵢ]
-        for block in entries.unbind(1):
+        entries = self.space.rotation_matrices(features.x).flatten(-2) @ self.spin
+        for block in entries.unflatten(-1, (3, 9)).unbind(1):
             flat = block_diagonal(flat, block)
         return flat
 
