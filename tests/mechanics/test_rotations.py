@@ -17,11 +17,12 @@ from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.explicit import RK4, DormandPrince5, Midpoint
 from symo_exp.mechanics.galerkin import Basis, Galerkin
 from symo_exp.mechanics.geodesic import Geodesic, on_space
-from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.lagrangian import Lagrangian, matvec, vecmat
 from symo_exp.mechanics.rigid_body import BodyParameters, RigidBodyLagrangian, in_world
 from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.mechanics.space import (
     FLAT,
+    ExponentialMap,
     Space,
     cross,
     exponential,
@@ -35,7 +36,7 @@ from symo_exp.mechanics.variational import (
     VariationalIntegrator,
     VariationalMidpoint,
 )
-from tests.differences import assert_gradients, slopes_by_rows
+from tests.differences import assert_gradients, slopes, slopes_by_rows
 from tests.mechanics import trace_form
 from tests.mechanics.motions import ROUNDING
 
@@ -128,6 +129,26 @@ def test_derivatives_of_the_inverse_are_finite_and_right_at_the_identity() -> No
             lambda x: rotation_vector(exponential(x)), phi.requires_grad_()
         )
         assert torch.autograd.gradgradcheck(lambda x: rotation_vector(exponential(x)), phi)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-3, 1.0, 3.0])
+def test_slopes_of_the_exponential_map(size: float) -> None:
+    phi, x, p = drawn(3), drawn(3, seed=1), drawn(3, seed=2)
+    phi = size * phi / phi.norm(dim=1, keepdim=True)
+    at = ExponentialMap.of(phi)
+    twice = ExponentialMap.of(2.0 * phi)
+    identity = torch.eye(3, dtype=torch.float64).expand(4, 3, 3)
+    torch.testing.assert_close(at.inverse_of_twice() @ twice.jacobian(), identity)
+
+    def mapped(matrix: Callable[[ExponentialMap], Tensor]) -> Tensor:
+        return slopes(lambda y: matvec(matrix(ExponentialMap.of(y)), x), phi)
+
+    close = functools.partial(torch.testing.assert_close, atol=1e-8, rtol=1e-7)
+    close(at.jacobian_slope(x), mapped(ExponentialMap.jacobian))
+    close(at.transposed_slope(x), mapped(lambda y: y.jacobian().mT))
+    close(at.inverse_of_twice_slope(x), mapped(ExponentialMap.inverse_of_twice))
+    slope = slopes(lambda y: vecmat(p, ExponentialMap.of(y).jacobian_slope(x)), phi)
+    close(at.jacobian_bend(p, x), slope)
 
 
 def test_a_quaternion_of_either_sign_and_any_length_is_one_rotation() -> None:
@@ -268,6 +289,26 @@ def test_derivatives_of_residual_root_and_momentum(stages: int, name: str) -> No
         return (weight * torch.stack((residual, p, moved))).sum()
 
     assert_gradients(value, inputs, eps=1e-5, atol=1e-7, rtol=2e-6)
+
+
+@pytest.mark.parametrize("stages", STAGES)
+def test_slots_without_a_graph_in_configurations_are_the_same(stages: int) -> None:
+    """They take the chart from the expansion, with the same values and slopes in the controls."""
+    controlled, q0, v, controls = state("free")
+    integrator = geodesic(Space(1), stages)
+    q1 = integrator.space.retract(q0, H * v)
+    expansion = integrator.expand(controlled, q0, q1, H, controls)
+    found = []
+    for graph in (False, True):
+        at = q0.clone().requires_grad_(graph), q1.clone().requires_grad_(graph)
+        forces = Forces(*(u.clone().requires_grad_() for u in controls))
+        slots = expansion.slots(*at, forces)
+        by_force = torch.autograd.grad((slots.d1 + slots.d2.square()).sum(), tuple(forces))
+        found.append((*slots, *by_force))
+    torch.testing.assert_close(*found, rtol=1e-12, atol=1e-12)
+    with torch.enable_grad():
+        x = integrator.space.chart(q0, q1)
+        torch.testing.assert_close(expansion.slots_at(q0, x, controls), expansion.values)
 
 
 def test_rows_and_replace_keep_the_start_of_their_interval() -> None:
