@@ -132,7 +132,10 @@ def _read_weights(path: Path) -> dict[str, torch.Tensor]:
     try:
         weights = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
     except Exception as error:  # damaged in any way, or not ours
-        raise ConfigError(f"{path} is not a readable checkpoint: {first_line(error)}") from None
+        raise ConfigError(
+            f"{path} is not a readable checkpoint ({first_line(error)}); resume=false with the "
+            "command of the run trains it again"
+        ) from None
     if not isinstance(weights, dict) or not any(
         isinstance(value, torch.Tensor) and value.is_floating_point() for value in weights.values()
     ):
