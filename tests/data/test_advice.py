@@ -563,9 +563,8 @@ def test_a_motor_that_turns_by_more_than_half_a_turn_in_a_sample_is_not_wrapped(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("Test 12 bench 4\nt,q_arm\n0,1\n1,2\n", r"no column has numbers.*Test, 12, bench, 4"),
-        ("Operator:,Smith\n\nt,q_arm,u_arm\n0,1,2\n1,2,3\n", r"3 cells.* 2, Operator:, Smith"),
-        ("// by hand\nt,q_arm\n0,1\n1,2\n", r"no column has numbers.*//, by, hand"),
+        ("Operator:,Smith\n\nt,q_arm,\n0,1,2\n1,2,3\n", r"3 cells.* 2, Operator:, Smith"),
+        ("Test 12 bench 4\nt,q_arm\n0,left\n1,right\n", r"no column has numbers.*Test, 12, bench"),
         ("t;q_arm\n0,0;1.024,5\n0,1;1.025,5\n", r"'1.024,5' .* write numbers as 1234.5"),
     ],
 )
@@ -575,6 +574,32 @@ def test_what_is_before_the_names_is_told(text: str, said: str, tmp_path: Path) 
     system = Recorded(names=["arm"], angular="all", time_step=H)
     with pytest.raises(ConfigError, match=said):
         read_recordings(path, system)
+
+
+@pytest.mark.parametrize(
+    "heading",
+    [
+        "Test 12 bench 4\n",
+        "Operator:;Smith\n\n",
+        "// by hand\n",
+        "Prüfstand 7;;\nDatum;30.11.2026;\n;;\n",
+        "LabVIEW Measurement\t\nWriter_Version\t2\n***End_of_Header***\t\n",
+        "",
+    ],
+)
+@pytest.mark.parametrize("units", ["", "s;rad;Nm\n"])
+def test_lines_of_data_loggers_before_the_names_are_left_out(
+    heading: str, units: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.csv"
+    rows = "".join(
+        f"{t:.2f};{q:.4f};{u}\n".replace(".", ",") for t, q, u in zip(T, Q, T, strict=True)
+    )
+    path.write_text(f"{heading}t;q_arm;u_arm\n{units}{rows}", encoding="utf-8")
+    system = Recorded(names=["arm"], inputs=["arm"], angular="all", time_step=H)
+    found = read_recordings(path, system)
+    assert found.recordings[0].samples.q[:, 0] == pytest.approx(Q, abs=1e-4)
+    assert any("before the names" in note for note in found.notes) == bool(heading)
 
 
 def test_text_of_two_bytes_without_a_mark_is_refused(tmp_path: Path) -> None:

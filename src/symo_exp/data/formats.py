@@ -58,6 +58,8 @@ DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+\D*\d*")
 """A word that is a number with a decimal comma, or with commas between thousands."""
 WITH_COMMA = r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$"
 """A number with a decimal comma alone."""
+FEWEST_CELLS = 2
+"""In a row: a time and a position."""
 BEGINNING = 50
 """Lines of a text file from which its dialect is inferred."""
 NO_TEXT = "it is no text in a known encoding; save it as UTF-8"
@@ -223,6 +225,7 @@ class Dialect(NamedTuple):
         skipped: Lines before the rows, the line of names included.
         names: Names of the columns.
         cells: In the longest one of the first rows.
+        heading: The first line of those before the names that belong to no table.
     """
 
     encoding: str
@@ -231,14 +234,15 @@ class Dialect(NamedTuple):
     skipped: int
     names: tuple[str, ...]
     cells: int
+    heading: str = ""
 
     @classmethod
     def of(cls, file: Path) -> Dialect:
         """Infer the dialect from the first lines of a file.
 
-        Before the table there may be blank lines, a line such as ``sep=;`` and comments, which
-        begin with # or %. The last comment has the names if rows of numbers follow, as NumPy's
-        ``savetxt`` writes them.
+        Before the table there may be blank lines, a line such as ``sep=;``, comments, which begin
+        with # or %, and lines of data loggers with fewer cells, such as a date. The last comment
+        has the names if rows of numbers follow, as NumPy's ``savetxt`` writes them.
         """
         encoding, before, first = _encoding(file), [], ""
         with file.open(encoding=encoding, newline="") as text:
@@ -253,12 +257,16 @@ class Dialect(NamedTuple):
         if comments and re.match(NUMBER.pattern + r"(?:[,;\s]|$)", first):
             skipped, others = len(before), [first, *others]
             first = COMMENT.sub("", comments[-1], count=1)
+        heading, place = first, _line_of_names([first, *others])
+        if place:
+            skipped, first, others = skipped + place, others[place - 1], others[place:]
         separator = _separator(first)
         names, *rows = _cells([first, *others], separator) or [[]]
         comma = any(DECIMAL_COMMA.fullmatch(cell) for row in rows for cell in row)
         return cls(
             encoding, separator, "," if comma else ".", skipped,
             tuple(name.strip() for name in names), max(map(len, rows), default=0),
+            heading if place else "",
         )  # fmt: skip
 
     def read(self, file: Path) -> pd.DataFrame:
@@ -295,13 +303,16 @@ class Dialect(NamedTuple):
         return table
 
     @property
-    def note(self) -> str | None:
-        """A line for the log on differences from a plain CSV file."""
+    def notes(self) -> list[str]:
+        """Lines for the log on differences from a plain CSV file."""
+        found = []
+        if self.heading:
+            found.append(f"lines before the names are left out, first {self.heading[:40]!r}")
         names = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "blanks"}
-        if self.separator not in names:
-            return None
-        decimal = " and decimal commas" if self.decimal == "," else ""
-        return f"read with {names[self.separator]} between columns{decimal}"
+        if self.separator in names:
+            decimal = " and decimal commas" if self.decimal == "," else ""
+            found.append(f"read with {names[self.separator]} between columns{decimal}")
+        return found
 
 
 def _encoding(file: Path) -> str:
@@ -336,6 +347,23 @@ def _separator(line: str) -> str:
             return sign
     separator, count = counts.most_common(1)[0]
     return " " if count == 0 and len(line.split()) > 1 else separator
+
+
+def _line_of_names(lines: Sequence[str]) -> int:
+    """Return which line has as many names as the first row of numbers has cells.
+
+    It is the first line, unless that has another number of cells and a later one has as many.
+    """
+    signs = (";", "\t", "|", ",", " ")
+    for place, line in enumerate(lines):
+        for sign in signs:
+            (cells,) = _cells([line], sign) or [[]]
+            if len(cells) < FEWEST_CELLS or not all(map(NUMBER.fullmatch, cells)):
+                continue
+            heads = [(_cells([head], sign) or [[]])[0] for head in lines[:place]]
+            fits = [k for k, head in enumerate(heads) if len(head) == len(cells) and all(head)]
+            return fits[0] if fits else 0
+    return 0
 
 
 def _cells(lines: Sequence[str], separator: str) -> list[list[str]]:

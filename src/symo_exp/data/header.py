@@ -116,7 +116,7 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
     where = shown(path if isinstance(path, str | os.PathLike) and Path(path) == file else file)
     with readable(file):
         found = columns_of(file)
-        note = Dialect.of(file).note if suffix(file) in TEXT else None
+        dialect = Dialect.of(file).notes if suffix(file) in TEXT else []
     _check_names(where, found)
     new, unit, notes = renamed(where, found, columns)
     if not names("q", new) or "t" not in new:
@@ -125,7 +125,7 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
     given = dict(columns or {})
     if doubt := next(_doubts(found, new, given), None):
         raise ConfigError(f"{where}: {doubt}")
-    return Header(tuple(new), unit, tuple(filter(None, (note, *notes))), tuple(given.items()))
+    return Header(tuple(new), unit, (*dialect, *notes), tuple(given.items()))
 
 
 def _check_names(where: str, found: Sequence[str]) -> None:
