@@ -78,7 +78,7 @@ def test_words_of_a_command_that_no_run_reads_are_found(words, without_effect):
 
 
 def test_a_word_without_effect_is_told(workplace, capsys):
-    assert main([*TINY, "model=node", "root.guess=inertial", "hydra.sweeper.check_only=true"]) == 0
+    assert main([*TINY, "model=node", "root.guess=inertial", "measures=false"]) == 0
     assert "root.guess=inertial has no effect" in capsys.readouterr().out
 
 

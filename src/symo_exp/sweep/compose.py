@@ -164,10 +164,11 @@ class Composer:
                     f"possible: {', '.join(fits)}"
                 )
 
-    def unread(self, job: Job) -> list[str]:
-        """Return the overrides of a job that change nothing that its run reads."""
+    def unread(self, job: Job) -> dict[str, str]:
+        """Return the overrides of a job that change nothing that its run reads, and their names."""
         parsed = OverridesParser.create().parse_overrides(job.overrides)
-        return [str(o.input_line) for o in parsed if not self._is_read(o, job, parsed)]
+        unread = [one for one in parsed if not self._is_read(one, job, parsed)]
+        return {str(one.input_line): one.key_or_group for one in unread}
 
     def _is_read(self, override: Override, job: Job, parsed: Sequence[Override]) -> bool:
         name, read = override.key_or_group, job.settings.is_read

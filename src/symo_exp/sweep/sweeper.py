@@ -93,13 +93,12 @@ class Sweep:
         finished = [job for job in jobs if job.is_left_out()]
         todo = [job for job in jobs if job not in finished]
         self.check(todo)
-        configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
-        for word in self.unread(jobs, arguments, params):
-            name = word.lstrip("+~").partition("=")[0]
-            told = "%s has no effect: no part of the run refers to %s (--cfg job prints it)"
-            log.warning(told, word, name)
         if check_only:
             return 0
+        configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
+        for word, name in self.unread(jobs, arguments, params).items():
+            told = "%s has no effect: no part of the run refers to %s (--cfg job prints it)"
+            log.warning(told, word, name)
         for job in finished:  # the store may lack some, as far as is known without MLflow
             tracker = instantiate(job.values["logger"])
             if not tracker.is_published(job.folder):
@@ -183,8 +182,8 @@ class Sweep:
 
     def unread(
         self, jobs: Sequence[Job], arguments: Sequence[str], params: Mapping[str, Any]
-    ) -> list[str]:
-        """Return the words of a command that have no effect in any of its jobs.
+    ) -> dict[str, str]:
+        """Return the words of a command that have no effect in any of its jobs, and their names.
 
         Args:
             jobs: All jobs of the command.
@@ -193,12 +192,13 @@ class Sweep:
         """
         asked = {argument.lstrip("+~").partition("=")[0] for argument in arguments}
         asked -= {name for key in params for name in key.split(",")}
-        unread, read = set[str](), set[str]()
+        unread: dict[str, str] = {}
+        read: set[str] = set()
         for job in jobs:
             without = self.composer.unread(job)
-            unread.update(without)
-            read.update(set(job.overrides) - set(without))
-        return [w for w in sorted(unread - read) if w.lstrip("+~").partition("=")[0] in asked]
+            unread |= without
+            read |= set(job.overrides) - without.keys()
+        return {word: name for word, name in unread.items() if name in asked and word not in read}
 
     def check(self, jobs: Sequence[Job]) -> None:
         """Build the parts of every job, so that no mistake is found after others have run.
