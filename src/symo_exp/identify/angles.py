@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import SUSPECT
+from symo_exp.data.diagnose import SUSPECT, explained_in_degrees, explained_power
 from symo_exp.data.formats import few
 from symo_exp.data.naming import ANGLE, SLIDE, length_unit, meanings, units_of_angles
 from symo_exp.data.recorded import are_counts
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
-from symo_exp.identify.motions import explained_by_angles
+from symo_exp.identify.pace import STEPS
+from symo_exp.identify.sampled import EXAMINED, at_nodes, first_seconds, with_inputs
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.shell import override_value
 
@@ -144,7 +145,7 @@ def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
 def ask_for_degrees(recordings: Sequence[Recording], space: Coordinates) -> None:
     """Refuse angles whose motion is explained much better if their numbers are degrees."""
     if wide := _beyond_a_turn(recordings, space, angular=True):
-        plain, degrees = explained_by_angles(recordings, space)
+        plain, degrees = _explained(recordings, space)
         readings = {"degrees": degrees, "radians": plain}
         _ask("data.degrees", "true or false", wide, readings)
 
@@ -154,9 +155,19 @@ def ask_for_angles(recordings: Sequence[Recording], space: Coordinates) -> None:
     if wide := _beyond_a_turn(recordings, space, angular=False):
         every = zip(space.names, space.angular, strict=True)
         other = space._replace(angular=tuple(angle or name in wide for name, angle in every))
-        shares = (explained_by_angles(recordings, x)[0] for x in (other, space))
+        shares = (_explained(recordings, x)[0] for x in (other, space))
         readings = dict(zip(("angles [rad]", "lengths"), shares, strict=True))
         _ask("system.angular", "all, none or a list of names", wide, readings)
+
+
+def _explained(
+    recordings: Sequence[Recording], coordinates: Coordinates
+) -> tuple[float | None, float | None]:
+    """Return the share of the accelerations' power that is explained, and that if in degrees."""
+    step = max(STEPS[0], *(one.samples.step for one in recordings))
+    pairs = with_inputs(at_nodes(first_seconds(recordings, EXAMINED), step), step, 0.0)
+    given = pairs, coordinates, step
+    return explained_power(*given, driven=True), explained_in_degrees(*given)
 
 
 def _beyond_a_turn(

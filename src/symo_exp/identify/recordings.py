@@ -28,17 +28,11 @@ from symo_exp.identify.angles import (
     told_units,
     turn_settings,
 )
-from symo_exp.identify.motions import (
-    STEPS,
-    Dynamics,
-    Stretch,
-    along_turns,
-    dynamics,
-    fitting_time_step,
-    reversed_inputs,
-    struck,
-    too_fast,
-)
+from symo_exp.identify.dynamics import Dynamics, dynamics
+from symo_exp.identify.inputs import reversed_inputs
+from symo_exp.identify.left_out import REASONS, Stretch
+from symo_exp.identify.pace import STEPS, fitting_time_step
+from symo_exp.identify.sampled import along_turns
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 from symo_exp.shell import override_value
@@ -59,11 +53,6 @@ UNSEEN = 1e-3
 """Share of a motion, of angles at most of 1 rad, up to which errors may be those of integrators."""
 TOO_FAR, MOVES = 1e4, 20.0
 """That beyond which trainings lose too many digits, and the range over the noise of what moves."""
-REASONS = {
-    too_fast: "angles move too fast there for the distance of the samples",
-    struck: "something else moved the machine there, as the same states at other times show",
-}
-"""Functions that find stretches to leave out, in this order, and why they are left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
