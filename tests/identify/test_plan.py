@@ -7,6 +7,7 @@ import pytest
 
 from symo_exp.errors import ConfigError
 from symo_exp.identify import plan as plans
+from symo_exp.identify import speed
 from symo_exp.identify.candidates import (
     distinct_candidates,
     exclude,
@@ -15,6 +16,7 @@ from symo_exp.identify.candidates import (
     structure_of,
     with_lagrangian,
 )
+from symo_exp.identify.effort import EFFORTS, MEASURED, SPARSE, STEP
 from symo_exp.identify.recordings import Machine
 from symo_exp.identify.structures import ladder, structures
 from symo_exp.identify.variations import variations, with_friction_of, with_less_friction
@@ -120,7 +122,7 @@ def test_a_plan_takes_more_than_its_budget_only_if_it_is_the_least(n, time_step,
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_plans_count_the_steps_that_validations_take(n):
     """Shorter time steps, more coordinates and more held-out data cost more, the former most."""
-    one, effort = machine(n), plans.EFFORTS[-1]
+    one, effort = machine(n), EFFORTS[-1]
     base = ladder(one)[0]
 
     def validation(effort=effort, **changed):
@@ -128,20 +130,20 @@ def test_plans_count_the_steps_that_validations_take(n):
 
     assert validation(time_step=0.002) == pytest.approx(10 * validation())
     assert validation(coordinates=named((True,) * (n + 1))) > validation()
-    thrifty = [replace(effort, sparse=True, measured=x) for x in plans.MEASURED]
+    thrifty = [replace(effort, sparse=True, measured=x) for x in MEASURED]
     each = [validation(x, seconds=600.0) for x in (effort, *thrifty)]
     assert all(more > less for more, less in itertools.pairwise(each))
     for candidate in ladder(one):
         total = effort.total(candidate)
-        assert total <= plans.SPARSE * thrifty[0].between(candidate) < 2 * total
+        assert total <= SPARSE * thrifty[0].between(candidate) < 2 * total
 
 
 def test_plans_count_no_steps_beyond_the_end_of_short_recordings():
     """Ten recordings of a hundredth of a second, as of a machine that vibrates at some kHz."""
     one = replace(machine(1, seconds=0.1, recordings=10), time_step=1e-5, finest_step=1e-5)
-    effort = plans.EFFORTS[-1]
+    effort = EFFORTS[-1]
     each = effort.validation(ladder(one)[0], one) * effort.epochs / effort.total(ladder(one)[0])
-    assert 1000 * plans.STEP < each < 5000 * plans.STEP
+    assert 1000 * STEP < each < 5000 * STEP
 
 
 def test_a_plan_is_kept_with_the_search_and_forgotten_for_another(tmp_path):
@@ -361,9 +363,9 @@ def test_the_plan_leaves_out_the_costliest_candidate_first():
 def test_the_speed_is_measured_once_by_each_version(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for time, reference, expected in ((0.5, 1.0, 2.0), (1.0, 1.0, 2.0), (1.0, 3.0, 3.0)):
-        monkeypatch.setattr(plans, "REFERENCE", reference)
-        monkeypatch.setattr(plans, "exercise", lambda time=time: time)
-        assert plans.machine_speed() == expected
+        monkeypatch.setattr(speed, "REFERENCE", reference)
+        monkeypatch.setattr(speed, "exercise", lambda time=time: time)
+        assert speed.machine_speed() == expected
 
 
 def test_epochs_with_many_parameters_take_longer_with_six_coordinates():
@@ -388,14 +390,14 @@ def test_variations_of_a_structure_keep_the_growth_of_its_cost():
 
 def test_trainings_with_inputs_take_longer_though_validations_of_one_coordinate_do_not():
     free, driven = (machine(1, driven=driven) for driven in (False, True))
-    candidate, effort = ladder(free)[0], plans.EFFORTS[-1]
+    candidate, effort = ladder(free)[0], EFFORTS[-1]
     slow, fast = (effort.training(candidate, 1000, one) for one in (driven, free))
     assert slow > 1.2 * fast
     assert effort.validation(candidate, driven) == effort.validation(candidate, free)
 
 
 def test_further_starts_are_planned_and_windows_are_no_longer_than_the_recordings():
-    one, effort = machine(), plans.EFFORTS[-1]
+    one, effort = machine(), EFFORTS[-1]
     candidate = ladder(one)[0]
     several = replace(candidate, starts=candidate.starts + 1)
     epochs = effort.total(several) / effort.total(candidate)

@@ -5,54 +5,27 @@ from __future__ import annotations
 import json
 import math
 import re
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from symo_exp.data.folds import VALIDATED
 from symo_exp.data.header import UNITS
 from symo_exp.errors import ConfigError
-from symo_exp.evaluation.horizon import EVERY, HORIZONS, LONG, RUN_IN
-from symo_exp.files import read_json, user_cache, write_text
+from symo_exp.evaluation.horizon import LONG
+from symo_exp.files import read_json, write_text
 from symo_exp.identify.candidates import Candidate
+from symo_exp.identify.effort import EFFORTS, FOLDS, MEASURED, Effort
 from symo_exp.identify.recordings import Machine
 
 LONGEST = 3.6e7
 """Budget at most [s]."""
-REFERENCE = 0.25
-"""Time of ``exercise`` on the machine on which the times below were measured [s]."""
-EPOCH, NODE = 8e-3, 4.5e-6
-"""Times of an epoch of rigid links in a plane, midpoint rule: a fixed one, and what a node and pair
-of coordinates adds: each of n residuals is differentiated, and solved with those around it [s]."""
-DRIVEN = 1.5
-"""Factor of the time of an epoch with inputs: the friction of motors bends residuals, so that more
-trials of a step are refused."""
-WARM_UP = 1.0
-"""Time of Adam's steps before each start of the optimiser but the first [s]."""
-STEP, ROW = 0.75e-3, 1.4e-6
-"""Time of a step of the rollouts of a validation, and what a rollout and a pair of coordinates, a
-coordinate and itself included twice, add to it [s]."""
-STICKING = 4.0
-"""Factor of the time of a validation with inputs and several coordinates: steps in which some stick
-are taken one by one."""
-FITTED, LEAD = 6.0, 0.25
-"""Times that the run-in of a window is rolled out to fit its start, and its share of a recording at
-most."""
-EPSILONS, LATE = 4, 3
-"""Stages of the optimiser after its starts, and further ones if friction is learned late."""
-STARTING = 0.5
-"""Time of a run that depends on nothing [s]."""
 SCREENING, VARYING, REFITTING = 0.45, 0.35, 0.2
 """Shares of the budget; in the last one a model is fitted to as many data as there is time for."""
-MEASURED = (60.0, 4 * VALIDATED, 2 * VALIDATED)
-"""Lengths of held-out data at most, on which candidates are measured [s]."""
-FOLDS, FEWEST_NODES, MOST_NODES = 6, 800, 30_000
+FEWEST_NODES, MOST_NODES = 800, 30_000
 DOMINANT = 0.5
 """Share of the time of a training from which there are fewer validations, on fewer data."""
-SPARSE = 2
-"""Validations of a training where they are dominant: in the middle and at the end."""
+FIRST = 2
+"""Folds of the first round."""
 PROMOTED, VARIED = 3, 2.0
 """Variations that are tried on all folds, and the cost of one over its candidate's."""
 FEWEST_VARIATIONS = 2
@@ -66,88 +39,13 @@ PATIENCE = 4.0
 
 
 @dataclass(frozen=True)
-class Effort:
-    """The effort of a training.
-
-    Args:
-        start: Epochs with held nodes.
-        epochs: Epochs for each epsilon.
-        sparse: Whether there are few validations, instead of one after each stage.
-        measured: Length of held-out data at most [s].
-    """
-
-    start: int
-    epochs: int
-    sparse: bool = False
-    measured: float = MEASURED[0]
-
-    def total(self, candidate: Candidate) -> int:
-        """Return the epochs of a training."""
-        late = LATE * (candidate.settings.get("dissipation") == "learned")
-        return self.fewest(candidate) + late * self.epochs
-
-    def fewest(self, candidate: Candidate) -> int:
-        """Return the epochs of a training that ends before the late stages."""
-        return self.begun(candidate) + EPSILONS * self.epochs
-
-    def begun(self, candidate: Candidate) -> int:
-        """Return the epochs of a training with smoothed nodes."""
-        return candidate.forces + candidate.starts * self.start
-
-    def between(self, candidate: Candidate) -> int:
-        """Return the epochs between validations."""
-        return math.ceil(self.total(candidate) / SPARSE) if self.sparse else self.epochs
-
-    def training(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
-        """Return the time of a training on the reference machine without validations [s]."""
-        n = machine.coordinates.n
-        epoch = candidate.cost_of_epoch(n) * (EPOCH + NODE * n**2 * nodes)
-        epoch *= DRIVEN if machine.driven else 1.0
-        return STARTING + WARM_UP * (candidate.starts - 1) + epoch * self.total(candidate)
-
-    def validation(self, candidate: Candidate, machine: Machine) -> float:
-        """Return the time of the validations of a training on the reference machine [s].
-
-        Steps are taken one after another, for all windows at once, and again along the longest
-        recording as a whole, unless errors are compared over shorter times than usual.
-        """
-        n = machine.coordinates.n
-        step = float(candidate.settings.get("system.time_step", machine.time_step))
-        held_out = machine.seconds / FOLDS
-        piece = min(machine.seconds / machine.recordings, held_out)
-        seconds = min(held_out, self.measured)
-        piece = min(piece, max(VALIDATED, piece * seconds / held_out))
-
-        def rolled(length: float, rows: float) -> float:
-            return length / step * (STEP + ROW * n * (n + 1) * rows)
-
-        window = min(machine.horizon, piece) + FITTED * min(RUN_IN, LEAD * piece)
-        found = rolled(window, max(1.0, seconds / min(EVERY, piece)))
-        if piece >= LONG and machine.horizon >= HORIZONS[-1]:
-            found += rolled(piece, seconds / piece)
-        slow = math.sqrt(candidate.cost * step / machine.time_step)
-        if machine.driven and n > 1 and not machine.coordinates.rotations:
-            slow *= STICKING
-        return slow * found * self.total(candidate) / self.between(candidate)
-
-    def expected(self, candidate: Candidate, nodes: int, machine: Machine) -> float:
-        """Return the time of a run on the reference machine [s]."""
-        training = self.training(candidate, nodes, machine)
-        return training + self.validation(candidate, machine)
-
-
-EFFORTS = (Effort(20, 20), Effort(10, 10))
-"""Of trainings, from the most thorough."""
-
-
-@dataclass(frozen=True)
 class Plan:
     """The stages of a search and their planned times.
 
     Args:
         budget: Wall time [s].
         cores: How many runs are done at a time.
-        speed: Of this machine, relative to the one of ``REFERENCE``.
+        speed: Of this machine (``identify.speed``).
         folds: Of the cross-validation.
         first: Folds of the first round.
         seconds: Length of the training part of a fold [s].
@@ -273,82 +171,103 @@ def make_plan(
     and the data where these take much, then the folds and the candidates, the costliest first. Two
     variations of the simplest candidate are always counted.
     """
-    work = budget * cores * speed
-    whole = 3 <= machine.recordings < FOLDS and machine.seconds < FOLDS * LONG
-    folds = machine.recordings if whole else FOLDS  # blocks of long recordings
-    share = (folds - 1) / folds
-    nodes_all, chosen = machine.nodes, list(candidates)
-    first = min(2, folds)
-
-    def screening(effort: Effort, nodes: int, tried: Sequence[Candidate]) -> float:
-        each = [effort.expected(c, nodes, machine) for c in tried]
-        best = sorted(each)[: max(2, len(each) // 2)]
-        return first * sum(each) + (folds - first) * sum(best)
-
-    nodes, effort = max(1, round(share * nodes_all)), EFFORTS[0]
-
-    def varied() -> float:
-        """Return the time of a variation of the simplest candidate on a fold."""
-        return VARIED * effort.expected(chosen[0], nodes, machine)
-
-    def varying() -> float:
-        """Return the time of the fewest variations, two joined, and the trials after them."""
-        return (first * (FEWEST_VARIATIONS + 3) + (folds - first) + 2 * folds) * varied()
-
-    def too_much() -> bool:
-        least = max(VARYING * work, varying())
-        return screening(effort, nodes, chosen) + least > (SCREENING + VARYING) * work
-
-    for lighter in EFFORTS[1:]:
-        if too_much():
-            effort = lighter
-
-    def data_matter() -> bool:
-        return screening(effort, FEWEST_NODES, chosen) < DATA * screening(effort, nodes, chosen)
-
-    def validations_matter() -> bool:
-        validation = effort.validation(chosen[0], machine)
-        return validation > DOMINANT * effort.expected(chosen[0], nodes, machine)
-
-    thrifty = [replace(effort, sparse=True, measured=seconds) for seconds in MEASURED]
-
-    def lighten(*, anyway: bool) -> None:
-        """Reduce validations and data where they matter, or ``anyway``."""
-        nonlocal effort, nodes
-        while too_much():
-            if thrifty and validations_matter():
-                effort = thrifty.pop(0)
-            elif nodes > FEWEST_NODES and (anyway or data_matter()):
-                nodes = max(FEWEST_NODES, int(nodes / 1.25))
-            elif anyway and thrifty:
-                effort = thrifty.pop(0)
-            else:
-                break
-
-    lighten(anyway=False)
-    while too_much() and folds > 4:
-        folds -= 1
-    while too_much() and len(chosen) > 2:
-        others = chosen[1:]
-        chosen.remove(max(others, key=lambda c: (effort.expected(c, nodes, machine), c.rank)))
-    lighten(anyway=True)
-    while too_much() and folds > 3:
-        folds -= 1
-    needed = (screening(effort, nodes, chosen) + varying()) / (cores * speed) + REFITTING * budget
+    draft = _Draft(machine, list(candidates), budget * cores * speed)
+    draft.fit()
+    searched = (draft.screening(draft.nodes) + draft.varying()) / (cores * speed)
     return Plan(
         budget=budget,
         cores=cores,
         speed=speed,
-        folds=folds,
-        first=first,
-        seconds=nodes * machine.time_step,
-        effort=effort,
-        needed=needed,
-        reserved=(first * FEWEST_VARIATIONS + folds - first) * varied() / speed,
-        names=tuple(c.name for c in chosen),
+        folds=draft.folds,
+        first=FIRST,
+        seconds=draft.nodes * machine.time_step,
+        effort=draft.effort,
+        needed=searched + REFITTING * budget,
+        reserved=(FIRST * FEWEST_VARIATIONS + draft.folds - FIRST) * draft.varied() / speed,
+        names=tuple(c.name for c in draft.chosen),
         key=key,
         recordings=recordings,
     )
+
+
+class _Draft:
+    """A plan that becomes less thorough until it fits the time that there is.
+
+    Args:
+        machine: The recorded machine.
+        chosen: Candidates of the first round, the simplest first.
+        work: Time of all cores [s], on the reference machine, like all times here.
+    """
+
+    def __init__(self, machine: Machine, chosen: list[Candidate], work: float) -> None:
+        self._machine, self._work = machine, work
+        self.chosen, self.effort = chosen, EFFORTS[0]
+        whole = 3 <= machine.recordings < FOLDS and machine.seconds < FOLDS * LONG
+        self.folds = machine.recordings if whole else FOLDS  # blocks of long recordings
+        share = (self.folds - 1) / self.folds
+        self.nodes = max(1, round(share * machine.nodes))  # of the training part of a fold
+
+    def screening(self, nodes: int) -> float:
+        """Return the time of the first rounds with so many nodes: the worse half ends early."""
+        each = [self.effort.expected(c, nodes, self._machine) for c in self.chosen]
+        best = sorted(each)[: max(2, len(each) // 2)]
+        return FIRST * sum(each) + (self.folds - FIRST) * sum(best)
+
+    def varied(self) -> float:
+        """Return the time of a variation of the simplest candidate on a fold."""
+        return VARIED * self.effort.expected(self.chosen[0], self.nodes, self._machine)
+
+    def varying(self) -> float:
+        """Return the time of the fewest variations, two joined, and the trials after them."""
+        runs = FIRST * (FEWEST_VARIATIONS + 3) + (self.folds - FIRST) + 2 * self.folds
+        return runs * self.varied()
+
+    def fit(self) -> None:
+        """Make the plan less thorough until it fits, or nothing is left to reduce."""
+        for lighter in EFFORTS[1:]:
+            if self._too_much():
+                self.effort = lighter
+        thrifty = [replace(self.effort, sparse=True, measured=seconds) for seconds in MEASURED]
+        self._lighten(thrifty, anyway=False)
+        self._reduce_folds(4)
+        while self._too_much() and len(self.chosen) > 2:
+            self.chosen.remove(max(self.chosen[1:], key=self._cost))
+        self._lighten(thrifty, anyway=True)
+        self._reduce_folds(3)
+
+    def _too_much(self) -> bool:
+        least = max(VARYING * self._work, self.varying())
+        return self.screening(self.nodes) + least > (SCREENING + VARYING) * self._work
+
+    def _lighten(self, thrifty: list[Effort], *, anyway: bool) -> None:
+        """Reduce validations, to the next ``thrifty`` effort, and data.
+
+        They are reduced where they matter, or ``anyway``.
+        """
+        while self._too_much():
+            if thrifty and self._validations_matter():
+                self.effort = thrifty.pop(0)
+            elif self.nodes > FEWEST_NODES and (anyway or self._data_matter()):
+                self.nodes = max(FEWEST_NODES, int(self.nodes / 1.25))
+            elif anyway and thrifty:
+                self.effort = thrifty.pop(0)
+            else:
+                break
+
+    def _reduce_folds(self, least: int) -> None:
+        while self._too_much() and self.folds > least:
+            self.folds -= 1
+
+    def _data_matter(self) -> bool:
+        return self.screening(FEWEST_NODES) < DATA * self.screening(self.nodes)
+
+    def _validations_matter(self) -> bool:
+        simplest = self.chosen[0]
+        validation = self.effort.validation(simplest, self._machine)
+        return validation > DOMINANT * self.effort.expected(simplest, self.nodes, self._machine)
+
+    def _cost(self, candidate: Candidate) -> tuple[float, float]:
+        return self.effort.expected(candidate, self.nodes, self._machine), candidate.rank
 
 
 def kept_plan(file: Path, key: str) -> Plan | None:
@@ -365,40 +284,3 @@ def kept_plan(file: Path, key: str) -> Plan | None:
 def keep_plan(file: Path, plan: Plan) -> None:
     """Write the plan where the same command finds it."""
     write_text(file, json.dumps(asdict(plan), indent=1) + "\n")
-
-
-def machine_speed() -> float:
-    """Return the speed of a core of this machine, measured once and kept in the user's cache."""
-    file = user_cache() / "speed.json"
-    kept = read_json(file)
-    known = kept.get("speed")
-    if kept.get("reference") == REFERENCE and isinstance(known, float):  # of this version
-        return known
-    speed = float(f"{REFERENCE / min(exercise() for _ in range(2)):.2g}")
-    with suppress(OSError):  # a home that cannot be written: it is measured again
-        write_text(file, json.dumps({"speed": speed, "reference": REFERENCE}))
-    return speed
-
-
-def exercise() -> float:
-    """Return the processor time of operations like those of a training [s].
-
-    These are short: their number counts more than their arithmetic.
-    """
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        generator = torch.Generator().manual_seed(0)
-        q = torch.rand(1500, 2, generator=generator, dtype=torch.float64)
-        m = torch.rand(1500, 2, 2, generator=generator, dtype=torch.float64)
-        start = time.process_time()
-        for _ in range(1000):
-            x = q.clone().requires_grad_()
-            moved = (m @ x.unsqueeze(-1)).squeeze(-1)
-            energy = (moved * x).sum(1) + torch.sin(x).square().sum(1)
-            torch.autograd.grad(energy.sum(), x)
-        return time.process_time() - start
-    finally:
-        torch.set_num_threads(before)

@@ -33,6 +33,7 @@ from symo_exp.identify.fits import Fits, by_key
 from symo_exp.identify.plan import Plan
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.rounds import Rounds
+from symo_exp.identify.speed import machine_speed
 from symo_exp.identify.structures import ladder
 from symo_exp.identify.table import candidates_table, unit_of_held_out, write_candidates
 from symo_exp.identify.validation import (
@@ -245,7 +246,7 @@ class Search:
 
     def _new_plan(self, candidates: Sequence[Candidate], key: str, recordings: str) -> Plan:
         phases.say("measuring the speed of this machine")
-        cores, speed = _cores(self._master), plans.machine_speed()
+        cores, speed = _cores(self._master), machine_speed()
         return plans.make_plan(
             self._machine, candidates, self._budget, cores, speed, key, recordings
         )
