@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from symo_exp.identify import plan as plans
-from symo_exp.identify import rounds
+from symo_exp.identify import trials
 from symo_exp.identify.rounds import Rounds
 from symo_exp.identify.structures import ladder
 from symo_exp.runs.folder import SERIES, RunFolder
@@ -42,8 +42,8 @@ class ToldFits:
 @pytest.fixture
 def prepared(tmp_path, monkeypatch):
     """Return the rounds of a search by told errors, its fits and its plan."""
-    monkeypatch.setattr(rounds, "baseline_error", lambda fit: 1e3)
-    monkeypatch.setattr(rounds, "parameters_of", lambda fit: 10)
+    monkeypatch.setattr(trials, "baseline_error", lambda fit: 1e3)
+    monkeypatch.setattr(trials, "parameters_of", lambda fit: 10)
 
     def prepare(told, one, budget=600.0, pace=None):
         plan = plans.make_plan(one, ladder(one), budget, 2, 1.0, "key")

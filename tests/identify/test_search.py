@@ -17,7 +17,7 @@ from symo_exp.data.diagnose import noise_of
 from symo_exp.data.recorded import lagging
 from symo_exp.data.resample import Samples
 from symo_exp.errors import ConfigError
-from symo_exp.identify import rounds
+from symo_exp.identify import trials
 from symo_exp.identify.recordings import examine
 from symo_exp.identify.structures import ladder
 from symo_exp.identify.variations import with_half_the_step
@@ -108,7 +108,7 @@ def test_a_machine_without_friction_has_a_model_without(workplace, capsys):
 def test_a_search_without_time_says_what_it_leaves_out_and_repeats_itself(
     workplace, capsys, monkeypatch
 ):
-    monkeypatch.setattr(rounds, "FASTEST", 1e3)  # runs count as slow
+    monkeypatch.setattr(trials, "FASTEST", 1e3)  # runs count as slow
     table().to_csv("mine.csv", index=False)
     words = ["-cn", "machine", "data.path=mine.csv", "budget=1s", "hydra/launcher=basic",
              "logger=none", "pictures=false", "dissipation=viscous"]  # fmt: skip
