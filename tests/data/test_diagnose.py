@@ -9,16 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from symo_exp.data.diagnose import (
-    Diagnosis,
-    contradiction,
-    diagnose,
-    encoder_of,
-    explained_power,
-    input_gains,
-    noise_of,
-    spring_slopes,
-)
+from symo_exp.data.diagnose import Diagnosis, diagnose
+from symo_exp.data.explained import contradiction, explained_power, input_gains, spring_slopes
+from symo_exp.data.sensors import encoder_of, noise_of
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver, simulate

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import torch
 
-from symo_exp.data.diagnose import quasi_coordinates
+from symo_exp.data.weak import quasi_coordinates
 from symo_exp.errors import ConfigError
 from symo_exp.identify.recordings import Machine, examine
 from symo_exp.identify.structures import ladder

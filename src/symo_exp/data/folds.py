@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.diagnose import noise_of
 from symo_exp.data.parts import GAP, REST, Parts
+from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 

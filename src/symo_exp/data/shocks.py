@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.diagnose import (
+from symo_exp.data.weak import (
     HALF,
     SHORTEST,
     Motion,

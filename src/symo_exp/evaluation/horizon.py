@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from symo_exp.data.diagnose import noise_of
+from symo_exp.data.sensors import noise_of
 from symo_exp.evaluation.measures import VALID_ERROR, squared, steps_within
 from symo_exp.evaluation.rollouts import CHUNK
 from symo_exp.mechanics.roots import Sizes

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.diagnose import SUSPECT, explained_in_degrees, explained_power
+from symo_exp.data.diagnose import SUSPECT
+from symo_exp.data.explained import explained_in_degrees, explained_power
 from symo_exp.data.formats import few
 from symo_exp.data.naming import ANGLE, SLIDE, length_unit, meanings, units_of_angles
 from symo_exp.data.recorded import are_counts

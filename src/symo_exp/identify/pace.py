@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.diagnose import blur_of, growth_rate, noise_of
+from symo_exp.data.explained import growth_rate
 from symo_exp.data.folds import thinned
+from symo_exp.data.sensors import blur_of, noise_of
 from symo_exp.data.table import Recording
 from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.identify.sampled import EXAMINED, Sampled, at_nodes, first_seconds, with_inputs

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.diagnose import Motion, held_still, quasi_coordinates
 from symo_exp.data.recorded import acting_late
 from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.table import Recording
+from symo_exp.data.weak import Motion, held_still, quasi_coordinates
 from symo_exp.mechanics.types import Coordinates
 
 EXAMINED, NODES = 60.0, 3000

@@ -7,14 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symo_exp.data.diagnose import (
-    POOR,
-    Motion,
-    contradiction,
-    input_gains,
-    quasi_coordinates,
-    spring_slopes,
-)
+from symo_exp.data.diagnose import POOR
+from symo_exp.data.explained import contradiction, input_gains, spring_slopes
+from symo_exp.data.weak import Motion, quasi_coordinates
 from symo_exp.identify.inputs import Timing
 from symo_exp.identify.pace import vibration
 from symo_exp.identify.sampled import Sampled, along_turns, scaled_motions, with_inputs
