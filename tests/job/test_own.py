@@ -11,7 +11,8 @@ import torch
 import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
-from symo_exp.job.recipe import build, perform
+from symo_exp.job.parts import build
+from symo_exp.job.recipe import perform
 from symo_exp.runs.folder import About
 from tests import pages
 from tests.jobs import job_of, planned, refusal

@@ -8,7 +8,7 @@ import torch
 
 from symo_exp.cli.help import summary
 from symo_exp.errors import ConfigError
-from symo_exp.job.recipe import build
+from symo_exp.job.parts import build
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.compose import expand

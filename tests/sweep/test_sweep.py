@@ -11,7 +11,7 @@ import pytest
 from hydra.core.plugins import Plugins
 
 from symo_exp.__main__ import main
-from symo_exp.job import job, recipe
+from symo_exp.job import job, parts
 from symo_exp.process import stopping
 from symo_exp.process.stopping import Interrupted
 from symo_exp.runs.folder import RunFolder
@@ -208,7 +208,7 @@ def test_a_signal_beside_the_training_ends_the_sweep_and_keeps_what_is_finished(
 
 def test_a_signal_while_a_job_is_built_is_not_taken_for_bad_input(workplace, monkeypatch):
     """Libraries answer an interruption of theirs with an error of their own."""
-    build = recipe.build
+    build = parts.build
 
     def build_stopped(settings, folder):
         if folder.outcome().status == "running":  # not when the command checks the job
@@ -218,7 +218,7 @@ def test_a_signal_while_a_job_is_built_is_not_taken_for_bad_input(workplace, mon
                 raise KeyError("flag") from error
         return build(settings, folder)
 
-    monkeypatch.setattr(recipe, "build", build_stopped)
+    monkeypatch.setattr(parts, "build", build_stopped)
     assert main([*SWEPT, "logger=none", "seed=0"]) == 130
     (outcome,) = (RunFolder(file.parent).outcome() for file in workplace.rglob("outcome.json"))
     assert (outcome.status, outcome.reason) == ("interrupted", "interrupted by SIGINT")

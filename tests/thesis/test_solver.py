@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from symo_exp.errors import ConfigError
 from symo_exp.evaluation.evaluate import evaluate
-from symo_exp.job.recipe import build
+from symo_exp.job.parts import build
 from symo_exp.runs.folder import RunFolder
 from symo_exp.systems.simulation import simulate
 from symo_exp.thesis.solver import SolveIvp

@@ -5,7 +5,8 @@ import functools
 import pytest
 import torch
 
-from symo_exp.job.recipe import build, perform
+from symo_exp.job.parts import build
+from symo_exp.job.recipe import perform
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.runs.series import TIME
 from symo_exp.training.learner import Learner

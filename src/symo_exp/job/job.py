@@ -164,7 +164,8 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
             folder.record("running")
             folder.mark_published(None)
             with first_import("symo_exp.job.recipe"):
-                from symo_exp.job.recipe import build, perform
+                from symo_exp.job.parts import build
+                from symo_exp.job.recipe import perform
 
             with stopping.urgent(False):  # OmegaConf would make an error of its own of the signal
                 parts = build(settings.values, folder)

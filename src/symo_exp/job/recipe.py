@@ -1,66 +1,29 @@
-"""The stages of a run: building the parts, training, measuring, saving."""
+"""The stages of a run: training, measuring, saving."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import lightning
-import torch
-from hydra.utils import instantiate
-from torch.optim.lr_scheduler import ReduceLROnPlateau
-
-from symo_exp import code
-from symo_exp.checks import instance, one_of, real, whole_number
+from symo_exp.checks import instance
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.forces import unlearned_forces
 from symo_exp.evaluation.intervals import Predicted
 from symo_exp.evaluation.parameters import physical_parameters
-from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.study import Finding, afresh
 from symo_exp.evaluation.uncertainty import posterior_of
-from symo_exp.models.base import DynamicsModel
+from symo_exp.job.parts import Parts, default_dtype, make
 from symo_exp.optim.base import EpochOptimizer
 from symo_exp.process import phases, stopping
-from symo_exp.runs.digest import digest, kernels
-from symo_exp.runs.folder import (
-    CHECKPOINTS,
-    PICTURES,
-    ROLLOUTS,
-    SERIES,
-    WINDOWS,
-    About,
-    RunFolder,
-)
-from symo_exp.runs.load import divided_recordings, from_folder, raised_by_constructor
-from symo_exp.runs.series import Series
-from symo_exp.systems.base import System
+from symo_exp.runs.folder import CHECKPOINTS, PICTURES, ROLLOUTS, WINDOWS, About, RunFolder
+from symo_exp.runs.load import divided_recordings, from_folder
 from symo_exp.tracking.store import is_away
 from symo_exp.training import resuming
-from symo_exp.training.recording import SeriesRecorder
 
 log = logging.getLogger(__name__)
-
-LEAST = {"T_max": 1, "patience": 0, "cooldown": 0}
-"""The smallest values of settings of PyTorch's schedulers, which do not check them."""
-
-
-class Parts(NamedTuple):
-    """The objects that a configuration names."""
-
-    system: Any
-    data: Any
-    model: Any
-    learner: Any
-    tracker: Any
-    trainer: lightning.Trainer
-    reference: Any
-    run: str
-    """Digest of the settings, which checkpoints carry."""
 
 
 def perform(
@@ -106,117 +69,6 @@ def perform(
                 _draw(parts, evaluation, about, folder / PICTURES)
             folder.write_measures(evaluation.measures)
         _study(settings, folder, parts)
-
-
-def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
-    """Build everything but the data, which the training simulates or reads.
-
-    It is fast, so that a command checks every job by it.
-
-    Raises:
-        ConfigError: For arguments that a constructor refuses.
-    """
-    code.add(settings["code"])
-    seed = settings["seed"]
-    whole_number("seed", seed, low=0, high=2**32 - 1)
-    lightning.seed_everything(seed, verbose=False)
-    system = make(settings, "system")
-    instance("system", system, System)
-    data = make(settings, "data", system=system)
-    dtype = settings["dtype"]
-    if (given := settings["data"].get("dtype", dtype)) != dtype:
-        raise ConfigError(f"data.dtype={given}: training has dtype={dtype}; give dtype={given}")
-    with default_dtype(dtype):
-        model = make(
-            settings,
-            "model",
-            coordinates=system.coordinates,
-            input_matrix=system.input_matrix,
-            time_step=system.time_step,
-        )
-    instance("model", model, DynamicsModel)
-    learner = make(settings, "learner", model=model) if model.learns else None
-    reference = _reference(settings, system, data) if "reference" in settings else None
-    for name in settings["study"]:
-        make(settings["study"], name)
-    tracker = make(settings, "logger")
-    recorder = SeriesRecorder(
-        Series(folder / SERIES), lambda: tracker.publish(folder), tracker.flush_seconds
-    )
-    if learner is not None:
-        _check_optimizer(learner, settings["trainer"].get("accelerator", "cpu"))
-    run, compiled = digest(settings), kernels(settings)
-    trainer = make(
-        settings,
-        "trainer",
-        folder=folder / CHECKPOINTS,
-        run=run,
-        kernels=compiled,
-        callbacks=[recorder],
-    )
-    return Parts(system, data, model, learner, tracker, trainer, reference, run)
-
-
-def _check_optimizer(learner: Any, accelerator: str) -> None:
-    try:
-        (optimizer,), schedulers = learner.configure_optimizers()
-    except ConfigError:
-        raise
-    except (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError) as error:
-        raise ConfigError(f"optimizer or scheduler: {first_line(error)}") from error
-    for scheduler in schedulers:
-        if isinstance(scheduler, ReduceLROnPlateau):
-            real("scheduler.factor", scheduler.factor, above=0)
-            real("scheduler.threshold", scheduler.threshold, low=0)
-            real("scheduler.min_lr", min(scheduler.min_lrs), low=0)
-            one_of("scheduler.mode", scheduler.mode, ["min"])  # of a loss
-        for name, low in LEAST.items():
-            if hasattr(scheduler, name):
-                whole_number(f"scheduler.{name}", getattr(scheduler, name), low=low)
-    if accelerator != "cpu" and isinstance(optimizer, EpochOptimizer) and optimizer.processor_only:
-        raise ConfigError(
-            f"trainer.accelerator={accelerator}: {type(optimizer).__name__} works on the processor "
-            "only; give trainer=cpu, or an optimizer that works on both, such as adam"
-        )
-
-
-def _reference(settings: Mapping[str, Any], system: Any, data: Any) -> Any:
-    reference = make(settings, "reference")
-    if not data.recorded:
-        raise ConfigError(
-            "reference: only models of recordings have one; give data=recorded or reference=none"
-        )
-    check_fit(reference, *system.input_matrix.shape)
-    return reference
-
-
-def make(settings: Mapping[str, Any], group: str, **given: Any) -> Any:
-    """Instantiate a node of the configuration with further arguments."""
-    if not isinstance(settings[group], Mapping):
-        raise ConfigError(f"{group}: expected a class (_target_)")
-    try:
-        # given afterwards: Hydra would take a system, a dataclass, for configuration
-        return instantiate(settings[group], _partial_=True)(**given)
-    except ConfigError:
-        raise
-    except Exception as error:
-        cause = raised_by_constructor(error)
-        if isinstance(cause, ConfigError):
-            raise cause from error
-        raise ConfigError(f"{group}: {str(cause) or type(cause).__name__}") from error
-
-
-@contextmanager
-def default_dtype(name: str) -> Iterator[None]:
-    """Set PyTorch's default precision meanwhile."""
-    if name not in ("float32", "float64"):
-        raise ConfigError(f"dtype={name} is not a choice; possible: float32, float64")
-    before = torch.get_default_dtype()
-    torch.set_default_dtype(getattr(torch, name))
-    try:
-        yield
-    finally:
-        torch.set_default_dtype(before)
 
 
 def _announce(tracker: Any, folder: RunFolder) -> None:

@@ -209,8 +209,8 @@ class Sweep:
         if not jobs:
             return  # without the seconds of the import
         phases.say("importing PyTorch and Lightning")
-        with first_import("symo_exp.job.recipe"):
-            from symo_exp.job.recipe import build
+        with first_import("symo_exp.job.parts"):
+            from symo_exp.job.parts import build
         stores = []
         for place, job in enumerate(jobs, 1):
             phases.say(f"checking run {place} of {len(jobs)}")
@@ -233,7 +233,7 @@ class Sweep:
         Raises:
             ConfigError: If its settings are invalid.
         """
-        from symo_exp.job.recipe import make
+        from symo_exp.job.parts import make
 
         return make({"system": OmegaConf.to_container(self._master.system, resolve=True)}, "system")
 
