@@ -1,6 +1,7 @@
 """SIGINT and SIGTERM: the first ends a run after its epoch, the second at once."""
 
 import signal
+import subprocess
 import time
 
 import pytest
@@ -85,6 +86,31 @@ def test_a_signal_ends_parallel_jobs_after_their_epochs(signum, group, tmp_path)
     assert command.wait() == 128 + signum
     assert statuses(tmp_path) == ["interrupted", "interrupted"]
     assert command.said.count("waiting: seed=") == 2
+
+
+def workers(command):
+    """The processes of joblib that a command has started."""
+    ps = ["ps", "-ww", "-o", "args=", "-g", str(command.pid)]
+    told = subprocess.run(ps, capture_output=True, text=True).stdout
+    return [line for line in told.splitlines() if "LokyProcess" in line]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("signals", [1, 2])
+def test_ctrl_c_while_workers_start_prints_no_traceback(signals, tmp_path):
+    command = Command(tmp_path, *ENDLESS, "-m", "seed=0,1,2,3", "hydra/launcher=joblib",
+                      "hydra.launcher.n_jobs=2")  # fmt: skip
+    command.wait_for(lambda: len(workers(command)) == 2)
+    for _ in range(signals):
+        time.sleep(0.3)  # they import libraries
+        command.signal(signal.SIGINT, group=True)
+    assert command.wait() == 130
+    assert "Traceback" not in command.said
+    end = time.monotonic() + 60.0
+    while workers(command) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not workers(command)
+    assert set(statuses(tmp_path)) <= {"waiting", "interrupted"}
 
 
 @pytest.mark.slow

@@ -2,6 +2,9 @@
 
 import os
 import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
@@ -18,3 +21,24 @@ def test_a_worker_forgets_the_signal_of_a_command_when_another_one_uses_it(
             patch.setenv(stopping.FOLDER, str(tmp_path))
         stopping.install()  # as a job does that begins
         assert stopping.requested() == (signal.SIGINT if same else None)
+
+
+CHILD = """
+import os, signal
+from symo_exp.process import stopping
+os.kill(os.getpid(), signal.SIGINT)
+print("goes on")
+stopping.install()
+print(stopping.requested() == signal.SIGINT)
+"""
+
+
+def test_a_child_is_deaf_until_it_has_its_handlers_and_the_command_is_not():
+    with stopping.command(), stopping.deaf_children():
+        told = subprocess.run([sys.executable, "-c", CHILD], capture_output=True, text=True)
+        assert told.stdout.split("\n")[:2] == ["goes on", "True"], told.stderr
+        os.kill(os.getpid(), signal.SIGINT)
+        end = time.monotonic() + 10.0
+        while stopping.requested() is None and time.monotonic() < end:
+            time.sleep(0.01)
+        assert stopping.requested() == signal.SIGINT

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,7 @@ def install() -> None:
     if _in_main_thread():
         for signum in SIGNALS:
             signal.signal(signum, _handle)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # a worker was started deaf to one
         launchers = signal.getsignal(TIME_IS_UP)
         if callable(launchers) and launchers is not _handle:
             _requeue = launchers
@@ -159,15 +161,20 @@ def urgent(value: bool = True) -> Iterator[None]:
 
 @contextmanager
 def deaf_children() -> Iterator[None]:
-    """Keep SIGINT from processes started meanwhile, which learn of it from the file.
+    """Keep SIGINT from processes started meanwhile until they call ``install``.
 
-    A blocked signal stays blocked in a child. This process still receives it in another thread.
+    Python and libraries that are being imported would end by it with a traceback. A blocked signal
+    stays blocked in a child; this process receives it in another thread.
     """
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    resource_tracker.ensure_running()  # in old versions of Python, its start unblocks signals
+    over = threading.Event()
+    threading.Thread(target=over.wait, daemon=True).start()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        over.set()
 
 
 def _handle(signum: int, frame: Any) -> None:

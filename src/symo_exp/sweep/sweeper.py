@@ -77,6 +77,7 @@ class Sweep:
         self._context, self._task, self._master = context, task, master
         self.composer = Composer(context.config_loader, master)
         self._cluster = slurm.Queue.of(master)
+        self._apart = "basic_launcher" not in master.hydra.launcher._target_  # other processes
         self._stopped = ""  # why the launcher stopped
 
     def run(
@@ -257,8 +258,8 @@ class Sweep:
                 hydras = self._master.hydra
                 name = " ".join(hydras.overrides.task or [hydras.job.config_name])
                 stack.enter_context(parent(jobs, name, spelled(typed(hydras)), tracker))
-            apart = "basic_launcher" not in self._master.hydra.launcher._target_
-            stack.enter_context(Watch([job.folder for job in jobs], on_stop, apart=apart))
+            folders = [job.folder for job in jobs]
+            stack.enter_context(Watch(folders, on_stop, apart=self._apart))
             for job in self.launch_all(todo):
                 publish(tracker, job.folder)
 
@@ -306,11 +307,11 @@ class Sweep:
         launcher = Plugins.instance().instantiate_launcher(
             hydra_context=self._context, task_function=self._task, config=self._for_jobs()
         )
-        local = self._master.hydra.launcher._target_.endswith(".LocalLauncher")
+        here = self._apart and self._cluster is None
 
         def launch() -> None:
             try:
-                with stopping.deaf_children() if local else ExitStack():
+                with stopping.deaf_children() if here else ExitStack():
                     launcher.launch([job.overrides for job in jobs], initial_job_idx=0)
             except Exception as error:  # what it finished still counts
                 if debugging():
