@@ -293,6 +293,16 @@ def test_states_may_be_tensors_arrays_or_lists_single_or_batched(method, integra
             assert model.momentum(q, v).shape == (2,)
 
 
+def unforced(model, q):
+    """The end of a rollout, as a number."""
+    return model.rollout(q, q, steps=1).q.sum()
+
+
+def turned(model, q):
+    """The control that keeps a model at rest."""
+    return model.inverse_dynamics(q, q, q)
+
+
 @pytest.mark.parametrize(
     ("call", "said"),
     [
@@ -302,6 +312,11 @@ def test_states_may_be_tensors_arrays_or_lists_single_or_batched(method, integra
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], [1.0]), r"u has .*: expected \(nodes, 1\)"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], np.zeros((0, 1))), "u has no nodes: expected"),
         (lambda m: torch.func.jacfwd(lambda q: m.step(q, q).q)(torch.zeros(2)), "use linearize"),
+        (lambda m: torch.func.vmap(lambda q: m.step(q, q).q)(torch.zeros(3, 2)), "a batch of"),
+        (lambda m: torch.func.jacrev(lambda q: m.step(q, q).q)(torch.zeros(2)), "use linearize"),
+        (lambda m: torch.func.grad(lambda q: unforced(m, q))(torch.zeros(2)), "use linearize"),
+        (lambda m: torch.func.jacrev(lambda q: m.linearize(q, q).A)(torch.zeros(2)), "transformed"),
+        (lambda m: torch.func.vmap(lambda q: turned(m, q))(torch.zeros(3, 2)), "transformed"),
         (lambda m: torch.func.jvp(m.potential, (torch.zeros(2),), (torch.ones(2),)), "tangent"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=-1), "steps=-1: expected a whole"),
         (lambda m: m.rollout([0.0, 0.0], [0.0, 0.0], steps=2.0), "steps=2.0: expected a whole"),
@@ -314,6 +329,18 @@ def test_states_may_be_tensors_arrays_or_lists_single_or_batched(method, integra
 def test_invalid_states_are_refused_in_one_line(call, said):
     with pytest.raises(ConfigError, match=said):
         call(make("symo", "midpoint", 2))
+
+
+def test_energy_inertia_and_momentum_can_be_transformed():
+    """By ``vmap``, ``grad`` and ``jacrev`` of ``torch.func``."""
+    model, data = make("symo", "midpoint", 2), windows(2)
+    q, v = data.q, data.v
+    for quantity in (model.energy, model.momentum):
+        torch.testing.assert_close(torch.func.vmap(quantity)(q, v), quantity(q, v))
+    slopes = torch.func.vmap(torch.func.grad(model.energy, argnums=1))(q, v)
+    torch.testing.assert_close(slopes, model.momentum(q, v))
+    inertia = torch.func.vmap(torch.func.jacrev(model.momentum, argnums=1))(q, v)
+    torch.testing.assert_close(inertia, model.mass_matrix(q))
 
 
 @pytest.mark.parametrize("method", ["node", "l_node", "symo"])

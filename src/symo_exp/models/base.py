@@ -260,7 +260,7 @@ class DynamicsModel(nn.Module):
     def _learned(self, quantity: str, q: Array, *v: Array) -> Tensor:
         if self.lagrangian is None:
             raise AttributeError(f"{type(self).__name__} learns no Lagrangian")
-        given = Inputs(self.input_matrix, q, self.flow.space)
+        given = Inputs(self.input_matrix, q, self.flow.space, transforms=True)
         velocity = [given.state("v", x) for x in v]
         with given.gradients():
             value = getattr(self.lagrangian, quantity)(given.q, *velocity)

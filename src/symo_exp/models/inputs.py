@@ -19,6 +19,18 @@ REAL = "biuf"
 """Kinds of NumPy's types that are real numbers."""
 
 
+def in_transform() -> bool:
+    """Return whether a transform of ``torch.func`` is running, such as ``vmap`` or ``grad``.
+
+    PyTorch tells by refusing a call that it refuses nowhere else.
+    """
+    try:
+        torch.empty(0).requires_grad_()
+    except RuntimeError:
+        return True
+    return False
+
+
 class Inputs:
     """Arguments of one call, for a batch or for a single state, which becomes a batch of one.
 
@@ -28,9 +40,22 @@ class Inputs:
         like: The input matrix (n, m) of the model.
         q: Configurations (B, N) or (N,).
         space: Their space, ``N = n`` without rotations.
+        transforms: Whether ``torch.func`` can transform the call.
+
+    Raises:
+        ConfigError: If ``torch.func`` transforms a call that it cannot transform, or an argument is
+            not an array of numbers of the right shape.
     """
 
-    def __init__(self, like: Tensor, q: Array, space: Space = FLAT) -> None:
+    def __init__(
+        self, like: Tensor, q: Array, space: Space = FLAT, *, transforms: bool = False
+    ) -> None:
+        if not transforms and in_transform():
+            raise ConfigError(
+                "steps and rollouts cannot be transformed by torch.func (vmap, grad, jacrev, ...): "
+                "instead of vmap give a batch of states; for derivatives use linearize, or "
+                "torch.autograd with step"
+            )
         self._like, (self._n, self._m) = like, like.shape
         self._space, self._width = space, space.stored(self._n)
         self._tracked = False
