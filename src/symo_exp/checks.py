@@ -1,10 +1,12 @@
-"""Checks of values that a user sets."""
+"""Checks of values that a user gives, in settings or as arguments."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from numbers import Integral
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral, Real
+from typing import Any
 
 from symo_exp.errors import ConfigError
 
@@ -29,17 +31,20 @@ def real(
     low: float | None = None,
     high: float | None = None,
     above: float | None = None,
+    below: float | None = None,
 ) -> float:
     """Return ``value`` as a float.
 
     Raises:
-        ConfigError: If it is not a finite number from ``low`` to ``high`` and above ``above``.
+        ConfigError: If it is not a finite number from ``low`` to ``high``, above ``above`` and
+            below ``below``.
     """
-    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
-        inside = (low is None or value >= low) and (high is None or value <= high)
-        if inside and (above is None or value > above):
-            return float(value)
-    bounds = {"of at least": low, "above": above, "of at most": high}
+    number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
+    inside = (low is None or number >= low) and (high is None or number <= high)
+    inside &= (above is None or number > above) and (below is None or number < below)
+    if inside and math.isfinite(number):
+        return number
+    bounds = {"of at least": low, "above": above, "of at most": high, "below": below}
     wanted = " and ".join(f"{word} {x:g}" for word, x in bounds.items() if x is not None)
     raise ConfigError(f"{key}={value!r}: expected a finite number {wanted}".rstrip())
 
@@ -63,3 +68,24 @@ def instance(key: str, value: object, kind: type) -> None:
     if not isinstance(value, kind):
         given = "null" if value is None else type(value).__name__
         raise ConfigError(f"{key} is {given}: expected a {kind.__module__}.{kind.__name__}")
+
+
+def dictionary(key: str, value: object, names: Iterable[str]) -> dict[str, Any]:
+    """Return ``value``; raise ``ConfigError`` unless it is a dictionary with only these names."""
+    names = list(names)
+    if not isinstance(value, Mapping) or not set(value) <= set(names):
+        raise ConfigError(f"{key}={value!r}: expected a dictionary with any of {', '.join(names)}")
+    return dict(value)
+
+
+def path_text(what: str, value: object, wanted: str) -> str:
+    """Return ``value`` as text; raise ``ConfigError`` unless it is a path.
+
+    Args:
+        what: What takes it, for the error.
+        value: What was given.
+        wanted: What was expected, for the error.
+    """
+    if not isinstance(value, str | os.PathLike):
+        raise ConfigError(f"{what}({type(value).__name__}): expected {wanted}")
+    return os.fspath(value)

@@ -1,5 +1,7 @@
 """Intervals of rollouts follow from the posterior, and from the error beyond it."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -137,9 +139,18 @@ def test_an_interval_is_infinite_after_a_root_that_is_not_found():
         assert torch.equal(bound[..., 0].isinf(), lost)
 
 
-def test_an_invalid_level_is_refused():
-    with pytest.raises(ConfigError, match="between 0 and 1"):
-        width(with_posterior(1e-5), level=90)
+@pytest.mark.parametrize("level", [90, 0, 1, "0.9", None, [0.9], math.nan])
+def test_an_invalid_level_is_refused(level):
+    with pytest.raises(ConfigError, match=r"level=.*: expected a finite number above 0 and below"):
+        width(with_posterior(1e-5), level=level)
+
+
+@pytest.mark.parametrize("seed", [1.5, "1", None, -1, 2**70])
+def test_an_invalid_seed_is_refused(seed):
+    model = with_posterior(1e-5)
+    with pytest.raises(ConfigError, match=f"seed={seed!r}: expected a whole number from 0"):
+        model.sample(1, seed=seed)
+    assert len(model.sample(1, seed=np.int64(1))) == 1
 
 
 def test_a_posterior_comes_back_from_its_state():

@@ -117,7 +117,9 @@ def test_the_same_model_comes_back(folder, model, system):
     n, m = trained.input_matrix.shape
     back = load(folder)
     assert not back.training
-    assert environment(back, 2).reset(seed=0)[0].shape == (2, 2 * n)
+    starts = [environment(given, 2).reset(seed=0)[0] for given in (back, folder, str(folder))]
+    assert all((start == starts[0]).all() for start in starts)
+    assert starts[0].shape == (2, 2 * n)
     assert torch.equal(motion(trained, n, m).q, motion(back, n, m).q)
     assert torch.equal(motion(trained, n, m).v, motion(back, n, m).v)
 
@@ -254,6 +256,8 @@ def test_missing_files_of_a_run_are_named(folder, tmp_path):
     RunFolder(folder).write_config(config())
     assert "has the run been trained?" in sentence(folder)
     assert "neither a run folder nor" in sentence("no/such/run")
+    for given in (None, 3, b"run", [folder]):
+        assert sentence(given).startswith(f"load({type(given).__name__}): expected a run, its")
     assert "no config.yaml, but run in it has one" in sentence(folder.parent)
     (folder.parent / "best").symlink_to(folder.name, target_is_directory=True)
     assert sentence(folder.parent).endswith(f"whose best run is {folder.parent / 'best'}")

@@ -205,6 +205,10 @@ def test_models_of_recordings_need_a_box_and_may_have_a_reward():
     model.system = None
     with pytest.raises(ConfigError, match=r"environment\(model, system="):
         environment(model)
+    with pytest.raises(ConfigError, match=r"environment\(NoneType\): expected a system, a model"):
+        environment(None)
+    with pytest.raises(ConfigError, match=r"system is str: expected a symo_exp\.systems"):
+        environment(model, system="pendulum")
     with pytest.raises(ConfigError, match=r"Pendulum has 1 .* the model, which has 2 and 2"):
         environment(model, system=SYSTEMS["pendulum"])
     with pytest.raises(ConfigError, match="copies=0"):

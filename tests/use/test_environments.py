@@ -86,10 +86,16 @@ def test_reset_to_an_exact_state() -> None:
     np.testing.assert_array_equal(state, [0.1, -7.0, 2.0, 3.0])
     state[:] = 0.0  # the caller's copy
     assert env.step(np.zeros(1))[0][1] < -6
+    names = "expected a dictionary with any of q, v"
     for wrong, wanted in [
         ({"q": [0.1]}, r"q=\[0\.1\]: expected 2 finite"),
         ({"v": [0.0, np.nan]}, "v=.*nan.*: expected 2 finite"),
-        ({"theta": 1.0}, "theta.*: expected q and v"),
+        ({"q": "a"}, "q=a: expected 2 finite"),
+        ({"q": [1j, 0.0]}, "q=.*: expected 2 finite"),
+        ({"q": [[0.0], [0.0, 1.0]]}, "q=.*: expected 2 finite"),
+        ({"theta": 1.0}, f"theta.*: {names}"),
+        ("q", names),
+        (3, names),
     ]:
         with pytest.raises(ConfigError, match=wanted):
             env.reset(options=wrong)
@@ -156,3 +162,24 @@ def test_parameters_reach_the_system() -> None:
     assert environment.system.mass == 2.0
     assert environment.metadata["render_fps"] == 50
     assert environment.solver == Solver("RK45", rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("box", [[1, 2], 3, "q", {"x": [[0, 1]]}])
+@every_system
+def test_a_box_that_is_none_is_refused(name: str, box: object) -> None:
+    with pytest.raises(ConfigError, match=r"system\.box=.*: expected"):
+        environment(SYSTEMS[name], box=box)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"parameters": {"weight": 1.0}}, r"parameters=.*: expected a dictionary .* mass, length"),
+        ({"parameters": {"_target_": "os.getcwd"}}, "expected a dictionary .* mass, length"),
+        ({"parameters": "mass"}, "parameters='mass': expected a dictionary"),
+        ({"solver": {"tolerance": 1e-6}}, r"solver=.*: expected a dictionary .* rtol, atol"),
+    ],
+)
+def test_parameters_that_a_system_lacks_are_refused(given: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        gymnasium.make("symo_exp/Pendulum-v0", **given)

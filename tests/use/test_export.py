@@ -214,6 +214,7 @@ def test_impossible_exports_are_refused_in_one_line(tmp_path, monkeypatch):
     for suffix in (".pt2", ".onnx", ".xml", ".urdf"):
         (tmp_path / f"folder{suffix}").mkdir()
         wrong.append(({"path": tmp_path / f"folder{suffix}"}, "is a folder; give the name of"))
+    wrong.append(({"path": None}, r"path\(NoneType\): expected the name of a file"))
     for other in (SYSTEMS["pendulum"], None):
         with pytest.raises(
             ConfigError, match=rf"export\({type(other).__name__}\): expected a model"

@@ -39,6 +39,8 @@ def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
     assert (run.folder / "metrics.json").stat().st_mtime_ns == before
     with pytest.raises(ConfigError, match="not a run folder: it does not exist"):
         symo_exp.Run("nowhere")
+    with pytest.raises(ConfigError, match=r"Run\(NoneType\): expected the folder of a run"):
+        symo_exp.Run(None)
     with pytest.raises(ConfigError, match=rf"no config.yaml, but {run.folder.name} in it has one"):
         symo_exp.Run(run.folder.parent)
     rows = [{"name": "mass", "value": 0.5, "unit": "kg"}, {"name": "b", "value": nan, "unit": ""}]

@@ -13,6 +13,7 @@ from typing import Any
 
 from torch import Tensor
 
+from symo_exp.checks import instance
 from symo_exp.compile.inductor import CompilerError, OpenRowsError
 from symo_exp.compile.newton import RootLoss, Trainable, VariationalAdvance
 from symo_exp.compile.program import Program
@@ -58,6 +59,7 @@ def compile_rollout(model: DynamicsModel) -> DynamicsModel:
     seconds in later processes; steps then take a fraction of their time. The motion is the same to
     the tolerance of the roots. If a step cannot be compiled, a line is logged and nothing changes.
     """
+    instance("model", model, DynamicsModel)
     flow = model.flow
     variational = isinstance(flow, VariationalFlow) and isinstance(flow.rollout_root, Newton)
     known = isinstance(flow, ExplicitFlow) or (variational and not flow.space.rotations)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import logging
-import operator
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
@@ -13,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from symo_exp.checks import real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.roots import absolute
 from symo_exp.models.flows import Flow
@@ -84,7 +84,8 @@ def place(module: Module, flat: Float[Tensor, " p"]) -> Module:
 
 def sample(module: Module, posterior: ModelPosterior, count: int, seed: int) -> list[Module]:
     """Return copies of a module with parameters drawn from its posterior."""
-    generator = torch.Generator().manual_seed(operator.index(seed))
+    seed = whole_number("seed", seed, low=0, high=2**63 - 1)
+    generator = torch.Generator().manual_seed(seed)
     drawn = posterior.parameters.samples(count, generator)
     return [place(copy.deepcopy(module), flat) for flat in drawn]
 
@@ -114,8 +115,7 @@ def interval(
     It is that of the posterior's mean in float64, whatever the parameters and the precision of the
     flow: its differences of rollouts would be lost in the rounding errors of float32.
     """
-    if not 0.0 < level < 1.0:
-        raise ConfigError(f"level={level}: expected a number between 0 and 1")
+    level = real("level", level, above=0.0, below=1.0)
     mean = place(copy.deepcopy(flow).double(), posterior.parameters.mean)
     start = q.double(), v.double(), u.double()
     middle, _, converged = mean.rollout(*start)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from symo_exp.checks import dictionary
 from symo_exp.errors import ConfigError
 
 Range = tuple[float, float]
@@ -40,7 +41,8 @@ class SamplingBox(NamedTuple):
 
 def completed(given: Any, own: SamplingBox) -> dict[str, Any]:
     """Return the parts of a box, those that ``given`` lacks from ``own``."""
-    parts = given._asdict() if isinstance(given, SamplingBox) else dict(given or {})
+    parts = given._asdict() if isinstance(given, SamplingBox) else given
+    parts = dictionary("system.box", {} if parts is None else parts, SamplingBox._fields)
     return own._asdict() | {name: part for name, part in parts.items() if part is not None}
 
 
@@ -50,8 +52,8 @@ def checked(given: SamplingBox | Mapping[str, Sequence[Range]], n: int, m: int) 
     Raises:
         ConfigError: If a range is missing or not ordered.
     """
-    parts = given._asdict() if isinstance(given, SamplingBox) else dict(given)
-    if set(parts) != set(SamplingBox._fields):
+    parts = given._asdict() if isinstance(given, SamplingBox) else given
+    if not isinstance(parts, Mapping) or set(parts) != set(SamplingBox._fields):
         raise ConfigError(f"system.box={parts}: expected ranges of q, v and u")
     counts = {"q": n, "v": n, "u": m}
     return SamplingBox(**{name: _ranges(name, parts[name], counts[name]) for name in counts})

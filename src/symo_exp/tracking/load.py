@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 
 from symo_exp import code as own
+from symo_exp.checks import path_text
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.models.base import DynamicsModel
 from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR, RunFolder
@@ -21,6 +22,7 @@ from symo_exp.tracking.store import connect_existing, find
 log = logging.getLogger(__name__)
 
 RUN_ID = re.compile(r"[0-9a-f]{32}")
+RUN = "a run, its folder or the id of an MLflow run"
 
 
 def load(
@@ -60,6 +62,7 @@ def load(
         ConfigError: For a run that cannot be found or read.
     """
     own.add(code)
+    run = path_text("load", run, RUN)
     folder = Path(run).expanduser()
     if folder.is_dir():
         model, outcome = from_folder(folder, dtype, device), RunFolder(folder).outcome()
@@ -67,11 +70,29 @@ def load(
             told = "%s has the status %r: this is the model of its last checkpoint"
             log.warning(told, folder, outcome.status)
         return model
-    if not RUN_ID.fullmatch(str(run)):
-        raise ConfigError(f"{str(run)!r} is neither a run folder nor the id of an MLflow run")
+    if not RUN_ID.fullmatch(run):
+        raise ConfigError(f"{run!r} is neither a run folder nor the id of an MLflow run")
     with tempfile.TemporaryDirectory(prefix="symo_exp-") as copy:
-        _download(str(run), tracking_uri, directory, copy)
+        _download(run, tracking_uri, directory, copy)
         return from_folder(Path(copy), dtype, device)
+
+
+def model_of(
+    subject: DynamicsModel | str | os.PathLike[str], user: str, besides: str = ""
+) -> DynamicsModel:
+    """Return a model that is given, or that of a run.
+
+    Args:
+        subject: A model, a run, its folder or the id of an MLflow run.
+        user: The function that takes it, for the error.
+        besides: What else it takes, for the error.
+
+    Raises:
+        ConfigError: If it is none of these.
+    """
+    if isinstance(subject, DynamicsModel):
+        return subject
+    return load(path_text(user, subject, f"{besides}a model, {RUN}"))
 
 
 def _download(run_id: str, tracking_uri: str | None, directory: str | Path, target: str) -> None:

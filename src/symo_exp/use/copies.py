@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from symo_exp.checks import dictionary
 from symo_exp.errors import ConfigError
 from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.systems.base import LagrangianSystem, System
@@ -57,15 +58,18 @@ class Copies:
         self, random: np.random.Generator, count: int, options: Mapping[str, Any] | None = None
     ) -> np.ndarray:
         """Return states (count, N + n) to start from; rotations are drawn as rotation vectors."""
-        given, parts, space = options or {}, [], self.system.coordinates.space
-        if unknown := set(given) - {"q", "v"}:
-            raise ConfigError(f"reset options {sorted(unknown)}: expected q and v")
+        given = dictionary("options", {} if options is None else options, ("q", "v"))
+        parts, space = [], self.system.coordinates.space
         for name in ("q", "v"):
             low, high = np.array(getattr(self.box, name)).T
             drawn = random.uniform(low, high, size=(count, len(low)))
             if name == "q":  # the entries of rotations
                 drawn = space.of_vector(torch.from_numpy(drawn)).numpy()
-            part, size = np.asarray(given.get(name, drawn), dtype=np.float64), drawn.shape[1]
+            size = drawn.shape[1]
+            try:
+                part = np.asarray(given.get(name, drawn), dtype=np.float64)
+            except (TypeError, ValueError):
+                part = np.array(np.nan)
             if part.shape not in (drawn.shape, (size,)) or not np.isfinite(part).all():
                 raise ConfigError(
                     f"reset option {name}={given[name]}: expected {size} finite number(s)"

@@ -25,6 +25,7 @@ For one copy and for many:
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from functools import partial
 from typing import Any, final
@@ -37,15 +38,16 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.checks import whole_number
+from symo_exp.checks import dictionary, instance, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.inference import leaves_inference_mode
-from symo_exp.systems.base import System
+from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.render import SIZE, Window, draw_skeleton
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
+from symo_exp.tracking.load import model_of
 from symo_exp.use.copies import Copies, Reward, TimeStep, exact
 
 MAX_EPISODE_STEPS = 500
@@ -214,7 +216,7 @@ def _limit(steps: int | None) -> float:
 
 @leaves_inference_mode
 def environment(
-    subject: System | DynamicsModel,
+    subject: System | DynamicsModel | str | os.PathLike[str],
     copies: int | None = None,
     *,
     system: System | None = None,
@@ -224,7 +226,8 @@ def environment(
     """Return a Gymnasium environment that a system's own equations or a model moves.
 
     Args:
-        subject: A system, or a model that moves it.
+        subject: A system, or a model that moves it, also by its run, the folder of the run or the
+            id of an MLflow run.
         copies: Number of copies in a ``gymnasium.vector.VectorEnv``; ``None``: a single
             ``gymnasium.Env``.
         system: The system of a model; ``None``: that of its run.
@@ -235,21 +238,18 @@ def environment(
     Raises:
         ConfigError: If the system of a model is not known, or it has neither equations nor a box.
     """
-    if isinstance(subject, DynamicsModel):
-        system = system or subject.system
+    if isinstance(subject, System):
+        system = subject
+    else:
+        model = model_of(subject, "environment", "a system, ")
+        system = model.system if system is None else system
         if system is None:
             raise ConfigError(
                 "the system of this model is not known: give it, environment(model, system=...)"
             )
-        _require_same_sizes(subject, system)
-        options = {"motion": partial(_model_step, subject), **options}
-    elif isinstance(subject, System):
-        system = subject
-    else:
-        raise ConfigError(
-            f"environment({type(subject).__name__}): expected a system, or a model as "
-            "symo_exp.load gives it"
-        )
+        instance("system", system, System)
+        _require_same_sizes(model, system)
+        options = {"motion": partial(_model_step, model), **options}
     if box is not None:
         system = dataclasses.replace(system, box=box)
     options = {"max_episode_steps": MAX_EPISODE_STEPS, **options}
@@ -295,8 +295,13 @@ def make_environment(
         options: Those of ``environment``.
     """
     options = {"max_episode_steps": None, **options}  # Gymnasium's own limit, of one copy
-    chosen = dataclasses.replace(SOLVER, **(solver or {}))
-    return environment(stated(system, **(parameters or {})), num_envs, solver=chosen, **options)
+    changes = dictionary("parameters", parameters or {}, _fields(systems()[system]))
+    chosen = dataclasses.replace(SOLVER, **dictionary("solver", solver or {}, _fields(Solver)))
+    return environment(stated(system, **changes), num_envs, solver=chosen, **options)
+
+
+def _fields(kind: type[LagrangianSystem | Solver]) -> list[str]:
+    return [field.name for field in dataclasses.fields(kind)]
 
 
 for _name, _kind in systems().items():

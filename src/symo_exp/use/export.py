@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from symo_exp.checks import whole_number
+from symo_exp.checks import path_text, whole_number
 from symo_exp.compile.inductor import simplify, stand_ins, trace
 from symo_exp.compile.newton import iterate_branch_free
 from symo_exp.errors import ConfigError, shortened
@@ -23,7 +23,7 @@ from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import Flow, VariationalFlow
 from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.shell import python_command
-from symo_exp.tracking.load import load
+from symo_exp.tracking.load import model_of
 from symo_exp.use.mjcf import write_bodies
 
 ARGUMENTS = ("q", "v", "u", "u_next")
@@ -92,13 +92,8 @@ def export(
         ConfigError: If the suffix is unknown, the file cannot be written, the step has operations
             that the format lacks, or ``run`` is none of the above.
     """
-    if not isinstance(run, DynamicsModel | str | os.PathLike):
-        raise ConfigError(
-            f"export({type(run).__name__}): expected a model as symo_exp.load gives it, a run, its "
-            "folder or the id of an MLflow run"
-        )
-    model = run if isinstance(run, DynamicsModel) else load(os.fspath(run))
-    path = Path(path).expanduser()
+    model = model_of(run, "export")
+    path = Path(path_text("path", path, "the name of a file, such as model.pt2")).expanduser()
     if path.is_dir():
         raise ConfigError(f"{path} is a folder; give the name of a file, such as model.pt2")
     if path.suffix in (".xml", ".urdf"):

@@ -11,6 +11,7 @@ import pandas as pd
 from PIL import Image
 
 from symo_exp import code as own
+from symo_exp.checks import path_text
 from symo_exp.cli.command import Command, execute_all
 from symo_exp.errors import ConfigError
 from symo_exp.models.base import DynamicsModel
@@ -33,8 +34,9 @@ class Run:
         self, folder: str | os.PathLike[str], *, code: str | os.PathLike[str] | None = None
     ) -> None:
         own.add(code)
-        require_run(Path(folder).expanduser())
-        self.folder = Path(folder).expanduser().absolute()
+        path = Path(path_text("Run", folder, "the folder of a run")).expanduser()
+        require_run(path)
+        self.folder = path.absolute()
 
     def __repr__(self) -> str:
         return f"Run({os.path.relpath(self.folder)!r})"
