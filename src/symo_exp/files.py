@@ -1,14 +1,21 @@
-"""Atomic writing of files, also at a power failure, and the folder of those kept for all runs."""
+"""Atomic writing of files, also at a power failure, their reading, and the folder of a cache."""
 
 from __future__ import annotations
 
 import io
 import json
 import os
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from symo_exp.errors import first_line
+
+
+class UnsoundError(Exception):
+    """The content of a file is damaged, or is not what it should be; the message is the reason."""
 
 
 def user_cache() -> Path:
@@ -60,6 +67,34 @@ def write_state(path: Path, state: Any, *, keep: Path | None = None) -> None:
     content = io.BytesIO()
     torch.save(state, content)
     write_whole(path, lambda file: file.write_bytes(content.getbuffer()), keep=keep)
+
+
+def read_state(path: Path) -> Any:
+    """Return tensors and plain values of a file of ``write_state``; nothing in it is executed.
+
+    Raises:
+        OSError: If the system does not read the file, which may be intact.
+        MemoryError: If its content finds no room.
+        UnsoundError: If the content is damaged or of another kind.
+    """
+    import torch
+
+    content = io.BytesIO(path.read_bytes())  # at once: all later errors are those of the content
+    try:
+        if not content.getbuffer():
+            raise UnsoundError("it is empty")
+        with zipfile.ZipFile(content) as archive:
+            damaged = archive.testzip()  # checks all its parts, as torch.load does not
+        if damaged is not None:
+            raise UnsoundError(f"{damaged} in it is damaged")
+        content.seek(0)
+        return torch.load(content, map_location="cpu", weights_only=True)
+    except zipfile.BadZipFile:
+        raise UnsoundError("it is not a complete file") from None
+    except Exception as error:  # damaged in another way, or of another program
+        if isinstance(error, UnsoundError | MemoryError):
+            raise
+        raise UnsoundError(f"it cannot be read ({first_line(error)})") from None
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """A trained model is loaded in another process, from a folder or a run id; nothing else is."""
 
 import copy
+import shutil
 import subprocess
 import sys
 
@@ -11,7 +12,7 @@ import yaml
 import symo_exp
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
-from symo_exp.runs.folder import CHECKPOINT, About, RunFolder
+from symo_exp.runs.folder import CHECKPOINT, POSTERIOR, PREVIOUS, About, RunFolder
 from symo_exp.tracking.load import load
 from symo_exp.tracking.publish import MlflowView
 from symo_exp.training.learner import Learner
@@ -286,7 +287,10 @@ def test_a_run_without_a_model_in_the_store_is_refused(folder, directory):
     assert "has no model" in sentence(run_id, directory=directory)
 
 
-@pytest.mark.parametrize("damage", ["empty", "half", "text", "code", "other"])
+DAMAGES = ["empty", "half", "flipped", "text", "code", "other"]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_checkpoint_is_one_line_and_nothing_is_unpickled(
     folder, damage, tmp_path, monkeypatch
 ):
@@ -294,4 +298,33 @@ def test_a_damaged_checkpoint_is_one_line_and_nothing_is_unpickled(
     made(folder, config())
     DAMAGE[damage](folder / CHECKPOINT, monkeypatch)
     assert "last.ckpt" in sentence(folder)
+    assert not (tmp_path / "harm").exists()
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, "none there"])
+def test_the_checkpoint_before_a_damaged_one_is_loaded_with_a_warning(
+    folder, damage, tmp_path, monkeypatch, caplog
+):
+    monkeypatch.chdir(tmp_path)
+    trained, last = made(folder, config()), folder / CHECKPOINT
+    shutil.copy(last, last.with_name(PREVIOUS))
+    if damage == "none there":
+        last.unlink()
+    else:
+        DAMAGE[damage](last, monkeypatch)
+    assert torch.equal(motion(load(folder), 1, 1).q, motion(trained, 1, 1).q)
+    (told,) = [line.getMessage() for line in caplog.records if line.name == "symo_exp.runs.load"]
+    assert told.startswith(f"{last} is not used: ")
+    assert str(last.with_name(PREVIOUS)) in told
+    last.with_name(PREVIOUS).write_bytes(b"")
+    assert f"{last} is not a readable checkpoint" in sentence(folder)
+
+
+@pytest.mark.parametrize("damage", ["half", "flipped", "text", "code"])
+def test_a_damaged_posterior_is_refused(folder, damage, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    made(folder, config())
+    RunFolder(folder).write_posterior({"mean": torch.zeros(8)})
+    DAMAGE[damage](folder / POSTERIOR, monkeypatch)
+    assert "posterior.pt is not a readable posterior: " in sentence(folder)
     assert not (tmp_path / "harm").exists()

@@ -39,7 +39,8 @@ from symo_exp.runs.outcome import About, Outcome, Status, this_process
 
 log = logging.getLogger(__name__)
 
-CONFIG, CHECKPOINTS, CHECKPOINT = "config.yaml", "checkpoints", "checkpoints/last.ckpt"
+CONFIG, CHECKPOINTS, LAST, PREVIOUS = "config.yaml", "checkpoints", "last.ckpt", "previous.ckpt"
+CHECKPOINT = f"{CHECKPOINTS}/{LAST}"
 SERIES, MEASURES, ROLLOUTS = "series.csv", "metrics.json", "rollouts.parquet"
 WINDOWS, PICTURES, STUDIES, LOG = "windows.parquet", "pictures", "studies", "symo_exp.log"
 PARAMETERS, POSTERIOR = "parameters.csv", "posterior.pt"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,11 +14,22 @@ from hydra.errors import InstantiationException
 
 from symo_exp import code
 from symo_exp.errors import ConfigError, first_line, shortened
+from symo_exp.files import UnsoundError, read_state
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.models.uncertainty import ModelPosterior
 from symo_exp.runs import before
-from symo_exp.runs.folder import BEST, CHECKPOINT, CONFIG, POSTERIOR, RunFolder
+from symo_exp.runs.folder import (
+    BEST,
+    CHECKPOINT,
+    CHECKPOINTS,
+    CONFIG,
+    POSTERIOR,
+    PREVIOUS,
+    RunFolder,
+)
+
+log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
     from symo_exp.data.base import Splits
@@ -96,7 +108,7 @@ def raised_by_constructor(error: BaseException) -> BaseException:
 
 
 def _set_weights(model: DynamicsModel, folder: Path) -> None:
-    weights = before.model_weights(_read_weights(folder / CHECKPOINT))
+    weights = before.model_weights(_read_weights(folder))
     model.to(next(value.dtype for value in weights.values() if value.is_floating_point()))
     try:
         model.load_state_dict(weights)
@@ -121,25 +133,44 @@ def _read_posterior(path: Path) -> ModelPosterior | None:
     if not path.exists():
         return None
     try:
-        return ModelPosterior.of_state(torch.load(path, map_location="cpu", weights_only=True))
+        return ModelPosterior.of_state(read_state(path))
     except Exception as error:  # damaged in any way, or not ours
         raise ConfigError(f"{path} is not a readable posterior: {first_line(error)}") from None
 
 
-def _read_weights(path: Path) -> dict[str, torch.Tensor]:
-    if not path.exists():
-        raise ConfigError(f"{path} does not exist: has the run been trained?")
+def _read_weights(folder: Path) -> dict[str, torch.Tensor]:
+    """Return the weights of the last checkpoint, else those of the one before, with a warning."""
+    last, previous = folder / CHECKPOINT, folder / CHECKPOINTS / PREVIOUS
+    if not last.exists() and not previous.exists():
+        raise ConfigError(f"{last} does not exist: has the run been trained?")
     try:
-        weights = torch.load(path, map_location="cpu", weights_only=True)["state_dict"]
-    except Exception as error:  # damaged in any way, or not ours
-        raise ConfigError(
-            f"{path} is not a readable checkpoint ({first_line(error)}); resume=false with the "
-            "command of the run trains it again"
-        ) from None
+        return _weights_of(last)
+    except UnsoundError as error:
+        reason = str(error)
+    try:
+        weights = _weights_of(previous)
+    except UnsoundError:
+        advice = "resume=false with the command of the run trains it again"
+        raise ConfigError(f"{last} is not a readable checkpoint: {reason}; {advice}") from None
+    log.warning(
+        "%s is not used: %s; this is the model of the checkpoint before, %s, to which the measures "
+        "of the run do not belong", last, reason, previous,
+    )  # fmt: skip
+    return weights
+
+
+def _weights_of(checkpoint: Path) -> dict[str, torch.Tensor]:
+    try:
+        state = read_state(checkpoint)
+    except FileNotFoundError:
+        raise UnsoundError("it does not exist") from None
+    except OSError as error:
+        raise UnsoundError(f"it cannot be read ({error.strerror})") from None
+    weights = state.get("state_dict") if isinstance(state, dict) else None
     if not isinstance(weights, dict) or not any(
         isinstance(value, torch.Tensor) and value.is_floating_point() for value in weights.values()
     ):
-        raise ConfigError(f"{path} contains no weights")
+        raise UnsoundError("it contains no weights")
     return weights
 
 

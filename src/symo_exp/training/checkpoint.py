@@ -19,10 +19,9 @@ from typing_extensions import override
 
 from symo_exp.files import write_state
 from symo_exp.process import stopping
+from symo_exp.runs.folder import LAST, PREVIOUS
 
 log = logging.getLogger(__name__)
-
-LAST, PREVIOUS = "last.ckpt", "previous.ckpt"
 
 
 class WholeFiles(TorchCheckpointIO):
