@@ -1,9 +1,11 @@
 """An exported step equals that of the model, in a process without symo_exp."""
 
+import pkgutil
 import subprocess
 import sys
 from functools import partial
 from itertools import cycle
+from pathlib import Path
 
 import jaxtyping
 import pytest
@@ -231,16 +233,39 @@ def test_impossible_exports_are_refused_in_one_line(tmp_path, monkeypatch):
             symo_exp.export(model, **arguments)
 
 
-def test_an_interrupted_export_keeps_the_file_before(tmp_path, monkeypatch):
-    save = torch.export.save
+def write_onnx(program, *, f, external_data=True, **options):
+    """A stand-in of ``torch.onnx.export``: where ONNX is installed, it writes these files."""
+    Path(f).write_text("graph")
+    if external_data:
+        Path(f"{f}.data").write_text("weights")
+
+
+@pytest.fixture
+def _onnx(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
+    monkeypatch.setattr("torch.onnx.export", write_onnx)
+
+
+@pytest.mark.usefixtures("_onnx")
+def test_an_onnx_file_contains_its_weights(tmp_path):
+    path = symo_exp.export(make("node", "rk4", 1), tmp_path / "made" / "model.onnx")
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.usefixtures("_onnx")
+@pytest.mark.parametrize(
+    ("name", "function"), [("model.pt2", "torch.export.save"), ("model.onnx", "torch.onnx.export")]
+)
+def test_an_interrupted_export_keeps_the_file_before(name, function, tmp_path, monkeypatch):
+    save = pkgutil.resolve_name(function)
 
     def interrupted(*arguments, **options):
         save(*arguments, **options)
         raise KeyboardInterrupt
 
-    path = tmp_path / "model.pt2"
+    path = tmp_path / name
     path.write_text("before")
-    monkeypatch.setattr("torch.export.save", interrupted)
+    monkeypatch.setattr(function, interrupted)
     with pytest.raises(KeyboardInterrupt):
         symo_exp.export(make("node", "rk4", 1), path)
     assert path.read_text() == "before"

@@ -112,7 +112,6 @@ def export(
     step = FixedStep(model.flow, iterations).eval()
     try:
         program = _program(step, model, exact=path.suffix == ".onnx")
-        path.parent.mkdir(parents=True, exist_ok=True)
         (_onnx if path.suffix == ".onnx" else _pt2)(program, path, model)
     except Exception as error:  # PyTorch has many
         if isinstance(error, ConfigError):
@@ -166,7 +165,11 @@ def _onnx(program: Any, path: Path, model: DynamicsModel) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-        torch.onnx.export(
-            program, f=path, dynamo=True, verbose=False,
-            input_names=ARGUMENTS, output_names=RESULTS,
-        )  # fmt: skip
+        write_whole(path, lambda new: _save_onnx(program, new))
+
+
+def _save_onnx(program: Any, path: Path) -> None:
+    torch.onnx.export(
+        program, f=path, dynamo=True, verbose=False, external_data=False,  # weights in the file too
+        input_names=ARGUMENTS, output_names=RESULTS,
+    )  # fmt: skip
