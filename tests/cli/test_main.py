@@ -13,7 +13,8 @@ from symo_exp.__main__ import main
 from symo_exp.cli.command import CHECK_ONLY
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
-from symo_exp.sweep.sweeper import Sweep, watched
+from symo_exp.sweep.launching import Launches
+from symo_exp.sweep.sweeper import watched
 from tests.jobs import jobs_of, refusal, settings_of
 from tests.tiny import TINY
 
@@ -202,7 +203,7 @@ def test_bad_input_is_refused_in_a_line(typed, given, wanted, home):
 
 @pytest.mark.parametrize(("typed", "given", "wanted"), ENDS, ids=[typed for typed, *_ in ENDS])
 def test_a_refusal_is_one_line_and_exit_code_2(typed, given, wanted, home, capsys, monkeypatch):
-    monkeypatch.setattr(Sweep, "launch_all", lambda *_: pytest.fail("it started"))
+    monkeypatch.setattr(Launches, "run", lambda *_: pytest.fail("it started"))
     code = main(typed.split())
     out, err = capsys.readouterr()
     assert code == 2, err

@@ -12,6 +12,7 @@ from symo_exp.__main__ import main
 from symo_exp.cli.command import CHECK_ONLY, Command
 from symo_exp.errors import ConfigError
 from symo_exp.shipped import SWEEPS
+from symo_exp.sweep.launching import Launches
 from symo_exp.sweep.sweeper import Sweep
 from tests.jobs import job_of, jobs_of
 from tests.tiny import TINY
@@ -35,7 +36,7 @@ def started(monkeypatch):
     """The jobs that would be launched, sweep by sweep; they leave no outcome, so they fail."""
     found = []
     monkeypatch.setattr(Sweep, "check", lambda *_, **__: None)
-    monkeypatch.setattr(Sweep, "launch_all", lambda _, jobs: found.append(len(jobs)) or [])
+    monkeypatch.setattr(Launches, "run", lambda _, jobs: found.append(len(jobs)) or [])
     return found
 
 

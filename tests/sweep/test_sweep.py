@@ -16,8 +16,8 @@ from symo_exp.process import stopping
 from symo_exp.process.stopping import Interrupted
 from symo_exp.runs.folder import RunFolder
 from symo_exp.sweep.compose import Job
+from symo_exp.sweep.launching import Launches
 from symo_exp.sweep.parent import parent
-from symo_exp.sweep.sweeper import Sweep
 from symo_exp.tracking.nowhere import Nowhere
 from symo_exp.tracking.page import NOTE
 from symo_exp.tracking.publish import MlflowView
@@ -111,7 +111,7 @@ def test_finished_jobs_are_not_repeated(swept, workplace, capsys, monkeypatch):
     assert known == {f: f.stat().st_mtime_ns for f in known}
     assert len([*workplace.rglob("metrics.json")]) == 3
 
-    monkeypatch.setattr(Sweep, "launch_all", lambda *_: pytest.fail("it started"))
+    monkeypatch.setattr(Launches, "run", lambda *_: pytest.fail("it started"))
     assert main([*words, "optimizer.lr=1e-4"]) == 0  # the same run outside of the sweep
     assert "finished already" in capsys.readouterr().out
 
@@ -121,7 +121,7 @@ def test_a_finished_run_hides_no_resume_that_is_neither_true_nor_false(
 ):
     """``no`` is a text, which counts as true in Python: the run was not started anew."""
     shutil.copytree(swept[0] / "outputs", workplace / "outputs")
-    monkeypatch.setattr(Sweep, "launch_all", lambda *_: pytest.fail("it started"))
+    monkeypatch.setattr(Launches, "run", lambda *_: pytest.fail("it started"))
     assert main([*SWEPT, "logger=none", "optimizer.lr=1e-4", "resume=no"]) == 2
     assert "resume=no has the wrong type: expected true or false" in capsys.readouterr().err
 
@@ -151,7 +151,7 @@ def test_a_killed_worker_is_told_once(workplace, monkeypatch, caplog):
     launched_by(launch, monkeypatch)
     with planned(*SWEPT, "logger=none", "seed=0,1,2") as (sweep, jobs):
         folders = {one.overrides[-1]: one.folder for one in jobs}
-        assert sweep.launch_all(jobs) == []
+        assert sweep.launches.run(jobs) == []
     assert rounds == [["seed=0", "seed=1", "seed=2"], ["seed=1", "seed=2"], ["seed=0"]]
     told = [r.getMessage() for r in caplog.records if "was killed" in r.getMessage()]
     assert told == ["a worker was killed: 3 run(s) are started again"]
@@ -169,7 +169,7 @@ def test_what_a_signal_breaks_in_the_launcher_is_not_an_error(
 
     launched_by(launch, monkeypatch)
     with planned(*SWEPT, "logger=none", "seed=0,1") as (sweep, jobs):
-        assert sweep.launch_all(jobs) == []
+        assert sweep.launches.run(jobs) == []
     assert caplog.text.count("no run was started") == told
 
 

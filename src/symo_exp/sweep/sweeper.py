@@ -7,33 +7,29 @@ sweep of one.
 
 from __future__ import annotations
 
-import copy
 import logging
-import os
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from hydra.core.plugins import Plugins
 from hydra.core.utils import configure_log
 from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
 from symo_exp import code
 from symo_exp.cli.explain import BAD_INPUT, explained
-from symo_exp.errors import ConfigError, debugging, one_line
+from symo_exp.errors import ConfigError
 from symo_exp.imports import first_import
 from symo_exp.job.checks import check_folder, check_names, check_parts, check_settings
-from symo_exp.job.job import SWEEP, VARIED, changed_recordings, publish, spelled, typed
+from symo_exp.job.job import changed_recordings, publish, spelled, typed
 from symo_exp.process import phases, stopping
-from symo_exp.runs.folder import DIED, LOG, RunFolder
-from symo_exp.shell import override_value, python_command
-from symo_exp.sweep import slurm
+from symo_exp.runs.folder import LOG, RunFolder
+from symo_exp.shell import python_command
 from symo_exp.sweep.compose import Composer, Job, expand, labels
+from symo_exp.sweep.launching import Launches
 from symo_exp.sweep.parent import parent
 from symo_exp.sweep.table import Watch, table
 
@@ -76,9 +72,7 @@ class Sweep:
             )
         self._context, self._task, self._master = context, task, master
         self.composer = Composer(context.config_loader, master)
-        self._cluster = slurm.Queue.of(master)
-        self._apart = "basic_launcher" not in master.hydra.launcher._target_  # other processes
-        self._stopped = ""  # why the launcher stopped
+        self.launches = Launches(context, task, master)
 
     def run(
         self, arguments: Sequence[str], params: Mapping[str, Any], *, check_only: bool = False
@@ -141,7 +135,7 @@ class Sweep:
             _clear(job)
         if todo:
             with stopping.command():
-                self.launch_all(list(todo.values()))
+                self.launches.run(list(todo.values()))
                 stopping.raise_if_requested()
         return found
 
@@ -218,7 +212,7 @@ class Sweep:
             try:
                 check_folder(job.folder.path)
                 values = job.values
-                if self._cluster:  # only its nodes may have a graphics processor
+                if self.launches.cluster:  # only its nodes may have a graphics processor
                     here = {**values["trainer"], "accelerator": "cpu"}
                     values = values | {"trainer": here}
                 parts = build(values, job.folder)
@@ -249,7 +243,7 @@ class Sweep:
     # -- having them done --------------------------------------------------------------------------
 
     def _do(self, jobs: Sequence[Job], todo: Sequence[Job]) -> None:
-        on_stop = self._cluster.stop if self._cluster else None
+        on_stop = self.launches.cluster.stop if self.launches.cluster else None
         phases.say("opening the store")
         tracker = instantiate(todo[0].values["logger"])
         tracker.close_dead()
@@ -259,90 +253,9 @@ class Sweep:
                 name = " ".join(hydras.overrides.task or [hydras.job.config_name])
                 stack.enter_context(parent(jobs, name, spelled(typed(hydras)), tracker))
             folders = [job.folder for job in jobs]
-            stack.enter_context(Watch(folders, on_stop, apart=self._apart))
-            for job in self.launch_all(todo):
+            stack.enter_context(Watch(folders, on_stop, apart=self.launches.apart))
+            for job in self.launches.run(todo):
                 publish(tracker, job.folder)
-
-    def launch_all(self, jobs: Sequence[Job]) -> list[Job]:
-        """Launch jobs, and launch again those that a broken launcher left.
-
-        When a process of joblib is killed, its neighbours are killed too and the rest is not
-        started. The rest is started again, then those that died, each alone: a job whose process
-        is killed twice has failed.
-
-        Returns:
-            The jobs whose processes were killed, which is recorded as their outcome.
-        """
-        for job in self._start_all(jobs):
-            if stopping.requested() is None:
-                self._launch([job])
-        died = [job for job in jobs if job.folder.died()]
-        for job in died:
-            if stopping.requested() is None:
-                job.folder.record("failed", DIED)
-            else:
-                job.folder.record("interrupted", "its process was ended")
-        return died
-
-    def _start_all(self, jobs: Sequence[Job]) -> list[Job]:
-        """Launch jobs until each was started once; return those whose processes were killed."""
-        died: list[Job] = []
-        todo = list(jobs)
-        while todo and stopping.requested() is None:
-            self._launch(todo)
-            killed = [job for job in todo if job.folder.died()]
-            died += killed
-            waiting = [job for job in todo if job.folder.outcome().status == "waiting"]
-            if len(waiting) == len(todo):
-                if self._stopped and stopping.requested() is None:
-                    log.error("no run was started: %s", self._stopped)
-                break
-            if killed and stopping.requested() is None:
-                log.error("a worker was killed: %d run(s) are started again", len(died + waiting))
-            todo = waiting
-        return died
-
-    def _launch(self, jobs: Sequence[Job]) -> None:
-        """Launch jobs and wait for those that the launcher left running."""
-        launcher = Plugins.instance().instantiate_launcher(
-            hydra_context=self._context, task_function=self._task, config=self._for_jobs()
-        )
-        here = self._apart and self._cluster is None
-
-        def launch() -> None:
-            try:
-                with stopping.deaf_children() if here else ExitStack():
-                    launcher.launch([job.overrides for job in jobs], initial_job_idx=0)
-            except Exception as error:  # what it finished still counts
-                if debugging():
-                    raise
-                log.debug("the launcher stopped", exc_info=True)
-                self._stopped = one_line(error)
-
-        try:
-            if self._cluster:
-                self._cluster.run(launch)
-            else:
-                launch()
-            for job in jobs:
-                while job.folder.in_use():
-                    time.sleep(0.2)
-        except stopping.Interrupted:  # the second signal
-            if self._cluster:
-                self._cluster.cancel()
-            raise
-
-    def _for_jobs(self) -> DictConfig:
-        """Return the configuration with the environment that this command has for its jobs.
-
-        joblib reuses its workers, which have the environment of the command that started them.
-        """
-        config = copy.deepcopy(self._master)
-        with open_dict(config):
-            for name in (stopping.FOLDER, SWEEP, VARIED):
-                value = override_value(os.environ.get(name, ""), nested=True)
-                config.hydra.overrides.hydra.append(f"++hydra.job.env_set.{name}={value}")
-        return config
 
     def _sum_up(self, jobs: Sequence[Job], finished: Sequence[Job]) -> int:
         """Print what came of the command and return its exit code."""
