@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from symo_exp.data.recorded import lagging
+from symo_exp.data.delays import lagging
 from symo_exp.data.resample import Samples
 
 LAG = 0.3

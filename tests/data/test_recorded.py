@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 import torch
 
+from symo_exp.data.delays import delayed, lagging
 from symo_exp.data.draws import generate, uniform
-from symo_exp.data.recorded import RecordedData, delayed, lagging, recorded_system
+from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError

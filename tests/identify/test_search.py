@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 import symo_exp
 from symo_exp.__main__ import main
-from symo_exp.data.recorded import lagging
+from symo_exp.data.delays import lagging
 from symo_exp.data.resample import Samples
 from symo_exp.data.sensors import noise_of
 from symo_exp.errors import ConfigError

@@ -16,6 +16,7 @@ from typing_extensions import Unpack, override
 from symo_exp.checks import real, whole_number
 from symo_exp.data.advice import Columns
 from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences, stacked
+from symo_exp.data.delays import acting_late
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
 from symo_exp.data.formats import Location, shown, titled
@@ -24,6 +25,7 @@ from symo_exp.data.naming import names
 from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, without
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, read_recordings
+from symo_exp.data.turns import in_radians, refuse_counts, refuse_turns, turned, unwrapped
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates, Trajectory
@@ -32,12 +34,8 @@ from symo_exp.systems.recorded import Recorded
 
 TIME_TOLERANCE = 1e-3
 """Largest relative difference of a recorded step that equals ``system.time_step``."""
-FEW_NUMBERS = 8
-"""Values of a coordinate up to which whole numbers are no sign of counts."""
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
-UNIT = 1e-3
-"""Largest difference of the norm of a quaternion from 1."""
 LONGEST_LAG = 1e9
 """Time constant of inputs at most [s]: beyond it their slopes overflow."""
 BATCHES = 8
@@ -263,42 +261,6 @@ def _cut_at_gaps(where: str, parts: Parts, h: float) -> tuple[Parts, list[str]]:
     return pieces, gaps
 
 
-def refuse_counts(
-    where: str, coordinates: Coordinates, recordings: Sequence[Recording], degrees: bool | None
-) -> None:
-    """Refuse angles in whole numbers: they are counts of an encoder, or degrees.
-
-    Args:
-        where: The beginning of the message.
-        coordinates: Those of the machine.
-        recordings: All that are used.
-        degrees: Whether angles are known to be in degrees.
-
-    Raises:
-        ConfigError: If any angle has more than ``FEW_NUMBERS`` values, all of them whole.
-    """
-    if degrees:
-        return
-    for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
-        if not angular:
-            continue
-        columns = [one.samples.q[:, i] for one in recordings]
-        if are_counts(columns):
-            low, high = min(x.min() for x in columns), max(x.max() for x in columns)
-            raise ConfigError(
-                f"{where}: q_{name} has whole numbers only, from {low:g} to {high:g}, "
-                "and is an angle: convert counts of an encoder to radians in the file (counts "
-                "times 2 pi over the counts of a turn), without jumps where counts start anew; "
-                "for degrees, give data.degrees=true"
-            )
-
-
-def are_counts(columns: Sequence[np.ndarray]) -> bool:
-    """Return whether a coordinate has more than ``FEW_NUMBERS`` values, all of them whole."""
-    values = np.unique(np.concatenate(columns))
-    return len(values) > FEW_NUMBERS and bool((values % 1 == 0).all())
-
-
 def _trajectory(
     where: str, recording: Recording, coordinates: Coordinates, h: float, *, wrapped: bool
 ) -> Trajectory:
@@ -312,7 +274,7 @@ def _trajectory(
     if wrapped:
         samples = unwrapped(samples, coordinates)
     else:
-        _check_turns(where, samples, coordinates)
+        refuse_turns(where, samples, coordinates)
     samples = turned(where, samples, coordinates)
     if not _equal(samples.t, h):
         if samples.step > h * (1 + TIME_TOLERANCE):
@@ -336,102 +298,6 @@ def _resampled(samples: Samples, space: Space, h: float) -> Samples:
     q, rate = space.normalised(torch.tensor(found.q)), torch.tensor(found.v)
     v = space.velocity(q, rate) if samples.v is None else rate
     return found._replace(q=q.numpy(), v=v.numpy())
-
-
-def in_radians(samples: Samples, coordinates: Coordinates) -> Samples:
-    """Return samples in degrees, with quaternions, as samples in radians."""
-    places = np.where(_angles(samples, coordinates), np.pi / 180, 1.0)
-    rates = np.where(coordinates.turning, np.pi / 180, 1.0)
-    v = None if samples.v is None else samples.v * rates
-    return samples._replace(q=samples.q * places, v=v)
-
-
-def unwrapped(samples: Samples, coordinates: Coordinates) -> Samples:
-    """Return samples, with quaternions, whose angles go on beyond a turn."""
-    angular = _angles(samples, coordinates)
-    return samples._replace(q=np.where(angular, np.unwrap(samples.q, axis=0), samples.q))
-
-
-def turned(where: str, samples: Samples, coordinates: Coordinates) -> Samples:
-    """Return samples with rotation matrices instead of quaternions.
-
-    Raises:
-        ConfigError: If a quaternion does not have the norm 1.
-    """
-    for i, name in enumerate(coordinates.rotations):
-        first = len(coordinates.flat) + 4 * i
-        size = np.linalg.norm(samples.q[:, first : first + 4], axis=1)
-        worst = int(np.abs(size - 1.0).argmax())
-        if not abs(size[worst] - 1.0) <= UNIT:
-            raise ConfigError(
-                f"{where}: q_{name}_w, q_{name}_x, q_{name}_y, q_{name}_z have the norm "
-                f"{size[worst]:.6g} in row {worst + 1}; expected a unit quaternion, to within "
-                f"{UNIT:g}"
-            )
-    if not coordinates.rotations:
-        return samples
-    return samples._replace(q=coordinates.space.of_quaternions(torch.tensor(samples.q)).numpy())
-
-
-def _angles(samples: Samples, coordinates: Coordinates) -> np.ndarray:
-    """Return which columns of configurations with quaternions are angles."""
-    flat = len(coordinates.flat)
-    return np.array([*coordinates.angular[:flat], *(False,) * (samples.q.shape[1] - flat)])
-
-
-def _check_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
-    """Refuse angles that jump."""
-    bends = np.abs(np.diff(samples.q, 2, axis=0)).max(0, initial=0)
-    jumps = _angles(samples, coordinates) & (bends > np.pi)
-    if jumps.any():
-        turns = np.where(jumps, np.abs(np.diff(samples.q, axis=0)).max(0), 0.0)
-        name = coordinates.names[int(turns.argmax())]
-        mend = "data.wrapped=true unwraps them) and must be in radians (data.degrees=true converts"
-        if 300 < turns.max() < 400:
-            mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
-        raise ConfigError(
-            f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
-            f"wrapped ({mend}); remove rows in which a sensor fails; sample more often what turns "
-            "so fast"
-        )
-
-
-def delayed(samples: Samples, seconds: float) -> Samples:
-    """Return the samples with inputs that act ``seconds`` after they are recorded.
-
-    A negative delay is that of inputs recorded later than they act. Inputs are linear between
-    samples and constant beyond the first and the last one.
-    """
-    if seconds == 0.0 or not samples.u.shape[1]:
-        return samples
-    t = samples.t
-    return samples._replace(u=np.stack([np.interp(t - seconds, t, u) for u in samples.u.T], axis=1))
-
-
-def lagging(samples: Samples, seconds: float) -> Samples:
-    """Return the samples with inputs that follow the recorded ones with a time constant.
-
-    ``τ ẏ = u - y`` from ``y = u`` at the first sample, exact for inputs that are linear between
-    samples.
-    """
-    t, u = samples.t, samples.u
-    if seconds == 0.0 or not u.shape[1]:
-        return samples
-    steps = np.diff(t)[:, None]
-    behind, kept = seconds * np.diff(u, axis=0) / steps, np.exp(-steps / seconds)
-    gains = u[1:] - behind - kept * (u[:-1] - behind)
-
-    def along(first: float, gains: np.ndarray) -> list[float]:
-        pairs = zip(kept[:, 0].tolist(), gains.tolist(), strict=True)  # numbers are faster
-        steps = itertools.accumulate(pairs, lambda y, pair: pair[0] * y + pair[1], initial=first)
-        return list(steps)
-
-    return samples._replace(u=np.array([*map(along, u[0].tolist(), gains.T)]).T)
-
-
-def acting_late(recording: Recording, delay: float = 0.0, lag: float = 0.0) -> Recording:
-    """Return a recording, or a piece of one, whose inputs act later than they are recorded."""
-    return recording._replace(whole=lagging(delayed(recording.whole, delay), lag))
 
 
 def _equal(t: np.ndarray, h: float) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from symo_exp.data.recorded import acting_late
+from symo_exp.data.delays import acting_late
 from symo_exp.data.table import Recording
 from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.identify.inputs import timing

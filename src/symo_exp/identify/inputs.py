@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from symo_exp.data.delays import acting_late
 from symo_exp.data.diagnose import HELP
 from symo_exp.data.explained import explained_power, input_gains
-from symo_exp.data.recorded import acting_late
 from symo_exp.data.table import Recording
 from symo_exp.identify.sampled import EXAMINED, NODES, Sampled, at_nodes, first_seconds, with_inputs
 from symo_exp.mechanics.types import Coordinates

@@ -16,9 +16,9 @@ from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
 from symo_exp.data.naming import names, unit_of
 from symo_exp.data.parts import PARTS, divided, uninterrupted, without
-from symo_exp.data.recorded import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording, read_recordings
+from symo_exp.data.turns import in_radians, refuse_counts, turned, unwrapped
 from symo_exp.data.weak import ROUNDING
 from symo_exp.errors import ConfigError
 from symo_exp.identify.angles import (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.recorded import acting_late
+from symo_exp.data.delays import acting_late
 from symo_exp.data.resample import Samples, averaged, fitted
 from symo_exp.data.table import Recording
 from symo_exp.data.weak import Motion, held_still, quasi_coordinates

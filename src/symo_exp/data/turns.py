@@ -1,0 +1,112 @@
+"""Angles and rotations of samples: their units, jumps and norms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from symo_exp.data.resample import Samples
+from symo_exp.data.table import Recording
+from symo_exp.errors import ConfigError
+from symo_exp.mechanics.types import Coordinates
+
+FEW_NUMBERS = 8
+"""Values of a coordinate up to which whole numbers are no sign of counts."""
+UNIT = 1e-3
+"""Largest difference of the norm of a quaternion from 1."""
+
+
+def in_radians(samples: Samples, coordinates: Coordinates) -> Samples:
+    """Return samples in degrees, with quaternions, as samples in radians."""
+    places = np.where(_angles(samples, coordinates), np.pi / 180, 1.0)
+    rates = np.where(coordinates.turning, np.pi / 180, 1.0)
+    v = None if samples.v is None else samples.v * rates
+    return samples._replace(q=samples.q * places, v=v)
+
+
+def unwrapped(samples: Samples, coordinates: Coordinates) -> Samples:
+    """Return samples, with quaternions, whose angles go on beyond a turn."""
+    angular = _angles(samples, coordinates)
+    return samples._replace(q=np.where(angular, np.unwrap(samples.q, axis=0), samples.q))
+
+
+def turned(where: str, samples: Samples, coordinates: Coordinates) -> Samples:
+    """Return samples with rotation matrices instead of quaternions.
+
+    Raises:
+        ConfigError: If a quaternion does not have the norm 1.
+    """
+    for i, name in enumerate(coordinates.rotations):
+        first = len(coordinates.flat) + 4 * i
+        size = np.linalg.norm(samples.q[:, first : first + 4], axis=1)
+        worst = int(np.abs(size - 1.0).argmax())
+        if not abs(size[worst] - 1.0) <= UNIT:
+            raise ConfigError(
+                f"{where}: q_{name}_w, q_{name}_x, q_{name}_y, q_{name}_z have the norm "
+                f"{size[worst]:.6g} in row {worst + 1}; expected a unit quaternion, to within "
+                f"{UNIT:g}"
+            )
+    if not coordinates.rotations:
+        return samples
+    return samples._replace(q=coordinates.space.of_quaternions(torch.tensor(samples.q)).numpy())
+
+
+def refuse_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
+    """Refuse angles that jump."""
+    bends = np.abs(np.diff(samples.q, 2, axis=0)).max(0, initial=0)
+    jumps = _angles(samples, coordinates) & (bends > np.pi)
+    if jumps.any():
+        turns = np.where(jumps, np.abs(np.diff(samples.q, axis=0)).max(0), 0.0)
+        name = coordinates.names[int(turns.argmax())]
+        mend = "data.wrapped=true unwraps them) and must be in radians (data.degrees=true converts"
+        if 300 < turns.max() < 400:
+            mend = "data.degrees=true data.wrapped=true for degrees that jump by a turn"
+        raise ConfigError(
+            f"{where} turns q_{name} by {turns.max():.3g} rad in one step; angles must not be "
+            f"wrapped ({mend}); remove rows in which a sensor fails; sample more often what turns "
+            "so fast"
+        )
+
+
+def refuse_counts(
+    where: str, coordinates: Coordinates, recordings: Sequence[Recording], degrees: bool | None
+) -> None:
+    """Refuse angles in whole numbers: they are counts of an encoder, or degrees.
+
+    Args:
+        where: The beginning of the message.
+        coordinates: Those of the machine.
+        recordings: All that are used.
+        degrees: Whether angles are known to be in degrees.
+
+    Raises:
+        ConfigError: If any angle has more than ``FEW_NUMBERS`` values, all of them whole.
+    """
+    if degrees:
+        return
+    for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
+        if not angular:
+            continue
+        columns = [one.samples.q[:, i] for one in recordings]
+        if are_counts(columns):
+            low, high = min(x.min() for x in columns), max(x.max() for x in columns)
+            raise ConfigError(
+                f"{where}: q_{name} has whole numbers only, from {low:g} to {high:g}, "
+                "and is an angle: convert counts of an encoder to radians in the file (counts "
+                "times 2 pi over the counts of a turn), without jumps where counts start anew; "
+                "for degrees, give data.degrees=true"
+            )
+
+
+def are_counts(columns: Sequence[np.ndarray]) -> bool:
+    """Return whether a coordinate has more than ``FEW_NUMBERS`` values, all of them whole."""
+    values = np.unique(np.concatenate(columns))
+    return len(values) > FEW_NUMBERS and bool((values % 1 == 0).all())
+
+
+def _angles(samples: Samples, coordinates: Coordinates) -> np.ndarray:
+    """Return which columns of configurations with quaternions are angles."""
+    flat = len(coordinates.flat)
+    return np.array([*coordinates.angular[:flat], *(False,) * (samples.q.shape[1] - flat)])
