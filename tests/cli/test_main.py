@@ -76,6 +76,15 @@ BAD = [
     ("data.n_traj=0", "0", "1 to 128"),
     ("~resume", "resume", "cannot be deleted"),
     ("~model", "~model", "possible: e2e_symo"),
+    ("~model=node", "~model", "possible: e2e_symo"),
+    ("++model=node", "++model=node", "leave out the +"),
+    ("~seed", "seed", "cannot be deleted"),
+    ("~nothing", "~nothing", "--cfg job shows all"),
+    ("~trainer.nothing", "~trainer.nothing", "--cfg job shows all"),
+    ("+seed=1", "+seed=1", "leave out the +"),
+    ("-m +trainer.max_epochs=1,2", "+trainer.max_epochs=1", "leave out the +"),
+    ("-m seed=1,", "seed=1,", "write seed=A,B without spaces"),
+    ("-m seed=range(3,0)", "seed=range(3,0)", "range(start,stop,step)"),
     *(
         (f"{x}=1000000000000", f"{x.split()[-1]}=1", "from 1 to")
         for x in (
@@ -154,7 +163,9 @@ BAD = [
     # the last job of a sweep
     ("-m data.n_traj=8,16,0", "data.n_traj=0", "1 to 128"),
     ("-m data.n_traj=8 model=node,symo integrator=rk4", "model=symo", "integrator=midpoint"),
-    ("-m data.n_traj=8,8", "data.n_traj=8", "same run"),
+    ("-m data.n_traj=8,16,8", "data.n_traj=8,16,8", "8 is given twice"),
+    ("-m data.n_traj=8,16 seed=0,0", "seed=0,0", "0 is given twice"),
+    ("-m trainer.progress=true,false", "trainer.progress=", "same run"),
     ("-m data.noise_std=interval(0,1)", "interval(0,1)", "range(...)"),
     ("-m model=node,symoo", "model=symoo", "did you mean symo"),
     ("-m model=glob(x*)", "model=glob(x*)", "-h lists"),
@@ -167,6 +178,7 @@ ENDS = [
     ("--cfg jobs", "jobs", "hydra"),
     ("--info everything", "everything", "defaults-tree"),
     ("-cn nothing", "nothing", "possible: accuracy"),
+    ("-cn sweeps/smoke", "sweeps/smoke", "possible: accuracy"),
     ("-sc query=bash", "query", "leave it out"),
     ("--config-dir nowhere", "nowhere", "not found"),
     ("data.n_traj", "data.n_traj", "data.n_traj="),
@@ -213,6 +225,13 @@ def test_a_refusal_is_one_line_and_exit_code_2(typed, given, wanted, home, capsy
     assert wanted in line
     assert out == ""
     assert nothing_is_left(home)
+
+
+def test_a_refusal_does_not_depend_on_the_environment_of_hydra(home, capsys, monkeypatch):
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+    assert main(["modle=symo"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "did you mean model" in line
 
 
 def test_a_setting_may_be_one_that_only_the_swept_choices_have(home):

@@ -62,6 +62,8 @@ def test_results_of_other_recordings_are_refused(workplace, capsys):
         ("optimized_metric=nonsense", "val_loss"),
         ("data.n_traj=0", "from 1"),
         ("resume=false", "experiment=NAME"),
+        ("hydra.sweeper.n_trials=0", "at least 1"),
+        ("hydra.sweeper.n_jobs=-1", "at least 1"),
     ],
 )
 def test_bad_input_is_one_line(word, wanted, workplace, capsys):

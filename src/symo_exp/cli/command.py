@@ -105,7 +105,7 @@ class Command:
         from symo_exp.cli.explain import BAD_INPUT, explained
         from symo_exp.job.job import job
 
-        os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+        os.environ["HYDRA_FULL_ERROR"] = "1"  # else Hydra prints an error itself and exits
         entry = hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)
         before = sys.argv
         sys.argv = [before[0], *self.options, *self._per_job(), *extra]
@@ -183,8 +183,10 @@ def _parsed(words: Sequence[str]) -> list[Override]:
         settings = isinstance(names, dict) and names
         if one.is_sweep_override() or settings or not any((CONF / group).glob("*.yaml")):
             continue
-        if one.is_add():
+        if one.is_add() or one.is_force_add():
             raise ConfigError(f"{word}: {group} has a choice already; leave out the +")
+        if one.is_delete():
+            raise unknown_choice(f"~{group}", group)
         listed = names if group == "study" and isinstance(names, list) else [names]
         if not listed or not all(isinstance(name, str) for name in listed):
             raise unknown_choice(word, group)

@@ -8,7 +8,12 @@ import shlex
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    MissingConfigException,
+    OverrideParseException,
+)
 from omegaconf import DictConfig
 from omegaconf.errors import (
     ConfigAttributeError,
@@ -66,6 +71,18 @@ def _no_settings(error: InterpolationResolutionError) -> ConfigError | None:
     )
 
 
+def _wrong_sign(error: ConfigCompositionException) -> ConfigError | None:
+    """Return the error for a ``~`` before what is not there, a ``+`` before what is."""
+    if found := re.search(r"delete from config. '(\S+)' does not exist", str(error)):
+        name = found[1]
+        return ConfigError(f"~{name}: {name} is not a setting (--cfg job shows all)")
+    if found := re.search(r"Either remove \+ prefix: '(.*)'", str(error)):
+        word = found[1]
+        name = word.partition("=")[0]
+        return ConfigError(f"+{word}: {name} has a value already; leave out the +")
+    return None
+
+
 def _unreadable_value(error: OverrideParseException) -> ConfigError:
     """Return the error for a word that Hydra cannot parse, such as a name with brackets."""
     word = str(error.override)
@@ -73,6 +90,8 @@ def _unreadable_value(error: OverrideParseException) -> ConfigError:
     if not equals:
         mend = f"data.path={word}" if os.path.exists(word) else f"{word or 'NAME'}=..."
         return ConfigError(f"{word!r} is not a setting with a value: write {mend}")
+    if re.search(r"^,|,,|,$", value):
+        return ConfigError(f"{word}: a value is missing at a comma; write {key}=A,B without spaces")
     if re.search(r"\s\S+=", value):
         return ConfigError(f"{word}: give each setting as a word of its own")
     quoted = shlex.quote(f"{key}={override_value([value])[1:-1]}")
@@ -89,6 +108,8 @@ def _missing_file(error: MissingConfigException) -> ConfigError | None:
     for prefix, (needed, extra) in EXTRAS.items():
         if group.startswith("hydra/") and value.startswith(prefix) and needed not in options:
             return ConfigError(f"{group}={value} needs a package: {install_command(extra)}")
+    if not (CONF / group).is_dir():
+        group = ""  # the path of a sweep
     return unknown_choice(f"{group}={value}" if group else file, group, options) if file else None
 
 
@@ -114,6 +135,7 @@ EXPLAINED: dict[type[BaseException], Callable[[Any], ConfigError | None]] = {
     ),
     UnicodeDecodeError: lambda e: ConfigError(f"a configuration file is not UTF-8 text: {e}"),
     OverrideParseException: _unreadable_value,
+    ConfigCompositionException: _wrong_sign,
     MissingConfigException: _missing_file,
     InterpolationResolutionError: _no_settings,
     ConfigKeyError: _unknown_setting,

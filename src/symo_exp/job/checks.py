@@ -41,10 +41,8 @@ _WANTED = {
 _STRICT = ConfigDict(strict=True, arbitrary_types_allowed=True)
 
 
-def check_parts(settings: Settings, known: Mapping[str, Any]) -> None:
-    """Refuse a configuration in which a setting was deleted, or a part names no class."""
-    if missing := sorted(known.keys() - settings.values.keys() - {"hydra"}):
-        raise ConfigError(f"{missing[0]} is needed and cannot be deleted")
+def check_parts(settings: Settings) -> None:
+    """Refuse a configuration of which a part names no class."""
     for part in PARTS:
         node = settings.values.get(part)
         if not isinstance(node, Mapping) or "_target_" not in node:

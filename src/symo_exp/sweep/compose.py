@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, OverrideType
+from hydra.core.override_parser.types import Override, OverrideType, ValueType
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 
 from symo_exp.errors import ConfigError
@@ -58,7 +58,7 @@ def expand(
 
     Raises:
         ConfigError: If ``params`` are no mapping, a list of pairs has something else, a value is an
-            interval, or no choice fits a pattern.
+            interval or there twice, or no choice fits a pattern.
     """
     if not isinstance(params, Mapping) or not all(isinstance(key, str) for key in params):
         told = f"hydra.sweeper.params={params}: expected settings with their values"
@@ -72,9 +72,7 @@ def expand(
             raise ConfigError(f"{override.input_line}: {told}")
         key = override.get_key_element()
         if override.is_sweep_override():
-            axes[key,] = [[f"{key}={value}"] for value in override.sweep_string_iterator()]
-            if not axes[key,]:
-                raise ConfigError(f"{override.input_line}: no choice has such a name; -h lists all")
+            axes[key,] = [[f"{key}={value}"] for value in _values(override)]
         else:
             axes[key,] = [[str(override.input_line)]]
     for key in params.keys() - single:
@@ -82,6 +80,20 @@ def expand(
         typed = [axes.pop((name,)) for name in names if (name,) in axes]
         axes[names] = _agreeing(_rows(names, params[key]), typed)
     return [[word for words in one for word in words] for one in itertools.product(*axes.values())]
+
+
+def _values(override: Override) -> list[str]:
+    """Return the values that an override sweeps, of which there has to be one, and none twice."""
+    values = list(override.sweep_string_iterator())
+    twice = [value for place, value in enumerate(values) if value in values[:place]]
+    told = f"{twice[0]} is given twice" if twice else ""
+    if not values:
+        told = "no choice has such a name; -h lists all"
+        if override.value_type is ValueType.RANGE_SWEEP:
+            told = "no value lies between these limits; write range(start,stop,step)"
+    if told:
+        raise ConfigError(f"{override.input_line}: {told}")
+    return values
 
 
 def _rows(names: Sequence[str], values: Any) -> list[list[str]]:
@@ -135,9 +147,12 @@ class Composer:
         config = copy.deepcopy(self.files(*(str(o.input_line) for o in parsed if o not in values)))
         for override in values:
             OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
+        known = unresolved(files)
+        if missing := sorted(known.keys() - config.keys()):
+            raise ConfigError(f"{missing[0]} is needed and cannot be deleted")
         chosen = dict(config.hydra.runtime.choices)
         folder = RunFolder(f"{config.hydra.sweep.dir}/{config.hydra.sweep.subdir}")
-        return Job(label, overrides, resolve(config), unresolved(files), chosen, folder)
+        return Job(label, overrides, resolve(config), known, chosen, folder)
 
     def _is_choice(self, override: Override) -> bool:
         """Return whether an override chooses a file of a group, and does not give settings."""

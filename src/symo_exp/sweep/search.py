@@ -14,6 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
+from symo_exp.errors import ConfigError, Refused
 from symo_exp.shell import override_value, python_command
 from symo_exp.sweep.compose import Composer
 from symo_exp.tracking.page import COMMAND
@@ -25,8 +26,17 @@ class AnnounceBest(Callback):
     """Print the best trial of a search as a command that repeats it."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Keep Optuna from announcing a study, whose trials are counted elsewhere."""
+        """Keep Optuna from announcing a study, whose trials are counted elsewhere.
+
+        Raises:
+            Refused: For numbers of trials with which Optuna fails or never ends.
+        """
         if "n_trials" in config.hydra.sweeper:
+            for name in ("n_trials", "n_jobs"):
+                if config.hydra.sweeper[name] < 1:
+                    given = f"hydra.sweeper.{name}={config.hydra.sweeper[name]}"
+                    told = f"{given}: expected a whole number of at least 1"
+                    raise Refused(ConfigError(told))
             with suppress(ImportError):
                 import optuna
 

@@ -164,7 +164,7 @@ class Sweep:
         job = self.composer.job(overrides, label)
         values = job.values
         code.add(values["code"])  # also of finished runs, which may be loaded afterwards
-        check_parts(job.settings, job.known)
+        check_parts(job.settings)
         check_names(values["output_dir"], values["experiment"], self._master.hydra.sweep.dir)
         if values["resume"]:
             refusal = changed_recordings(values, job.folder, restarts=True)
