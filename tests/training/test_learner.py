@@ -1,11 +1,18 @@
 """Metrics of the training loop."""
 
 import copy
+from functools import partial
+from types import SimpleNamespace
 
+import pytest
 import torch
 
 from symo_exp.models.objectives import Objective, Residuals
 from symo_exp.optim.base import minibatches
+from symo_exp.optim.chained import Chained
+from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
+from symo_exp.training.checkpoint import Checkpoint
+from symo_exp.training.divergence import DivergenceError, StopOnDivergence
 from tests.models.methods import learner, windows
 from tests.trainers import quiet_trainer
 
@@ -35,3 +42,24 @@ def test_metrics_of_an_epoch_are_those_of_its_steps(tmp_path):
     *_, expected = [minibatches(optimizer, twin, batches[0])["train_loss"] for _ in range(2)]
     assert told["train_loss"] == float(expected)
     assert model.steps == 4
+
+
+SECOND_ORDER = partial(LevenbergMarquardt, patience=1)
+RATES = {
+    "a smaller optimizer.lr, another seed": torch.optim.Adam,
+    "a smaller optimizer.first.lr, another seed": partial(
+        Chained, first=torch.optim.Adam, epochs=1, then=SECOND_ORDER
+    ),
+    "another seed": SECOND_ORDER,
+}
+"""What to try, and the optimiser."""
+
+
+@pytest.mark.parametrize("advice", RATES)
+def test_the_advice_on_a_divergence_names_a_setting_of_the_optimiser(advice, tmp_path):
+    model = learner("symo", "midpoint", 2)
+    model.epoch_metrics = {"train_loss": float("nan")}
+    optimizer = RATES[advice](model.parameters())
+    trainer = SimpleNamespace(optimizers=[optimizer], current_epoch=0)
+    with pytest.raises(DivergenceError, match=f"; try {advice} or dtype=float64"):
+        StopOnDivergence(Checkpoint(tmp_path, 1.0)).on_train_epoch_end(trainer, model)

@@ -94,6 +94,8 @@ class EpochOptimizer(Optimizer, ABC):
     """True if ``epoch`` is given whole trajectories instead of mini batches."""
     processor_only: ClassVar[bool] = False
     """True if it cannot work on a GPU."""
+    rate: ClassVar[str | None] = None
+    """The setting of its learning rate, ``None`` if it has none."""
 
     def __init__(self, params: Iterable[Tensor], *, patience: int, tolerance: float = 0.0) -> None:
         whole_number("optimizer.patience", patience)

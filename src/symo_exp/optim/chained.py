@@ -27,6 +27,8 @@ class Chained(EpochOptimizer):
         then: Makes the second optimiser.
     """
 
+    rate = "optimizer.first.lr"
+
     def __init__(
         self,
         params: Iterable[Tensor],

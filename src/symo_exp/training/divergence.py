@@ -11,6 +11,7 @@ import torch
 from torch.nn.utils import get_total_norm
 from typing_extensions import override
 
+from symo_exp.optim.base import EpochOptimizer
 from symo_exp.training.checkpoint import Checkpoint
 
 log = logging.getLogger(__name__)
@@ -42,10 +43,13 @@ class StopOnDivergence(lightning.Callback):
             self._remember(pl_module)
             return
         self._keep(trainer, pl_module)
+        optimizer = trainer.optimizers[0]
+        rate = optimizer.rate if isinstance(optimizer, EpochOptimizer) else "optimizer.lr"
+        smaller = "" if rate is None else f"a smaller {rate}, "
         raise DivergenceError(
             f"the loss of {type(pl_module.model).__name__} is {loss} after epoch "
             f"{trainer.current_epoch + 1} (optimiser step {pl_module.steps}); "
-            "try a smaller optimizer.lr, another seed or dtype=float64"
+            f"try {smaller}another seed or dtype=float64"
         )
 
     def _remember(self, model: Any) -> None:
