@@ -18,6 +18,7 @@ from symo_exp.data.advice import OTHERS, Columns, as_setting, omitting
 from symo_exp.data.formats import Location, few, readable, shown, table_of, titled
 from symo_exp.data.header import KINDS, UNITS, Header, headers
 from symo_exp.data.resample import Samples
+from symo_exp.data.wraps import SAME, wraps_of
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.systems.base import System
@@ -185,7 +186,9 @@ def _read(
     table = _without_repeats(where, table, known, notes)
     others = [c for c in head.names if c and c not in known and c[:8] != "__index_"]
     _check_jumps(where, table, wanted["q"], others, dict(head.given))
-    table = _split_at_leaps(table, [f"q_{name}" for name in coordinates.flat], notes)
+    flat = [f"q_{name}" for name in coordinates.flat]
+    _refuse_wraps(where, table, flat)
+    table = _split_at_leaps(table, flat, notes)
     recordings = tuple(_divided(where, table, wanted, len(inputs)))
     if (used := sum(len(one.samples.t) for one in recordings)) < len(table):
         notes.append(
@@ -496,6 +499,23 @@ def _check_jumps(
                 f"as their number, {as_setting({**given, 'trajectory': column})}, or leave it out, "
                 f"{omitting([column], given)}"
             )
+
+
+def _refuse_wraps(where: str, table: pd.DataFrame, places: Sequence[str]) -> None:
+    """Refuse a coordinate that starts anew after another change than a turn."""
+    if len(table) < FEWEST:
+        return
+    groups = [rows.sort_values("t", kind="stable") for _, rows in _groups(table)]
+    for name in places:
+        count, period = wraps_of([rows[name].to_numpy() for rows in groups])
+        if not count or any(abs(period - turn) <= SAME * turn for turn in TURNS):
+            continue
+        raise ConfigError(
+            f"{where}: {name} starts anew {count} times, after a change of about {period:g}, which "
+            "is no turn in radians or degrees: let it go on in the file, as by "
+            f"numpy.unwrap(x, period={period:g}), and convert counts of an encoder to radians or "
+            "metres; if recordings begin there, number them in a column trajectory"
+        )
 
 
 def _split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str]) -> pd.DataFrame:
