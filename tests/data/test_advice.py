@@ -502,6 +502,45 @@ def test_names_of_inputs_are_not_passed_over(tmp_path: Path) -> None:
         assert any("not read: " in line and "note" in line for line in table.notes)
 
 
+@pytest.mark.parametrize(
+    ("more", "left_out"),
+    [
+        ("u_temp u_battery", "u_temp u_battery"),
+        ("u_motor_ref", "u_motor_ref"),
+        ("q_arm_ref q_temp u_bat", "q_arm_ref q_temp u_bat"),
+        ("q_arm_ref q_arm_counts u_motor_target u_bus_voltage",
+         "q_arm_ref q_arm_counts u_motor_target u_bus_voltage"),
+    ],
+)  # fmt: skip
+def test_one_setting_resolves_all_that_names_contradict(
+    more: str, left_out: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.csv"
+    own = {"t": T, "q_arm": Q, "u_motor": U}
+    pd.DataFrame(own | dict.fromkeys(more.split(), U)).to_csv(path, index=False)
+    with pytest.raises(ConfigError) as error:
+        headers(path, None)
+    columns = settings_of(str(error.value))["columns"]
+    assert columns == dict.fromkeys(left_out.split())
+    assert all(name in str(error.value).partition(" setting: ")[0] for name in more.split())
+    (head,) = (head for _, head in headers(path, columns))
+    assert [name for name in head.names if name[0] != "."] == list(own)
+
+
+def test_a_velocity_with_the_name_of_a_motor_is_no_input(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    pd.DataFrame({"t": T, "q_motor": Q, "v_motor": U}).to_csv(path, index=False)
+    assert headers(path, None)[0][1].names == ("t", "q_motor", "v_motor")
+
+
+@pytest.mark.parametrize("inputs", ["cmd", "cmd_left right", "temp", "supply", "ref_1 ref_2"])
+def test_inputs_that_no_other_one_measures_are_inputs(inputs: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    columns = [f"u_{name}" for name in inputs.split()]
+    pd.DataFrame({"t": T, "q_arm": Q} | dict.fromkeys(columns, U)).to_csv(path, index=False)
+    assert names("u", headers(path, None)[0][1].names) == tuple(inputs.split())
+
+
 def test_an_empty_column_is_left_out_by_the_setting_that_is_named(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     pd.DataFrame({"time": T, "pos": Q, "q_lock": np.nan}).to_csv(path, index=False)
@@ -531,7 +570,6 @@ def test_names_that_no_setting_can_have_are_to_be_renamed() -> None:
     ("q", "refused"),
     [
         (np.round(Q / (2 * np.pi) * 4096), True),
-        (np.round(Q / (2 * np.pi) * 4096) % 4096, True),
         (np.round(2 * Q), False),  # few places, such as those of a switch
         (Q, False),
     ],

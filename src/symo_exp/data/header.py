@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,11 +14,8 @@ import pandas as pd
 from symo_exp.data.advice import (
     OTHERS,
     Columns,
-    as_setting,
-    converting,
     is_number,
     omitting,
-    suggested_inputs,
     suggestion,
 )
 from symo_exp.data.formats import (
@@ -37,19 +34,8 @@ from symo_exp.data.formats import (
     suffix,
     table_of,
 )
-from symo_exp.data.naming import (
-    PLACE,
-    SPEED,
-    is_no_place,
-    is_wanted,
-    kind_of_column,
-    names,
-    short_name,
-    short_names,
-    slope_of,
-    split_times,
-    unread_unit,
-)
+from symo_exp.data.misread import Doubt, doubt_of
+from symo_exp.data.naming import kind_of_column, names, split_times
 from symo_exp.errors import ConfigError
 
 KINDS = {"q": "coordinate", "v": "coordinate", "u": "input"}
@@ -61,8 +47,6 @@ TRAJECTORY = re.compile(
     re.I,
 )
 """Names that are read as ``trajectory``."""
-PLAIN = re.compile(r"q\W?\d*\W?")
-"""Names of coordinates in other tables, which are no names of this project."""
 
 
 class Header(NamedTuple):
@@ -123,8 +107,8 @@ def header_of(path: Location, file: Path, columns: Columns | None) -> Header:
         other = "" if where == shown(path) else ", or name the other files only, by data.path"
         raise ConfigError(f"{where}: {_lacking(file, found, new, columns, other)}")
     given = dict(columns or {})
-    if doubt := next(_doubts(found, new, given), None):
-        raise ConfigError(f"{where}: {doubt}")
+    if doubts := _told_doubts(where, found, new, given):
+        raise ConfigError(f"{where}: {doubts}")
     return Header(tuple(new), unit, (*dialect, *notes), tuple(given.items()))
 
 
@@ -163,61 +147,29 @@ def _lacking(
     return f"no column {lacking}; it has {few(found)}; {mend}"
 
 
-def _doubts(found: Sequence[str], new: Sequence[str], given: Columns) -> Iterator[str]:
-    """Yield a line on columns whose names contradict what they are read as, for each kind."""
-    stems, quaternion = names("q", new), [f"q_{part}" for part in "wxyz"]
-    read = [name for name in new if name.startswith("q_") and name not in given]
-    unread = [name for name, ours in zip(found, new, strict=True) if name == ours]
-    if set(quaternion) <= set(read):
-        named = {f"q_R_{name[2:]}": name for name in quaternion}
-        yield (
-            f"{few(quaternion)} are a quaternion by their names; name its rotation, "
-            f"{as_setting({**given, **named})}"
-        )
-    wanted = [name for name in read if is_wanted(name)]
-    if 0 < len(wanted) < len(stems):
-        yield (
-            f"{few(wanted)}: what a controller wants, as such names say, is no coordinate; rename "
-            f"them, or leave them out, {omitting(wanted, given)}"
-        )
-    wrong = [name for name in read if is_no_place(name[2:], stems)]
-    if 0 < len(wrong) < len(stems):
-        yield _told_no_places(wrong, new, given)
-    plain = [name for name in unread if PLAIN.fullmatch(name)]
-    if read and plain:
-        mapped = {f"q_{key}": x for key, x in zip(short_names(plain, PLACE), plain, strict=True)}
-        yield (
-            f"{few(read)} would be coordinates by their names, and {few(plain)} would not; if the "
-            f"latter are, map them: {as_setting({**given, **dict.fromkeys(read), **mapped})}"
-        )
-    inputs = [name for name in unread if kind_of_column(name) == "u"]
-    if inputs and not names("u", new):
-        yield (
-            f"no column u_<name> with an input, but {few(inputs)}; map them, "
-            f"{as_setting({**given, **suggested_inputs(inputs, stems)})}, or leave them out, "
-            f"{omitting(inputs, given)}"
-        )
-    moved = {x: y for x, y in zip(new, found, strict=True) if x[:2] in ("q_", "v_")}
-    if odd := [name for name in moved.values() if unread_unit(name)]:
-        mend = omitting(odd, {x: y for x, y in given.items() if y not in odd})
-        rest = any(x[:2] == "q_" and y not in odd for x, y in moved.items())
-        yield converting(odd) + (f", or leave them out, {mend}" if rest else "")
+def _told_doubts(where: str, found: Sequence[str], new: Sequence[str], given: Columns) -> str:
+    """Return a line on all columns whose names contradict what they are read as.
 
-
-def _told_no_places(wrong: Sequence[str], new: Sequence[str], given: Columns) -> str:
-    """Return a line on coordinates that are velocities or inputs by their names."""
-    left = [stem for stem in names("q", new) if f"q_{stem}" not in wrong]
-    rates = {slope_of(x[2:], left) or short_name(x[2:], SPEED): x for x in wrong}
-    if len(left) == 1 and kind_of_column(wrong[0][2:]) == "v":
-        rates.setdefault(left[0], wrong[0])
-    found = {} if names("v", new) else {f"v_{stem}": rates[stem] for stem in left if stem in rates}
-    found = found if len(found) == len(left) else {}
-    others = [name for name in wrong if name not in found.values()]
-    return (
-        f"{few(wrong)}: no coordinate by its name, but a velocity, an acceleration or an input; "
-        f"read the others, {as_setting({**given, **found, **dict.fromkeys(others)})}, or rename "
-        "it if it is a coordinate"
-    )
+    One setting resolves all of it: what the others contradict is that with the mapping so far.
+    """
+    doubts: list[Doubt] = []
+    mapped, left = dict(given), list[str]()
+    while doubt := doubt_of(found, new, {**mapped, **dict.fromkeys(left)}):
+        doubts.append(doubt)
+        if not (doubt.mapped or doubt.left):
+            break
+        mapped = {x: y for x, y in mapped.items() if y not in doubt.left} | dict(doubt.mapped)
+        left += doubt.left
+        new, _, _ = renamed(where, found, {**mapped, **dict.fromkeys(left)})
+    told = "; ".join(doubt.told for doubt in doubts)
+    if not doubts or (mapped == given and not left):
+        return told
+    if len(doubts) > 1:
+        return f"{told}; all of this in one setting: {omitting(left, mapped)}"
+    optional = doubts[0].optional
+    rest = {x: y for x, y in mapped.items() if y not in optional}
+    other = f", or leave them out, {omitting(optional, rest)}" if optional else ""
+    return f"{told}: {omitting(left, mapped)}{other}"
 
 
 def renamed(
@@ -287,5 +239,5 @@ def _aliases(found: Sequence[str], taken: set[str]) -> dict[str, str]:
 
 def _unit(name: str) -> str | None:
     match = TIME.fullmatch(name) or IN_TIME.fullmatch(name)
-    unit = match and (match[1] or match[2])
+    unit = match[1] or match[2] if match else name if name.lower() in TIME_UNITS else None
     return TIME_UNITS[unit.lower()] if unit else None

@@ -33,6 +33,12 @@ INPUT = re.compile(
 """A word of an input's name, and the number of the coordinate."""
 EFFORTS = re.compile(rf"(?:{EFFORT})\d*", re.I)
 """A word of a name that is none of a coordinate."""
+ELECTRIC = re.compile(r"(?:currents?|volts?|voltages?|pwm|duty)\d*", re.I)
+"""A word of the name of an input that is neither a torque nor a force."""
+INPUT_UNIT = re.compile(
+    r"(?:_| in | *[\[(])((?:[kcm]?n[ .*·_]?[cm]?m|[kcm]n|m[av]|%)|(?<!_)(?:n|k?[av]))[\])]?$", re.I
+)
+"""A unit at the end of an input's name; a single letter after an underscore may be a name."""
 FORCE = re.compile(r"f\d*", re.I)
 """The first word of an input's name; as a last word it may say that a signal is filtered."""
 WANTED = re.compile(
@@ -42,7 +48,7 @@ WANTED = re.compile(
 )
 """A word of the name of what a controller wants, which the machine need not do."""
 OTHER = re.compile(
-    r"(?:acc|accel|acceleration|ddot|ddq|qdd|jerk|bat|battery|vbus|supply|temp|temperature"
+    r"(?:acc|accel|acceleration|ddot|ddq|qdd|jerk|bat|battery|bus|vbus|supply|temp|temperature"
     r"|seq|sequence|id|status|statusword|word)\d*",
     re.I,
 )
@@ -102,6 +108,21 @@ def is_no_place(stem: str, stems: Collection[str]) -> bool:
     return kind in ("v", "-") or effort or slope_of(stem, stems) is not None
 
 
+def is_no_input(stem: str, others: Sequence[str]) -> bool:
+    """Return whether a name says that a column is no input, though others are.
+
+    Args:
+        stem: The name, without ``u_``.
+        others: Those of the other inputs.
+    """
+    words = meanings(stem)
+    if any(map(OTHER.fullmatch, words)):
+        return any(not any(map(OTHER.fullmatch, meanings(other))) for other in others)
+    rest = {word for word in words if not WANTED.fullmatch(word)}
+    measured = [other for other in others if not is_wanted(other)]
+    return is_wanted(stem) and any(rest <= set(meanings(other)) for other in measured)
+
+
 def is_wanted(name: str) -> bool:
     """Return whether a name says what a controller wants."""
     return any(map(WANTED.fullmatch, meanings(name)))
@@ -159,6 +180,13 @@ def length_unit(name: str) -> str:
     """Return the unit of length that a name ends with; after an underscore, m may be a name."""
     known = unit_of(name) in ("mm", "cm") or re.search(r"[\s\[(]m[\])]?$", name)
     return (unit_of(name) or "m") if known else ""
+
+
+def is_no_force(name: str) -> bool:
+    """Return whether the name of an input says another unit than N m and N, or no force."""
+    if unit := INPUT_UNIT.search(name):
+        return not re.fullmatch(r"n(?:[ .*·_]?m)?", unit[1], re.I)
+    return any(map(ELECTRIC.fullmatch, meanings(name)))
 
 
 def units_of_angles(columns: Sequence[str]) -> set[str]:
