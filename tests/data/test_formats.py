@@ -485,6 +485,43 @@ def test_a_clock_that_starts_anew_begins_a_recording(tmp_path: Path) -> None:
         np.testing.assert_allclose(one.samples.q[:, 0], table.q_0.iloc[rows], rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "unit", "count"),
+    [("t_ms", 1e-3, 2**16), ("t_us", 1e-6, 2**16), ("time_usec", 1e-6, 2**32), ("ms", 1e-3, 2**32)],
+)
+def test_a_counter_of_times_goes_on_where_it_starts_anew(name, unit, count, tmp_path: Path) -> None:
+    """Those of microcontrollers have 16 or 32 bits."""
+    times = 0.01 * np.arange(8000)
+    counts = np.round(times / unit).astype(int)
+    path = tmp_path / "x.csv"
+    system = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
+    for first in (0, count - 150):
+        table = pd.DataFrame({name: (counts + first) % count, "q_0": np.sin(times)})
+        table.to_csv(path, index=False)
+        found = read_recordings(path, system, {"t": "ms"} if name == "ms" else None)
+        (one,) = found.recordings
+        assert one.samples.t - one.samples.t[0] == pytest.approx(times)
+        told = any("counter starts anew" in note for note in found.notes)
+        assert told == (counts[-1] + first >= count)
+
+
+@pytest.mark.parametrize("every", [2, 10])
+def test_inputs_of_another_clock_are_read_as_the_message_says(every: int, tmp_path: Path) -> None:
+    t = 0.01 * np.arange(900)
+    path, table = tmp_path / "x.csv", pd.DataFrame({"t": t, "q_0": np.sin(t), "u_0": np.cos(t)})
+    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+    same = table.assign(u_0=table.u_0.where(table.index % every == 0))
+    own = pd.concat([table[["t", "q_0"]], table.assign(t=t + 0.003).iloc[::every][["t", "u_0"]]])
+    for change in (same, own.sort_values("t")):
+        change.to_csv(path, index=False)
+        with pytest.raises(ConfigError, match="inputs keep their last values") as error:
+            read_recordings(path, system)
+        assert "null" not in str(error.value)  # without its input, a machine is another one
+        change.assign(u_0=change.u_0.ffill()).dropna().to_csv(path, index=False)
+        (one,) = read_recordings(path, system).recordings
+        assert len(one.samples.t) >= 899
+
+
 @pytest.mark.parametrize("label", [{}, {"trajectory": 7}])
 def test_any_number_of_rows_may_be_written_twice(label, tmp_path: Path) -> None:
     table = motion().assign(**label)

@@ -32,8 +32,10 @@ TEXT = (".csv", ".tsv", ".txt", ".dat")
 BAGS = (".db3", ".mcap", ".bag")
 TIME_UNITS = {
     "d": "d", "day": "d", "days": "d", "h": "h", "hour": "h", "hours": "h", "min": "min",
-    "minutes": "min", "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us",
-    "\u00b5s": "us", "\u03bcs": "us", "ns": "ns",
+    "minutes": "min", "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms",
+    "millis": "ms", "milliseconds": "ms", "us": "us", "\u00b5s": "us", "\u03bcs": "us",
+    "usec": "us", "micros": "us", "microseconds": "us", "ns": "ns", "nsec": "ns", "nanos": "ns",
+    "nanoseconds": "ns",
 }  # fmt: skip
 """Units of time as names state them, by their spelling."""
 IN_UNIT = r"(?:_(UNIT)|(?: *[\[(]| in )(UNIT)[\])]?)".replace("UNIT", "|".join(TIME_UNITS))
@@ -65,6 +67,8 @@ BEGINNING = 50
 NO_TEXT = "it is no text in a known encoding; save it as UTF-8"
 OTHER_FILES = {
     **dict.fromkeys((".xlsx", ".xls", ".ods"), "save the sheet as CSV"),
+    **dict.fromkeys(("", ".asc", ".log"), "rename a table of text to mine.csv"),
+    ".npy": "save t, q and u by numpy.savez",
     **dict.fromkeys((".gz", ".bz2", ".xz", ".zst", ".zip", ".7z"), "unpack it"),
     **dict.fromkeys(
         (".json", ".jsonl", ".feather", ".h5", ".hdf5", ".pkl"),

@@ -45,6 +45,8 @@ which another recording begins, and jumps of angles at which none does."""
 VARIED = 2.0
 """Usual change of a position over its smallest, from which changes are not single steps of an
 encoder."""
+COUNTERS = (2.0**16, 2.0**32)
+"""Values of a counter of times, after which it starts anew."""
 SLOW, FAST = 1.0, 5e-6
 """Times between samples from which, and up to which, the unit of time has to be given."""
 EPOCH = (1e9, 4.1e9)
@@ -176,6 +178,7 @@ def _read(
         table[column] = _without_failures(table[column].to_numpy())
     notes += filter(None, (_told_failures(x, table[x].to_numpy()) for x in wanted["u"]))
     table = _without_gaps(where, table, numbers, notes, dict(head.given))
+    table["t"] = _going_on(table, notes)
     if seconds is None:
         _check_seconds(where, table["t"].to_numpy())
     else:
@@ -411,11 +414,17 @@ def _without_gaps(
     told = f"{int(rows.sum())} of {len(rows)} rows"
     if rows.mean() > DROPPED:
         needed = ["t", *(x for x in numbers if x.startswith("q_"))]
-        mend = "" if column in needed[:2] else f" or the column, {omitting([column], given)}"
+        mend = (
+            "let inputs keep their last values in the file, as DataFrame.ffill does, and remove "
+            "the rows that still lack a number"
+        )
+        if bad[column].mean() > 1.0 - DROPPED:
+            left_out = f", or leave it out, {omitting([column], given)}"
+            mend = "fill that column in the file" + left_out * (column not in needed[:2])
         raise ConfigError(
             f"{where}: {told} have a number that is empty or no measurement, most of them in "
             f"column {column}, first data row {first}; at most {100 * DROPPED:g} % are left out: "
-            f"fill them in the file, as by interpolation, or remove them{mend}"
+            f"{mend}"
         )
     why = "a number is missing, not finite or, as where a sensor fails, far from all others"
     notes.append(f"{told} are left out: {why}, first data row {first}")
@@ -439,6 +448,28 @@ def _check_seconds(where: str, t: np.ndarray) -> None:
         f"give data.time_unit={unit}, if in seconds, data.time_unit=s; if they count samples, "
         "multiply them by the time between two"
     )
+
+
+def _going_on(table: pd.DataFrame, notes: list[str]) -> pd.Series:
+    """Return times that go on where a counter of them starts anew.
+
+    Those of microcontrollers have 16 or 32 bits: after each 65536, times begin at zero again.
+    """
+    found = table["t"].copy()
+    for _, rows in _groups(table):
+        t = rows["t"].to_numpy()
+        steps = np.diff(t)
+        back = steps < 0
+        if not back.any() or back.all() or (t % 1 != 0).any():
+            continue
+        usual = np.median(steps[~back])
+        for count in COUNTERS:
+            across = steps[back] + count
+            if np.ptp(t) < count and (across > 0).all() and (across <= JUMP * usual).all():
+                found[rows.index] = t + count * np.append(0, np.cumsum(back))
+                notes.append(f"times go on where their counter starts anew after {count:.0f}")
+                break
+    return found
 
 
 def _numbered(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:

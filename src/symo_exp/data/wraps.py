@@ -39,7 +39,7 @@ def wraps_of(columns: Sequence[np.ndarray]) -> tuple[int, float]:
     if not (steps > large).any():
         return 0, 0.0
     least = AT_REST * float(np.median(steps))
-    jumps = [(x, i) for x in columns for i in np.flatnonzero(np.abs(np.diff(x)) > large)]
+    jumps = [(x, i) for x in columns for i in np.flatnonzero(np.abs(np.diff(x)) > large).tolist()]
     found = [_jump(x[max(0, i - BESIDE) : i + BESIDE + 2], min(i, BESIDE), least) for x, i in jumps]
     periods, goes_on = np.array(found).T
     period = float(np.median(periods))
