@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 
 import numpy as np
@@ -539,9 +540,29 @@ def test_coordinates_that_never_move_are_named(workplace):
     found = examine({"path": "mine.csv"})
     (note,) = [note for note in found.notes if "q_elbow never moves" in note]
     assert note.endswith("give 'data.columns={q_elbow: null}'")
+    assert not any("gear" in note for note in found.notes)  # rounding errors are no motion
     alone = examine({"path": "mine.csv", "columns": {"q_elbow": None}})
     assert (found.coordinates.n, alone.coordinates.n) == (2, 1)
     assert found.explained == pytest.approx(alone.explained, abs=0.01)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_machine_without_its_joints_at_rest_is_one_setting(noise, workplace):
+    frame = driven().rename(columns={"q_theta": "q_arm", "u_theta": "u_arm"})
+    rng = np.random.default_rng(0)
+    for name in ("elbow", "wrist"):
+        frame[f"q_{name}"] = 0.3 + noise * rng.normal(size=len(frame))
+        frame[f"v_{name}"], frame[f"u_{name}"] = 0.0, 0.1 * frame.u_arm + 0.2
+    frame["v_arm"] = np.gradient(frame.q_arm, frame.t)
+    frame.to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv"})
+    (note,) = [note for note in found.notes if "never move by more than noise" in note]
+    assert note.startswith("q_elbow, q_wrist")
+    (word,) = shlex.split(note.partition(" give ")[2])
+    (given,) = OverridesParser.create().parse_overrides([word])
+    alone = examine({"path": "mine.csv", "columns": given.value()})
+    assert alone.coordinates.names == ("arm",)
+    assert "as inputs suggest" in "; ".join(alone.notes)
 
 
 @pytest.mark.parametrize(("bent", "told"), [(0.0, True), (1e-3, True), (0.1, False)])
@@ -559,6 +580,58 @@ def test_coordinates_that_a_gear_joins_are_named(bent, told, workplace):
     found = [note for note in notes if "q_arm is 0.02 times q_motor" in note]
     assert len(found) == told
     assert all(note.endswith("give 'data.columns={q_motor: \"motor [rad]\"}'") for note in found)
+
+
+def test_without_a_coordinate_its_velocity_is_not_read_either(workplace):
+    frame = table(name="motor").assign(v_motor=0.0, v_joint=0.0)
+    frame.assign(q_joint=2.0 * frame.q_motor).to_csv("mine.csv", index=False)
+    (note,) = [note for note in examine({"path": "mine.csv"}).notes if "a gear joins" in note]
+    assert note.endswith("give 'data.columns={q_joint: null, v_joint: null}'")
+
+
+@pytest.mark.parametrize(("swing", "told"), [(2.0, True), (0.5, True), (0.002, False)])
+@pytest.mark.parametrize("unit", [1.0, 1e3])
+def test_two_lengths_of_a_link_that_turns_are_to_be_its_angle(swing, told, unit, workplace):
+    frame = table(name="x")
+    rng = np.random.default_rng(0)
+    angle = swing * (frame.q_x - frame.q_x.mean()) / np.ptp(frame.q_x)
+    x = unit * (0.3 + 0.4 * np.sin(angle) + 1e-4 * rng.normal(size=len(frame)))
+    y = unit * (0.7 - 0.4 * np.cos(angle) + 1e-4 * rng.normal(size=len(frame)))
+    frame.assign(q_x=x, q_y=y).to_csv("mine.csv", index=False)
+    found = [note for note in examine({"path": "mine.csv"}).notes if "lie on a circle" in note]
+    assert len(found) == told
+    for note in found:
+        (radius,) = re.findall(r"of radius (\S+)", note)
+        assert float(radius) == pytest.approx(0.4 * unit, rel=0.02)
+    assert all("arctan2(y - b, x - a)" in note for note in found)
+    frame.assign(q_x=x, q_y=np.sin(3.0 * frame.t)).to_csv("mine.csv", index=False)
+    assert not any("lie on a circle" in note for note in examine({"path": "mine.csv"}).notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("Torque [N mm]", True), ("motor_mNm", True), ("Current (mA)", True), ("Strom", True),
+        ("motor_volt", True), ("pwm1", True), ("Force [kN]", True), ("u_theta", False),
+        ("Torque [Nm]", False), ("force (N)", False), ("torque_N_m", False), ("motor_a", False),
+    ],
+)  # fmt: skip
+def test_inputs_that_are_no_forces_by_their_names_are_told(name, told, workplace):
+    """Masses in results are in proportion to their unit."""
+    driven().rename(columns={"u_theta": name}).to_csv("mine.csv", index=False)
+    found = examine({"path": "mine.csv", "columns": {"u_theta": name}}).notes
+    assert any(x.startswith(f"inputs, {name}, are used as they are") for x in found) == told
+
+
+def test_recordings_in_another_unit_than_most_are_named(workplace):
+    frame = driven()
+    every = pd.concat(
+        frame.assign(trajectory=f"run{k}", q_theta=frame.q_theta + 1e-4 * k) for k in range(4)
+    )
+    every.loc[every.trajectory == "run2", "q_theta"] *= 180.0 / np.pi
+    every.to_csv("mine.csv", index=False)
+    with pytest.raises(ConfigError, match=r"q_theta moves by [\d.]+ in run2, by"):
+        examine({"path": "mine.csv"})
 
 
 @pytest.mark.parametrize(

@@ -65,11 +65,13 @@ def at_rest(recordings: Sequence[Recording]) -> list[bool]:
 
 def any_moves(recordings: Sequence[Recording]) -> bool:
     """Return whether any coordinate moves by more than its noise in any recording."""
-    for column in zip(*(one.samples.q.T for one in recordings), strict=True):
-        noise = np.nan_to_num(noise_of(column))
-        if max(np.ptp(x) for x in column) > max(ABOVE_NOISE * noise, np.finfo(float).tiny):
-            return True
-    return False
+    return any(map(moves, zip(*(one.samples.q.T for one in recordings), strict=True)))
+
+
+def moves(columns: Sequence[np.ndarray]) -> bool:
+    """Return whether a coordinate moves by more than its noise in any recording."""
+    least = max(ABOVE_NOISE * np.nan_to_num(noise_of(columns)), np.finfo(float).tiny)
+    return any(float(np.ptp(x)) > least for x in columns)
 
 
 def deal(durations: Sequence[float], count: int) -> list[list[int]]:

@@ -29,6 +29,8 @@ better in degrees, whose sines are straight, although they act on angles in radi
 MUCH = 0.3
 """Share of the power that another reading explains in addition where it is likely, although
 something else moves the machine, too, or regressions represent it badly."""
+ODD = 10.0
+"""Range of a coordinate in a recording over the usual one from which the recording is named."""
 LONG = 30.0
 """Range of a length without a unit [m] beyond which it is probably in another one."""
 WHOLE = 0.3
@@ -173,15 +175,26 @@ def _explained(
 
 def _beyond_a_turn(
     recordings: Sequence[Recording], space: Coordinates, *, angular: bool
-) -> dict[str, float]:
-    """Return the ranges of the angles, or the lengths, that are larger than ``SPAN``."""
-    ranges = np.max([np.ptp(one.samples.q, axis=0) for one in recordings], axis=0)
-    every = zip(space.names, space.angular, ranges, strict=True)
-    return {name: size for name, angle, size in every if angle == angular and size > SPAN}
+) -> dict[str, str]:
+    """Return the angles, or the lengths, with ranges larger than ``SPAN``, and words for these.
+
+    Recordings in which a range is far larger than usual are named: they may be in another unit.
+    """
+    ranges = np.array([np.ptp(one.samples.q, axis=0) for one in recordings])
+    labels = [one.label for one in recordings]
+    found = {}
+    for name, angle, sizes in zip(space.names, space.angular, ranges.T, strict=True):
+        if angle != angular or sizes.max() <= SPAN:
+            continue
+        usual = float(np.median(sizes))
+        odd = [label for label, size in zip(labels, sizes, strict=True) if size > ODD * usual]
+        told = f" in {few(odd)}, by {usual:.3g} in most recordings" if odd else ""
+        found[name] = f"q_{name} moves by {sizes.max():.3g}{told}"
+    return found
 
 
 def _ask(
-    setting: str, choices: str, ranges: Mapping[str, float], readings: Mapping[str, float | None]
+    setting: str, choices: str, ranges: Mapping[str, str], readings: Mapping[str, float | None]
 ) -> None:
     """Refuse a setting that is left open if another reading explains a motion much better.
 
@@ -192,9 +205,8 @@ def _ask(
         return
     if not (1 - other < SUSPECT * (1 - plain) or other - plain > MUCH):
         return
-    told = ", ".join(f"q_{name} moves by {size:.3g}" for name, size in ranges.items())
     raise ConfigError(
-        f"{setting} has no value yet: {told}; {100 * other:.3g} % of the accelerations' power is "
-        f"explained if these are {reading}, {100 * plain:.3g} % if they are {present}; give "
-        f"{setting}={choices}"
+        f"{setting} has no value yet: {', '.join(ranges.values())}; {100 * other:.3g} % of the "
+        f"accelerations' power is explained if these are {reading}, {100 * plain:.3g} % if they "
+        f"are {present}; give {setting}={choices}, the same for all recordings"
     )

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from symo_exp.data.advice import omitting
-from symo_exp.data.folds import any_moves, at_rest
+from symo_exp.data.folds import any_moves, at_rest, moves
 from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
-from symo_exp.data.naming import names, unit_of
+from symo_exp.data.naming import is_no_force, names, unit_of
 from symo_exp.data.parts import PARTS, divided, uninterrupted, without
 from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording, read_recordings
@@ -29,6 +29,7 @@ from symo_exp.identify.angles import (
     told_units,
     turn_settings,
 )
+from symo_exp.identify.circles import circle_of
 from symo_exp.identify.dynamics import Dynamics, dynamics
 from symo_exp.identify.inputs import reversed_inputs
 from symo_exp.identify.left_out import REASONS, Stretch
@@ -147,7 +148,9 @@ class _Examination:
     used: list[Recording] = field(init=False)
     test: list[Recording] = field(init=False)
     starts: dict[str, float] = field(init=False)  # of the trajectories of the table [s]
+    header: list[str] = field(init=False)  # names of all columns
     moving: int = field(init=False)  # how many of ``used`` are not at rest
+    still: list[str] = field(init=False)  # lengths and angles that never move
     angles: list[str] = field(init=False)
     space: Coordinates = field(init=False)
     remote: np.ndarray = field(init=False)  # which coordinates are lengths far from zero
@@ -156,8 +159,8 @@ class _Examination:
     def __post_init__(self) -> None:
         self.columns, self.where = self.data.get("columns"), shown(self.data["path"])
         self.matrix_is_given = self.input_matrix is not None
-        found = header(self.data["path"], self.columns)
-        self.names, self.inputs = names("q", found), names("u", found)
+        self.header = header(self.data["path"], self.columns)
+        self.names, self.inputs = names("q", self.header), names("u", self.header)
         if self.known is not None:
             self.names, self.inputs = self.known.coordinates.measured, tuple(self.known.inputs)
 
@@ -170,7 +173,9 @@ class _Examination:
         self._read_units()
         self._tell_still()
         self._tell_together()
+        self._tell_circles()
         self._tell_idle()
+        self._tell_units_of_inputs()
         finest = max(one.samples.step for one in (*self.used, *self.test))
         self.used = self._near()
         time_step = self._choose_time_step(finest)
@@ -348,13 +353,20 @@ class _Examination:
 
     def _tell_still(self) -> None:
         """Tell of lengths and angles that never move, if others or a rotation do."""
-        motion = np.max([np.ptp(one.samples.q, axis=0) for one in self.used], axis=0)
-        still = [f"q_{name}" for name, size in zip(self.flat, motion, strict=False) if size == 0.0]
-        if 0 < len(still) < len(motion):
-            told = "never moves" if len(still) == 1 else "never move"
-            mend = omitting(still, self.columns)
-            line = f"{few(still)} {told}; for a model without such a coordinate, give {mend}"
-            self.notes.append(line)
+        columns = zip(*(one.samples.q.T for one in self.used), strict=True)
+        every = list(zip(self.flat, columns, strict=False))
+        self.still = [name for name, column in every if not moves(column)]
+        if 0 < len(self.still) < self.used[0].samples.q.shape[1]:
+            told = "never moves" if len(self.still) == 1 else "never move"
+            self.notes.append(
+                f"{few([f'q_{name}' for name in self.still])} {told} by more than noise; for a "
+                f"model without such a coordinate, give {self._omitting(self.still, 'qvu')}"
+            )
+
+    def _omitting(self, coordinates: Sequence[str], kinds: str) -> str:
+        """Return the setting that leaves out the columns of coordinates, of those ``kinds``."""
+        every = [f"{kind}_{name}" for kind in kinds for name in coordinates]
+        return omitting([name for name in every if name in self.header], self.columns)
 
     def _tell_together(self) -> None:
         """Tell of lengths and angles that are, or are nearly, in a constant ratio to others."""
@@ -364,7 +376,7 @@ class _Examination:
         found = {}
         for i, j in itertools.combinations(range(len(names)), 2):
             x, y = about[:, i], about[:, j]
-            if names[j] in found or not (x.any() and y.any()):
+            if names[j] in found or {names[i], names[j]} & set(self.still):
                 continue
             ratio = float(x @ y / (x @ x))
             apart = float(np.std(y - ratio * x))
@@ -382,10 +394,31 @@ class _Examination:
                     "step"
                 )
         if found:
-            mend = omitting([f"q_{name}" for name in found], self.columns)
+            mend = self._omitting(list(found), "qv")  # its input acts on the others
             self.notes.append(
                 f"{few(list(found.values()))}, but for noise: a gear joins them, or one is what "
                 f"the other should be; for a model without such a coordinate, give {mend}"
+            )
+
+    def _tell_circles(self) -> None:
+        """Tell of two lengths that are the place of a point on a link that turns."""
+        every = np.concatenate([one.samples.q for one in self.used])
+        lengths = [
+            i for i, name in enumerate(self.flat)
+            if not self.space.angular[i] and name not in self.still
+        ]  # fmt: skip
+        for i, j in itertools.combinations(lengths, 2):
+            noise = max(noise_of([one.samples.q[:, k] for one in self.used]) for k in (i, j))
+            if (found := circle_of(every[:, i], every[:, j], noise)) is None:
+                continue
+            x, y = self.flat[i], self.flat[j]
+            digits = 2 - math.floor(math.log10(found.radius))
+            middle = [round(value, digits) + 0.0 for value in (found.x, found.y)]
+            self.notes.append(
+                f"q_{x} and q_{y} lie on a circle of radius {found.radius:.3g} around a = "
+                f"{middle[0]:g}, b = {middle[1]:g}: if they are the place of a point on a link "
+                "that turns, replace them in the file by its angle, "
+                f"numpy.unwrap(numpy.arctan2({y} - b, {x} - a))"
             )
 
     def _tell_idle(self) -> None:
@@ -402,6 +435,17 @@ class _Examination:
             if found:
                 mend = omitting(found, self.columns)
                 self.notes.append(f"{few(found)} {are} {told} leave {them} out by {mend}")
+
+    def _tell_units_of_inputs(self) -> None:
+        """Tell of inputs that are neither in N m nor in N, as their names say."""
+        given = self.columns or {}
+        written = [str(given.get(f"u_{name}") or f"u_{name}") for name in self.inputs]
+        if odd := [name for name in written if is_no_force(name)]:
+            self.notes.append(
+                f"inputs, {few(odd)}, are used as they are: where results say N, N m or kg, they "
+                "are in proportion to the unit of the input; multiply it in the file by the force "
+                "or torque of one unit for results in SI units"
+            )
 
     def _near(self) -> list[Recording]:
         """Return ``used`` with rotation matrices and lengths near zero; regressions lose no digits.
