@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,16 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from symo_exp.data.advice import omitting
-from symo_exp.data.folds import any_moves, at_rest, moves
+from symo_exp.data.folds import any_moves, at_rest
 from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
-from symo_exp.data.naming import is_no_force, names, unit_of
+from symo_exp.data.naming import names, unit_of
 from symo_exp.data.parts import PARTS, divided, uninterrupted, without
 from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.data.turns import in_radians, refuse_counts, turned, unwrapped
-from symo_exp.data.weak import ROUNDING
 from symo_exp.errors import ConfigError
 from symo_exp.identify.angles import (
     ask_for_angles,
@@ -29,11 +26,11 @@ from symo_exp.identify.angles import (
     told_units,
     turn_settings,
 )
-from symo_exp.identify.circles import circle_of
 from symo_exp.identify.dynamics import Dynamics, dynamics
 from symo_exp.identify.inputs import reversed_inputs
 from symo_exp.identify.left_out import REASONS, Stretch
 from symo_exp.identify.pace import STEPS, fitting_time_step
+from symo_exp.identify.remarks import Remarks
 from symo_exp.identify.sampled import along_turns
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
@@ -41,11 +38,6 @@ from symo_exp.shell import override_value
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions, without_unit
 
-TOGETHER, SMALL = 3.0, 0.1
-"""Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
-which they are one."""
-GEARED = 5.0
-"""Ratio of two angles, or its inverse, from which an elastic gear seems to join them."""
 Stiffness = tuple[tuple[float, ...], ...]
 REMOTE = 20.0
 """Distance of a length from zero, over its range, beyond which it is counted from its middle."""
@@ -171,11 +163,10 @@ class _Examination:
         self._tell_rest()
         self._tell_angles()
         self._read_units()
-        self._tell_still()
-        self._tell_together()
-        self._tell_circles()
-        self._tell_idle()
-        self._tell_units_of_inputs()
+        remarks = Remarks(self.used, self.space, self.inputs, self.header, self.columns)
+        self.notes += remarks.on_coordinates()
+        self.notes += remarks.on_idle_inputs() if self.known is None else ()
+        self.notes += remarks.on_units_of_inputs()
         finest = max(one.samples.step for one in (*self.used, *self.test))
         self.used = self._near()
         time_step = self._choose_time_step(finest)
@@ -350,102 +341,6 @@ class _Examination:
     def _is_open(self, name: str) -> bool:
         """Return whether a setting of data has no value yet."""
         return self.data.get(name) is None
-
-    def _tell_still(self) -> None:
-        """Tell of lengths and angles that never move, if others or a rotation do."""
-        columns = zip(*(one.samples.q.T for one in self.used), strict=True)
-        every = list(zip(self.flat, columns, strict=False))
-        self.still = [name for name, column in every if not moves(column)]
-        if 0 < len(self.still) < self.used[0].samples.q.shape[1]:
-            told = "never moves" if len(self.still) == 1 else "never move"
-            self.notes.append(
-                f"{few([f'q_{name}' for name in self.still])} {told} by more than noise; for a "
-                f"model without such a coordinate, give {self._omitting(self.still, 'qvu')}"
-            )
-
-    def _omitting(self, coordinates: Sequence[str], kinds: str) -> str:
-        """Return the setting that leaves out the columns of coordinates, of those ``kinds``."""
-        every = [f"{kind}_{name}" for kind in kinds for name in coordinates]
-        return omitting([name for name in every if name in self.header], self.columns)
-
-    def _tell_together(self) -> None:
-        """Tell of lengths and angles that are, or are nearly, in a constant ratio to others."""
-        names, angular = self.flat, self.space.angular
-        noise = [noise_of([one.samples.q[:, i] for one in self.used]) for i in range(len(names))]
-        about = np.concatenate([one.samples.q - one.samples.q.mean(axis=0) for one in self.used])
-        found = {}
-        for i, j in itertools.combinations(range(len(names)), 2):
-            x, y = about[:, i], about[:, j]
-            if names[j] in found or {names[i], names[j]} & set(self.still):
-                continue
-            ratio = float(x @ y / (x @ x))
-            apart = float(np.std(y - ratio * x))
-            most = TOGETHER * math.hypot(noise[j], ratio * noise[i]) + ROUNDING * float(np.ptp(y))
-            if apart > SMALL * float(np.std(y)):
-                continue
-            if apart <= most:
-                found[names[j]] = f"q_{names[j]} is {ratio:.3g} times q_{names[i]}"
-            elif angular[i] and angular[j] and abs(math.log(abs(ratio))) > math.log(GEARED):
-                fast, times = (names[j], ratio) if abs(ratio) > 1.0 else (names[i], 1 / ratio)
-                self.notes.append(
-                    f"q_{names[j]} is nearly {ratio:.3g} times q_{names[i]}: an elastic gear seems "
-                    f"to join them; divide q_{fast} by its ratio, about {times:.3g}, in the file, "
-                    "and multiply a torque on it, since angles that turn so fast need a small time "
-                    "step"
-                )
-        if found:
-            mend = self._omitting(list(found), "qv")  # its input acts on the others
-            self.notes.append(
-                f"{few(list(found.values()))}, but for noise: a gear joins them, or one is what "
-                f"the other should be; for a model without such a coordinate, give {mend}"
-            )
-
-    def _tell_circles(self) -> None:
-        """Tell of two lengths that are the place of a point on a link that turns."""
-        every = np.concatenate([one.samples.q for one in self.used])
-        lengths = [
-            i for i, name in enumerate(self.flat)
-            if not self.space.angular[i] and name not in self.still
-        ]  # fmt: skip
-        for i, j in itertools.combinations(lengths, 2):
-            noise = max(noise_of([one.samples.q[:, k] for one in self.used]) for k in (i, j))
-            if (found := circle_of(every[:, i], every[:, j], noise)) is None:
-                continue
-            x, y = self.flat[i], self.flat[j]
-            digits = 2 - math.floor(math.log10(found.radius))
-            middle = [round(value, digits) + 0.0 for value in (found.x, found.y)]
-            self.notes.append(
-                f"q_{x} and q_{y} lie on a circle of radius {found.radius:.3g} around a = "
-                f"{middle[0]:g}, b = {middle[1]:g}: if they are the place of a point on a link "
-                "that turns, replace them in the file by its angle, "
-                f"numpy.unwrap(numpy.arctan2({y} - b, {x} - a))"
-            )
-
-    def _tell_idle(self) -> None:
-        """Tell of inputs that are always zero, and of others that never change."""
-        if self.known is not None:
-            return
-        every = np.concatenate([one.samples.u for one in self.used])
-        columns = {f"u_{name}": x for name, x in zip(self.inputs, every.T, strict=True)}
-        still = [name for name, x in columns.items() if np.ptp(x) == 0.0]
-        idle = [name for name in still if not columns[name].any()]
-        constant = [name for name in still if columns[name].any()]
-        for found, told in ((idle, "always zero;"), (constant, "constant; if nothing acts,")):
-            are, them = ("is", "it") if len(found) == 1 else ("are", "them")
-            if found:
-                mend = omitting(found, self.columns)
-                self.notes.append(f"{few(found)} {are} {told} leave {them} out by {mend}")
-
-    def _tell_units_of_inputs(self) -> None:
-        """Tell of inputs that are neither in N m nor in N, as their names say."""
-        given = self.columns or {}
-        written = [str(given.get(f"u_{name}") or f"u_{name}") for name in self.inputs]
-        if odd := [name for name in written if is_no_force(name)]:
-            self.notes.append(
-                f"inputs, {few(odd)}, are used as they are: where results say N, N m or kg, they "
-                "are in proportion to the unit of the input; multiply it in the file by the force "
-                "or torque of one unit for results in SI units"
-            )
 
     def _near(self) -> list[Recording]:
         """Return ``used`` with rotation matrices and lengths near zero; regressions lose no digits.
