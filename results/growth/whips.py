@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 import yaml
 
-from symo_exp.job.recipe import build, default_dtype
+from symo_exp.job.parts import build, default_dtype
 from symo_exp.models.flows import VariationalFlow
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.optim.base import concatenated

@@ -15,8 +15,10 @@ import scipy.io
 import torch
 
 from symo_exp.data.advice import as_setting
-from symo_exp.data.formats import files, from_arrays, table_of
+from symo_exp.data.arrays import from_arrays
+from symo_exp.data.formats import table_of
 from symo_exp.data.parts import without
+from symo_exp.data.paths import files
 from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError

@@ -11,7 +11,7 @@ import torch
 from hydra.utils import instantiate
 
 import symo_exp
-from symo_exp.job.recipe import build
+from symo_exp.job.parts import build
 from symo_exp.runs.folder import RunFolder
 from tests.jobs import job_of
 from tests.pages import ROOT

@@ -11,7 +11,7 @@ import pytest
 
 import symo_exp
 from symo_exp.__main__ import main
-from symo_exp.data.formats import content_of
+from symo_exp.data.paths import content_of
 from symo_exp.errors import ConfigError
 from symo_exp.job.job import changed_recordings
 from symo_exp.runs.folder import RunFolder

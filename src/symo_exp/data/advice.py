@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from symo_exp.data.formats import few
 from symo_exp.data.naming import (
     CONVERSIONS,
     INPUT,
@@ -29,6 +28,7 @@ from symo_exp.data.naming import (
     units_of_angles,
     unread_unit,
 )
+from symo_exp.data.paths import few
 from symo_exp.shell import override_value
 from symo_exp.systems.recorded import without_unit
 

@@ -18,24 +18,12 @@ from symo_exp.data.advice import (
     omitting,
     suggestion,
 )
-from symo_exp.data.formats import (
-    IN_TIME,
-    NUMBER,
-    TEXT,
-    TIME,
-    TIME_UNITS,
-    Dialect,
-    Location,
-    columns_of,
-    few,
-    files,
-    readable,
-    shown,
-    suffix,
-    table_of,
-)
+from symo_exp.data.clocks import IN_TIME, TIME, TIME_UNITS
+from symo_exp.data.dialect import NUMBER, Dialect
+from symo_exp.data.formats import columns_of, readable, table_of
 from symo_exp.data.misread import Doubt, doubt_of
 from symo_exp.data.naming import kind_of_column, names, split_times
+from symo_exp.data.paths import TEXT, Location, few, files, shown, suffix
 from symo_exp.errors import ConfigError
 
 KINDS = {"q": "coordinate", "v": "coordinate", "u": "input"}

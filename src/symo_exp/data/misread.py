@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from symo_exp.data.advice import Columns, converting, suggested_inputs
-from symo_exp.data.formats import few
 from symo_exp.data.naming import (
     PLACE,
     SPEED,
@@ -21,6 +20,7 @@ from symo_exp.data.naming import (
     slope_of,
     unread_unit,
 )
+from symo_exp.data.paths import few
 
 PLAIN = re.compile(r"q\W?\d*\W?")
 """Names of coordinates in other tables, which are no names of this project."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from symo_exp.data.formats import IN_TIME, TIME
+from symo_exp.data.clocks import IN_TIME, TIME
 from symo_exp.data.languages import english, parts_of, plain
 from symo_exp.systems.recorded import UNIT, without_unit
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from symo_exp.checks import whole_number
-from symo_exp.data.formats import few, titled
+from symo_exp.data.paths import few, titled
 from symo_exp.data.resample import Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError

@@ -19,10 +19,10 @@ from symo_exp.data.base import DataModule, DataOptions, Splits, central_differen
 from symo_exp.data.delays import acting_late
 from symo_exp.data.diagnose import Diagnosis, diagnose
 from symo_exp.data.folds import VALIDATED, folded, thinned
-from symo_exp.data.formats import Location, shown, titled
 from symo_exp.data.header import header
 from symo_exp.data.naming import names
 from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, without
+from symo_exp.data.paths import Location, shown, titled
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.data.turns import in_radians, refuse_counts, refuse_turns, turned, unwrapped

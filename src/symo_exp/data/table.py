@@ -15,8 +15,9 @@ import pandas as pd
 
 from symo_exp.checks import one_of
 from symo_exp.data.advice import OTHERS, Columns, as_setting, omitting
-from symo_exp.data.formats import Location, few, readable, shown, table_of, titled
+from symo_exp.data.formats import readable, table_of
 from symo_exp.data.header import KINDS, UNITS, Header, headers
+from symo_exp.data.paths import Location, few, shown, titled
 from symo_exp.data.resample import Samples
 from symo_exp.data.wraps import SAME, wraps_of
 from symo_exp.errors import ConfigError

@@ -11,8 +11,8 @@ import numpy as np
 
 from symo_exp.data.diagnose import SUSPECT
 from symo_exp.data.explained import explained_in_degrees, explained_power
-from symo_exp.data.formats import few
 from symo_exp.data.naming import ANGLE, SLIDE, length_unit, meanings, units_of_angles
+from symo_exp.data.paths import few
 from symo_exp.data.table import Recording
 from symo_exp.data.turns import are_counts
 from symo_exp.errors import ConfigError

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from symo_exp.data.folds import any_moves, at_rest
-from symo_exp.data.formats import few, shown, titled
 from symo_exp.data.header import header
 from symo_exp.data.naming import names, unit_of
 from symo_exp.data.parts import PARTS, divided, uninterrupted, without
+from symo_exp.data.paths import few, shown, titled
 from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.data.turns import in_radians, refuse_counts, turned, unwrapped

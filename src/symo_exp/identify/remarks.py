@@ -10,8 +10,8 @@ import numpy as np
 
 from symo_exp.data.advice import Columns, omitting
 from symo_exp.data.folds import moves
-from symo_exp.data.formats import few
 from symo_exp.data.naming import is_no_force
+from symo_exp.data.paths import few
 from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording
 from symo_exp.data.weak import ROUNDING

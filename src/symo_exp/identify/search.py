@@ -19,7 +19,7 @@ from hydra.core.utils import configure_log
 from joblib import effective_n_jobs
 from omegaconf import DictConfig, OmegaConf
 
-from symo_exp.data.formats import content_of, files, shown
+from symo_exp.data.paths import content_of, files, shown
 from symo_exp.errors import ConfigError
 from symo_exp.files import read_json
 from symo_exp.identify import plan as plans

@@ -109,7 +109,7 @@ def recordings_of(settings: Mapping[str, Any]) -> str:
     path = settings["data"].get("path")
     if path is None:
         return ""
-    from symo_exp.data.formats import content_of, files  # pandas and SciPy
+    from symo_exp.data.paths import content_of, files  # pandas and SciPy
 
     with suppress(ConfigError, OSError):  # to read them tells the user why
         found = files(path)
@@ -134,7 +134,7 @@ def changed_recordings(
         return None
     if recordings_of(settings) in ("", before.recordings):
         return None
-    from symo_exp.data.formats import shown  # pandas and SciPy
+    from symo_exp.data.paths import shown  # pandas and SciPy
 
     anew = "resume=false to start this run anew, or " * restarts
     return ConfigError(

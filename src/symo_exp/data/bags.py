@@ -1,0 +1,62 @@
+"""ROS 2 bags as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from symo_exp.data.paths import few
+from symo_exp.errors import ConfigError, shortened
+
+JOINTS = "sensor_msgs/msg/JointState"
+
+
+def bag_table(file: Path) -> pd.DataFrame:
+    """Return the joint states of a ROS bag: position ``q_``, velocity ``v_``, effort ``u_``."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise ConfigError(
+            f"data.path={file}: reading a ROS bag needs rosbags, which is not installed: "
+            "pip install 'symo_exp[ros]'"
+        ) from error
+    folder = file.parent if (file.parent / "metadata.yaml").is_file() and file.is_file() else file
+    try:
+        with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            topics = {c.topic: c.msgtype for c in reader.connections}
+            joints = [c for c in reader.connections if c.msgtype == JOINTS]
+            if len({c.topic for c in joints}) != 1:
+                there = few(sorted(topics)) or "none"
+                raise ConfigError(
+                    f"data.path={file}: expected one topic of {JOINTS}; it has {there}; "
+                    "save the signals as a table of columns t, q_<name>, u_<name>"
+                )
+            messages = [
+                reader.deserialize(raw, c.msgtype)
+                for c, _, raw in reader.messages(connections=joints)
+            ]
+    except ConfigError:
+        raise
+    except Exception as error:  # the library has many
+        reason = shortened(error, 200)
+        raise ConfigError(f"data.path={file}: cannot be read as a ROS bag ({reason})") from error
+    return _joint_states(file, messages)
+
+
+def _joint_states(file: Path, messages: Sequence[Any]) -> pd.DataFrame:
+    if not messages:
+        raise ConfigError(f"data.path={file}: the bag has no joint states")
+    joints = list(messages[0].name)
+    whole = [message for message in messages if list(message.name) == joints]
+    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in whole])
+    columns: dict[str, np.ndarray] = {"t": (stamps - stamps[0]) * 1e-9}
+    for kind, field in (("q", "position"), ("v", "velocity"), ("u", "effort")):
+        if all(len(getattr(message, field)) == len(joints) for message in whole):
+            values = np.array([getattr(message, field) for message in whole])
+            columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(joints)}
+    return pd.DataFrame(columns)
