@@ -194,6 +194,18 @@ def test_another_store_gets_everything(view, folder, tmp_path, database):
     assert len(steps(other.store, "train_loss")) == 3
 
 
+def test_a_store_that_was_deleted_gets_everything_again(view, folder, store, tmp_path):
+    grow(folder, 3)
+    finish(folder)
+    folder.mark_published({"store": str(store), "run_id": "of the one before"})
+    assert not view.is_published(folder)
+    view.publish(folder)
+    assert view.is_published(folder)
+    assert len(steps(store, "train_loss")) == 3
+    store.database.rename(tmp_path / "elsewhere.db")
+    assert not view.is_published(folder)
+
+
 def test_a_batch_is_not_larger_than_it_may_be(view, folder, store, monkeypatch):
     monkeypatch.setattr(publish, "BATCH", 7)
     grow(folder, 30)

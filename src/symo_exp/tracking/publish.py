@@ -73,7 +73,8 @@ class MlflowView:
 
     def is_published(self, folder: RunFolder) -> bool:
         """Return whether this store has all of the run, without importing MLflow."""
-        return folder.published().get("store") == str(self.store)
+        told = folder.published()
+        return told.get("store") == str(self.store) and self.store.may_have(told.get("run_id", ""))
 
     def publish(self, folder: RunFolder) -> str:
         """Update the store and return the address of the run.

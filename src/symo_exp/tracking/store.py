@@ -10,10 +10,11 @@ from __future__ import annotations
 import functools
 import os
 import socket
+import sqlite3
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,6 +64,20 @@ class Store:
         if not parts.password:
             return self.uri
         return self.uri.replace(f":{parts.password}@", ":…@", 1)
+
+    def may_have(self, run_id: str) -> bool:
+        """Return whether a run is there, without importing MLflow; true for servers.
+
+        An SQLite file may have been deleted, and another one made in its place.
+        """
+        if self.database is None:
+            return True
+        try:
+            with closing(sqlite3.connect(f"{self.database.as_uri()}?mode=ro", uri=True)) as there:
+                found = there.execute("SELECT 1 FROM runs WHERE run_uuid = ?", (run_id,)).fetchone()
+        except sqlite3.Error:  # no file, no tables, or none that can be read
+            return False
+        return found is not None
 
     @contextmanager
     def lock(self) -> Iterator[None]:
