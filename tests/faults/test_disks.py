@@ -8,10 +8,12 @@ from contextlib import contextmanager
 
 import pytest
 
+from symo_exp.report.__main__ import main as report
 from tests.faults.commands import Command, go
 from tests.faults.test_kills import WORDS as KEPT
 from tests.faults.test_kills import left
 from tests.jobs import refusal
+from tests.report.stores import add_folder
 from tests.tiny import TINY
 
 WORDS = [*KEPT, "model=symo", "trainer.max_epochs=12"]
@@ -91,6 +93,19 @@ def test_a_run_fails_on_a_full_disk_and_resumes(disk, whole):
     code, said = go(disk, *words)
     assert code == 0, said
     assert "resuming after epoch" in said
+
+
+def test_a_report_on_a_full_disk_leaves_the_one_before(disk, tmp_path, capsys):
+    add_folder(tmp_path / "runs" / "0")
+    words = [str(tmp_path / "runs"), "--out", str(disk / "report")]
+    assert report(words) == 0
+    before = {path: path.read_bytes() for path in disk.rglob("*.*")}
+    for seed in range(1, 60):
+        add_folder(tmp_path / "runs" / str(seed), seed=seed)
+    fill(disk)
+    assert report(words) == 2
+    assert "No space left" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in before} == before
 
 
 @pytest.mark.slow

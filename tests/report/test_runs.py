@@ -13,6 +13,15 @@ from symo_exp.tracking.store import connect, experiment_id, find
 from tests.report.stores import MEASURES, add_folder, add_run, row
 
 
+def test_a_damaged_store_is_refused_in_a_line(store):
+    add_run(store)
+    whole = store.database.read_bytes()
+    store.database.write_bytes(whole[: len(whole) // 8])
+    with pytest.raises(ConfigError, match="give folders of runs") as caught:
+        runs.load_runs(store)
+    assert store.uri in str(caught.value)
+
+
 def test_a_row_for_each_measure_of_each_run(store, monkeypatch):
     for seed in (0, 1):
         add_run(store, seed=seed, system="cartpole", n_traj=8, noise_std=1e-4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from symo_exp.files import write_text
 from symo_exp.report.document import Report
 from symo_exp.report.runs import save_runs
 from symo_exp.report.tables import latex, markdown_table
@@ -16,7 +17,8 @@ WRITTEN = ".written"
 def write_report(report: Report, out: Path, *, formats: Sequence[str], page: bool) -> list[Path]:
     """Write the files of a report below ``out``, replacing those of an earlier one.
 
-    Files of the earlier one that this report lacks are deleted; no other files are.
+    Files of the earlier one that this report lacks are deleted; no other files are. Each file is
+    replaced as a whole, so that it stays as it was where the disk is full.
 
     Args:
         report: The content to write.
@@ -40,8 +42,7 @@ def write_report(report: Report, out: Path, *, formats: Sequence[str], page: boo
 
         texts["index.html"] = html(report)
     for name, text in texts.items():
-        (out / name).parent.mkdir(exist_ok=True)
-        (out / name).write_text(text, encoding="utf-8")
+        write_text(out / name, text)
         files.append(out / name)
     if formats:
         from symo_exp.report.charts import draw_charts
@@ -59,7 +60,7 @@ def _delete_former(out: Path, names: Sequence[str]) -> None:
     for name in set(before) - set(names):
         if (out / name).resolve().is_relative_to(out.resolve()):  # the list may have been edited
             (out / name).unlink(missing_ok=True)
-    listed.write_text("\n".join(names) + "\n", encoding="utf-8")
+    write_text(listed, "\n".join(names) + "\n")
 
 
 def markdown_report(report: Report, *, pictures: bool) -> str:

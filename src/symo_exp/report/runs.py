@@ -27,6 +27,7 @@ from urllib.parse import unquote, urlsplit
 import pandas as pd
 
 from symo_exp.errors import ConfigError, first_line
+from symo_exp.files import write_whole
 from symo_exp.report.looks import TRUE
 from symo_exp.runs.folder import ABOUT, DIED, SERIES, RunFolder
 from symo_exp.runs.series import EPOCH, TIME
@@ -93,7 +94,14 @@ def load_runs(
             for.
     """
     if isinstance(source, Store):
-        return _asked(tidy(_in_store(source, experiments)), (), systems, seeds)
+        try:
+            stored = list(_in_store(source, experiments))
+        except ConfigError:
+            raise
+        except Exception as error:  # of MLflow or of the database
+            told = f"tracking store {source} cannot be read: {first_line(error)}"
+            raise ConfigError(f"{told}; give folders of runs, such as outputs/NAME") from error
+        return _asked(tidy(stored), (), systems, seeds)
     found = [_load_folders(path) if path.is_dir() else _load_table(path) for path in source]
     return _asked(pd.concat(found), experiments, systems, seeds)
 
@@ -112,10 +120,8 @@ def tidy(runs: Iterable[Row]) -> pd.DataFrame:
 def save_runs(runs: pd.DataFrame, path: Path) -> Path:
     """Write a table for ``load_runs``, as CSV or Parquet by the suffix of ``path``."""
     kept = runs[SAVED].astype(dict.fromkeys(WHOLE, "Int64"))
-    if path.suffix == ".parquet":
-        kept.to_parquet(path, index=False)
-    else:
-        kept.to_csv(path, index=False)
+    write = kept.to_parquet if path.suffix == ".parquet" else kept.to_csv
+    write_whole(path, lambda file: write(file, index=False))
     return path
 
 
