@@ -21,7 +21,7 @@ from symo_exp.sweep.parent import parent
 from symo_exp.tracking.nowhere import Nowhere
 from symo_exp.tracking.page import NOTE
 from symo_exp.tracking.publish import MlflowView
-from symo_exp.tracking.store import connect
+from symo_exp.tracking.store import connect, find
 from tests.jobs import planned
 from tests.tiny import TINY, copy_store
 
@@ -97,6 +97,19 @@ def test_a_multirun_is_one_parent_with_its_children(swept):
     finished = [rate for rate, status in ended.items() if status == "FINISHED"]
     best = min(finished, key=lambda rate: children[rate].data.metrics["test_mse"])
     assert re.search(rf"test_mse \S+ \(optimizer\.lr={best}\)", parent.data.tags[NOTE])
+
+
+def test_another_store_gets_a_sweep_with_its_finished_runs(swept, workplace, database):
+    shutil.copytree(swept[0] / "outputs", workplace / "outputs")
+    copy_store(database, workplace)
+    assert main([*SWEPT, RATES]) == 1
+    client = connect(find(None, workplace / "mlruns"))
+    experiment = client.get_experiment_by_name("study")
+    runs = client.search_runs([experiment.experiment_id])
+    (parent,) = [r for r in runs if "mlflow.parentRunId" not in r.data.tags]
+    children = [r for r in runs if r is not parent]
+    assert len(children) == 3
+    assert {r.data.tags["mlflow.parentRunId"] for r in children} == {parent.info.run_id}
 
 
 def test_finished_jobs_are_not_repeated(swept, workplace, capsys, monkeypatch):

@@ -19,11 +19,16 @@ from symo_exp.sweep.compose import Job
 from symo_exp.tracking.page import COMMAND, RESULT
 
 
+def parent_folder(jobs: Sequence[Job]) -> RunFolder:
+    """Return the run folder of a sweep. The same jobs are the same sweep."""
+    names = {job.folder.path.name: "" for job in jobs}
+    return RunFolder(jobs[0].folder.path.parent / ".sweeps" / digest(names))
+
+
 @contextmanager
 def parent(jobs: Sequence[Job], name: str, command: str, tracker: Any) -> Iterator[None]:
-    """Keep a run folder for the sweep meanwhile. The same jobs are the same sweep."""
-    names = {job.folder.path.name: "" for job in jobs}
-    folder = RunFolder(jobs[0].folder.path.parent / ".sweeps" / digest(names))
+    """Keep a run folder for the sweep meanwhile."""
+    folder = parent_folder(jobs)
     with nullcontext() if folder.in_use() else folder.alone():
         folder.mark_published(None)
         tags = {COMMAND: command}

@@ -30,7 +30,7 @@ from symo_exp.runs.folder import LOG, RunFolder
 from symo_exp.shell import python_command
 from symo_exp.sweep.compose import Composer, Job, expand, labels
 from symo_exp.sweep.launching import Launches
-from symo_exp.sweep.parent import parent
+from symo_exp.sweep.parent import parent, parent_folder
 from symo_exp.sweep.table import Watch, table
 
 log = logging.getLogger(__name__)
@@ -94,10 +94,12 @@ class Sweep:
         for word, name in self.unread(jobs, arguments, params).items():
             told = "%s has no effect: no part of the run refers to %s (--cfg job prints it)"
             log.warning(told, word, name)
-        for job in finished:  # the store may lack some, as far as is known without MLflow
+        sweep = [(jobs[0], parent_folder(jobs))] if finished and len(jobs) > 1 else []
+        for job, folder in [*sweep, *((job, job.folder) for job in finished)]:
             tracker = instantiate(job.values["logger"])
-            if not tracker.is_published(job.folder):
-                publish(tracker, job.folder)
+            # the store may lack some, as far as is known without MLflow
+            if not tracker.is_published(folder):
+                publish(tracker, folder)
         _warn_of_code([job for job in jobs if job.values["resume"]])
         if finished and len(jobs) > 1:
             print(f"{len(finished)} of {len(jobs)} runs are finished already", flush=True)
