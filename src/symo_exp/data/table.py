@@ -446,8 +446,8 @@ def _check_seconds(where: str, t: np.ndarray) -> None:
     told = "days" if unit == "d" else unit
     raise ConfigError(
         f"{where}: times are {step:.6g} apart, and nothing says their unit; if they are in {told}, "
-        f"give data.time_unit={unit}, if in seconds, data.time_unit=s; if they count samples, "
-        "multiply them by the time between two"
+        f"give data.time_unit={unit}, if in seconds, data.time_unit=s, the same for all files; if "
+        "they count samples, multiply them by the time between two"
     )
 
 
