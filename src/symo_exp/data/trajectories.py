@@ -1,0 +1,136 @@
+"""Trajectories of a table: where one ends and the next begins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from symo_exp.data.advice import Columns, as_setting, omitting
+from symo_exp.data.paths import titled
+from symo_exp.data.wraps import SAME, wraps_of
+from symo_exp.errors import ConfigError
+
+FEWEST = 3
+"""Samples of a recording, at least."""
+JUMP, FEW_ROWS = 2.0, 10
+"""Step from a row to the next over the largest elsewhere beyond which it is a jump, and the rows
+between two of them, on average, from which a column may tell recordings apart."""
+LEAP, TURNS = 4.0, (2 * math.pi, 360.0)
+"""Speed from a row to the next, over that just before and after and the largest elsewhere, beyond
+which another recording begins, and jumps of angles at which none does."""
+
+
+def by_trajectory(table: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    """Return the rows of each trajectory, by its name."""
+    if "trajectory" not in table:
+        return [("", table)]
+    names = table["trajectory"].map(str, na_action="ignore").astype(object)
+    return list(table.groupby(names, sort=False))
+
+
+def numbered_by_clock(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
+    """Return a table in which recordings are numbered where the clock starts anew.
+
+    A clock starts anew if it goes back by more than half of the time since its last start.
+    """
+    if "trajectory" in table:
+        return table
+    t = table["t"].to_numpy()
+    starts = np.flatnonzero(np.diff(t) < 0) + 1
+    pieces = list(zip([0, *starts], [*starts, len(t)], strict=True))
+    if len(starts) == 0 or len(starts) > len(t) / 4:
+        return table  # in order, or in no order at all
+    if any(t[last] > 0.5 * (t[first] + t[last - 1]) for first, last in pieces[:-1]):
+        return table
+    if min(last - first for first, last in pieces) < FEWEST:
+        return table  # rows in another order
+    notes.append(f"times start anew {len(starts)} time(s): {len(pieces)} recordings")
+    numbers = np.concatenate([np.full(b - a, k + 1) for k, (a, b) in enumerate(pieces)])
+    return table.assign(trajectory=numbers)
+
+
+def check_order(where: str, table: pd.DataFrame) -> None:
+    """Refuse a clock that was set back: that is a second recording."""
+    for label, rows in by_trajectory(table):
+        t = rows["t"].to_numpy()
+        back = np.flatnonzero(np.diff(t) < 0)
+        if 0 < len(back) < len(t) / 4:
+            raise ConfigError(
+                f"{where}: {titled(label)} goes back in time after t={t[back[0]]:.13g}; give "
+                "each recording a number of its own in the column trajectory, or sort the rows by t"
+            )
+
+
+def check_jumps(
+    where: str, table: pd.DataFrame, places: Sequence[str], unread: Sequence[str], given: Columns
+) -> None:
+    """Refuse a column that is not read and tells recordings apart, between which positions jump.
+
+    Gaps between samples are no jumps: recordings are cut there.
+    """
+    if "trajectory" in table or len(table) < FEWEST:
+        return
+    rows = table.sort_values("t", kind="stable")
+    steps, q = np.diff(rows["t"]), np.abs(np.diff(rows[list(places)], axis=0))
+    usual = steps < JUMP * np.median(steps)
+    for column in unread:
+        words = rows[column].astype(str).to_numpy()
+        changes = usual & (words[1:] != words[:-1])
+        if column[0] == "." or not 0 < changes.sum() <= len(rows) / FEW_ROWS:
+            continue
+        most = q[usual & ~changes].max(axis=0, initial=0.0)
+        jumps = (q[changes] > JUMP * most).any(axis=1)
+        if jumps.mean() >= 0.5:
+            raise ConfigError(
+                f"{where}: positions jump where {column} changes, as between recordings; read it "
+                f"as their number, {as_setting({**given, 'trajectory': column})}, or leave it out, "
+                f"{omitting([column], given)}"
+            )
+
+
+def refuse_wraps(where: str, table: pd.DataFrame, places: Sequence[str]) -> None:
+    """Refuse a coordinate that starts anew after another change than a turn."""
+    if len(table) < FEWEST:
+        return
+    groups = [rows.sort_values("t", kind="stable") for _, rows in by_trajectory(table)]
+    for name in places:
+        count, period = wraps_of([rows[name].to_numpy() for rows in groups])
+        if not count or any(abs(period - turn) <= SAME * turn for turn in TURNS):
+            continue
+        raise ConfigError(
+            f"{where}: {name} starts anew {count} times, after a change of about {period:g}, which "
+            "is no turn in radians or degrees: let it go on in the file, as by "
+            f"numpy.unwrap(x, period={period:g}), and convert counts of an encoder to radians or "
+            "metres; if recordings begin there, number them in a column trajectory"
+        )
+
+
+def split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str]) -> pd.DataFrame:
+    """Return a table in which recordings are numbered where positions leap.
+
+    A blow changes a velocity to that after it, and a sensor that fails for a row leaps twice. A
+    step far longer than both of its neighbours, and than all others, is that to the beginning of
+    another recording, unless an angle jumps by a turn.
+    """
+    if "trajectory" in table or len(table) < FEWEST or not places:
+        return table
+    rows = table.sort_values("t", kind="stable")
+    steps, moves = np.diff(rows["t"]), np.abs(np.diff(rows[list(places)], axis=0))
+    moves = np.min([moves, *(np.abs(moves - turn) for turn in TURNS)], axis=0)
+    speed = moves / np.maximum(steps, np.median(steps))[:, None]
+    beside = np.pad(speed, ((1, 1), (0, 0)))
+    sudden = speed > LEAP * np.maximum(beside[:-2], beside[2:])
+    most = np.where(sudden, 0.0, speed).max(axis=0)
+    leaps = (sudden & (speed > LEAP * most) & (most > 0.0)).any(axis=1)
+    starts = np.flatnonzero(leaps) + 1
+    lengths = np.diff([0, *starts, len(rows)])
+    if not len(starts) or lengths.min() < FEW_ROWS:
+        return table
+    notes.append(
+        f"positions leap {len(starts)} time(s), first after t={rows['t'].iloc[starts[0] - 1]:.6g}: "
+        f"{len(lengths)} recordings (a column trajectory says otherwise)"
+    )
+    return rows.assign(trajectory=np.repeat(np.arange(1, len(lengths) + 1), lengths))
