@@ -142,6 +142,41 @@ def test_a_stored_run_is_loaded_without_code_that_is_not_given(mine, workplace):
     assert not (workplace / "harm").exists()
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("class Spring(LagrangianSystem):", "class Spring(LagrangianSystem)", "SyntaxError: "),
+        ("@dataclass(frozen=True, kw_only=True)", "@dataclass", "TypeError: cannot inherit non-f"),
+    ],
+)
+def test_a_module_that_cannot_be_imported_is_refused(before, after, said, mine):
+    file = mine / "mine_system.py"
+    text = file.read_text()
+    assert before in text
+    file.write_text(text.replace(before, after))
+    words = ["--config-dir", "mine_own", "code=mine_own", "system=spring", "model=node", *QUIET]
+    done = subprocess.run(
+        [sys.executable, "-m", "symo_exp", *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.strip().splitlines()
+    assert f"system._target_=mine_system.Spring cannot be imported: {said}" in line
+
+
+def test_a_choice_with_the_name_of_one_that_ships_is_refused(mine):
+    (mine / "system" / "pendulum.yaml").write_text((mine / "system" / "spring.yaml").read_text())
+    words = ["--config-dir", "mine_own", "code=mine_own", "system=pendulum", *QUIET]
+    assert "system/pendulum.yaml has the name of a file of symo_exp; rename it" in refusal(*words)
+
+
+def test_a_box_without_a_range_is_refused_by_the_name_of_the_range(mine):
+    file = mine / "system" / "spring.yaml"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join(line for line in lines if not line.startswith("    u:")))
+    words = ["--config-dir", "mine_own", "code=mine_own", "system=spring", *QUIET]
+    assert "has the wrong type: expected u as well" in refusal(*words)
+
+
 def test_a_finished_run_of_own_code_is_loaded_by_the_command_that_names_it(mine):
     words = ["--config-dir", "mine_own", "code=mine_own", "system=spring", *QUIET]
     words += ["model=true_variational", "measures=false"]

@@ -61,7 +61,15 @@ class Command:
         folder = self._given.config_dir
         self.folders = [] if folder is None else [Path(folder).absolute()]
         """The user's own configuration, which is added to ours."""
+        self._require_other_names()
         self._parsed = _parsed(self.overrides)
+
+    def _require_other_names(self) -> None:
+        """Refuse a choice of the user's with the name of one of ours, which Hydra would take."""
+        names = [file.relative_to(CONF) for file in CONF.glob("*/**/*.yaml")]
+        for file in (folder / name for folder in self.folders for name in names):
+            if file.is_file():
+                raise ConfigError(f"{file} has the name of a file of symo_exp; rename it")
 
     @property
     def runs(self) -> bool:

@@ -106,11 +106,18 @@ def _check_value(name: str, value: Any, hint: Any) -> None:
             return
         if isinstance(value, list) and all(e["type"] == "needs_python_object" for e in found):
             return  # the constructor may make an array of it
-        kinds = [_WANTED.get(e["type"], e["msg"].removeprefix("Input should be ")) for e in found]
+        kinds = [_wanted(one["type"], one["loc"], one["msg"]) for one in found]
         wanted = " or ".join(dict.fromkeys(filter(None, kinds))).replace("'", "")
         given = f"{name}={override_value(value)}"
         told = f"{given} has the wrong type: expected {wanted or 'a class (_target_)'}"
         raise ConfigError(told) from error
+
+
+def _wanted(kind: str, place: tuple[int | str, ...], message: str) -> str:
+    """Return what one of Pydantic's errors asks for."""
+    if kind == "missing":
+        return f"{place[-1]} as well"
+    return _WANTED.get(kind, message.removeprefix("Input should be "))
 
 
 @functools.cache
