@@ -105,6 +105,9 @@ def matlab_arrays(file: Path) -> dict[str, Any]:
     """Return arrays of a MATLAB file, those in structures by their own names.
 
     Where different arrays have the same name, it begins with those of the structures.
+
+    Raises:
+        ConfigError: If the file is of MATLAB 7.3.
     """
     try:
         found = scipy.io.loadmat(str(file), simplify_cells=True)

@@ -16,7 +16,11 @@ JOINTS = "sensor_msgs/msg/JointState"
 
 
 def bag_table(file: Path) -> pd.DataFrame:
-    """Return the joint states of a ROS bag: position ``q_``, velocity ``v_``, effort ``u_``."""
+    """Return the joint states of a ROS bag: position ``q_``, velocity ``v_``, effort ``u_``.
+
+    Raises:
+        ConfigError: If the bag cannot be read, or does not have one topic of joint states.
+    """
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

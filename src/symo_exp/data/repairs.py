@@ -29,7 +29,16 @@ encoder."""
 
 
 def as_numbers(where: str, column: str, given: pd.Series) -> np.ndarray:
-    """Return a column as numbers, ``nan`` for a few words among them."""
+    """Return a column as numbers, ``nan`` for a few words among them.
+
+    Args:
+        where: The beginning of the message.
+        column: Its name.
+        given: Its values.
+
+    Raises:
+        ConfigError: If there are many words, or numbers have separators of thousands.
+    """
     if not pd.api.types.is_numeric_dtype(given):
         values = pd.to_numeric(given, errors="coerce")
         words = values.isna() & given.notna()
@@ -81,7 +90,18 @@ def told_failures(column: str, x: np.ndarray) -> str:
 def without_gaps(
     where: str, table: pd.DataFrame, numbers: Sequence[str], notes: list[str], given: Columns
 ) -> pd.DataFrame:
-    """Return the rows whose numbers are all finite; refuse a table with few of them."""
+    """Return the rows whose numbers are all finite.
+
+    Args:
+        where: The beginning of the message.
+        table: The table.
+        numbers: Names of the columns that are read.
+        notes: Lines for the log, to which one is added.
+        given: As ``data.columns``.
+
+    Raises:
+        ConfigError: If more than ``DROPPED`` of the rows would be left out.
+    """
     bad = ~np.isfinite(table[list(numbers)])
     rows = bad.any(axis=1).to_numpy()
     if not rows.any():
@@ -110,11 +130,20 @@ def without_gaps(
 def without_repeats(
     where: str, table: pd.DataFrame, known: set[str], notes: list[str]
 ) -> pd.DataFrame:
-    """Return the first row of each time; refuse a table in which many times repeat.
+    """Return the first row of each time.
 
     Rows that are the same as earlier ones in all ``known`` columns are left out, however many.
     Times very close to each other also count as repeated: slopes between their rows are those of
     the noise.
+
+    Args:
+        where: The beginning of the message.
+        table: The table.
+        known: Names of the columns that are read.
+        notes: Lines for the log, to which one is added.
+
+    Raises:
+        ConfigError: If more than ``DROPPED`` of the rows repeat a time with other values.
     """
     copies = table.duplicated([name for name in table if name in known])
     if copies.any():
@@ -143,6 +172,10 @@ def without_holds(rows: pd.DataFrame, wanted: Mapping[str, Sequence[str]]) -> pd
 
     A sensor that is slower than the log repeats each position the same number of times, however
     fast the machine moves, and the repeated ones are no measurements.
+
+    Args:
+        rows: The rows of a trajectory, their times rising.
+        wanted: Names of the columns of coordinates, velocities and inputs, by ``q``, ``v``, ``u``.
     """
     q, inputs = rows[list(wanted["q"])].to_numpy(), list(wanted["u"])
     held = _rows_of_a_hold(q)

@@ -29,7 +29,17 @@ MINUTES = r"\s*(\d+):(\d\d(?:[.,]\d+)?)\s*"
 def from_dates(
     where: str, times: pd.Series, seconds: float | None, notes: list[str]
 ) -> tuple[pd.Series, float | None]:
-    """Return times and their unit [s]; dates and times of a clock are counted from the first."""
+    """Return times and their unit [s]; dates and times of a clock are counted from the first.
+
+    Args:
+        where: The beginning of the message.
+        times: The column of times.
+        seconds: Its unit [s] as settings or its name state it; ``None``: unknown.
+        notes: Lines for the log, to which one is added.
+
+    Raises:
+        ConfigError: If the times are words that are no dates.
+    """
     if pd.api.types.is_timedelta64_dtype(times):
         return times.dt.total_seconds(), 1.0
     dated = pd.api.types.is_datetime64_any_dtype(times)
@@ -92,7 +102,15 @@ def _gap(t: np.ndarray) -> float:
 
 
 def check_seconds(where: str, t: np.ndarray) -> None:
-    """Refuse times without a stated unit whose samples would be slow or too fast in seconds."""
+    """Refuse times without a stated unit whose samples would be slow or too fast in seconds.
+
+    Args:
+        where: The beginning of the message.
+        t: The times.
+
+    Raises:
+        ConfigError: If the usual time between samples is beyond ``SLOW`` or ``FAST``.
+    """
     fast, in_order = _gap(t), 2 * np.sum(np.diff(t) > 0) > len(t) - 1
     # other rows are those of several recordings, or in any order
     slow = fast if in_order else _gap(np.unique(t))
@@ -114,6 +132,10 @@ def going_on(table: pd.DataFrame, notes: list[str]) -> pd.Series:
     """Return times that go on where a counter of them starts anew.
 
     Those of microcontrollers have 16 or 32 bits: after each 65536, times begin at zero again.
+
+    Args:
+        table: The table, its times in ``t``.
+        notes: Lines for the log, to which one is added.
     """
     found = table["t"].copy()
     for _, rows in by_trajectory(table):

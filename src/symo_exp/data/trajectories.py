@@ -35,6 +35,10 @@ def numbered_by_clock(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
     """Return a table in which recordings are numbered where the clock starts anew.
 
     A clock starts anew if it goes back by more than half of the time since its last start.
+
+    Args:
+        table: The table, unchanged if it has a column ``trajectory``.
+        notes: Lines for the log, to which one is added.
     """
     if "trajectory" in table:
         return table
@@ -53,7 +57,15 @@ def numbered_by_clock(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
 
 
 def check_order(where: str, table: pd.DataFrame) -> None:
-    """Refuse a clock that was set back: that is a second recording."""
+    """Refuse a clock that was set back: that is a second recording.
+
+    Args:
+        where: The beginning of the message.
+        table: The table.
+
+    Raises:
+        ConfigError: If the times of a trajectory go back.
+    """
     for label, rows in by_trajectory(table):
         t = rows["t"].to_numpy()
         back = np.flatnonzero(np.diff(t) < 0)
@@ -70,6 +82,16 @@ def check_jumps(
     """Refuse a column that is not read and tells recordings apart, between which positions jump.
 
     Gaps between samples are no jumps: recordings are cut there.
+
+    Args:
+        where: The beginning of the message.
+        table: The table.
+        places: Names of the columns of coordinates.
+        unread: Names of the columns that are not read.
+        given: As ``data.columns``.
+
+    Raises:
+        ConfigError: If there is such a column.
     """
     if "trajectory" in table or len(table) < FEWEST:
         return
@@ -92,7 +114,16 @@ def check_jumps(
 
 
 def refuse_wraps(where: str, table: pd.DataFrame, places: Sequence[str]) -> None:
-    """Refuse a coordinate that starts anew after another change than a turn."""
+    """Refuse a coordinate that starts anew after another change than a turn.
+
+    Args:
+        where: The beginning of the message.
+        table: The table.
+        places: Names of the columns of lengths and angles.
+
+    Raises:
+        ConfigError: If there is such a coordinate.
+    """
     if len(table) < FEWEST:
         return
     groups = [rows.sort_values("t", kind="stable") for _, rows in by_trajectory(table)]
@@ -114,6 +145,11 @@ def split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str])
     A blow changes a velocity to that after it, and a sensor that fails for a row leaps twice. A
     step far longer than both of its neighbours, and than all others, is that to the beginning of
     another recording, unless an angle jumps by a turn.
+
+    Args:
+        table: The table, unchanged if it has a column ``trajectory``.
+        places: Names of the columns of lengths and angles.
+        notes: Lines for the log, to which one is added.
     """
     if "trajectory" in table or len(table) < FEWEST or not places:
         return table

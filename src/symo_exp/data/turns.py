@@ -54,7 +54,16 @@ def turned(where: str, samples: Samples, coordinates: Coordinates) -> Samples:
 
 
 def refuse_turns(where: str, samples: Samples, coordinates: Coordinates) -> None:
-    """Refuse angles that jump."""
+    """Refuse angles that jump.
+
+    Args:
+        where: The beginning of the message.
+        samples: The samples, angles in radians.
+        coordinates: Those of the machine.
+
+    Raises:
+        ConfigError: If an angle changes by more than half a turn from one step to the next.
+    """
     bends = np.abs(np.diff(samples.q, 2, axis=0)).max(0, initial=0)
     jumps = _angles(samples, coordinates) & (bends > np.pi)
     if jumps.any():
