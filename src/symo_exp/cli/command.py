@@ -66,10 +66,10 @@ class Command:
 
     def _require_other_names(self) -> None:
         """Refuse a choice of the user's with the name of one of ours, which Hydra would take."""
-        names = [file.relative_to(CONF) for file in CONF.glob("*/**/*.yaml")]
-        for file in (folder / name for folder in self.folders for name in names):
-            if file.is_file():
-                raise ConfigError(f"{file} has the name of a file of symo_exp; rename it")
+        for folder in self.folders:
+            for ours in CONF.glob("*/**/*.yaml"):
+                if (file := folder / ours.relative_to(CONF)).is_file():
+                    raise ConfigError(f"{file} has the name of a file of symo_exp; rename it")
 
     @property
     def runs(self) -> bool:
