@@ -1,0 +1,44 @@
+"""Forces of a system that a model cannot learn are named before the training."""
+
+import pytest
+
+from symo_exp.__main__ import main
+from symo_exp.evaluation.forces import unlearned_forces
+from symo_exp.job.parts import build
+from tests.jobs import job_of
+from tests.tiny import TINY
+
+QUIET = [*TINY, "logger=none", "pictures=false"]
+SPRUNG = """<mujoco><worldbody><body>
+  <joint name="a" axis="0 1 0" stiffness="2"/><geom pos="0 0 -0.5" size="0.1"/>
+</body></worldbody></mujoco>
+"""
+FRICTION, SPRINGS = "learns no friction", "springs on angles"
+MOTOR = "system=mujoco system.model=sprung.xml dissipation=viscous"
+
+
+def test_a_run_says_that_it_learns_no_friction(workplace, capsys):
+    words = ["system=pendulum", "system.viscous=[0.1]", "model=symo", *QUIET, "measures=false"]
+    assert main(words) == 0
+    assert FRICTION in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    ("words", "lacks"),
+    [
+        ("model=symo system.viscous=[0.1]", [FRICTION]),
+        ("model=symo system.viscous=[0.1] dissipation=viscous", []),
+        ("model=l_node system.coulomb=[0.1]", [FRICTION]),
+        ("model=node system.viscous=[0.1]", []),
+        ("model=symo", []),
+        (f"model=symo {MOTOR}", [SPRINGS]),
+        (f"model=symo {MOTOR} springs=linear dtype=float64", []),
+    ],
+)
+def test_forces_that_a_model_cannot_learn_are_named(words, lacks, workplace):
+    (workplace / "sprung.xml").write_text(SPRUNG)
+    job = job_of("system=pendulum", *words.split(), *QUIET)
+    parts = build(job.values, job.folder)
+    found = list(unlearned_forces(parts.model, parts.system))
+    assert len(found) == len(lacks), found
+    assert all(part in line for part, line in zip(lacks, found, strict=True))
