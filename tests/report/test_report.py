@@ -376,6 +376,31 @@ def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):
     assert not (out / "tables" / "accuracy.md").exists()
 
 
+@pytest.mark.parametrize("seeds", [1, 2])
+def test_notes_and_captions_speak_of_several_seeds_if_there_are_several(seeds):
+    of = [
+        {"method": method, "seed": seed, "n_traj": n, "noise_std": noise, "integrator": name}
+        for method, name in (("symo", "midpoint"), ("symo", "galerkin4"), ("node", "rk4"))
+        for seed in range(seeds) for n, noise in ((8, 0.0), (32, 0.0), (32, 0.01), (32, 0.02))
+    ]  # fmt: skip
+    rows = [row(**cell) for cell in of]
+    rows += [
+        row(MEASURES | {"coordinates": float(n)}, system="chain", variant=f"system.links={n}",
+            seed=seed)
+        for n in (1, 2) for seed in range(seeds)
+    ]  # fmt: skip
+    rows += [recorded("arm.csv", "symo", 0.1, seed=seed) for seed in range(seeds)]
+    sections = general_report(tidy(rows), "it", settings="defaults").sections
+    found = {figure.key: figure.caption for s in sections for figure in s.figures}
+    found |= {f"{table.key} ": " ".join(table.notes) for s in sections for table in s.tables}
+    found = {key: text for key, text in found.items() if text and key != "speed"}
+    kinds = ("data_size", "noise", "order", "growth", "recording", "best", "accuracy")
+    assert {kind for kind in kinds if any(key.startswith(kind) for key in found)} == set(kinds)
+    for key, text in found.items():
+        assert ("over the seeds" in text) == (seeds > 1), key
+        assert seeds > 1 or "band" not in text, key
+
+
 def test_a_report_of_simulated_runs_starts_without_pytorch():
     modules = "document, files, overview, page"
     code = f"from symo_exp.report import {modules}; import sys; assert 'torch' not in sys.modules"

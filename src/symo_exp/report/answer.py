@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from symo_exp.report.cells import DEFAULTS, Compared, settings_of
+from symo_exp.report.cells import DEFAULTS, Compared, over_seeds, settings_of
 from symo_exp.report.looks import (
     all_angles,
     in_order,
@@ -29,7 +29,6 @@ DIVERGED = 30.0
 """The power of ten that ``logarithms`` returns for infinite values."""
 LEVEL = 0.022
 """Margin in powers of ten, a factor of 1.05, below which two methods are level."""
-AGAINST = "n: training trajectories. Medians over the seeds; × times the best, which is bold."
 
 
 class Question(NamedTuple):
@@ -250,12 +249,13 @@ def _interval(found: Ranked, best: str, second: str) -> tuple[float, float]:
 
 def heat_map(system: str, found: Iterable[Ranked]) -> ResultTable:
     """Return a table with a row for each contestant and a column for each measure."""
-    texts, shades = {}, {}
+    texts, shades, seeds = {}, {}, [0]
     for one in found:
         medians = one.medians()
         if system not in medians.index:
             continue
         here = medians.loc[system].dropna()
+        seeds.append(one.values.loc[[system]].notna().to_numpy().sum(axis=0).max())
         where = f", σ={number(one.noise)}" * bool(one.noise) + f", n={one.size:g}" * bool(one.size)
         what = measure_name(one.metric, one.angular[system]) + where
         texts[what] = pd.Series([_against(x, here.min()) for x in here], here.index)
@@ -266,7 +266,8 @@ def heat_map(system: str, found: Iterable[Ranked]) -> ResultTable:
     marks = pd.DataFrame(shades, names)
     rows.insert(0, "", names)
     marks.insert(0, "", np.nan)
-    notes = [AGAINST] if marks.notna().any(axis=None) else []
+    note = f"n: training trajectories. {over_seeds(max(seeds))}; × times the best, which is bold."
+    notes = [note] if marks.notna().any(axis=None) else []
     return ResultTable(f"best_{letters(system)}", system, rows, notes, system=system, shades=marks)
 
 

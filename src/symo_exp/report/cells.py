@@ -15,8 +15,6 @@ from symo_exp.report.runs import CELL
 SUMMARY = ["seeds", "median", "low", "high", "seconds"]
 DEFAULTS = "defaults"
 """Printed name of the settings of runs that change none."""
-MEDIANS = "Medians over the seeds. Training: processor time of all optimiser steps."
-"""Note below tables of cells."""
 
 
 class Compared(NamedTuple):
@@ -49,6 +47,16 @@ def cells(runs: pd.DataFrame) -> pd.DataFrame:
         seconds=("seconds", "median"),
     )
     return found.reset_index()
+
+
+def over_seeds(most: float, several: str = "Medians over the seeds") -> str:
+    """Return how values are summarised, where no cell has more than ``most`` seeds."""
+    return several if most > 1 else "One seed"
+
+
+def table_note(found: pd.DataFrame) -> str:
+    """Return the note below a table of cells."""
+    return f"{over_seeds(found.seeds.max())}. Training: processor time of all optimiser steps."
 
 
 def last_compared(runs: pd.DataFrame, settings: str | None) -> Compared:

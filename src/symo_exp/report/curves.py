@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from symo_exp.report.cells import DEFAULTS
+from symo_exp.report.cells import DEFAULTS, over_seeds
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import (
     all_angles,
@@ -30,7 +30,6 @@ GROUPS = {
 FLOORED = ("test_mse", "integration_mse", "energy_mse", "valid_steps")
 """Measures that the true system in the same integrator bounds."""
 OVER_ORDER = ("test_mse", "integration_mse_100", "energy_mse", "inertia_mse_aligned")
-SPREAD = "Median over the seeds; the band is from the lowest to the highest."
 AT = 32
 """Number of training trajectories at which noises, orders and motions are compared, if there are
 runs with it."""
@@ -84,6 +83,14 @@ def panels(rows: pd.DataFrame, axis: Axis, metrics: Iterable[str]) -> list[Panel
     return made
 
 
+def spread(rows: pd.DataFrame) -> str:
+    """Return a sentence on the lines and bands of learned cells."""
+    most = rows[rows.source == "ours"].seeds.max()
+    return (
+        over_seeds(most, "Median over the seeds; the band is from the lowest to the highest") + "."
+    )
+
+
 def usual_sizes(rows: pd.DataFrame) -> pd.Series:
     """Return ``AT`` for each system that has it, the most frequent size for others."""
     there = rows.dropna(subset="n_traj").groupby("system").n_traj
@@ -106,7 +113,7 @@ def data_size(found: pd.DataFrame) -> list[Figure]:
             across = "" if floors.empty else " Lines across: the true system in that integrator."
             title = f"{system}: {topic} over the training set"
             drawn = panels(rows, SIZE, metrics)
-            made.append(Figure(f"data_size_{system}_{name}", title, SPREAD + across, drawn))
+            made.append(Figure(f"data_size_{system}_{name}", title, spread(rows) + across, drawn))
     return made
 
 
@@ -117,7 +124,6 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
     at = found.n_traj == found.system.map(sizes)
     rows = _with_floors(found[at | (found.source == "floor")], NOISE)
     ours = rows[rows.source == "ours"].groupby("system").noise_std.unique()
-    caption = f"{SPREAD} Tested on clean data."
     made = []
     for system, noises in ours[ours.map(len) > 1].items():
         here = rows[(rows.system == system)]
@@ -127,6 +133,7 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
         angular = all_angles(here.metric, here["median"])
         q = label_and_unit("rmse_1s", angular)[1]
         axis = NOISE._replace(label=f"{NOISE.label} [{q}; {q.replace(',', '/s,')}/s]")
+        caption = f"{spread(here)} Tested on clean data."
         made.append(Figure(f"noise_{system}", title, caption, panels(here, axis, ERRORS)))
     return made
 
@@ -175,12 +182,12 @@ def over_order(found: pd.DataFrame) -> list[Figure]:
     clean = clean[clean.n_traj == clean.system.map(usual_sizes(clean))]
     several = clean.groupby(["variant", "method"]).text.transform("nunique") > 1
     floors = ordered[(ordered.source == "floor") & (ordered["median"] > 0)]
-    caption = f"{SPREAD} Without colour: the true system in that integrator."
     made = []
     for variant, mine in clean[several].groupby("variant"):
         settings = str(variant) or DEFAULTS
         rows = pd.concat([mine, floors[floors.system.isin(mine.system)]])
         title = f"Errors over the order of the integrator ({settings})"
+        caption = f"{spread(rows)} Without colour: the true system in that integrator."
         drawn = panels(rows, ORDER, OVER_ORDER)
         made.append(Figure(f"order_{letters(settings)}", title, caption, drawn, columns=4))
     return made

@@ -32,10 +32,6 @@ from symo_exp.report.tables import ResultTable
 TESTED = "windows"
 """A measure of all runs that were measured on the test part."""
 TIMES = {"usable_s": "usable [s]", "valid_s": "error below 0.1 [s]"}
-WINDOWS = (
-    "Medians over the windows of the test part, and over the seeds; open loop from fitted starts."
-)
-BEST = f"{WINDOWS} Of each method, the settings with the smallest error to 1 s."
 KEYS = ["method", "integrator", "settings", "time_step"]
 """Columns that identify a model."""
 PATH = re.compile(r"(?:^|, )data\.path=(?:\[[^\]]*\]|[^,]*)")
@@ -90,13 +86,20 @@ def section(name: str, rows: pd.DataFrame) -> Section:
     medians, key = _medians(rows), f"recording_{letters(name)}"
     tested = (rows.metric == TESTED).any()
     tables = [_errors_table(medians, key, _unit(rows))] if tested else []
-    figures = [Figure(f"{key}_horizon", "Error over the horizon", BEST, _panels(rows, medians))]
+    caption = f"{_summary(medians)} Of each method, the settings with the smallest error to 1 s."
+    figures = [Figure(f"{key}_horizon", "Error over the horizon", caption, _panels(rows, medians))]
     best = rows.merge(medians[KEYS].head(1), on=KEYS).sort_values("seed", kind="stable").iloc[0]
     if (folder := local_folder(best.files)) is not None:
         title = pair_name(best.method, best.integrator)
         figures += model_figures(folder, best.method, title, f"{key}_")
         tables += [parameters_table(folder, key), search_table(folder, key)]
     return Section(key, f"Recording {name}", tables=tables, figures=figures)
+
+
+def _summary(medians: pd.DataFrame) -> str:
+    """Return a sentence on what the errors are."""
+    seeds = ", and over the seeds" * bool(medians.seeds.max() > 1)
+    return f"Medians over the windows of the test part{seeds}; open loop from fitted starts."
 
 
 def _unit(rows: pd.DataFrame) -> str:
@@ -118,7 +121,7 @@ def _errors_table(medians: pd.DataFrame, key: str, unit: str) -> ResultTable:
             lines.append([known.label, "", *line, ""])
     errors = [f"RMSE to {h:g} s [{unit}]" for h in ERRORS.values()]
     columns = pd.DataFrame(lines, columns=["", "seeds", *errors, *TIMES.values(), "verdict"])
-    return ResultTable(key, "Errors of open-loop predictions", columns, [WINDOWS])
+    return ResultTable(key, "Errors of open-loop predictions", columns, [_summary(medians)])
 
 
 def _baseline(medians: pd.DataFrame, name: str) -> pd.Series:

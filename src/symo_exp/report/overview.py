@@ -8,7 +8,7 @@ import pandas as pd
 
 from symo_exp.report import curves, held_out, motions
 from symo_exp.report.answer import answers, other_settings
-from symo_exp.report.cells import DEFAULTS, MEDIANS, Compared, at_step, cells, usual_steps
+from symo_exp.report.cells import DEFAULTS, Compared, at_step, cells, table_note, usual_steps
 from symo_exp.report.document import Section
 from symo_exp.report.growth import growth
 from symo_exp.report.looks import (
@@ -161,7 +161,7 @@ def accuracy(found: pd.DataFrame) -> ResultTable:
         }
     ).join(wide.drop(columns=keys))
     title = "Accuracy by settings, method and integrator"
-    return ResultTable("accuracy", title, rows, [MEDIANS])
+    return ResultTable("accuracy", title, rows, [table_note(learned)])
 
 
 def floor_table(found: pd.DataFrame) -> ResultTable:
