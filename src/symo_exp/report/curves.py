@@ -83,7 +83,7 @@ def panels(rows: pd.DataFrame, axis: Axis, metrics: Iterable[str]) -> list[Panel
     return made
 
 
-def spread(rows: pd.DataFrame) -> str:
+def seeds_caption(rows: pd.DataFrame) -> str:
     """Return a sentence on the lines and bands of learned cells."""
     most = rows[rows.source == "ours"].seeds.max()
     return (
@@ -113,7 +113,9 @@ def data_size(found: pd.DataFrame) -> list[Figure]:
             across = "" if floors.empty else " Lines across: the true system in that integrator."
             title = f"{system}: {topic} over the training set"
             drawn = panels(rows, SIZE, metrics)
-            made.append(Figure(f"data_size_{system}_{name}", title, spread(rows) + across, drawn))
+            made.append(
+                Figure(f"data_size_{system}_{name}", title, seeds_caption(rows) + across, drawn)
+            )
     return made
 
 
@@ -133,7 +135,7 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
         angular = all_angles(here.metric, here["median"])
         q = label_and_unit("rmse_1s", angular)[1]
         axis = NOISE._replace(label=f"{NOISE.label} [{q}; {q.replace(',', '/s,')}/s]")
-        caption = f"{spread(here)} Tested on clean data."
+        caption = f"{seeds_caption(here)} Tested on clean data."
         made.append(Figure(f"noise_{system}", title, caption, panels(here, axis, ERRORS)))
     return made
 
@@ -187,7 +189,7 @@ def over_order(found: pd.DataFrame) -> list[Figure]:
         settings = str(variant) or DEFAULTS
         rows = pd.concat([mine, floors[floors.system.isin(mine.system)]])
         title = f"Errors over the order of the integrator ({settings})"
-        caption = f"{spread(rows)} Without colour: the true system in that integrator."
+        caption = f"{seeds_caption(rows)} Without colour: the true system in that integrator."
         drawn = panels(rows, ORDER, OVER_ORDER)
         made.append(Figure(f"order_{letters(settings)}", title, caption, drawn, columns=4))
     return made
