@@ -105,6 +105,9 @@ def test_a_machine_without_friction_has_a_model_without(workplace, capsys):
     assert chosen.endswith("no friction")
 
 
+MISSED = "left out for lack of time", "not yet on "
+
+
 @pytest.mark.slow
 def test_a_search_without_time_says_what_it_leaves_out_and_repeats_itself(
     workplace, capsys, monkeypatch
@@ -115,15 +118,15 @@ def test_a_search_without_time_says_what_it_leaves_out_and_repeats_itself(
              "logger=none", "pictures=false", "dissipation=viscous"]  # fmt: skip
     assert main(words) == 0
     said = capsys.readouterr().out
-    assert "no time left for" in said
+    assert any(line.startswith(MISSED) for line in said.splitlines())
     assert "whatever its name says: dissipation=viscous\n" in said
     (untried,) = (line for line in said.splitlines() if line.startswith("with a larger budget"))
     tried = pd.read_csv(workplace / "outputs" / "machine_mine" / "candidates.csv").candidate
     assert set(untried.partition(": ")[2].split("; ")).isdisjoint(tried)
     assert main(words) == 0
     again = capsys.readouterr().out
-    left_out = [line for line in said.splitlines() if line.startswith("no time left for")]
-    assert left_out == [line for line in again.splitlines() if line.startswith("no time left for")]
+    left_out = [line for line in said.splitlines() if line.startswith(MISSED)]
+    assert left_out == [line for line in again.splitlines() if line.startswith(MISSED)]
     assert again.splitlines()[-3:] == said.splitlines()[-3:]
     link = workplace / "outputs" / "machine_mine" / "best"
     chosen = os.path.relpath(link.resolve())

@@ -129,9 +129,9 @@ class Trials:
         if missed := [c.name for c in candidates if c not in found]:
             base = f"{best.candidate.name}, "
             varied = all(name.startswith(base) for name in missed)
-            of = f" variations of {best.candidate.name}" if varied else ""
+            of = f", variations of {best.candidate.name}" if varied else ""
             names = (name.removeprefix(base) if varied else name for name in missed)
-            print(f"no time left for{of}: {'; '.join(names)}", flush=True)
+            print(f"left out for lack of time{of}: {'; '.join(names)}", flush=True)
         return found
 
     def in_time_for(self, candidates: Sequence[Candidate], folds: Sequence[int]) -> list[Candidate]:
@@ -146,7 +146,8 @@ class Trials:
         left = self._left(self._trials[candidates[0].name]) if candidates else 0.0
         found = _fitting(candidates, needed, left - self._plan.reserved)
         if missed := [c.name for c in candidates if c not in found]:
-            print(f"no time left for {len(folds)} folds of {'; '.join(missed)}", flush=True)
+            kept = "to keep time for other candidates"
+            print(f"not yet on {len(folds)} folds, {kept}: {'; '.join(missed)}", flush=True)
         return found
 
     def planned(self, candidate: Candidate) -> float:
