@@ -133,8 +133,10 @@ BAD = [
     *((f"net={x}", "net is not one value", "give the settings of net, ") for x in ("3", "null")),
     ("springs={a:1}", "springs={a: 1}", "a class (_target_)"),
     ("study={a:1}", "study.a is not a setting", "nothing"),
-    ("seed=${nowhere}", "seed: ", "'nowhere' not found"),
-    ("hydra.sweep.subdir=${hydra.job.num}", "hydra.sweep.subdir: ", "not found"),
+    ("seed=${nowhere}", "seed refers to nowhere", "--cfg job"),
+    ("~net.width", "lagrangian.width refers to net.width", "deleted by ~net.width"),
+    ("~net.width=8", "~net.width=8: its value is 128", "write ~net.width"),
+    ("hydra.sweep.subdir=${hydra.job.num}", "hydra.sweep.subdir refers to hydra.job.num", "--cfg"),
     ("root.training.tolerance=0", "0", "tolerance must be positive"),
     ("root.training.max_iterations=0", "0", "max_iterations must be at least 1"),
     ("system.mass=-1", "system.mass=-1", "above 0"),
@@ -167,6 +169,10 @@ BAD = [
     ("-m data.n_traj=8,16 seed=0,0", "seed=0,0", "0 is given twice"),
     ("-m trainer.progress=true,false", "trainer.progress=", "same run"),
     ("-m data.noise_std=interval(0,1)", "interval(0,1)", "range(...)"),
+    *(
+        (f"-m {x}", x, "range(start,stop,step)")
+        for x in ("seed=range(0,3,0)", "net.width=range(0,3,0.0)", "seed=shuffle(range(0,3,0))")
+    ),
     ("-m model=node,symoo", "model=symoo", "did you mean symo"),
     ("-m model=glob(x*)", "model=glob(x*)", "-h lists"),
     ("-cn smoke data.noise_std=0,-1", "noise_std=-1", "at least 0"),

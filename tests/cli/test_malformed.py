@@ -29,7 +29,7 @@ YAML = {
         NODE + "_args_: [1, 2]\ninteger: 3\n",
         "does not take it; did you mean model.integrator",
     ),
-    "dangling": (NODE + "net: ${nowhere}\n", "'nowhere' not found"),
+    "dangling": (NODE + "net: ${nowhere}\n", "model.net refers to nowhere, which is not a setting"),
     "circle": (NODE + "net: ${model.integrator}\nintegrator: ${model.net}\n", "model.net"),
 }
 """Contents of a model file, and words of the refusal."""

@@ -18,6 +18,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import (
     ConfigAttributeError,
     ConfigKeyError,
+    InterpolationKeyError,
     InterpolationResolutionError,
     OmegaConfBaseException,
 )
@@ -59,6 +60,15 @@ def _unknown_setting(error: ConfigKeyError | ConfigAttributeError) -> ConfigErro
     return unknown_key(name, there, there.get("_target_"))
 
 
+def _no_setting(error: InterpolationKeyError) -> ConfigError | None:
+    """Return the error for a setting that others refer to and that does not exist."""
+    if found := re.search(r"Interpolation key '(\S+)' not found", str(error)):
+        name = found[1]
+        told = f"{error.full_key} refers to {name}, which is not a setting or deleted by ~{name}"
+        return ConfigError(f"{told} (--cfg job shows all)")
+    return None
+
+
 def _no_settings(error: InterpolationResolutionError) -> ConfigError | None:
     """Return the error for a value instead of settings that others refer to."""
     found = re.search(r"trying to access (\S+): node `(\S+)` is not a container", str(error))
@@ -72,10 +82,13 @@ def _no_settings(error: InterpolationResolutionError) -> ConfigError | None:
 
 
 def _wrong_sign(error: ConfigCompositionException) -> ConfigError | None:
-    """Return the error for a ``~`` before what is not there, a ``+`` before what is."""
+    """Return the error for a ``~`` before what is not there so, a ``+`` before what is there."""
     if found := re.search(r"delete from config. '(\S+)' does not exist", str(error)):
         name = found[1]
         return ConfigError(f"~{name}: {name} is not a setting (--cfg job shows all)")
+    if found := re.search(r"value of '(\S+)' is (.*) and not (.*)\.$", str(error)):
+        name, value, other = found.groups()
+        return ConfigError(f"~{name}={other}: its value is {value}; write ~{name}")
     if found := re.search(r"Either remove \+ prefix: '(.*)'", str(error)):
         word = found[1]
         name = word.partition("=")[0]
@@ -137,6 +150,7 @@ EXPLAINED: dict[type[BaseException], Callable[[Any], ConfigError | None]] = {
     OverrideParseException: _unreadable_value,
     ConfigCompositionException: _wrong_sign,
     MissingConfigException: _missing_file,
+    InterpolationKeyError: _no_setting,
     InterpolationResolutionError: _no_settings,
     ConfigKeyError: _unknown_setting,
     ConfigAttributeError: _unknown_setting,

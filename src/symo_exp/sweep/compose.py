@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType, ValueType
+from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 
 from symo_exp.errors import ConfigError
@@ -84,7 +85,11 @@ def expand(
 
 def _values(override: Override) -> list[str]:
     """Return the values that an override sweeps, of which there has to be one, and none twice."""
-    values = list(override.sweep_string_iterator())
+    try:
+        values = list(override.sweep_string_iterator())
+    except (ValueError, HydraException) as error:  # of Python for whole numbers, else of Hydra
+        told = "the step of a range is not 0; write range(start,stop,step)"
+        raise ConfigError(f"{override.input_line}: {told}") from error
     twice = [value for place, value in enumerate(values) if value in values[:place]]
     told = f"{twice[0]} is given twice" if twice else ""
     if not values:
