@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -67,7 +68,33 @@ def instance(key: str, value: object, kind: type) -> None:
     """Raise ``ConfigError`` unless ``value`` is of a class, such as that which a user extends."""
     if not isinstance(value, kind):
         given = "null" if value is None else type(value).__name__
+        if isinstance(value, type):
+            given = f"the class {value.__name__}"
         raise ConfigError(f"{key} is {given}: expected a {kind.__module__}.{kind.__name__}")
+
+
+def function(key: str, value: object, wanted: str, *given: object, **named: object) -> None:
+    """Raise ``ConfigError`` unless ``value`` can be called with these arguments.
+
+    Args:
+        key: The name of the value, for the error.
+        value: What was given.
+        wanted: What was expected, for the error.
+        given: Arguments by position, of which only the number counts.
+        named: Arguments by name, of which only the names count.
+    """
+    told = type(value).__name__
+    if callable(value):
+        try:
+            signature = inspect.signature(value)
+        except ValueError:  # of a function that is not written in Python
+            return
+        try:
+            signature.bind(*given, **named)
+            return
+        except TypeError:
+            told = f"{getattr(value, '__name__', told)}{signature}"
+    raise ConfigError(f"{key} is {told}: expected {wanted}")
 
 
 def dictionary(key: str, value: object, names: Iterable[str]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Systems, methods and measures of a user are a class and a file in a folder of the user."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -142,6 +143,45 @@ def test_a_stored_run_is_loaded_without_code_that_is_not_given(mine, workplace):
     assert not (workplace / "harm").exists()
 
 
+DATACLASS = "@dataclass(frozen=True, kw_only=True)\n"
+MISTAKES = [
+    ("system", DATACLASS, "", "system.mass is set by a file.*it has this field: write @dataclass"),
+    ("system", "(LagrangianSystem)", "", r"expected a class that inherits from \S+.System"),
+    ("system", 'names=("x",)', 'names="x"', "Spring.coordinates has names=x and angular="),
+    ("system", "angular=(False,)", "angular=False", "Spring.coordinates has .*angular=False"),
+    ("system", "    def mass_matrix", "    def __post_init__(self): pass\n\n    def mass_matrix",
+     "Spring.__post_init__ does not call super"),
+    ("method", "(DynamicsModel)", "", r"expected a class that inherits from \S+.DynamicsModel"),
+    ("method", "super().__init__(flow, coordinates=coordinates, objective=StateError())", "pass",
+     "ReversibleNODE.__init__ does not call super"),
+    ("method", "__init__(flow,", "__init__(field,", r"flow is Reversible: expected a \S+.Flow"),
+    ("method", "flow, coordinates=coordinates", "flow, coordinates=None", "coordinates is null: "),
+    ("method", "objective=StateError()", "objective=StateError", "objective is the class StateErr"),
+    ("method", "return 0.5", "0.5", "Reversible.forward.* returns NoneType: expected a tensor"),
+    ("method", "-v, u))", "-v, u)).sum(1)", r"has shape \(3,\) for v .* expected \(3, 1\)"),
+    ("objective", "(Objective)", "", r"objective is Bounded: expected a \S+.Objective"),
+    ("objective", "self, flow, windows", "self, flow", r"Bounded.*fails: TypeError: .*takes 2 pos"),
+    ("objective", "return Residuals", "return ", "the result of Bounded.* is Tensor: expected a "),
+    ("objective", ".tanh())", ".tanh().sum())", r"values of Bounded.* has shape \(\)"),
+    ("measure", DATACLASS, "", "study.largest.name is set by a file.*write @dataclass"),
+    ("measure", "__call__", "call", "study=largest is Largest: expected a class with the m"),
+    ("measure", "model, system, data, *,", "model, *,", r"study=largest is Largest\(model, \*,"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("what", "before", "after", "said"), MISTAKES)
+def test_a_mistake_in_a_class_is_refused_before_anything_starts(what, before, after, said, mine):
+    name = f"{what}_{MISTAKES.index((what, before, after, said))}"  # a module is imported once
+    file = mine / f"mine_{what}.py"
+    text = file.read_text()
+    assert before in text
+    (mine / f"{name}.py").write_text(text.replace(before, after))
+    (where,) = (path for path in mine.rglob("*.yaml") if f"mine_{what}." in path.read_text())
+    where.write_text(where.read_text().replace(f"mine_{what}.", f"{name}."))
+    told = refusal("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
+    assert re.search(said, told)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "error", "said"),
     [
@@ -238,11 +278,11 @@ def test_results_of_code_that_has_changed_since_are_warned_of(mine, capsys):
 
 
 @pytest.mark.parametrize(("part", "others"), [("model", []), ("system", ["model=node"])])
-def test_a_class_of_another_kind_is_refused(part, others, workplace):
+def test_a_function_that_returns_another_kind_is_refused(part, others, workplace):
     (workplace / part).mkdir()
-    code = "class Other:\n    def __init__(self, **given): pass\n"
+    code = "class Other: pass\n\ndef other(**given): return Other()\n"
     (workplace / "another_kind.py").write_text(code)
-    text = "_target_: another_kind.Other\n"
+    text = "_target_: another_kind.other\n"
     if part == "system":
         text = f"# @package _global_\nsystem: {{{text.strip()}}}\nlearning_rate: 1e-3\n"
     (workplace / part / "other.yaml").write_text(text)

@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from symo_exp.checks import function
 from symo_exp.errors import ConfigError
 
 
@@ -53,6 +54,17 @@ class Finding:
     def named(self, name: str) -> Finding:
         """Return the same with a prefix of the measures."""
         return Finding(self.columns, {f"{name}_{key}": x for key, x in self.measures.items()})
+
+
+def check_study(told: str, study: object) -> None:
+    """Refuse a study that cannot be called with a model, a system and data.
+
+    Args:
+        told: The setting that names it, for the error.
+        study: The study, which may be a user's.
+    """
+    wanted = "a class with the method __call__(self, model, system, data, *, remember=afresh)"
+    function(told, study, wanted, None, None, None, remember=afresh)
 
 
 def _number(name: str, value: object) -> float:

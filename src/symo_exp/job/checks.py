@@ -8,6 +8,7 @@ import inspect
 import json
 import math
 import os
+import pkgutil
 import tempfile
 import typing
 from collections.abc import Callable, Iterable, Mapping
@@ -26,6 +27,10 @@ from symo_exp.job.config import PARTS, Settings
 from symo_exp.job.moved import MOVED
 from symo_exp.shell import override_value
 
+KINDS = {
+    "system": "symo_exp.systems.base.System", "model": "symo_exp.models.base.DynamicsModel"
+}  # fmt: skip
+"""Classes from which those of parts inherit; to import them takes as long as to import PyTorch."""
 LONGEST = 255
 """Bytes of the name of a folder, which file systems allow."""
 
@@ -67,7 +72,9 @@ def check_settings(
         prefix: The name, with a dot.
     """
     if "_target_" in node:
-        hints = _parameters(node["_target_"], f"{prefix}_target_")
+        made = code.locate(node["_target_"], f"{prefix}_target_")
+        _check_kind(prefix.removesuffix("."), made)
+        hints = _parameters(made)
     else:
         hints = {key: bool if isinstance(x, bool) else Any for key, x in known.items()}
     for key, value in node.items():
@@ -132,11 +139,17 @@ def _not_taken(
     key: str, node: Mapping[str, Any], hints: Mapping[str, Any], prefix: str
 ) -> ConfigError:
     """Return the error for a setting of a file, such as a preset, that a class does not take."""
+    told = f"{prefix}{key} is set by a file, and {node['_target_']} does not take it"
+    made = code.locate(node["_target_"], f"{prefix}_target_")
+    if any(key in inspect.get_annotations(kind) for kind in getattr(made, "__mro__", ())):
+        return ConfigError(
+            f"{told}, although it has this field: write @dataclass(frozen=True, kw_only=True) "
+            "above the class"
+        )
     others = [k for k in node if k not in hints and k not in _INSTANTIATE_KEYS]
     mend = " ".join(f"~{prefix}{k}" for k in others if node[k] is not None)  # which Hydra deletes
     hint = did_you_mean(key, hints, prefix)
     hint += f"; to leave out what it does not take: {mend}" if mend else ""
-    told = f"{prefix}{key} is set by a file, and {node['_target_']} does not take it"
     return ConfigError(f"{told}{hint}")
 
 
@@ -170,9 +183,17 @@ def did_you_mean(
     return f"; did you mean {' or '.join(prefix + one for one in close)}?" if close else ""
 
 
-def _parameters(target: Any, where: str) -> Mapping[str, Any]:
+def _check_kind(part: str, made: Callable[..., Any]) -> None:
+    """Refuse a class that does not inherit from that of its part; a function may return any."""
+    if part in KINDS and inspect.isclass(made):
+        kind: type = pkgutil.resolve_name(KINDS[part])
+        if not issubclass(made, kind):
+            told = f"{part}._target_={made.__module__}.{made.__qualname__}"
+            raise ConfigError(f"{told}: expected a class that inherits from {KINDS[part]}")
+
+
+def _parameters(made: Callable[..., Any]) -> Mapping[str, Any]:
     """Return the names and type annotations of a constructor's arguments."""
-    made = code.locate(target, where)
     try:
         signature = inspect.signature(made, eval_str=True)
     except (NameError, TypeError):  # names that only a type checker imports

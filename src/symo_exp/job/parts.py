@@ -15,13 +15,16 @@ from symo_exp import code
 from symo_exp.checks import instance, one_of, real, whole_number
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.evaluation.references import check_fit
+from symo_exp.evaluation.study import check_study
 from symo_exp.models.base import DynamicsModel
+from symo_exp.models.objectives import check_objective
 from symo_exp.optim.base import EpochOptimizer
 from symo_exp.runs.digest import digest, kernels
 from symo_exp.runs.folder import CHECKPOINTS, SERIES, RunFolder
 from symo_exp.runs.load import raised_by_constructor
 from symo_exp.runs.series import Series
 from symo_exp.systems.base import System
+from symo_exp.systems.box import SamplingBox
 from symo_exp.training.recording import SeriesRecorder
 
 LEAST = {"T_max": 1, "patience": 0, "cooldown": 0}
@@ -56,6 +59,10 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     lightning.seed_everything(seed, verbose=False)
     system = make(settings, "system")
     instance("system", system, System)
+    if not isinstance(system.box, SamplingBox | None):
+        raise ConfigError(
+            f"{type(system).__name__}.__post_init__ does not call super().__post_init__()"
+        )
     data = make(settings, "data", system=system)
     dtype = settings["dtype"]
     if (given := settings["data"].get("dtype", dtype)) != dtype:
@@ -69,15 +76,20 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
             time_step=system.time_step,
         )
     instance("model", model, DynamicsModel)
+    if not hasattr(model, "flow"):
+        raise ConfigError(
+            f"{type(model).__name__}.__init__ does not call super().__init__(flow, coordinates=...)"
+        )
     learner = make(settings, "learner", model=model) if model.learns else None
     reference = _reference(settings, system, data) if "reference" in settings else None
     for name in settings["study"]:
-        make(settings["study"], name)
+        check_study(f"study={name}", make(settings["study"], name))
     tracker = make(settings, "logger")
     recorder = SeriesRecorder(
         Series(folder / SERIES), lambda: tracker.publish(folder), tracker.flush_seconds
     )
     if learner is not None:
+        check_objective(learner.objective, model)
         _check_optimizer(learner, settings["trainer"].get("accelerator", "cpu"))
     run, compiled = digest(settings), kernels(settings)
     trainer = make(

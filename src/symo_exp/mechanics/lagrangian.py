@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.errors import ConfigError, first_line
+from symo_exp.mechanics.returned import checked_tensor, returned
 from symo_exp.mechanics.rows import Rowwise
 from symo_exp.mechanics.space import FLAT, Space
 
@@ -231,24 +231,9 @@ def evaluated(lagrangian: Lagrangian, q: Float[Tensor, "batch N"], n: int) -> di
     found: dict[str, Tensor] = {}
     for name, shape in (("mass_matrix", (len(q), n, n)), ("potential", (len(q),))):
         told = f"{type(lagrangian).__name__}.{name}(q)"
-        try:
-            value = getattr(lagrangian, name)(q)
-        except Exception as error:
-            kind = type(error).__name__
-            raise ConfigError(f"{told} fails: {kind}: {first_line(error)}") from error
-        if not isinstance(value, Tensor):
-            raise ConfigError(f"{told} returns {type(value).__name__}: expected a tensor")
-        if tuple(value.shape) != shape:
-            raise ConfigError(
-                f"{told} has shape {tuple(value.shape)} for q of shape {tuple(q.shape)}: "
-                f"expected {shape}"
-            )
-        if value.dtype != q.dtype:
-            raise ConfigError(
-                f"{told} has dtype {value.dtype} for q of {q.dtype}: expected that of q; "
-                "new tensors have it by dtype=q.dtype"
-            )
-        found[name] = value
+        value = returned(told, getattr(lagrangian, name), q)
+        given = f"q of shape {tuple(q.shape)}"
+        found[name] = checked_tensor(told, value, shape, q.dtype, given)
     return found
 
 

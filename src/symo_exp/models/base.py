@@ -9,7 +9,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from symo_exp.checks import whole_number
+from symo_exp.checks import instance, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation
 from symo_exp.mechanics.lagrangian import Lagrangian
@@ -51,6 +51,8 @@ class DynamicsModel(nn.Module):
         evaluation_dtype: Literal["float32", "float64"] = "float64",
     ) -> None:
         super().__init__()
+        instance("flow", flow, Flow)
+        instance("coordinates", coordinates, Coordinates)
         self.flow, self.coordinates, self.time_step = flow, coordinates, flow.time_step
         if coordinates.units != SI:
             action, sizes = coordinates.units.size("N m s"), coordinates.sizes

@@ -24,6 +24,7 @@ from symo_exp.mechanics.chart import Controlled
 from symo_exp.mechanics.explicit import RungeKutta
 from symo_exp.mechanics.geodesic import on_space
 from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.returned import checked_tensor, returned
 from symo_exp.mechanics.roots import Newton, RootFinder, Sizes, iterate
 from symo_exp.mechanics.space import FLAT, Space
 from symo_exp.mechanics.stretches import StretchMatching, StretchNewton, StretchPoint
@@ -238,6 +239,7 @@ class ExplicitFlow(Flow):
         rollout_integrator: RungeKutta | None = None,
     ) -> None:
         super().__init__(time_step)
+        instance("field", field, Field)
         for rule in (integrator, rollout_integrator or integrator):
             instance("integrator", rule, RungeKutta)
         one_of("model.sensitivity", sensitivity, ("direct", "adjoint"))
@@ -255,6 +257,7 @@ class ExplicitFlow(Flow):
         self.rollout_integrator = rollout_integrator or integrator
         self.space = field.space
         self.branch_free = sensitivity == "direct"
+        _check_field(field)
 
     @property
     @override
@@ -508,6 +511,17 @@ class VariationalFlow(Flow):
         """Return ``p_k = p⁺(q_{k−1}, q_k)``; ``at`` is the expansion of ``L_d`` there, if known."""
         forces = self.forces(windows.u_prev, windows.u)
         return self.discrete.momentum(windows.q_prev, windows.q, forces, at)
+
+
+def _check_field(field: Field) -> None:
+    """Refuse a field that fails, or whose accelerations have the wrong shape or precision."""
+    matrix = field.input_matrix
+    n, m = matrix.shape
+    v, u = matrix.new_zeros(n + 2, n), matrix.new_zeros(n + 2, m)
+    told = f"{type(field).__name__}.forward(q, v, u)"
+    with torch.no_grad():
+        found = returned(told, field.forward, field.space.of_vector(v), v, u)
+    checked_tensor(told, found, tuple(v.shape), v.dtype, f"v of shape {tuple(v.shape)}")
 
 
 def _accurate(root: RootFinder) -> RootFinder:

@@ -26,9 +26,10 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import override
 
-from symo_exp.checks import one_of
+from symo_exp.checks import instance, one_of
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import solve
+from symo_exp.mechanics.returned import checked_tensor, returned
 from symo_exp.mechanics.roots import relative
 from symo_exp.mechanics.types import TrainingSamples, Trajectory, Windows
 from symo_exp.mechanics.variational import DiscreteExpansion, Forces, differentiable_root
@@ -37,6 +38,8 @@ from symo_exp.models.flows import Flow, VariationalFlow
 from symo_exp.nets.affine import Linearised, parameter_jacobian
 
 Statistics = Mapping[str, Tensor]
+NODES = 5
+"""Nodes of the motion on which an objective is tried: no number of coordinates."""
 NOTHING: Statistics = MappingProxyType({})
 
 
@@ -89,6 +92,33 @@ class Objective(ABC):
     def as_forces(self, flow: Any, windows: Any) -> Objective | None:
         """Return the objective for the same equations as forces, ``None`` if it does not suit."""
         return None
+
+
+def check_objective(objective: object, model: Any) -> None:
+    """Refuse an objective that fails for a body at rest, or returns no residuals.
+
+    Args:
+        objective: The objective, which may be a user's.
+        model: The model to be trained.
+
+    Raises:
+        ConfigError: If it is none, or does not suit the method.
+    """
+    instance("objective", objective, Objective)
+    assert isinstance(objective, Objective)
+    if not objective.consecutive:
+        return  # its samples extend over a number of nodes that only it knows
+    flow, matrix = model.flow, model.input_matrix
+    n, m = matrix.shape
+    v, u = matrix.new_zeros(NODES, n), matrix.new_zeros(NODES, m)
+    windows = cut_windows([Trajectory(flow.space.of_vector(v), v, u)])
+    told = f"{type(objective).__name__}.__call__(flow, windows)"
+    found = returned(told, objective, flow, windows)
+    instance(f"the result of {told}", found, Residuals)
+    count = len(windows.v)
+    size = found.values.shape[1:] if isinstance(found.values, Tensor) else ()
+    shape = (count, *(size if len(size) == 1 else (n,)))
+    checked_tensor(f"values of {told}", found.values, shape, v.dtype, f"{count} windows")
 
 
 class StateError(Objective):

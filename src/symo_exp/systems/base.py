@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Annotated, NamedTuple, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
 
 import numpy as np
 import torch
@@ -168,7 +168,7 @@ class System(ABC):
         kind, names, matrix = type(self).__name__, self.coordinates, self.input_matrix
         if not isinstance(names, Coordinates):
             raise ConfigError(f"{kind}.coordinates={names!r}: expected Coordinates(names, angular)")
-        if len(names.angular) != names.n or len(set(names.names)) != names.n:
+        if not _fit(names.names, names.angular):
             raise ConfigError(
                 f"{kind}.coordinates has names={names.names} and angular={names.angular}: "
                 "expected different names and, for each, True or False"
@@ -314,6 +314,14 @@ class LagrangianSystem(System, Lagrangian):
         with torch.no_grad():
             values = self.acceleration(*self.points(64, seed=0)).flatten().tolist()
         return hashlib.sha256(" ".join(f"{x:.9e}" for x in values).encode()).hexdigest()[:16]
+
+
+def _fit(names: Any, angular: Any) -> bool:
+    """Return whether these are different names and as many truth values."""
+    if not all(isinstance(given, tuple | list) for given in (names, angular)):
+        return False
+    kinds = all(isinstance(x, str) for x in names) and all(isinstance(x, bool) for x in angular)
+    return kinds and len(set(names)) == len(names) == len(angular)
 
 
 def _physical(key: str, value: object) -> object:
