@@ -279,6 +279,12 @@ def test_an_unknown_precision_or_device_is_refused(folder):
     made(folder, config())
     assert "expected torch.float32 or" in sentence(folder, dtype="float32")
     assert "device=gpu cannot be used" in sentence(folder, device="gpu")
+    assert "device=3.5 cannot be used" in sentence(folder, device=3.5)
+
+
+def test_a_store_that_is_no_text_is_refused():
+    assert "tracking_uri=5: expected text" in sentence("0" * 32, tracking_uri=5)
+    assert "directory(int): expected the folder" in sentence("0" * 32, directory=5)
 
 
 def test_a_run_without_a_model_in_the_store_is_refused(folder, directory):

@@ -183,3 +183,26 @@ def test_a_box_that_is_none_is_refused(name: str, box: object) -> None:
 def test_parameters_that_a_system_lacks_are_refused(given: dict[str, object], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         gymnasium.make("symo_exp/Pendulum-v0", **given)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"unknown": 1}, r"options={'unknown': 1}: expected .* motion, reward, render_mode"),
+        ({"copies": 2, "render_mode": "human"}, "options=.* expected .* motion, reward, max_ep"),
+        ({"reward": lambda q: q}, r"reward is <lambda>\(q\): expected a function of \(q, v, u\)"),
+        ({"reward": 3.0}, r"reward is float: expected a function of \(q, v, u\)"),
+        ({"motion": lambda q, v: q}, r"motion is .* expected a function of \(q, v, u\)"),
+        ({"solver": {"rtol": 1e-3}}, "solver is dict: expected a symo_exp.systems.simulation.Solv"),
+    ],
+)
+def test_options_that_cannot_be_used_are_refused(given: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        environment(SYSTEMS["pendulum"], **given)
+
+
+def test_a_motion_that_returns_no_state_is_refused_when_it_does() -> None:
+    env = environment(SYSTEMS["pendulum"], motion=lambda q, v, u: (q, v))
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match="motion returns Tensor, Tensor: expected three tensors"):
+        env.step([0.0])

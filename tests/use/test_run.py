@@ -30,8 +30,9 @@ def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
     assert again.folder == run.folder  # it is finished, but for the pictures
     assert (run.folder / "checkpoints" / "last.ckpt").stat().st_mtime_ns == trained
     assert run.figure("phase_portrait").size[0] > 100
-    with pytest.raises(ConfigError, match=r"no figure nothing; the run has: .*trajectories"):
-        run.figure("nothing")
+    for name, told in (("nothing", "nothing"), ([], r"\[\]")):
+        with pytest.raises(ConfigError, match=rf"no figure {told}; the run has: .*trajectories"):
+            run.figure(name)
     again = symo_exp.Run(run.folder)
     assert torch.equal(again.model.rollout([0.1], [0.0], steps=3).q, path.q)
     before = (run.folder / "metrics.json").stat().st_mtime_ns

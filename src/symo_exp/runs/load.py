@@ -51,7 +51,7 @@ def from_folder(
         _set_weights(model, folder)
     try:
         model.to(device=device, dtype=dtype)
-    except (RuntimeError, AssertionError) as error:  # PyTorch without this kind of device
+    except (RuntimeError, AssertionError, TypeError) as error:  # PyTorch without such a device
         raise ConfigError(f"device={device} cannot be used: {first_line(error)}") from None
     model.system = system
     model.posterior = _read_posterior(folder / POSTERIOR)

@@ -22,6 +22,7 @@ from urllib.parse import urlsplit
 
 from filelock import FileLock, Timeout
 
+from symo_exp.checks import path_text
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.files import write_whole
 from symo_exp.imports import first_import
@@ -98,6 +99,10 @@ class Store:
 
 def find(tracking_uri: str | None, directory: str | Path) -> Store:
     """Return the store of the configuration, else of MLFLOW_TRACKING_URI, else SQLite."""
+    if not isinstance(tracking_uri, str | None):
+        wanted = "expected text, such as sqlite:///mlruns/mlflow.db"
+        raise ConfigError(f"tracking_uri={tracking_uri!r}: {wanted}")
+    directory = path_text("directory", directory, "the folder of an SQLite store")
     folder = Path(directory).expanduser().absolute()
     uri = tracking_uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{folder}/mlflow.db"
     scheme = urlsplit(uri).scheme.partition("+")[0]

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from symo_exp.checks import dictionary
+from symo_exp.checks import dictionary, function, instance
 from symo_exp.errors import ConfigError
 from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.systems.base import LagrangianSystem, System
@@ -46,6 +46,9 @@ class Copies:
                 f"box=dict(q=..., v=..., u=...), a list of [low, high] for each of the {n} "
                 f"coordinate(s) and {m} input(s)"
             )
+        function("motion", motion, "a function of (q, v, u)", None, None, None)
+        if reward is not None:
+            function("reward", reward, "a function of (q, v, u)", None, None, None)
         self.system, self.box = system, system.box
         self._motion, self._reward = motion, reward or partial(potential_reward, system)
         low, high = np.array(self.box.u, dtype=np.float64).reshape(-1, 2).T
@@ -95,7 +98,12 @@ class Copies:
         widths = [self.system.coordinates.width, self.system.coordinates.n]
         q, v = torch.from_numpy(states).split(widths, dim=1)
         with torch.no_grad():
-            q_next, v_next, found = (x.cpu() for x in self._motion(q, v, u))
+            moved = self._motion(q, v, u)
+            parts = moved if isinstance(moved, tuple) else (moved,)
+            if len(parts) != 3 or not all(isinstance(x, Tensor) for x in parts):
+                told = ", ".join(type(x).__name__ for x in parts)
+                raise ConfigError(f"motion returns {told}: expected three tensors (q, v, found)")
+            q_next, v_next, found = (x.cpu() for x in parts)
             found = found & q_next.isfinite().all(1) & v_next.isfinite().all(1)
             found = (found & self.system.coordinates.space.rotates(q_next))[:, None]
             q, v = q_next.double().where(found, q), v_next.double().where(found, v)
@@ -131,6 +139,7 @@ def exact(system: System, solver: Solver) -> TimeStep:
     """Return the step of a true system, integrated like simulated data."""
     if not isinstance(system, LagrangianSystem):
         raise ConfigError(f"{type(system).__name__} has no known equations; give a model instead")
+    instance("solver", solver, Solver)
     return partial(_exact_step, system, solver)
 
 

@@ -25,6 +25,7 @@ For one copy and for many:
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import os
 from collections.abc import Mapping
 from functools import partial
@@ -238,6 +239,8 @@ def environment(
     Raises:
         ConfigError: If the system of a model is not known, or it has neither equations nor a box.
     """
+    kind = Environment if copies is None else VectorEnvironment
+    dictionary("options", options, inspect.getfullargspec(kind.__init__).kwonlyargs)
     if isinstance(subject, System):
         system = subject
     else:

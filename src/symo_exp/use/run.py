@@ -74,7 +74,7 @@ class Run:
     def figure(self, name: str) -> Image.Image:
         """Return a picture of the run by name, such as ``trajectories`` or ``phase_portrait``."""
         found = {path.stem: path for path in sorted((self.folder / PICTURES).glob("*"))}
-        if name not in found:
+        if name not in list(found):  # a name that is no text may have no hash
             there = ", ".join(found) or "none, as with pictures=false or before it has finished"
             raise ConfigError(f"there is no figure {name}; the run has: {there}")
         return Image.open(found[name])
