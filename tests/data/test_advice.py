@@ -19,7 +19,7 @@ from symo_exp.data.recorded import RecordedData, recorded_system
 from symo_exp.data.table import read_recordings
 from symo_exp.errors import ConfigError
 from symo_exp.identify.recordings import examine
-from symo_exp.systems.recorded import Recorded
+from symo_exp.systems.recorded import Recorded, without_unit
 
 H = 0.02
 T = H / 2 * np.arange(1500)
@@ -92,6 +92,9 @@ TABLES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
     "units of another language": (
         {"Zeit [s]": T, "Größe [rad]": Q, "Moment [Nm]": U},
         {"t": "Zeit [s]", "q": "Größe [rad]", "u": "Moment [Nm]"},
+    ),
+    "units in brackets behind an underscore": (
+        {"t": T, "Arm_[rad]": Q, "Iq_[mA]": U}, {"q": "Arm_[rad]", "u": "Iq_[mA]"},
     ),
     "products of units": (
         {"Temps (s)": T, "Angle (rad)": Q, "Couple (N.m)": U, "Couple 2 (N·m)": U, "C (N*m)": Q},
@@ -339,6 +342,12 @@ def test_forces_along_axes_are_no_place_beside_a_quaternion(tmp_path: Path) -> N
 def test_names_that_are_made_up_say_no_kind() -> None:
     for stems in (["角度"], ["角度", "位置", "°"]):
         assert [kind_of_column(name) for name in short_names(stems)] == [""] * len(stems)
+
+
+def test_a_unit_in_brackets_behind_an_underscore_belongs_to_no_name() -> None:
+    for name in ("motor_[A]", "motor [A]", "motor_A", "motor_(rad)"):
+        assert without_unit(name) == "motor"
+    assert short_names(["motor_[A]"]) == ["motor_A"]
 
 
 def test_a_missing_clock_is_suggested_beside_what_is_given(tmp_path: Path) -> None:

@@ -592,6 +592,28 @@ def test_without_a_coordinate_its_velocity_is_not_read_either(workplace):
     assert note.endswith("give 'data.columns={q_joint: null, v_joint: null}'")
 
 
+def test_the_input_of_a_coordinate_that_a_gear_moves_acts_through_the_gear(workplace):
+    frame = table(name="motor")
+    frame["u_motor"], frame["u_joint"] = np.sin(3.0 * frame.t), np.cos(2.0 * frame.t)
+    frame.assign(q_joint=2.0 * frame.q_motor).to_csv("mine.csv", index=False)
+    (note,) = [note for note in examine({"path": "mine.csv"}).notes if "a gear joins" in note]
+    columns, matrix = shlex.split(note.partition(" give ")[2].partition(", by which")[0])[::2]
+    given = OverridesParser.create().parse_overrides([columns, matrix])
+    assert [one.key_or_group for one in given] == ["data.columns", "system.input_matrix"]
+    columns, matrix = (one.value() for one in given)
+    assert matrix == [[1.0, 2.0]]
+    found = examine({"path": "mine.csv", "columns": columns}, input_matrix=matrix)
+    assert found.coordinates.names == ("motor",)
+
+
+def test_that_a_point_is_on_a_circle_is_said_with_the_question_for_the_matrix(workplace):
+    angle = np.sin(2.0 * table().t)
+    frame = pd.DataFrame({"t": table().t, "q_x": np.sin(angle), "q_y": -np.cos(angle)})
+    frame.assign(u_motor=np.cos(3.0 * frame.t)).to_csv("mine.csv", index=False)
+    with pytest.raises(ConfigError, match=r"say how the 1 input.*; q_x and q_y lie on a circle"):
+        examine({"path": "mine.csv"})
+
+
 @pytest.mark.parametrize(("swing", "told"), [(2.0, True), (0.5, True), (0.002, False)])
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 def test_two_lengths_of_a_link_that_turns_are_to_be_its_angle(swing, told, unit, workplace):

@@ -86,6 +86,9 @@ def kind_of_column(name: str) -> str:
         if unit[2].lower().startswith(("n", "v", "a")):
             return "u"
         return "-" if wanted else "v" if unit[2].endswith("/s") else "q"
+    acts = INPUT_UNIT.search(name)
+    if acts and acts[0][0] != "_" and acts[1] != "%":  # _ma may be a name, and % is of anything
+        return "u"
     last = [("u", INPUT), ("q", PLACES)]  # a motor drives, but where it is counted, it is a place
     last = last[::-1] if unread_unit(name) else last
     if any(map(FORCE.fullmatch, words[:1])):
@@ -159,7 +162,7 @@ def _short(stem: str) -> str:
 
     Where nothing is left it says nothing: ``x`` would be a position.
     """
-    return re.sub(r"\W+", "_", plain(stem), flags=re.ASCII).strip("_") or "column"
+    return re.sub(r"[\W_]+", "_", plain(stem), flags=re.ASCII).strip("_") or "column"
 
 
 def unit_of(name: str) -> str:

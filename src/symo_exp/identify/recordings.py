@@ -36,7 +36,13 @@ from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 from symo_exp.shell import override_value
 from symo_exp.systems.base import System
-from symo_exp.systems.recorded import Recorded, matrix_by_names, quaternions, without_unit
+from symo_exp.systems.recorded import (
+    Recorded,
+    matrix_by_names,
+    matrix_setting,
+    quaternions,
+    without_unit,
+)
 
 Stiffness = tuple[tuple[float, ...], ...]
 REMOTE = 20.0
@@ -162,6 +168,7 @@ class _Examination:
         self.notes += self._read_parts(self.time_step)
         self._tell_rest()
         self._tell_angles()
+        self._ask_for_matrix()
         self._read_units()
         remarks = Remarks(self.used, self.space, self.inputs, self.header, self.columns)
         self.notes += remarks.on_coordinates()
@@ -206,11 +213,15 @@ class _Examination:
             squares.append((size if angle else size / units.length) ** 2)
         return math.sqrt(np.mean(squares)) if squares else 0.0
 
-    def _system(self, angular: Any) -> Recorded:
+    def _system(self, angular: Any, matrix: Any = None) -> Recorded:
         return Recorded(
             names=self.names, rotations=self.rotations, angular=angular, inputs=self.inputs,
-            input_matrix=self.input_matrix, time_step=1.0,
+            input_matrix=self.input_matrix if matrix is None else matrix, time_step=1.0,
         )  # fmt: skip
+
+    def _alone(self, angular: Any) -> Recorded:
+        """Return the system without its inputs."""
+        return Recorded(names=self.names, rotations=self.rotations, angular=angular, time_step=1.0)
 
     def _name_rotations_and_inputs(self) -> None:
         """Infer ``rotations`` and ``input_matrix`` from the names of the columns."""
@@ -218,9 +229,7 @@ class _Examination:
             self.rotations = found
             self.settings.append(f"system.rotations={override_value(list(found))}")
             self.notes.append(f"rotations: {', '.join(found)}, each a quaternion, by their names")
-        alone = Recorded(
-            names=self.names, rotations=self.rotations, angular="none", time_step=1.0
-        ).coordinates
+        alone = self._alone("none").coordinates
         self.flat, given = alone.flat, self.columns or {}
         files = {name: str(given.get(f"q_{name}") or name) for name in self.flat}
         self.written = {name: file if unit_of(file) else name for name, file in files.items()}
@@ -252,13 +261,14 @@ class _Examination:
         else:
             return
         self.input_matrix = found
-        self.settings.append(_matrix_setting(found))
+        self.settings.append(matrix_setting(found))
 
     def _read_parts(self, time_step: float | None) -> list[str]:
         """Read ``used`` and ``test``, and return lines on them."""
         data = self.data
-        system, unit = self._system("none"), data.get("time_unit")
-        table = read_recordings(data["path"], system, self.columns, unit)
+        everything = [[1.0] * len(self.inputs) for _ in self._alone("none").coordinates.names]
+        system = self._system("none", everything)  # to read them, it does not matter
+        table = read_recordings(data["path"], system, self.columns, data.get("time_unit"))
         named = {part: data.get(part) for part in PARTS}
         recordings: Sequence[Recording] = table.recordings
         self.starts = {one.label: float(one.samples.t[0]) for one in recordings}
@@ -291,15 +301,26 @@ class _Examination:
             ask_which_turn(kinds, columns)
             which = list(kinds.values())
         else:
-            which = list(self._system(self.angular).coordinates.angular)[: len(self.flat)]
+            which = list(self._alone(self.angular).coordinates.angular)[: len(self.flat)]
         self.angles = [name for name, angle in zip(self.flat, which, strict=True) if angle]
-        if self.angles and self.learned_inputs:  # the machine is more than a body
-            self.input_matrix = None
-        self.space = self._system(self.angles or "none").coordinates  # or asks for the matrix
+        self.space = self._alone(self.angles or "none").coordinates
         if self.angular is None:
             chosen = override_value(self.angles) if self.angles else "none"
             self.settings.append(f"system.angular={chosen}")
             self.notes += told_units(self.angles, self.written, columns) if columns else []
+
+    def _ask_for_matrix(self) -> None:
+        """Refuse inputs of which nothing tells how they drive the coordinates.
+
+        The refusal also says if other coordinates are needed, for which it is another question.
+        """
+        if self.angles and self.learned_inputs:  # the machine is more than a body
+            self.input_matrix = None
+        try:
+            self._system(self.angles or "none")
+        except ConfigError as error:
+            remarks = Remarks(self.used, self.space, self.inputs, self.header, self.columns)
+            raise ConfigError("; ".join([str(error), *remarks.on_circles()])) from error
 
     def _read_units(self) -> None:
         """Infer whether angles are in degrees and wrapped; make them continuous, in radians.
@@ -442,11 +463,7 @@ class _Examination:
                 "say; change the sign of its gear in the model, or of the column"
             )
         matrix = np.where(against, -matrix, matrix) + 0.0
-        mended = _matrix_setting(matrix.tolist())
+        mended = matrix_setting(matrix.tolist())
         self.settings += [] if self.matrix_is_given else [mended]
         self.notes.append(f"inputs: {acting} acts in the other direction; {mended}")
         return matrix
-
-
-def _matrix_setting(matrix: Sequence[Sequence[float]]) -> str:
-    return f"system.input_matrix={str(matrix).replace(' ', '')}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from symo_exp.data.table import Recording
 from symo_exp.data.weak import ROUNDING
 from symo_exp.identify.circles import circle_of
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.systems.recorded import matrix_setting, without_unit
 
 TOGETHER, SMALL = 3.0, 0.1
 """Distance of two coordinates in a constant ratio over their noise, and over their motion, up to
@@ -54,7 +55,7 @@ class Remarks:
 
     def on_coordinates(self) -> list[str]:
         """Return remarks on coordinates that never move, or depend on others."""
-        return [*self._on_still_ones(), *self._on_ratios(), *self._on_circles()]
+        return [*self._on_still_ones(), *self._on_ratios(), *self.on_circles()]
 
     def _on_still_ones(self) -> Iterator[str]:
         """Yield a line on lengths and angles that never move, if others or a rotation do."""
@@ -78,6 +79,7 @@ class Remarks:
             if name not in self._still
         }
         found: dict[str, str] = {}
+        through: dict[str, tuple[str, float]] = {}  # the coordinate that moves another, the ratio
         for one, other in itertools.combinations(about, 2):
             if other in found:
                 continue
@@ -89,6 +91,7 @@ class Remarks:
                 continue
             if apart <= TOGETHER * noise + ROUNDING * float(np.ptp(y)):
                 found[other] = f"q_{other} is {ratio:.3g} times q_{one}"
+                through[other] = one, ratio
             elif {one, other} <= self._angles and abs(math.log(abs(ratio))) > math.log(GEARED):
                 fast, times = (other, ratio) if abs(ratio) > 1.0 else (one, 1 / ratio)
                 yield (
@@ -97,13 +100,32 @@ class Remarks:
                     "multiply a torque on it, since angles that turn so fast need a small time step"
                 )
         if found:
-            mend = self._omitting(list(found), "qv")  # its input acts on the others
+            mend = self._omitting(list(found), "qv") + self._driving(through)
             yield (
                 f"{few(list(found.values()))}, but for noise: a gear joins them, or one is what "
                 f"the other should be; for a model without such a coordinate, give {mend}"
             )
 
-    def _on_circles(self) -> Iterator[str]:
+    def _driving(self, through: Mapping[str, tuple[str, float]]) -> str:
+        """Return the setting by which inputs of coordinates left out act on those that move them.
+
+        Nothing if there are no such inputs, or if inputs have other names than coordinates.
+
+        Args:
+            through: By coordinate left out: the one that moves it, and its ratio to that one.
+        """
+        flat, inputs = self._space.flat, [*map(without_unit, self._inputs)]
+        places = {without_unit(name): name for name in flat}
+        if self._space.rotations or not set(inputs) <= places.keys():
+            return ""
+        acting = [through.get(places[name], (places[name], 1.0)) for name in inputs]
+        if all(ratio == 1.0 for _, ratio in acting) or any(place in through for place, _ in acting):
+            return ""
+        kept = [name for name in flat if name not in through]
+        rows = [[float(f"{r:.3g}") if place == name else 0 for place, r in acting] for name in kept]
+        return f" and {matrix_setting(rows)}, by which inputs act through the gear"
+
+    def on_circles(self) -> Iterator[str]:
         """Yield lines on two lengths that are the place of a point on a link that turns."""
         lengths = [x for x in self._measured if x not in self._angles and x not in self._still]
         for x, y in itertools.combinations(lengths, 2):

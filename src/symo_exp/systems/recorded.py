@@ -18,7 +18,7 @@ from symo_exp.systems.base import System
 
 DEGREES = r"deg(?:s|rees?|r[eé]s?)?|gra(?:d|di|dos|us)|°"
 UNIT = re.compile(
-    rf"(_| in | *[\[(])((?:mm?|cm|rad|{DEGREES})(?:/s)?|n[ .*·]?m|n|v|a)[\])]?$", re.I
+    rf"(_| in |[ _]*[\[(])((?:mm?|cm|rad|{DEGREES})(?:/s)?|n[ .*·]?m|n|v|a)[\])]?$", re.I
 )
 """A unit at the end of a name, after an underscore or "in", or in brackets."""
 
@@ -143,6 +143,11 @@ def matrix_by_names(names: Sequence[str], inputs: Sequence[str]) -> list[list[in
     return [[int(place == actor) for actor in actors] for place in places]
 
 
+def matrix_setting(matrix: Sequence[Sequence[float]]) -> str:
+    """Return the matrix of inputs as a word of a command."""
+    return f"system.input_matrix={str(matrix).replace(' ', '')}"
+
+
 def _matrix(
     given: object, names: tuple[str, ...], inputs: tuple[str, ...], *, zeros: bool
 ) -> torch.Tensor:
@@ -157,7 +162,7 @@ def _matrix(
         matrix = torch.empty(0, 0)
     told = f"system.input_matrix={'null' if given is None else given}"
     example = [[int(i == j) for j in range(m)] for i in range(n)]
-    such = f"such as system.input_matrix={str(example).replace(' ', '')}"
+    such = f"such as {matrix_setting(example)}"
     if tuple(matrix.shape) == (n, m) and matrix.isfinite().all():
         if m and not (zeros or matrix.any()):
             raise ConfigError(
