@@ -63,6 +63,7 @@ def test_run_folders_are_read_as_the_store_that_they_are_published_to(store, tmp
     [
         ("run.json", b"{"),
         ("run.json", b'{"name": "a", "parameters": []}'),
+        ("metrics.json", b'{"test_mse": 1'),
         ("metrics.json", b'{"test_mse": "abc"}'),
         ("metrics.json", b'{"test_mse": [1]}'),
         ("series.csv", b"epoch,lr\n0,abc\n"),

@@ -170,6 +170,17 @@ def test_a_study_is_done_with_its_settings_or_not_at_all(folder):
     assert folder.missing_studies(asked) == ["forced"]
 
 
+@pytest.mark.parametrize("text", ["", '{"test_mse": 1', "[]", "{}", '{"test_mse": "a"}'])
+def test_a_run_with_damaged_measures_is_measured_again(text, folder):
+    folder.write_config({"model": {}})
+    assert not folder.has_damaged_measures()
+    folder.write_measures({"test_mse": 1.0})
+    assert folder.is_measured(None)
+    (folder / "metrics.json").write_text(text)
+    assert folder.has_damaged_measures()
+    assert not folder.is_measured(None)
+
+
 # -- series ------------------------------------------------------------------------------------
 
 

@@ -1,11 +1,14 @@
 """MLflow is a view of run folders: publishing is idempotent, nothing is sent twice."""
 
+import errno
 import shutil
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from symo_exp.errors import ConfigError
+from symo_exp.job import job
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.runs.series import Series
 from symo_exp.tracking import publish
@@ -216,3 +219,18 @@ def test_a_batch_is_not_larger_than_it_may_be(view, folder, store, monkeypatch):
 def test_nowhere_is_always_up_to_date(folder):
     assert Nowhere().is_published(folder)
     assert Nowhere().publish(folder) == ""
+
+
+@pytest.mark.parametrize(("inside", "said"), [(True, "cannot be written"), (False, "unavailable")])
+def test_a_folder_that_cannot_be_written_is_told_from_a_store_that_is_away(
+    inside, said, folder, tmp_path, caplog
+):
+    file = folder / ".published.json" if inside else tmp_path / "mlflow.db"
+
+    def refuse(_):
+        raise PermissionError(errno.EACCES, "Permission denied", str(file))
+
+    assert job.publish(SimpleNamespace(publish=refuse), folder) == ""
+    (line,) = caplog.messages
+    assert said in line
+    assert "Permission denied" in line

@@ -9,6 +9,7 @@ import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
@@ -214,6 +215,13 @@ def publish(tracker: Any, folder: RunFolder) -> str:
     try:
         return str(tracker.publish(folder))
     except Exception as error:
+        file = error.filename if isinstance(error, OSError) else None
+        if file is not None and Path(file).is_relative_to(folder.path):
+            log.warning(
+                "%s cannot be written (%s): the next command uploads the run again",
+                folder, error.strerror,
+            )  # fmt: skip
+            return ""
         log.warning(
             "%s: the tracking store is unavailable (%s); the run is uploaded when the command is "
             "given again", folder, first_line(error),

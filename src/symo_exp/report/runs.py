@@ -29,7 +29,7 @@ import pandas as pd
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.files import write_whole
 from symo_exp.report.looks import TRUE
-from symo_exp.runs.folder import ABOUT, DIED, SERIES, RunFolder
+from symo_exp.runs.folder import ABOUT, DIED, MEASURES, SERIES, RunFolder
 from symo_exp.runs.series import EPOCH, TIME
 from symo_exp.runs.series import read as read_series
 from symo_exp.tracking.publish import PARENT, REASON, STATUS
@@ -164,6 +164,10 @@ def _in_folder(folder: RunFolder) -> Row:
     about, outcome = folder.about(), folder.outcome()
     if about is None:
         raise ValueError(f"{ABOUT} does not describe a run")
+    if folder.has_damaged_measures():
+        raise ValueError(
+            f"{MEASURES} holds no measures; the command of the run computes them again"
+        )
     died = folder.died()
     numbers = {k: v for row in read_series(folder / SERIES) for k, v in row.items()}
     measures = {k: v for k, v in numbers.items() if k not in (EPOCH, TIME)} | folder.measures()

@@ -175,6 +175,14 @@ class RunFolder:
             found |= self._read(f"{STUDIES}/{name}.json").get("measures", {})
         return {name: float(value) for name, value in found.items()}
 
+    def has_damaged_measures(self) -> bool:
+        """Return whether the file of the measures holds none, or something else."""
+        try:
+            found = self.measures(())
+        except (TypeError, ValueError):
+            found = {}
+        return (self / MEASURES).exists() and not found
+
     def write_measures(self, measures: Mapping[str, float]) -> None:
         """Write the measures of the run."""
         self._write(MEASURES, _finite(measures))
@@ -229,8 +237,12 @@ class RunFolder:
         return config if isinstance(config, dict) else {}
 
     def is_measured(self, reference: Any) -> bool:
-        """Return whether the measures were computed, with these settings of a reference model."""
-        config = self.config() if (self / MEASURES).exists() else {}
+        """Return whether the measures were computed, with these settings of a reference model.
+
+        Those of a damaged file are to be computed again.
+        """
+        there = (self / MEASURES).exists() and not self.has_damaged_measures()
+        config = self.config() if there else {}
         return bool(config) and bool(config.get("reference") == reference)
 
     def write_table(self, name: str, columns: Mapping[str, Any]) -> None:

@@ -55,6 +55,9 @@ class Run:
         folder = RunFolder(self.folder)
         if folder.outcome().status != "finished":  # with measures=false there are none
             self._file(MEASURES)
+        if folder.has_damaged_measures():
+            told = "is damaged; give the command of the run again, which computes it anew"
+            raise ConfigError(f"{self.folder / MEASURES} {told}")
         return folder.measures()
 
     @cached_property
