@@ -252,6 +252,15 @@ def test_an_onnx_file_contains_its_weights(tmp_path):
     assert list(path.parent.iterdir()) == [path]
 
 
+def test_the_free_dimension_of_an_onnx_file_is_called_batch(tmp_path):
+    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnxscript")
+    path = symo_exp.export(make("node", "rk4", 1), tmp_path / "model.onnx")
+    graph = onnx.load(path).graph
+    for one in (*graph.input, *graph.output):
+        assert one.type.tensor_type.shape.dim[0].dim_param == "batch"
+
+
 @pytest.mark.usefixtures("_onnx")
 @pytest.mark.parametrize(
     ("name", "function"), [("model.pt2", "torch.export.save"), ("model.onnx", "torch.onnx.export")]

@@ -28,6 +28,8 @@ from symo_exp.use.mjcf import write_bodies
 
 ARGUMENTS = ("q", "v", "u", "u_next")
 RESULTS = ("q_next", "v_next", "converged")
+BATCH = "batch"
+"""The name of the free dimension."""
 
 
 class FixedStep(nn.Module):
@@ -138,7 +140,7 @@ def _program(step: FixedStep, model: DynamicsModel, *, exact: bool) -> Any:
         for node, name in zip(graph.graph.find_nodes(op="placeholder"), ARGUMENTS, strict=True):
             node.target = name  # as the arguments are called in the file
         simplify(graph)
-        batch = torch.export.Dim("batch", min=1)
+        batch = torch.export.Dim(BATCH, min=1)
         return torch.export.export(graph, example, dynamic_shapes=({0: batch},) * 4, strict=False)
 
 
@@ -172,4 +174,5 @@ def _save_onnx(program: Any, path: Path) -> None:
     torch.onnx.export(
         program, f=path, dynamo=True, verbose=False, external_data=False,  # weights in the file too
         input_names=ARGUMENTS, output_names=RESULTS,
+        dynamic_shapes=({0: BATCH},) * len(ARGUMENTS),  # else the name that the graph gives it
     )  # fmt: skip
