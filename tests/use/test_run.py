@@ -55,6 +55,15 @@ def test_a_run_gives_the_measures_model_and_figures_of_its_folder(workplace):
             getattr(symo_exp.Run(run.folder), result)
 
 
+def test_measures_of_a_damaged_file_are_refused(tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.write_config({"model": {}})
+    folder.record("finished")
+    (folder / "metrics.json").write_text('{"test_mse": 1')
+    with pytest.raises(ConfigError, match=r"metrics.json is damaged; give the command of the run"):
+        assert symo_exp.Run(folder.path).measures
+
+
 def test_a_sweep_gives_its_runs_in_order(workplace):
     runs = symo_exp.run(*SMALL, "-m", "pictures=false", "trainer.max_epochs=2,1")
     epochs = [len((run.folder / "series.csv").read_text().splitlines()) - 1 for run in runs]

@@ -215,8 +215,7 @@ def publish(tracker: Any, folder: RunFolder) -> str:
     try:
         return str(tracker.publish(folder))
     except Exception as error:
-        file = error.filename if isinstance(error, OSError) else None
-        if file is not None and Path(file).is_relative_to(folder.path):
+        if isinstance(error, OSError) and _is_in(error.filename, folder):
             log.warning(
                 "%s cannot be written (%s): the next command uploads the run again",
                 folder, error.strerror,
@@ -227,6 +226,11 @@ def publish(tracker: Any, folder: RunFolder) -> str:
             "given again", folder, first_line(error),
         )  # fmt: skip
         return ""
+
+
+def _is_in(file: Any, folder: RunFolder) -> bool:
+    """Return whether the file of an error is one of a run."""
+    return file is not None and Path(file).is_relative_to(folder.path)
 
 
 def spelled(words: Sequence[str]) -> str:
