@@ -285,7 +285,8 @@ def test_the_time_step_does_not_depend_on_noise_and_on_how_often_it_is_seen(rate
 
 
 @pytest.mark.parametrize(
-    ("delay", "inertia"), [(-0.02, 90.0), (0.0, 2e-3), (0.0025, 1.0), (0.03, 2e-3), (0.03, 90.0)]
+    ("delay", "inertia"),
+    [(-0.02, 90.0), (0.0, 2e-3), (0.0025, 1.0), (0.03, 2e-3), (0.03, 90.0), (0.0325, 1.0)],
 )
 def test_the_delay_of_an_input_and_the_inertia_that_it_moves_are_found(delay, inertia, workplace):
     rng = np.random.default_rng(0)
@@ -307,7 +308,7 @@ def test_the_delay_of_an_input_and_the_inertia_that_it_moves_are_found(delay, in
     found = examine({"path": "driven.csv"})
     assert found.driven
     settings = dict(setting.split("=") for setting in found.settings)
-    assert float(settings.get("data.input_delay", 0.0)) == pytest.approx(delay, abs=0.1 * h)
+    assert float(settings.get("data.input_delay", 0.0)) == pytest.approx(delay, abs=0.05 * h)
     assert not found.delay
     for setting, wanted in (("lagrangian.initial_inertia", 1.0), ("dissipation.start", 0.01)):
         value = float(settings[setting]) * found.units.mass

@@ -21,6 +21,8 @@ LAGS = tuple(
 )
 """Time constants of inputs that are tried [s], likewise, each range where the longest of the one
 before explains most."""
+GRAIN = 0.01
+"""Share of the distance of these times to which the best one in between is rounded."""
 UNHURRIED = 0.005
 """Time step from which all of ``DELAYS`` and ``LAGS`` are tried [s]."""
 GAIN, CLEAR = 0.05, 0.5
@@ -167,8 +169,8 @@ def _lowest(left: Mapping[float, float]) -> float | None:
     curvature = before - 2.0 * least + after
     if not curvature > 0.0:
         return None
-    shift = 0.5 * (before - after) / curvature
-    return float(f"{delays[k] + shift * (delays[k + 1] - delays[k]):.2g}")
+    shift, grain = 0.5 * (before - after) / curvature, GRAIN * (delays[k + 1] - delays[k])
+    return grain * round((delays[k] + shift * (delays[k + 1] - delays[k])) / grain)
 
 
 def _unexplained(

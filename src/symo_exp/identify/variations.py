@@ -152,7 +152,7 @@ def _delayed(candidate: Candidate, machine: Machine) -> Iterator[Candidate]:
     delays = [machine.delay] if machine.delay else []
     delays += [held] if min(held, abs(held - machine.delay)) > near else []
     for delay in delays:
-        name, value = f"delay {1e3 * delay:.2g} ms", f"{delay:.2g}"
+        name, value = f"delay {1e3 * delay:.3g} ms", f"{delay:.3g}"
         yield candidate.changed(name, 0.2, data__input_delay=value)
 
 
