@@ -13,8 +13,9 @@ from symo_exp.data.table import Recording
 from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.identify.inputs import timing
 from symo_exp.identify.pace import growth_of_errors, suitable_horizons
-from symo_exp.identify.sampled import EXAMINED, NODES, at_nodes, first_seconds
+from symo_exp.identify.sampled import EXAMINED, NODES, at_nodes, first_seconds, with_inputs
 from symo_exp.identify.scales import USUAL_RADIUS, initial_sizes
+from symo_exp.identify.senses import told_reversed
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import Units
 
@@ -79,6 +80,9 @@ def dynamics(
     acting = timing(motions, coordinates, time_step, driven=driven, known=known)
     sizes = initial_sizes(acting, coordinates, time_step, input_matrix, known=known)
     settings, notes = [*acting.settings, *sizes.settings], [*sizes.notes]
+    if not known:
+        pairs = with_inputs(acting.motions, time_step, acting.delay)
+        notes += told_reversed(pairs, coordinates, time_step, input_matrix)
     delay = acting.delay if acting.clear else 0.0
     late = [acting_late(one, lag=acting.lag) for one in recordings] if acting.lag else recordings
     horizons = suitable_horizons(growth_of_errors(late, coordinates, time_step, delay))
