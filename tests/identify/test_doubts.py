@@ -43,6 +43,7 @@ def test_a_fit_that_leaves_far_more_than_noise_is_doubted(unseen, error, told):
     found = list(missed(replace(SOUND, unseen=unseen), error, "rad"))
     assert len(found) == told
     assert all(f"{error:.2g} rad" in line for line in found)
+    assert all("parameters may be off" in line for line in found)
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,8 @@ def missed(machine: Machine, error: float, unit: str) -> Iterator[str]:
     if 0.0 < MISSED * machine.unseen < error < math.inf:
         yield (
             f"the fit leaves errors of {error:.2g} {unit}, and noise is {machine.unseen:.2g} at "
-            "most: no candidate has a force that acts, an input acts otherwise than it is "
-            "recorded, as where a motor saturates, or recordings differ, as by a load"
+            "most: no candidate has a force that acts, as of a stop, a hand or a rotor that spins, "
+            "an input acts otherwise than it is recorded, as where a motor saturates, or "
+            "recordings, or parts of one, differ, as by a load or by a sensor that slipped; "
+            "parameters may be off by more than their standard deviations"
         )
