@@ -214,6 +214,25 @@ def test_a_note_on_a_combination_tells_of_a_deviation_above_its_value():
     assert all(row.note.endswith("the standard deviation exceeds the value") for row in weak)
 
 
+@pytest.mark.parametrize("far", [0.0, 3.0, 40.0, 360.0])
+def test_a_number_at_the_end_of_its_range_is_not_determined(far):
+    """The width of dry friction, whose slope vanishes as it approaches the smallest one."""
+    coordinates = Coordinates(("theta",), (True,))
+    found = learned_lagrangian(coordinates, PlanarLinks, MachineFriction, None).double()
+    parameters = list(found.parameters())
+    with torch.no_grad():
+        found.dissipation.rest.fill_(-far)
+    mean = torch.cat([p.detach().flatten() for p in parameters])
+    spread = 1e-2 * torch.eye(len(mean)).double()
+    known = Posterior(mean, spread, mean.new_zeros(len(mean), 0), SIGMA, SIGMA, 100)
+    rows = {x.name: x for x in physical_parameters(found, coordinates, parameters, known)}
+    width = rows["theta.rest_velocity"]
+    ended = far > 20.0
+    assert width.determined == ("no" if ended else "yes")
+    assert math.isnan(width.standard_deviation) == ended
+    assert ("end of its range" in width.note) == ended
+
+
 def test_without_a_posterior_determination_is_unknown():
     system = SYSTEMS["cartpole"]
     found = KnownLagrangian(system=system)

@@ -24,6 +24,8 @@ SMALL = 1e-4
 """Entries of reduced matrices below this, relative to the largest, count as zero."""
 ABSENT = 1e-20
 """Square below which a quantity counts as absent, such as friction that the data do not show."""
+ENDED = 1e-9
+"""Slope of a learned number, relative to its value, below which it is at the end of its range."""
 FEW = 6
 """Partners that a note names."""
 RELATIVE = "up to a factor"
@@ -55,10 +57,10 @@ def physical_parameters(
     """Return the physical parameters of a learned Lagrangian; none of a network.
 
     A number is determined if it does not change along the directions of the posterior without
-    information. Numbers that are not are named with those that they are determined with; where
-    sums and differences of numbers with the same unit are determined, these are rows of their own,
-    and so are products of powers of the other positive numbers. Rows that are determined come
-    first.
+    information, and is not at the end of its range, where it changes in no direction. Numbers that
+    are not are named with those that they are determined with; where sums and differences of
+    numbers with the same unit are determined, these are rows of their own, and so are products of
+    powers of the other positive numbers. Rows that are determined come first.
 
     Without known forces, motions determine inertias and forces up to a common factor. They are
     then divided by one of the inertias, that which leaves the fewest numbers undetermined.
@@ -176,6 +178,8 @@ def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
             rows.append(Parameter(name, float(value), unit, math.nan, "no", note))
         elif not there[i]:
             rows.append(_absent(name, unit))
+        elif 0.0 < slope.norm() <= ENDED * value.abs():
+            rows.append(Parameter(name, float(value), unit, math.nan, "no", "the end of its range"))
         else:
             rows.append(_certain(name, unit, value, slope, posterior))
     free = [i for i, own in enumerate(partners) if own]
