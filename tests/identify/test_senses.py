@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from symo_exp.identify.recordings import examine
-from symo_exp.identify.senses import reversed_angles, told_reversed
+from symo_exp.identify.senses import reversed_angles
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.nets.planar_links import PlanarLinks
 
@@ -66,12 +66,8 @@ def test_angles_that_count_in_the_other_direction_are_found(kind, driven):
         turn[angles] = signs
         seen = [(q * turn, u) for q, u in motions]
         acting = None if matrix is None else turn[:, None] * matrix
-        found = reversed_angles(seen, coordinates, H, acting)
         wanted = [coordinates.names[i] for i in angles if turn[i] != turn[angles[0]]]
-        assert found == wanted
-        lines = list(told_reversed(seen, coordinates, H, acting))
-        assert len(lines) == bool(wanted)
-        assert all(f"q_{name}" in line for name in wanted for line in lines)
+        assert reversed_angles(seen, coordinates, H, acting) == wanted
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
