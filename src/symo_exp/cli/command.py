@@ -6,14 +6,13 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import yaml
 
 from symo_exp.errors import ConfigError, Refused
-from symo_exp.process import phases, stopping
+from symo_exp.process import phases
 from symo_exp.shipped import CONF, SWEEPS
 
 if TYPE_CHECKING:
@@ -119,9 +118,7 @@ class Command:
         before = sys.argv
         sys.argv = [before[0], *self.options, *self._per_job(), *extra]
         try:
-            # other sweepers than ours start workers themselves
-            with stopping.deaf_children() if self.runs else nullcontext():
-                entry()
+            entry()
         except SystemExit as end:
             return int(end.code or 0)
         except Refused as refused:
