@@ -94,7 +94,7 @@ class Objective(ABC):
         return None
 
 
-def check_objective(objective: object, model: Any) -> None:
+def check_objective(objective: Any, model: Any) -> None:
     """Refuse an objective that fails for a body at rest, or returns no residuals.
 
     Args:
@@ -105,7 +105,6 @@ def check_objective(objective: object, model: Any) -> None:
         ConfigError: If it is none, or does not suit the method.
     """
     instance("objective", objective, Objective)
-    assert isinstance(objective, Objective)
     if not objective.consecutive:
         return  # its samples extend over a number of nodes that only it knows
     flow, matrix = model.flow, model.input_matrix
