@@ -162,10 +162,8 @@ def test_a_compiled_rollout_is_the_uncompiled_one(method, integrator, n):
         torch.testing.assert_close(other.rollout(*starts[0]), expected[0])
 
 
-@pytest.mark.parametrize(
-    "method",
-    [pytest.param(x, marks=[] if x == "e2e_symo" else pytest.mark.slow) for x in learned()],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("method", learned())
 def test_one_graph_is_for_any_number_of_rows_and_another_for_one_row(method, traced_only):
     model = learner(method, dict(combinations())[method], 1)
 
@@ -257,6 +255,7 @@ class Weighted(Residual):
         return Residuals(values * torch.arange(1, len(values) + 1).to(values)[:, None], {})
 
 
+@pytest.mark.slow
 def test_what_depends_on_the_number_of_rows_has_a_graph_for_each(traced_only):
     model = learner("symo", "midpoint", 1, objective=Weighted())
     batches = [windows(1, samples=samples) for samples in (5, 7, 5, 1)]
@@ -304,6 +303,7 @@ def test_a_rollout_by_compiled_kernels_is_the_uncompiled_one(method, caplog):
 
 
 @pytest.mark.usefixtures("traced_only")
+@pytest.mark.slow
 def test_rows_that_a_compiled_rollout_cannot_finish_are_as_uncompiled():
     """One row is lost from the start, one is too fast for a root: its neighbours keep theirs."""
     root = Newton(tolerance=1e-12, max_iterations=15)
@@ -404,8 +404,13 @@ class Counted(Residual):
 
 STATISTICS: list[Any] = [
     ("symo", {"objective": Counted()}),
-    pytest.param("e2e_symo", {"guess": "datum"}, marks=pytest.mark.slow),
-    ("e2e_symo", {"guess": "inertial", "root": Newton(tolerance=1e-6, stopping="batch")}),
+    *(
+        pytest.param("e2e_symo", options, marks=pytest.mark.slow)
+        for options in (
+            {"guess": "datum"},
+            {"guess": "inertial", "root": Newton(tolerance=1e-6, stopping="batch")},
+        )
+    ),
 ]
 
 

@@ -152,7 +152,7 @@ def test_nothing_is_told_of_a_machine_at_rest() -> None:
 
 @pytest.mark.parametrize("torque", [0.0, 5.0])
 @pytest.mark.parametrize("n", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("size", [1.0, 0.1])
+@pytest.mark.parametrize("size", [1.0, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_angles_in_degrees_are_suspected(n: int, torque: float, size: float) -> None:
     system, clean = motions(n, size * torque, 5, 120, size)
     rng = np.random.default_rng(0)

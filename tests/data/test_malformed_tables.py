@@ -120,7 +120,7 @@ def system_of(path: Path, rng: Generator) -> System:
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    "seed", [*range(4), *(pytest.param(k, marks=pytest.mark.slow) for k in range(4, 10))]
+    "seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 10))]
 )
 def test_every_table_loads_or_is_refused_in_a_line(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)

@@ -81,7 +81,9 @@ def test_a_true_system_with_friction_has_a_small_error_and_loses_energy():
     assert (energy[:, -1] < energy[:, 0]).all()
 
 
-@pytest.mark.parametrize("name", FLOORS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "acrobot")) for n in FLOORS]
+)
 def test_the_error_falls_with_the_order(name: str):
     system = systems()[name]
     model = TrueVariational(integrator=Galerkin(stages=2), root=ROOT, **given(system))

@@ -56,8 +56,11 @@ def swings(names, angular, relative, *, driven, coupled=True):
     return list(zip(*motions, strict=True)), coordinates, np.eye(n) if driven else None
 
 
-@pytest.mark.parametrize("driven", [True, False])
-@pytest.mark.parametrize("kind", MACHINES)
+@pytest.mark.parametrize(
+    ("kind", "driven"),
+    [pytest.param(kind, driven, marks=[pytest.mark.slow] * (driven != (k % 2 > 0)))
+     for k, kind in enumerate(MACHINES) for driven in (True, False)],
+)  # fmt: skip
 def test_angles_that_count_in_the_other_direction_are_found(kind, driven):
     motions, coordinates, matrix = swings(*MACHINES[kind], driven=driven)
     angles = np.flatnonzero(coordinates.angular)

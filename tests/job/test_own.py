@@ -215,6 +215,7 @@ def test_a_box_without_a_range_is_refused_by_the_name_of_the_range(mine):
     assert "has the wrong type: expected u as well" in refusal(*words)
 
 
+@pytest.mark.slow
 def test_a_finished_run_of_own_code_is_loaded_by_the_command_that_names_it(mine):
     words = ["--config-dir", "mine_own", "code=mine_own", "system=spring", *QUIET]
     words += ["model=true_variational", "measures=false"]

@@ -68,6 +68,7 @@ def test_known_equations_are_identified_from_recordings(recordings, capsys):
     assert found.dof_damping[0] == pytest.approx(float(rows["theta.viscous_friction"]["value"]))
 
 
+@pytest.mark.slow
 def test_friction_that_a_system_does_not_have_is_learned(recordings):
     """From a start ten times too large, with forces as residuals at first."""
     replaced = "objective", "optimizer", "trainer.max", "system"

@@ -505,8 +505,12 @@ ROOTS = {
 
 @pytest.mark.parametrize(("dtype", "error"), [(torch.float64, 1e-9), (torch.float32, 2e-3)])
 @pytest.mark.parametrize("length", [1.0, 0.01])
-@pytest.mark.parametrize("root", ROOTS)
-@pytest.mark.parametrize("name", ["midpoint", "galerkin6"])
+@pytest.mark.parametrize(
+    ("name", "root"),
+    [("midpoint", "newton"), ("galerkin6", "broyden"),
+     *(pytest.param(*x, marks=pytest.mark.slow)
+       for x in (("midpoint", "broyden"), ("galerkin6", "newton")))],
+)  # fmt: skip
 @torch.no_grad()
 def test_light_machines_are_as_accurate_as_heavy_ones(name, root, length, dtype, error):
     """Every pendulum of this length moves alike under torques in proportion to its inertia."""

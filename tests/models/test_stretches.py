@@ -66,7 +66,7 @@ def test_rollouts_are_those_of_single_steps(kind, name, n):
     torch.testing.assert_close(found.v, expected.v, atol=1e-7, rtol=1e-7)
 
 
-@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", METHODS)
 def test_rollouts_of_whips_are_those_of_single_steps(name, n):
     """Motions near the limit of the time step, where Newton's method also finds remote roots."""

@@ -151,6 +151,7 @@ def inertia_error(found: Learner) -> float:
     return max(mass, float((slopes[0] - slopes[1]).norm() / slopes[1].norm()))
 
 
+@pytest.mark.slow
 def test_inertia_and_centre_are_recovered_from_exact_poses() -> None:
     found, windows = learner(3), cut_windows(motions(2, 12))
     optimizer = LevenbergMarquardt(found.parameters())

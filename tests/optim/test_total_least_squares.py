@@ -163,7 +163,8 @@ class Falling(nn.Module):
 
 
 @pytest.mark.skipif(not RECORDING.exists(), reason="the recordings are not here")
-@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 5))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3, 5])
 def test_stages_go_on_where_machines_stick(seed, caplog):
     """Curved steps of the nodes had every step refused, though straight ones are downhill."""
     system = recorded_system(RECORDING, time_step=0.02, angular="all")
@@ -193,7 +194,8 @@ def sticking(tmp_path_factory):
     return system, data.trajectories("train")
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
 def test_inertia_does_not_run_away_while_friction_is_small(seed, sticking):
     """Where it is large, inputs do not matter, and residuals without friction are smaller."""
     system, trajectories = sticking

@@ -105,7 +105,9 @@ METHODS = {
 }
 
 
-@pytest.mark.parametrize("units", [UNITS[1], Units(2.0**-40, 1.0, 2.0**20)])
+@pytest.mark.parametrize(
+    "units", [UNITS[1], pytest.param(Units(2.0**-40, 1.0, 2.0**20), marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("method", METHODS)
 def test_lengths_and_angles_have_the_same_weight_in_any_unit_of_length(method, units):
     """Also of outliers, which count linearly, however small a motion is in metres."""

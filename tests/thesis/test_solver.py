@@ -21,7 +21,9 @@ from tests.systems.every import SYSTEMS, points
 NODES = 5
 
 
-@pytest.mark.parametrize("tolerances", [(1e-3, 1e-6), (1e-1, 1e-2)], ids=str)
+@pytest.mark.parametrize(
+    "tolerances", [(1e-3, 1e-6), pytest.param((1e-1, 1e-2), marks=pytest.mark.slow)], ids=str
+)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_trajectory_is_that_of_solve_ivp_node_by_node(name, tolerances) -> None:
     system, (rtol, atol) = SYSTEMS[name], tolerances

@@ -157,9 +157,8 @@ def test_every_part_of_a_lagrangian_is_exported_for_any_batch(parts, tmp_path):
             torch.testing.assert_close(mine, theirs, atol=1e-8, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "iterations"), [("chain_1", 2), pytest.param(PIVOT, 1, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "iterations"), [("chain_1", 2), (PIVOT, 1)])
 def test_a_variational_step_reports_roots_that_were_not_found(name, iterations, tmp_path):
     model = on(name, "symo", "midpoint")
     path = symo_exp.export(model, tmp_path / "x.pt2", iterations=iterations)
