@@ -2,6 +2,7 @@
 
 import copy
 import math
+import os
 from itertools import pairwise
 
 import pytest
@@ -233,6 +234,28 @@ def test_missing_memory_is_reported_before_the_first_step(monkeypatch):
     monkeypatch.setattr(levenberg_marquardt, "available_bytes", lambda: 1000)
     with pytest.raises(ConfigError, match=r"needs about .* GB .* free"):
         LevenbergMarquardt(model.parameters()).epoch(model, halves(2))
+
+
+def test_memory_of_the_step_before_counts_as_free(monkeypatch):
+    """The process may keep it: what has been solved is solved again, and nothing larger."""
+    model, free = learner("symo", "midpoint", 2), [10**9]
+    monkeypatch.setattr(levenberg_marquardt, "available_bytes", lambda: free[0])
+    optimizer = LevenbergMarquardt(model.parameters())
+    optimizer.epoch(model, halves(2))
+    free[0] = 1000
+    optimizer.epoch(model, halves(2))
+    with pytest.raises(ConfigError, match=r"needs about .* GB .* free"):
+        optimizer.epoch(model, halves(2, samples=48))
+
+
+def test_files_in_memory_count_as_free(monkeypatch, tmp_path):
+    told = "MemTotal: 3000 kB\nMemFree: 10 kB\nMemAvailable: 2000 kB\nHugePages_Total: 0\n"
+    (tmp_path / "meminfo").write_text(told)
+    monkeypatch.setattr(levenberg_marquardt, "MEMORY", tmp_path / "meminfo")
+    assert levenberg_marquardt.available_bytes() == 2000 * 1024
+    monkeypatch.setattr(levenberg_marquardt, "MEMORY", tmp_path / "none")
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    assert levenberg_marquardt.available_bytes() == total
 
 
 @pytest.mark.parametrize("kind", [LevenbergMarquardt, TotalLeastSquares])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -30,6 +31,8 @@ LIMIT = 1e12
 """The damping at which a refused step ends the training."""
 EQUATIONS = 8
 """Equations for each parameter while residuals are forces."""
+MEMORY = Path("/proc/meminfo")
+"""Linux's file about the memory of the machine."""
 
 
 class LevenbergMarquardt(EpochOptimizer):
@@ -85,6 +88,7 @@ class LevenbergMarquardt(EpochOptimizer):
         self.require_normal_equations()
         self.shortest, self.huber = shortest, huber
         self.initial_damping = damping
+        self._most_bytes = 0
         self.memory |= {"damping": damping, "loss": math.inf, "asked": math.inf}
         self.memory["forces"] = force_epochs
 
@@ -157,18 +161,22 @@ class LevenbergMarquardt(EpochOptimizer):
         return DampedSystem(factors * residuals, jacobians), factors
 
     def _require(self, size: int, equations: int) -> None:
-        """Refuse systems that do not fit into memory."""
+        """Refuse systems that do not fit into memory.
+
+        Memory of the largest one so far may still belong to the process, which uses it again.
+        """
         if self.parameters[0].device.type != "cpu":
             return
         side = min(size, equations)
         needed = 8 * (2 * equations * size + 3 * side * side)
         free = available_bytes()
-        if free is not None and needed > free:
+        if free is not None and needed - self._most_bytes > free:
             raise ConfigError(
                 f"Levenberg-Marquardt needs about {needed / 1e9:.1f} GB for {size} parameters and "
                 f"{equations} residuals, and {free / 1e9:.1f} GB are free; use a smaller "
                 "net.width, fewer trajectories (data.n_traj), or optimizer=adam or lbfgs"
             )
+        self._most_bytes = max(self._most_bytes, needed)
 
 
 class _Trials(Descent):
@@ -246,11 +254,17 @@ def _chunks(samples: TrainingSamples) -> Iterator[TrainingSamples]:
 
 
 def available_bytes() -> int | None:
-    """Return the free physical memory, or all of it, in bytes; ``None`` if unknown."""
+    """Return the memory that processes can still take, in bytes; ``None`` if unknown.
+
+    That includes files that the system keeps in memory, most of it on a machine that has run for
+    long. Where the system does not tell, it is all memory.
+    """
     try:
-        free = "SC_AVPHYS_PAGES" in os.sysconf_names
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf(
-            "SC_AVPHYS_PAGES" if free else "SC_PHYS_PAGES"
-        )
+        known = dict(line.split(":") for line in MEMORY.read_text(encoding="ascii").splitlines())
+        return 1024 * int(known["MemAvailable"].split()[0])
+    except (OSError, ValueError, LookupError):
+        pass
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return None
