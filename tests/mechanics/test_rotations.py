@@ -123,6 +123,16 @@ def test_exponential_and_its_inverse(size: float) -> None:
         torch.testing.assert_close(rotation_vector(turn), phi, rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("size", [0.0, 5.0, 6.5, 10.0, 200.0])
+def test_a_rotation_vector_of_any_length_is_a_rotation(size: float) -> None:
+    x = drawn(4, rows=20)
+    phi = x[:, 1:] = size * x[:, 1:] / x[:, 1:].norm(dim=1, keepdim=True)
+    found = Space(1).of_vector(x)
+    rotation = torch.linalg.matrix_exp(cross(phi)).flatten(1)
+    torch.testing.assert_close(found, torch.cat((x[:, :1], rotation), 1), rtol=0, atol=1e-12)
+    assert torch.autograd.gradcheck(Space(1).of_vector, x[:2].requires_grad_())
+
+
 def test_derivatives_of_the_inverse_are_finite_and_right_at_the_identity() -> None:
     for phi in (torch.zeros(1, 3).double(), drawn(3, rows=1), drawn(3, rows=1, scale=1e-5)):
         assert torch.autograd.gradcheck(

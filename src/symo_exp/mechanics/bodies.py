@@ -296,8 +296,11 @@ def column(rows: Sequence[Any], name: str) -> Tensor:
     return torch.tensor([getattr(row, name) for row in rows], dtype=torch.float64)
 
 
-THINNEST = 1e-6
-"""The least second moment of a body, relative to all of its moment about its joint."""
+THINNEST, ROUNDING = 1e-6, 1e-13
+"""The least second moments of a body, relative to all of its moment about its joint, and to its
+mass times the square of the distance from the origin."""
+POINT = 1e-12
+"""Second moments of a point mass at the origin, relative to its mass [m²]."""
 
 
 def pseudo_inertia(
@@ -305,7 +308,8 @@ def pseudo_inertia(
 ) -> Float[Tensor, "4 4"]:
     """Return the pseudo-inertia of a rigid body (Wensing, Kim and Slotine 2018, equation 10).
 
-    Second moments of thin bodies and of point masses are made slightly positive.
+    Second moments of thin bodies and of point masses are made slightly positive, by a share of the
+    body's own size, however small it is.
 
     Args:
         mass: Mass [kg].
@@ -316,7 +320,8 @@ def pseudo_inertia(
     second = 0.5 * inertia.diagonal().sum() * torch.eye(3).to(inertia) - inertia
     values, vectors = torch.linalg.eigh(second)
     size = float(values.clamp_min(0.0).sum() + mass * lever**2)
-    values = values.clamp_min(max(THINNEST * size, 1e-12))
+    least = max(THINNEST * size, ROUNDING * float(mass * centre.square().sum()))
+    values = values.clamp_min(least or POINT * float(mass))
     second = vectors @ torch.diag(values) @ vectors.T + mass * torch.outer(centre, centre)
     edge = (mass * centre).unsqueeze(0)
     top = torch.cat((second, edge.T), dim=1)

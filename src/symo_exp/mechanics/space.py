@@ -28,6 +28,8 @@ from torch import Tensor
 LOOSE = 0.01
 """Largest entry of ``R Rᵀ − I`` of a matrix that is taken for a rotation: single precision loses
 1e-7 in a step."""
+TURN = 2.0 * math.pi
+"""A whole turn [rad]."""
 TERMS = 16
 """Terms of a series, four times four: exact to rounding up to half a turn, to 1e-12 up to a whole
 one."""
@@ -238,11 +240,18 @@ class Space:
         return self.retract(start, 0.5 * self.difference(start, end))
 
     def of_vector(self, x: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch N"]:
-        """Return configurations of flat coordinates and rotation vectors ``φ``, ``R = exp φ``."""
+        """Return configurations of flat coordinates and rotation vectors ``φ``, ``R = exp φ``.
+
+        Rotation vectors of any length: whole turns are taken off those of more than one.
+        """
         if not self.rotations:
             return x
         flat, phi = self._parts(x)
-        return torch.cat((flat, exponential(phi).flatten(-3)), dim=-1)
+        size = phi.norm(dim=-1, keepdim=True)
+        long = size > TURN
+        size = torch.where(long, size, 1.0)
+        whole = torch.where(long, TURN * (size / TURN).round(), 0.0)
+        return torch.cat((flat, exponential(phi * (1.0 - whole / size)).flatten(-3)), dim=-1)
 
     def of_quaternions(self, x: Float[Tensor, "*batch K"]) -> Float[Tensor, "*batch N"]:
         """Return configurations of flat coordinates and quaternions, the scalar first."""
