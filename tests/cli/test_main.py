@@ -71,7 +71,30 @@ BAD = [
     ),
     ("objective=smoothing optimizer.starts=0", "optimizer.starts=0", "from 1 to"),
     ("objective=smoothing optimizer.velocity_weight=0", "velocity_weight=0", "above 0"),
+    *((f"objective=smoothing optimizer.seed={x}", f"seed={x}", "0 to") for x in (-1, 10**20)),
     ("objective=smoothing trainer=gpu", "TotalLeastSquares", "trainer=cpu"),
+    *(
+        (f"optimizer=adam_then_lm dtype=float64 optimizer.{x}", given, wanted)
+        for x, given, wanted in [
+            ("first._target_=torch.optim.LBFGS", "optimizer.first is LBFGS", "torch.optim.Adam"),
+            (
+                "first._target_=symo_exp.optim.lbfgs.LBFGS ~optimizer.first.lr",
+                "optimizer.first is LBFGS",
+                "torch.optim.Adam",
+            ),
+            (
+                "then._target_=torch.optim.Adam ~optimizer.then.patience",
+                "optimizer.then is Adam",
+                "EpochOptimizer",
+            ),
+            (
+                "then._target_=symo_exp.optim.total_least_squares.TotalLeastSquares "
+                "~optimizer.then.patience",
+                "optimizer.then is TotalLeastSquares",
+                "optimizer=total_least_squares",
+            ),
+        ]
+    ),
     # values
     ("data.n_traj=0", "0", "1 to 128"),
     ("~resume", "resume", "cannot be deleted"),
@@ -126,6 +149,8 @@ BAD = [
     ("+hydra.sweeper.params={1:2}", "params={1: 2}", "{seed: '0,1,2'}"),
     ("hydra/launcher=joblib hydra.launcher.n_jobs=0", "n_jobs=0", "-1 for one on each core"),
     ("optimizer.lr=-1", "-1", "learning rate"),
+    ("optimizer._target_=torch.optim.LBFGS ~optimizer.fused", "LBFGS", "optimizer=lbfgs"),
+    ("springs=linear springs.start=[[1e400]]", "springs.start=", "finite"),
     ("net.width=0", "width=0", "at least 1"),
     ("net.depth=0", "depth=0", "at least 1"),
     ("net.depth=5000000000000000000", "model", "MemoryError"),

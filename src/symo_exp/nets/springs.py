@@ -82,11 +82,12 @@ def _symmetric(start: Sequence[Sequence[float]] | None, n: int) -> Float[Tensor,
         found = torch.tensor([[float(x) for x in row] for row in start])
     except (TypeError, ValueError):
         found = torch.zeros(0)
-    if found.shape != (n, n) or not torch.equal(found, found.T):
+    fits = found.shape == (n, n) and bool(found.isfinite().all()) and torch.equal(found, found.T)
+    if not fits:
         rows = ",".join([f"[{','.join('0' * n)}]"] * n)
         raise ConfigError(
-            f"springs.start={start}: expected a symmetric matrix with a row for each length and "
-            f"angle, such as [{rows}]"
+            f"springs.start={start}: expected a symmetric matrix of finite numbers with a row for "
+            f"each length and angle, such as [{rows}]"
         )
     return found
 

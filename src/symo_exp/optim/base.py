@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import math
 from abc import ABC, abstractmethod
@@ -15,7 +16,7 @@ from torch.nn.utils import clip_grads_with_norm_, get_total_norm
 from torch.optim import Optimizer
 from typing_extensions import override
 
-from symo_exp.checks import real, whole_number
+from symo_exp.checks import instance, real, whole_number
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.nets.affine import Linearised
@@ -184,6 +185,26 @@ class EpochOptimizer(Optimizer, ABC):
         self.memory |= state.pop("memory")
         self.finished = self.memory["waited"] >= self.patience
         super().load_state_dict(state)
+
+
+def check_steps(key: str, optimizer: Any) -> None:
+    """Refuse what is no optimiser for ``minibatches``.
+
+    Args:
+        key: The setting that gives it.
+        optimizer: What was given.
+
+    Raises:
+        ConfigError: If it is no optimiser of torch, or one that evaluates the loss itself.
+    """
+    instance(key, optimizer, Optimizer)
+    closure = inspect.signature(type(optimizer).step).parameters.get("closure")
+    if isinstance(optimizer, EpochOptimizer) or (closure and closure.default is closure.empty):
+        raise ConfigError(
+            f"{key} is {type(optimizer).__name__}, which evaluates the loss several times in a "
+            "step: expected an optimizer of mini batches, such as torch.optim.Adam; L-BFGS on all "
+            "samples is optimizer=lbfgs"
+        )
 
 
 def minibatches(

@@ -10,9 +10,10 @@ from torch import Tensor
 from torch.optim import Optimizer
 from typing_extensions import override
 
-from symo_exp.checks import whole_number
+from symo_exp.checks import instance, whole_number
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import TrainingSamples
-from symo_exp.optim.base import EpochOptimizer, Problem, minibatches
+from symo_exp.optim.base import EpochOptimizer, Problem, check_steps, minibatches
 
 
 class Chained(EpochOptimizer):
@@ -24,7 +25,10 @@ class Chained(EpochOptimizer):
         params: The parameters.
         first: Makes the first optimiser, one of torch.
         epochs: Epochs of the first.
-        then: Makes the second optimiser.
+        then: Makes the second optimiser, one of samples.
+
+    Raises:
+        ConfigError: If one of them is of another kind.
     """
 
     rate = "optimizer.first.lr"
@@ -41,6 +45,13 @@ class Chained(EpochOptimizer):
         super().__init__(params, patience=1)
         self.epochs = epochs
         self._first, self._then = first(self.parameters), then(self.parameters)
+        check_steps("optimizer.first", self._first)
+        instance("optimizer.then", self._then, EpochOptimizer)
+        if self._then.reads_trajectories:
+            raise ConfigError(
+                f"optimizer.then is {type(self._then).__name__}, which has a start of its own: "
+                "give it alone, as optimizer=total_least_squares, or another one"
+            )
         self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._first, max(epochs, 1))
         self.memory["epoch"] = 0
 

@@ -117,7 +117,8 @@ class TotalLeastSquares(EpochOptimizer):
         real("optimizer.input_weight", input_weight, low=0)
         real("optimizer.late_from", late_from, above=0)
         self.start, self.epochs, self.damping = start, epochs, damping
-        self.warm_up, self.seed = whole_number("optimizer.warm_up", warm_up, low=0), seed
+        self.warm_up = whole_number("optimizer.warm_up", warm_up, low=0)
+        self.seed = whole_number("optimizer.seed", seed, low=0, high=2**32 - 1)
         self.velocity_weight, self.input_weight = velocity_weight, input_weight
         late = any(map(is_late, self.parameters))
         begins = [Stage(None, start=i) for i in range(starts)]

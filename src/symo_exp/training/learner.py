@@ -20,7 +20,7 @@ from symo_exp.mechanics.types import TrainingSamples, Trajectory
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.objectives import Objective, Statistics
 from symo_exp.nets.affine import Linearised
-from symo_exp.optim.base import EpochOptimizer, Equations, minibatches
+from symo_exp.optim.base import EpochOptimizer, Equations, check_steps, minibatches
 
 
 class Learner(lightning.LightningModule):
@@ -136,6 +136,8 @@ class Learner(lightning.LightningModule):
         if self._optimizer is None:
             raise ValueError("this learner was built without an optimizer: it cannot train")
         optimizer = self._optimizer(self.parameters())
+        if not isinstance(optimizer, EpochOptimizer):
+            check_steps("optimizer", optimizer)
         self.objective.require(list(self.parameters()), optimizer)
         return [optimizer], [self._scheduler(optimizer)] if self._scheduler else []
 
