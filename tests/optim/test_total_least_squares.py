@@ -77,7 +77,8 @@ def friction(**settings):
 def test_the_band_is_that_of_the_whole_matrix(d):
     """``J Jᵀ + ε² I`` over trajectories of several lengths, and its Cholesky factor."""
     trajectories = [
-        Trajectory(*(torch.randn(k, w, dtype=torch.float64) for w in (d, d, 0))) for k in (3, 7, 4)
+        Trajectory(*(torch.randn(k, w, dtype=torch.float64) for w in (d, d, 0)))
+        for k in (3, 7, 1, 2, 4)
     ]
     chain = Chain.of(trajectories, velocities=False)
     windows, k = len(chain.centre), 2

@@ -41,14 +41,13 @@ class Chain(NamedTuple):
         """Return the chain of some trajectories; no window extends over two of them.
 
         Args:
-            trajectories: The trajectories.
+            trajectories: The trajectories; those of fewer than three nodes have no window.
             velocities: Whether ``x`` has velocities.
             inputs: Whether ``x`` has inputs.
         """
         q, v, u = (torch.cat(fields) for fields in zip(*trajectories, strict=True))
-        ends = np.cumsum([len(t.q) for t in trajectories])
-        starts = ends - [len(t.q) for t in trajectories]
-        centre = torch.cat([torch.arange(a + 1, b - 1) for a, b in zip(starts, ends, strict=True)])
+        of = torch.repeat_interleave(torch.tensor([len(t.q) for t in trajectories]))
+        centre = (of[2:] == of[:-2]).nonzero().squeeze(1) + 1
         space = space_of(q, v)
         parts = [space.origin(q), *([v] if velocities else []), *([u] if inputs else [])]
         return Chain(torch.cat(parts, dim=1), u, centre, v.shape[1], inputs, q, space)
