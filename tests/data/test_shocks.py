@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 import torch
 
-from symo_exp.data.parts import LONGEST_GAP
 from symo_exp.data.recorded import RecordedData, recorded_system
+from symo_exp.data.resample import LONGEST_GAP
 from symo_exp.data.shocks import shocks
 from symo_exp.errors import ConfigError
 from symo_exp.identify.recordings import examine

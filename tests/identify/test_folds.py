@@ -23,6 +23,23 @@ def parts(train, val, test=(1.0,)):
     }
 
 
+def paused(one, pause):
+    """The recording, with a pause after its first half."""
+    t = one.samples.t
+    samples = one.samples._replace(t=t + pause * (t > t[-1] / 2))
+    return one._replace(samples=samples, whole=samples)
+
+
+def labelled(one):
+    return one.label
+
+
+def assert_same_samples(found, expected):
+    for one, other in zip(found, expected, strict=True):
+        assert len(one.samples.t) == pytest.approx(len(other.samples.t), abs=3)
+        np.testing.assert_allclose(one.samples.q[0], other.samples.q[0], atol=0.03)
+
+
 @pytest.mark.parametrize(
     ("train", "val"), [((5, 6, 7, 5), (4, 9)), ((20,), (10,)), ((3,) * 20, (3,)), ((40, 2), (2,))]
 )
@@ -65,6 +82,23 @@ def test_recordings_at_rest_are_for_training_in_every_fold(noise, count):
         assert {"train0", "val0"} < {r.label for r in one["train"]}
         held_out |= {r.label.partition("/")[0] for r in one["val"]}
     assert held_out == {"train1", "train2", "train3"}
+
+
+@pytest.mark.parametrize("pause", [0.7, 25.0, 1e4])
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_folds_have_the_samples_that_they_have_without_a_pause(pause, count):
+    everything = parts((20, 3), (10,))
+    later = {part: [paused(one, pause) for one in each] for part, each in everything.items()}
+    found, expected = (
+        sorted((one for k in range(count) for one in folded(each, [k, count])["val"]), key=labelled)
+        for each in (later, everything)
+    )
+    assert_same_samples(found, expected)
+
+
+def test_folds_without_samples_are_refused():
+    with pytest.raises(ConfigError, match="too few samples for 40 folds"):
+        folded(parts((0.1,), (0.1,)), [0, 40])
 
 
 def test_pooled_trains_on_both_parts_and_keeps_the_test_part():
@@ -118,6 +152,14 @@ def test_thinned_pieces_of_short_recordings_have_nodes():
     pieces = thinned(recordings, 4.0, least=0.1)
     assert [np.ptp(one.samples.t) for one in pieces] == pytest.approx([4.0, 0.12, 0.05], abs=0.15)
     assert np.ptp(pieces[1].samples.t) >= 0.09
+
+
+@pytest.mark.parametrize("pause", [0.7, 25.0, 1e4])
+@pytest.mark.parametrize("seconds", [2.0, 5.0, 11.0])
+def test_thinned_pieces_have_the_samples_that_they_have_without_a_pause(pause, seconds):
+    recordings = [recording("a", 8.0), recording("b", 4.0)]
+    later = [paused(one, pause) for one in recordings]
+    assert_same_samples(thinned(later, seconds), thinned(recordings, seconds))
 
 
 @pytest.mark.parametrize("shortest", [1.0, 4.0])

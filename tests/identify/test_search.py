@@ -171,7 +171,7 @@ def test_the_recordings_of_the_test_part_are_named(workplace):
     assert said == "recordings: 3 to choose and train models, for the test 3"
 
 
-@pytest.mark.parametrize("gap", [0.0, 1.0])
+@pytest.mark.parametrize("gap", [0.0, 1.0, 1e5])
 def test_recordings_with_gaps_or_without_a_test_part_are_examined_and_it_says_so(gap, workplace):
     frame = table(count=4, seconds=6.0)
     frame["split"] = np.where(frame.trajectory < 3, "train", "val")

@@ -140,4 +140,9 @@ def _blocks(recordings: Sequence[Recording], count: int) -> list[Recording]:
         for k, (low, high) in enumerate(itertools.pairwise(edges)):
             samples = one.samples.between(low + gap * (k > 0), high)
             pieces.append(one._replace(label=f"{one.label}/{k}", samples=samples))
+    if any(len(one.samples.t) < 2 for one in pieces):
+        raise ConfigError(
+            f"data.fold: recordings of {size * count:.3g} s have too few samples for {count} folds "
+            "of them; give fewer folds"
+        )
     return pieces

@@ -9,7 +9,7 @@ import numpy as np
 
 from symo_exp.checks import whole_number
 from symo_exp.data.paths import few, titled
-from symo_exp.data.resample import Samples
+from symo_exp.data.resample import LONGEST_GAP, Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 
@@ -27,8 +27,6 @@ REST = 0.05
 """Share of a coordinate's range that it moves by at most where a recording is at rest."""
 RESTS = 2.0
 """Length from which a rest is left out [s]."""
-LONGEST_GAP = 3
-"""Time steps over which a motion is interpolated, at most."""
 Parts = dict[str, list[Recording]]
 """Recordings by the name of their part."""
 
@@ -277,7 +275,7 @@ def _in_blocks(
     recordings: Sequence[Recording], time_step: float, lacking: Sequence[str]
 ) -> tuple[list[Recording], str | None]:
     """Split recordings in time; blocks of parts that are not lacking are for training."""
-    clocks = [_recorded_time(one.samples.t) for one in recordings]
+    clocks = [one.samples.clock for one in recordings]
     ends = [
         _moving(one.samples._replace(t=clock))
         for one, clock in zip(recordings, clocks, strict=True)
@@ -295,7 +293,7 @@ def _in_blocks(
         changes = [k for k in range(1, len(order)) if order[k] != order[k - 1]]
         for first, last in itertools.pairwise([0, *changes, len(order)]):
             low, high = start + first * size + gap * (first > 0), start + last * size
-            samples = one.samples.rows((clock >= low) & (clock <= high))
+            samples = one.samples.between(low, high)
             low, high = np.interp([low, high], clock, one.samples.t - one.samples.t[0])
             name = f"{low:.4g} to {high:.4g} s"
             label = f"{one.label}/{name}" if one.label else name
@@ -307,17 +305,6 @@ def _in_blocks(
         f"split in time: {' and '.join(told)}, in turn {', '.join(pattern)}; {gap:.2g} s left out "
         "between parts"
     )
-
-
-def _recorded_time(t: np.ndarray) -> np.ndarray:
-    """Return the times after the first sample, without those of gaps.
-
-    They do not depend on the time step, so that candidates with different ones have the same parts.
-    """
-    steps = np.diff(t)
-    usual = float(np.median(steps))
-    lost = np.where(steps > LONGEST_GAP * usual * (1 + 1e-3), steps - usual, 0.0)
-    return np.asarray(t - t[0] - np.concatenate([[0.0], np.cumsum(lost)]))
 
 
 def _moving(samples: Samples) -> tuple[float, float]:

@@ -12,6 +12,8 @@ DENSE = 1 / 3
 """Share of a step below which the distance of samples allows polynomial fits."""
 ENOUGH = 5
 """Least number of samples that a cubic polynomial is fitted to."""
+LONGEST_GAP = 3
+"""Steps over which a motion is interpolated, at most."""
 
 
 class Samples(NamedTuple):
@@ -23,9 +25,20 @@ class Samples(NamedTuple):
     u: np.ndarray
 
     @property
+    def clock(self) -> np.ndarray:
+        """Times after the first sample [s], without those of gaps.
+
+        A gap is longer than ``LONGEST_GAP`` usual steps of the samples. Those of a model do not
+        matter, so that candidates with different ones have the same parts of recordings.
+        """
+        steps, usual = np.diff(self.t, prepend=self.t[:1]), self.step
+        lost = np.where(steps > LONGEST_GAP * usual * (1 + 1e-3), steps - usual, 0.0)
+        return np.asarray(self.t - self.t[:1] - np.cumsum(lost))
+
+    @property
     def seconds(self) -> float:
-        """Time from the first to the last sample [s]."""
-        return float(self.t[-1] - self.t[0])
+        """Length of the motion without gaps [s]."""
+        return float(self.clock[-1])
 
     @property
     def step(self) -> float:
@@ -38,9 +51,9 @@ class Samples(NamedTuple):
         return Samples(self.t[which], self.q[which], v, self.u[which])
 
     def between(self, low: float, high: float) -> Samples:
-        """Return the samples from ``low`` to ``high`` [s] after the first."""
-        t = self.t - self.t[0]
-        return self.rows((t >= low) & (t <= high))
+        """Return the samples from ``low`` to ``high`` [s] of the ``clock``."""
+        clock = self.clock
+        return self.rows((clock >= low) & (clock <= high))
 
 
 def resample(samples: Samples, h: float) -> Samples:

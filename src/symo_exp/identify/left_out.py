@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.parts import LONGEST_GAP
+from symo_exp.data.resample import LONGEST_GAP
 from symo_exp.data.shocks import shocks
 from symo_exp.data.table import Recording
 from symo_exp.identify.sampled import at_nodes, with_inputs

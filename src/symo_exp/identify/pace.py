@@ -8,6 +8,7 @@ import numpy as np
 
 from symo_exp.data.explained import growth_rate
 from symo_exp.data.folds import thinned
+from symo_exp.data.parts import uninterrupted
 from symo_exp.data.sensors import blur_of, noise_of
 from symo_exp.data.table import Recording
 from symo_exp.evaluation.horizon import HORIZONS
@@ -37,6 +38,7 @@ def fitting_time_step(
     usable = [h for h in STEPS if h >= finest * (1 - 1e-3)]
     if not usable:
         return float(f"{finest:.4g}")
+    recordings, _ = uninterrupted(recordings, usable[0])  # nothing is known of a motion in a gap
     beginning, spread = first_seconds(recordings, EXAMINED), thinned(recordings, SPREAD)
 
     def resolves(h: float) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from symo_exp.data.parts import LONGEST_GAP
+from symo_exp.data.resample import LONGEST_GAP
 from symo_exp.identify.candidates import Candidate, left_open
 from symo_exp.identify.recordings import Machine
 from symo_exp.shell import override_value
