@@ -114,6 +114,10 @@ WRITERS: dict[str, Writer] = {
         lambda t: t.assign(t=(1e9 * t.t).round().astype("int64") + 1_700_000_000_000_000_000),
     ),
     "milliseconds of a clock": csv("x.csv", lambda t: t.assign(t=(1e3 * t.t).round() + 1.7e12)),
+    "milliseconds of a clock in any order": csv(
+        "x.csv",
+        lambda t: t.assign(t=(1e3 * t.t).round() + 1.7e12).sample(frac=1, random_state=0),
+    ),
     "nanoseconds of a clock under a row of units": text(
         lambda lines: [
             lines[0],
@@ -363,6 +367,8 @@ def test_a_log_is_not_split_where_parts_are_given(settings, message, tmp_path: P
             "'data.columns={q_arm: arm_deg}' data.degrees=true",
         ),
         (lambda t: t.assign(t=1e9 * t.t), "give data.time_unit=ns"),
+        (lambda t: t.assign(t=1e9 * t.t + 1.5e12), "give data.time_unit=ns"),  # not ms since 1970
+        (lambda t: t.assign(t=1e6 * t.t + 1.5e12), "give data.time_unit=us"),
         (lambda t: t.assign(t=t.t / 86400), "if they are in days, give data.time_unit=d"),
         (
             lambda t: t.assign(q_0=(200 * t.t) % 360),

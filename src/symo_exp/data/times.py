@@ -80,18 +80,28 @@ def from_dates(
 def _unit_of_dates(t: np.ndarray, seconds: float | None) -> str | None:
     """Return the unit of times that are dates as numbers, ``None`` if they are none.
 
-    Days have to be fine as well: as seconds, times of this size are those of a clock.
+    Of an unknown unit, times have to be fine as well. Clocks that count from their start have times
+    of this size too: in seconds after half a day, in nanoseconds after half an hour.
     """
-    middle = float(np.median(t))
+    middle, gap = float(np.median(t)), _usual_gap(t)
     for name, unit in UNITS.items():
         if seconds not in (None, unit):
             continue
-        if unit > 1.0 and seconds is None and not _gap(t) <= FAST:
+        if seconds is None and not gap < (FAST if unit > 1.0 else SLOW / unit):
             continue
         for origin in ORIGINS.get(name, ()):
             if EPOCH[0] <= (middle - origin) * unit <= EPOCH[1]:
                 return name
     return None
+
+
+def _usual_gap(t: np.ndarray) -> float:
+    """Return the usual time between samples, NaN without any.
+
+    Rows that are not in order are those of several recordings, or in any order.
+    """
+    in_order = 2 * np.sum(np.diff(t) > 0) > len(t) - 1
+    return _gap(t if in_order else np.unique(t))
 
 
 def _gap(t: np.ndarray) -> float:
@@ -111,9 +121,7 @@ def check_seconds(where: str, t: np.ndarray) -> None:
     Raises:
         ConfigError: If the usual time between samples is beyond ``SLOW`` or ``FAST``.
     """
-    fast, in_order = _gap(t), 2 * np.sum(np.diff(t) > 0) > len(t) - 1
-    # other rows are those of several recordings, or in any order
-    slow = fast if in_order else _gap(np.unique(t))
+    fast, slow = _gap(t), _usual_gap(t)
     if slow >= SLOW:
         step, unit = slow, next((name for name, unit in UNITS.items() if slow * unit < 0.1), "ns")
     elif fast <= FAST:
