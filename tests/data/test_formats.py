@@ -693,6 +693,18 @@ def test_arrays_may_hold_many_trajectories() -> None:
         from_arrays({"q": q})
 
 
+@pytest.mark.parametrize("count", [3, 40])
+@pytest.mark.parametrize("shape", [(10,), (1, 10), (10, 1), (-1, 10)])
+def test_times_may_be_those_of_all_trajectories(shape: tuple[int, ...], count: int) -> None:
+    """Also if there are more trajectories than samples of each."""
+    t = np.tile(np.arange(10.0), count if shape[0] == -1 else 1).reshape(shape)
+    q = np.arange(count * 10 * 2.0).reshape(count, 10, 2)
+    found = from_arrays({"t": t, "q": q})
+    np.testing.assert_array_equal(found.t, np.tile(np.arange(10.0), count))
+    np.testing.assert_array_equal(found[["q_0", "q_1"]], q.reshape(-1, 2))
+    np.testing.assert_array_equal(found.trajectory, np.repeat(np.arange(count), 10))
+
+
 @pytest.mark.parametrize("name", ["q", "v", "u", "torque"])
 @pytest.mark.parametrize("shape", [(39,), (39, 1), (41, 2), (3, 39, 2)])
 def test_a_signal_of_another_length_is_not_passed_over(name: str, shape: tuple[int, ...]) -> None:
@@ -704,6 +716,8 @@ def test_a_signal_of_another_length_is_not_passed_over(name: str, shape: tuple[i
         from_arrays({**arrays, name: np.zeros(shape)})
     with pytest.raises(ValueError, match=r"u_motor has 20 rows, t 40"):
         from_arrays({**arrays, "u_motor": np.zeros(20)})
+    with pytest.raises(ValueError, match=r"u_motor has 20 rows, t 40"):
+        from_arrays({**arrays, "u_motor": np.zeros((20, 2))})  # as many numbers as times
 
 
 def test_arrays_of_one_name_in_several_structures_are_kept_apart(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
 
     An array (T,) is a column; (T, k) is k columns ``<name>_0``, ...; (N, T, k) is N trajectories.
     Arrays of other lengths, and those that hold no numbers, are left out. T is the length of the
-    array of times, which is named ``t`` or ``time``, perhaps with its unit.
+    array of times, (T,) or (N, T), which is named ``t`` or ``time``, perhaps with its unit.
 
     Raises:
         ValueError: If there is no array of times, or a signal has another length.
@@ -35,7 +35,8 @@ def from_arrays(arrays: Mapping[str, Any]) -> pd.DataFrame:
             f"there is no array of times named t among {few(sorted(arrays)) or 'none'}: save t, q "
             "and u as arrays with a row for each sample"
         )
-    nodes = max(found[times[0]].shape)
+    clock, signals = found[times[0]].shape, {x.shape[:2] for x in found.values() if x.ndim == 3}
+    nodes = clock[1] if clock[:2] in signals else max(clock)
     count = max((len(x) for x in found.values() if x.ndim == 3 and x.shape[1] == nodes), default=0)
     columns: dict[str, np.ndarray] = {}
     if count:
@@ -65,14 +66,14 @@ def _rows_of_many(x: np.ndarray, count: int, nodes: int) -> np.ndarray | None:
     """Return an array of ``count`` trajectories as (rows, columns), ``None`` if it does not fit."""
     if x.ndim <= 3 and x.shape[:2] == (count, nodes):
         return x.reshape(count * nodes, -1)
-    if x.size == nodes:
+    if max(x.shape) == x.size == nodes:
         return np.tile(x.reshape(-1), count)[:, None]
-    return np.repeat(x.reshape(-1), nodes)[:, None] if x.size == count else None
+    return np.repeat(x.reshape(-1), nodes)[:, None] if max(x.shape) == x.size == count else None
 
 
 def _rows_of_one(x: np.ndarray, nodes: int) -> np.ndarray | None:
     """Return an array of one trajectory as (rows, columns), ``None`` if it does not fit."""
-    if x.size == nodes:
+    if max(x.shape) == x.size == nodes:
         return x.reshape(-1, 1)
     if x.ndim == 2 and nodes in x.shape:
         return x if len(x) == nodes else x.T
