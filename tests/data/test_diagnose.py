@@ -116,11 +116,13 @@ def test_noise_is_estimated(std: float) -> None:
     np.testing.assert_allclose(found(2, 5.0, std).noise, std, rtol=0.15)
 
 
-def test_only_quantised_signals_have_an_encoder() -> None:
+@pytest.mark.parametrize("size", [1e-7, 1.0, 1e6])
+def test_only_quantised_signals_have_an_encoder(size: float) -> None:
     q = np.sin(np.linspace(0, 20, 4000))
-    assert encoder_of([q]) == 0
-    assert encoder_of([np.round(q / 0.003) * 0.003]) == pytest.approx(0.003)
-    assert noise_of([q]) < 1e-9
+    assert encoder_of([size * q]) == 0
+    step = 0.003 * size
+    assert encoder_of([np.round(size * q / step) * step]) == pytest.approx(step)
+    assert noise_of([size * q]) < 1e-9 * size
     assert encoder_of([np.zeros(9)]) == 0
 
 

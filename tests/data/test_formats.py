@@ -402,6 +402,20 @@ def test_doubtful_units_are_noted(change, said: str | None, tmp_path: Path, capl
     assert [said in line for line in told] == [True] if said else not told
 
 
+def test_velocities_in_other_units_can_be_left_out_of_all_parts(tmp_path: Path) -> None:
+    """By the setting that the line on them gives, which keeps those that are given."""
+    slope = np.gradient(motion().q_0, motion().t)
+    table = motion().rename(columns={"u_0": "torque"}).assign(v_0=60 * slope)
+    table.to_csv(tmp_path / "x.csv", index=False)
+    columns: dict[str, str | None] = {"u_0": "torque"}
+    (told,) = [x for x in load(tmp_path / "x.csv", columns=columns).lines() if "the slope" in x]
+    assert told.endswith("'data.columns={u_0: torque, v_0: null}'")
+    found = load(tmp_path / "x.csv", columns={**columns, "v_0": None})
+    assert not [x for x in found.lines() if "the slope" in x]
+    for part in ("train", "val", "test"):
+        assert all(float(one.v.abs().max()) < 2 * slope.max() for one in found.trajectories(part))
+
+
 @pytest.mark.parametrize(
     ("large", "style"),
     [("1.024,5", {"sep": ";", "decimal": ","}), ("1,024.5", {}), ("1 024.5", {}), ("1'024", {})],

@@ -308,6 +308,20 @@ def test_only_angles_are_unwrapped(tmp_path: Path) -> None:
     torch.testing.assert_close(found.train.q, plain.train.q)
 
 
+@pytest.mark.parametrize("degrees", [False, True])
+def test_the_log_says_the_same_of_angles_that_jump_by_a_turn(degrees: bool, tmp_path: Path) -> None:
+    """Of noise, steps of encoders and velocities."""
+    t, turn = 0.01 * np.arange(2000), 360.0 if degrees else 2 * np.pi
+    q = np.random.default_rng(0).normal(30 * t + np.sin(2 * t), 1e-3)
+    scale = turn / (2 * np.pi)
+    columns = {"t": t, "q_rotor": scale * q, "v_rotor": scale * np.gradient(q, t)}
+    plain = pd.DataFrame(columns)
+    jumping = plain.assign(q_rotor=(plain.q_rotor + turn / 2) % turn - turn / 2)
+    expected = read(plain, tmp_path, degrees=degrees)
+    found = read(jumping, tmp_path, degrees=degrees, wrapped=True)
+    assert found.lines() == expected.lines()
+
+
 def test_the_log_reports_unused_data_and_resampling(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -14,7 +14,7 @@ from scipy.integrate import cumulative_trapezoid
 from typing_extensions import Unpack, override
 
 from symo_exp.checks import real, whole_number
-from symo_exp.data.advice import Columns
+from symo_exp.data.advice import Columns, omitting
 from symo_exp.data.base import DataModule, DataOptions, Splits, central_differences, stacked
 from symo_exp.data.delays import acting_late
 from symo_exp.data.diagnose import Diagnosis, diagnose
@@ -25,7 +25,7 @@ from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, without
 from symo_exp.data.paths import Location, shown, titled
 from symo_exp.data.resample import Samples, resample
 from symo_exp.data.table import Recording, read_recordings
-from symo_exp.data.turns import in_radians, refuse_counts, refuse_turns, turned, unwrapped
+from symo_exp.data.turns import continuous, refuse_counts, refuse_turns, turned
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates, Trajectory
@@ -166,7 +166,7 @@ class RecordedData(DataModule):
         **options: Unpack[DataOptions],
     ) -> None:
         whole_number("data.n_integration", n_integration)
-        where, space, h = shown(path), system.coordinates, system.time_step
+        where, coordinates, h = shown(path), system.coordinates, system.time_step
         table = read_recordings(path, system, columns, time_unit)
         longest = max((one.samples.seconds for one in table.recordings), default=0.0)
         delay = real("data.input_delay", input_delay, low=-longest, high=longest)  # else no input
@@ -191,15 +191,14 @@ class RecordedData(DataModule):
             "data.n_traj", available if n_traj is None else n_traj, high=available
         )
         parts["train"] = parts["train"][:n_traj]
-        refuse_counts(where, space, list(itertools.chain(*parts.values())), degrees)
-        if degrees:
-            parts = {
-                name: [one._replace(samples=in_radians(one.samples, space)) for one in part]
-                for name, part in parts.items()
-            }
-        self._coordinates = space
+        refuse_counts(where, coordinates, list(itertools.chain(*parts.values())), degrees)
+        parts = {
+            name: [_in_radians(where, one, coordinates, degrees, wrapped) for one in part]
+            for name, part in parts.items()
+        }
+        self._coordinates = coordinates
         found = {
-            name: [_trajectory(where, one, space, h, wrapped=wrapped) for one in part]
+            name: [_trajectory(where, one, coordinates, h) for one in part]
             for name, part in parts.items()
         }
         self.test_names = [one.label for one in parts["test"]]
@@ -208,7 +207,7 @@ class RecordedData(DataModule):
         self._splits = Splits(**found, integration=stacked(rollouts, shortest))
         self._sampled = [recording.samples for recording in parts["train"]]
         with np.errstate(all="ignore"):  # values that overflow
-            doubts = list(_doubts(space, self._sampled))
+            doubts = list(_doubts(coordinates, self._sampled, columns))
         read, resampled = _told_read(where, recordings, parts), _told_resampled(parts, h)
         notes = filter(None, (*table.notes, note))
         self._report = [read, *notes, *resampled, *gaps, *doubts]
@@ -261,21 +260,28 @@ def _cut_at_gaps(where: str, parts: Parts, h: float) -> tuple[Parts, list[str]]:
     return pieces, gaps
 
 
-def _trajectory(
-    where: str, recording: Recording, coordinates: Coordinates, h: float, *, wrapped: bool
-) -> Trajectory:
-    """Return a recording, its angles in radians, as a trajectory with nodes a time step apart.
+def _in_radians(
+    where: str, recording: Recording, coordinates: Coordinates, degrees: bool, wrapped: bool
+) -> Recording:
+    """Return a recording whose angles are in radians and go on beyond a turn.
 
     Raises:
-        ConfigError: If angles are wrapped or samples too far apart.
+        ConfigError: If angles jump that are not said to be wrapped.
+    """
+    samples = continuous(recording.samples, coordinates, degrees=degrees, wrapped=wrapped)
+    if not wrapped:
+        refuse_turns(f"{where}: {titled(recording.label)}", samples, coordinates)
+    return recording._replace(samples=samples)
+
+
+def _trajectory(where: str, recording: Recording, coordinates: Coordinates, h: float) -> Trajectory:
+    """Return a recording as a trajectory with nodes a time step apart.
+
+    Raises:
+        ConfigError: If samples are too far apart or quaternions have not the norm 1.
     """
     where, space = f"{where}: {titled(recording.label)}", coordinates.space
-    samples = recording.acting()
-    if wrapped:
-        samples = unwrapped(samples, coordinates)
-    else:
-        refuse_turns(where, samples, coordinates)
-    samples = turned(where, samples, coordinates)
+    samples = turned(where, recording.acting(), coordinates)
     if not _equal(samples.t, h):
         if samples.step > h * (1 + TIME_TOLERANCE):
             raise ConfigError(
@@ -328,8 +334,11 @@ def _told_resampled(parts: Parts, h: float) -> list[str]:
     ]
 
 
-def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[str]:
-    """Yield signs of wrong units, a line each."""
+def _doubts(
+    coordinates: Coordinates, sampled: Sequence[Samples], columns: Columns | None
+) -> Iterator[str]:
+    """Yield signs of wrong units, a line each; ``columns`` is the setting so far."""
+    velocities = [f"v_{name}" for name in coordinates.names]
     for i, (name, angular) in enumerate(zip(coordinates.flat, coordinates.angular, strict=False)):
         sweeps = np.concatenate([_sweeps(one.q[:, i]) for one in sampled])
         if angular and len(sweeps) >= SWINGS and np.median(sweeps) > 2 * np.pi:
@@ -342,7 +351,7 @@ def _doubts(coordinates: Coordinates, sampled: Sequence[Samples]) -> Iterator[st
         if not 0.2 < ratio < 5.0:
             yield (
                 f"v_{name} is {ratio:.2g} times the slope of q_{name}: check the signs and units "
-                "of times and velocities, or leave velocities out (data.velocities=estimated)"
+                f"of times and velocities, or leave velocities out, {omitting(velocities, columns)}"
             )
 
 

@@ -7,6 +7,9 @@ from math import comb
 
 import numpy as np
 
+ROUNDING = 1e-9
+"""Increments over the largest value up to which they are rounding errors."""
+
 
 def noise_of(columns: Sequence[np.ndarray]) -> float:
     """Return the standard deviation of white noise on smooth motions.
@@ -33,7 +36,7 @@ def blur_of(noise: np.ndarray, samples: float) -> np.ndarray:
 def encoder_of(columns: Sequence[np.ndarray]) -> float:
     """Return the step that all increments are multiples of, 0 if there is none."""
     rises = np.concatenate([np.abs(np.diff(x)) for x in columns])
-    rises = rises[rises > 1e-9]
+    rises = rises[rises > ROUNDING * np.abs(np.concatenate(columns)).max()]
     if not len(rises):
         return 0.0
     step = float(np.quantile(rises, 0.01))

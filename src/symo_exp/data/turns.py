@@ -18,18 +18,24 @@ UNIT = 1e-3
 """Largest difference of the norm of a quaternion from 1."""
 
 
-def in_radians(samples: Samples, coordinates: Coordinates) -> Samples:
-    """Return samples in degrees, with quaternions, as samples in radians."""
-    places = np.where(_angles(samples, coordinates), np.pi / 180, 1.0)
-    rates = np.where(coordinates.turning, np.pi / 180, 1.0)
-    v = None if samples.v is None else samples.v * rates
-    return samples._replace(q=samples.q * places, v=v)
+def continuous(
+    samples: Samples, coordinates: Coordinates, *, degrees: bool, wrapped: bool
+) -> Samples:
+    """Return samples, with quaternions, whose angles are in radians and go on beyond a turn.
 
-
-def unwrapped(samples: Samples, coordinates: Coordinates) -> Samples:
-    """Return samples, with quaternions, whose angles go on beyond a turn."""
-    angular = _angles(samples, coordinates)
-    return samples._replace(q=np.where(angular, np.unwrap(samples.q, axis=0), samples.q))
+    Args:
+        samples: The samples as recorded.
+        coordinates: Those of the machine.
+        degrees: Whether angles and their velocities are in degrees.
+        wrapped: Whether angles jump by a turn.
+    """
+    angular, q, v = _angles(samples, coordinates), samples.q, samples.v
+    if degrees:
+        q = q * np.where(angular, np.pi / 180, 1.0)
+        v = None if v is None else v * np.where(coordinates.turning, np.pi / 180, 1.0)
+    if wrapped:
+        q = np.where(angular, np.unwrap(q, axis=0), q)
+    return samples._replace(q=q, v=v)
 
 
 def turned(where: str, samples: Samples, coordinates: Coordinates) -> Samples:

@@ -16,7 +16,7 @@ from symo_exp.data.parts import PARTS, divided, uninterrupted, without
 from symo_exp.data.paths import few, shown, titled
 from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording, read_recordings
-from symo_exp.data.turns import in_radians, refuse_counts, turned, unwrapped
+from symo_exp.data.turns import continuous, refuse_counts, turned
 from symo_exp.errors import ConfigError
 from symo_exp.identify.angles import (
     ask_for_angles,
@@ -352,12 +352,10 @@ class _Examination:
 
     def _continuous(self) -> list[Recording]:
         """Return ``used`` with angles in radians that go on beyond a turn."""
-        found = [one.samples for one in self.used]
-        if self.data.get("degrees"):
-            found = [in_radians(samples, self.space) for samples in found]
-        if self.data.get("wrapped"):
-            found = [unwrapped(samples, self.space) for samples in found]
-        return [one._replace(samples=x) for one, x in zip(self.used, found, strict=True)]
+        how = {name: bool(self.data.get(name)) for name in ("degrees", "wrapped")}
+        return [
+            one._replace(samples=continuous(one.samples, self.space, **how)) for one in self.used
+        ]
 
     def _is_open(self, name: str) -> bool:
         """Return whether a setting of data has no value yet."""
