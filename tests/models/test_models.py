@@ -98,6 +98,16 @@ def test_rollout_is_repeated_steps(method, integrator, n):
     torch.testing.assert_close(rollout.v[:, 0], data.v)
 
 
+@FLOWS
+def test_a_rollout_of_no_steps_is_the_start(method, integrator, n):
+    model, data = make(method, integrator, n), windows(n)
+    for given in ({"steps": 0}, {"u": data.u[:, None]}):
+        rollout = model.rollout(data.q, data.v, **given)
+        assert torch.equal(rollout.q, data.q[:, None])
+        torch.testing.assert_close(rollout.v, data.v[:, None])
+        assert rollout.converged.shape == (len(data.q), 0)
+
+
 @pytest.mark.parametrize("method", ["node", "l_node"])
 @torch.no_grad()
 def test_rollouts_may_have_an_integrator_of_their_own(method):

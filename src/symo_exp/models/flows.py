@@ -196,11 +196,11 @@ class Flow(nn.Module, ABC):
         self, q: Tensor, y: Tensor, u: Tensor, advance: Callable[..., Carried] | None = None
     ) -> Carried:
         """Return ``(q, y)`` at all nodes, and which steps between them have converged."""
-        nodes: list[Carried] = [(q, y, q)]
+        nodes: list[Carried] = [(q, y, torch.ones_like(q[:, 0], dtype=torch.bool))]
         for before, after in itertools.pairwise(u.unbind(1)):
             nodes.append((advance or self.advance)(*nodes[-1][:2], before, after))
-        path, carried, converged = zip(*nodes, strict=True)
-        return torch.stack(path, 1), torch.stack(carried, 1), torch.stack(converged[1:], 1)
+        path, carried, converged = (torch.stack(field, 1) for field in zip(*nodes, strict=True))
+        return path, carried, converged[:, 1:]
 
 
 def chained(
