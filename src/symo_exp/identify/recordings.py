@@ -430,7 +430,7 @@ class _Examination:
             found = finds(self.used, self.space, time_step)
             if not found:
                 continue
-            stretches = [self._in_table(one) for one in found]
+            stretches = [self._in_table(one, time_step) for one in found]
             told = few([f"{name} {low:g} to {high:g} s".lstrip() for name, low, high in stretches])
             self.notes.append(f"left out: {told}; {reason} (data.leave_out=[] keeps all)")
             left_out += stretches
@@ -441,12 +441,16 @@ class _Examination:
         if left_out:
             self.settings.append(f"data.leave_out={override_value(left_out)}")
 
-    def _in_table(self, stretch: Stretch) -> Stretch:
-        """Return the trajectory of the table that has a stretch, and its times after the start."""
+    def _in_table(self, stretch: Stretch, time_step: float) -> Stretch:
+        """Return the trajectory of the table that has a stretch, and its times after the start.
+
+        Times are rounded to a tenth of a time step at most.
+        """
         label, low, high = stretch
         whole = [x for x in self.starts if x in ("", label) or label.startswith(f"{x}/")]
         name = max(whole, key=len)  # pieces have the name of the trajectory first
-        return name, round(low - self.starts[name], 4), round(high - self.starts[name], 4)
+        start, digits = self.starts[name], max(4, 1 - math.floor(math.log10(time_step)))
+        return name, round(low - start, digits), round(high - start, digits)
 
     def _direct_inputs(self, time_step: float) -> np.ndarray:
         """Return the matrix of the inputs, in the directions in which they act."""
