@@ -17,13 +17,23 @@ from symo_exp.mechanics.roots import Broyden, Newton
 from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.units import Units
 from symo_exp.mechanics.variational import VariationalMidpoint
+from symo_exp.models.base import DynamicsModel
 from symo_exp.models.flows import ExplicitFlow, VariationalFlow
 from symo_exp.models.objectives import PreconditionedResidual, Residual
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.affine import parameter_jacobian
 from symo_exp.training.learner import Learner
 from tests.differences import assert_gradients
-from tests.models.methods import H, combinations, flows, learner, make, pairwise, windows
+from tests.models.methods import (
+    H,
+    combinations,
+    flows,
+    learner,
+    make,
+    make_small,
+    pairwise,
+    windows,
+)
 from tests.tables import arguments_of, stated, variational_integrators
 
 ALL = pytest.mark.parametrize(("method", "integrator"), combinations())
@@ -578,3 +588,17 @@ def test_true_models_move_alike_in_any_units(name, units):
         assert path.converged.all()
         paths.append(path.q / sizes)
     torch.testing.assert_close(paths[1], paths[0], atol=1e-10, rtol=0.0)
+
+
+@pytest.mark.parametrize("integrator", ["midpoint", "galerkin4"])
+def test_a_method_of_a_user_moves_in_the_units_of_its_coordinates(integrator):
+    symo, sizes = make_small("symo", integrator, 2)
+    root = Newton(tolerance=1e-12, max_iterations=50)
+    rule, matrix = variational_integrators()[integrator], symo.input_matrix
+    flow = VariationalFlow(symo.lagrangian, rule, symo.time_step, matrix, root=root)
+    mine = DynamicsModel(flow, coordinates=symo.coordinates).double()
+    q, v = windows(2).q * sizes, windows(2).v * sizes
+    assert torch.equal(mine.rollout(q, v, steps=20).q, symo.rollout(q, v, steps=20).q)
+    assert torch.equal(mine.step(q, v).v, symo.step(q, v).v)
+    assert root.tolerance == 1e-12
+    assert rule.sizes is None

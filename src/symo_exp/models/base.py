@@ -55,9 +55,7 @@ class DynamicsModel(nn.Module):
         instance("coordinates", coordinates, Coordinates)
         self.flow, self.coordinates, self.time_step = flow, coordinates, flow.time_step
         if coordinates.units != SI:
-            action, sizes = coordinates.units.size("N m s"), coordinates.sizes
-            self.flow.sizes = tuple(sizes.tolist())
-            self.flow.momentum_sizes = tuple((action / sizes).tolist())
+            self.flow.set_units(coordinates)
         self.objective = objective
         self._evaluation_dtype: torch.dtype = getattr(torch, evaluation_dtype)
         self.compiled: dict[str, Callable[..., Any]] = {}

@@ -13,7 +13,6 @@ from symo_exp.models.learned import (
     MakesDissipation,
     MakesLagrangian,
     MakesSprings,
-    in_units,
     learned_lagrangian,
 )
 from symo_exp.models.objectives import RootError
@@ -59,12 +58,12 @@ class E2ESyMo(DynamicsModel):
     ) -> None:
         flow = VariationalFlow(
             learned_lagrangian(coordinates, lagrangian, dissipation, springs),
-            in_units(integrator, coordinates),
+            integrator,
             time_step,
             input_matrix,
-            root=in_units(root, coordinates),
-            evaluation_root=in_units(evaluation_root, coordinates),
-            rollout_root=in_units(rollout_root, coordinates),
+            root=root,
+            evaluation_root=evaluation_root,
+            rollout_root=rollout_root,
         )
         super().__init__(
             flow,

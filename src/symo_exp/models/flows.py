@@ -28,7 +28,7 @@ from symo_exp.mechanics.returned import checked_tensor, returned
 from symo_exp.mechanics.roots import Newton, RootFinder, Sizes, iterate
 from symo_exp.mechanics.space import FLAT, Space
 from symo_exp.mechanics.stretches import StretchMatching, StretchNewton, StretchPoint
-from symo_exp.mechanics.types import Windows
+from symo_exp.mechanics.types import Coordinates, Windows
 from symo_exp.mechanics.variational import (
     DiscreteExpansion,
     DiscreteLagrangian,
@@ -92,6 +92,12 @@ class Flow(nn.Module, ABC):
     def __init__(self, time_step: float) -> None:
         super().__init__()
         self.time_step = float(time_step)
+
+    def set_units(self, coordinates: Coordinates) -> None:
+        """Measure errors, residuals and roots in the units of coordinates."""
+        action, sizes = coordinates.units.size("N m s"), coordinates.sizes
+        self.sizes = tuple(sizes.tolist())
+        self.momentum_sizes = tuple((action / sizes).tolist())
 
     @abstractmethod
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:
@@ -325,8 +331,8 @@ class VariationalFlow(Flow):
         super().__init__(time_step)
         instance("integrator", integrator, VariationalIntegrator)
         self.lagrangian, self.space = lagrangian, lagrangian.space
-        self.integrator = on_space(integrator, self.space)
-        self.root = root
+        self.integrator = copy.copy(on_space(integrator, self.space))
+        self.root = copy.copy(root)
         self.evaluation_root = _accurate(evaluation_root or root)
         self.rollout_root = _accurate(rollout_root or evaluation_root or root)
         self.inputs = input_matrix if isinstance(input_matrix, LearnedInputs) else None
@@ -338,6 +344,14 @@ class VariationalFlow(Flow):
     @override
     def input_matrix(self) -> Tensor:  # type: ignore[override]
         return self.given_matrix if self.inputs is None else self.inputs.matrix.detach()
+
+    @override
+    def set_units(self, coordinates: Coordinates) -> None:
+        super().set_units(coordinates)
+        self.integrator.sizes = self.sizes
+        for root in (self.root, self.evaluation_root, self.rollout_root):
+            root.sizes = self.sizes
+            root.tolerance *= coordinates.units.size("N m s")
 
     @override
     def step(self, q: Tensor, v: Tensor, u: Tensor, u_next: Tensor) -> Step:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import copy
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import nn
@@ -11,14 +10,10 @@ from torch import nn
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import Lagrangian, evaluated
-from symo_exp.mechanics.roots import RootFinder
 from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
-from symo_exp.mechanics.variational import VariationalIntegrator
 from symo_exp.nets.springs import LinearSprings, SprungLagrangian
-
-Method = TypeVar("Method", bound="RootFinder | VariationalIntegrator | None")
 
 
 @runtime_checkable
@@ -86,14 +81,3 @@ def _check(lagrangian: object, coordinates: Coordinates) -> None:
         )
     with torch.no_grad():
         evaluated(lagrangian, space.of_vector(torch.zeros(n + 2, n)), n)
-
-
-def in_units(method: Method, coordinates: Coordinates) -> Method:
-    """Return an integrator, or a root finder of momenta, that iterates in units of coordinates."""
-    if method is None or coordinates.units == SI:
-        return method
-    found = copy.copy(method)
-    found.sizes = tuple(coordinates.sizes.tolist())
-    if isinstance(found, RootFinder):
-        found.tolerance *= coordinates.units.size("N m s")
-    return found

@@ -16,7 +16,6 @@ from symo_exp.models.learned import (
     MakesDissipation,
     MakesLagrangian,
     MakesSprings,
-    in_units,
     learned_lagrangian,
 )
 from symo_exp.models.objectives import Objective, Residual
@@ -73,12 +72,12 @@ class SyMo(DynamicsModel):
         one_of("model.inputs", inputs, ("given", "learned"))
         flow = VariationalFlow(
             learned_lagrangian(coordinates, lagrangian, dissipation, springs),
-            in_units(integrator, coordinates),
+            integrator,
             time_step,
             input_matrix if inputs == "given" else LearnedInputs(input_matrix, coordinates),
-            root=in_units(root, coordinates),
-            evaluation_root=in_units(evaluation_root, coordinates),
-            rollout_root=in_units(rollout_root, coordinates),
+            root=root,
+            evaluation_root=evaluation_root,
+            rollout_root=rollout_root,
         )
         super().__init__(
             flow,

@@ -16,7 +16,6 @@ from symo_exp.mechanics.variational import VariationalIntegrator
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.fields import EulerLagrangeAcceleration
 from symo_exp.models.flows import ExplicitFlow, VariationalFlow
-from symo_exp.models.learned import in_units
 
 
 class TrueVariational(DynamicsModel):
@@ -49,12 +48,12 @@ class TrueVariational(DynamicsModel):
     ) -> None:
         flow = VariationalFlow(
             _of(lagrangian),
-            in_units(integrator, coordinates),
+            integrator,
             time_step,
             input_matrix,
-            root=in_units(root, coordinates),
-            evaluation_root=in_units(evaluation_root, coordinates),
-            rollout_root=in_units(rollout_root, coordinates),
+            root=root,
+            evaluation_root=evaluation_root,
+            rollout_root=rollout_root,
         )
         super().__init__(flow, coordinates=coordinates, evaluation_dtype=evaluation_dtype)
 
