@@ -720,6 +720,9 @@ def test_angles_that_jump_by_a_turn_are_unwrapped(factor, settings, workplace):
     assert settings == {word for word in found.settings if word.startswith("data.")}
     plain = examine({"path": "mine.csv"}, angular="all")
     assert plain.time_step == found.time_step == 0.02
+    if "data.degrees=true" in settings:
+        with pytest.raises(ConfigError, match=r"data.degrees=false.* jump by 360.*degrees=true"):
+            examine({"path": "mine.csv", "degrees": False})
 
 
 @pytest.mark.parametrize(

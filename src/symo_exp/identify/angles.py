@@ -127,15 +127,25 @@ def told_units(
 def turn_settings(
     recordings: Sequence[Recording], space: Coordinates, data: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    """Return the settings of data with which angles that jump by a turn are read."""
+    """Return the settings of data with which angles that jump by a turn are read.
+
+    Raises:
+        ConfigError: If they jump by a turn in degrees, and the given setting says radians.
+    """
     columns = [r.samples.q[:, i] for r in recordings for i in np.flatnonzero(space.angular)]
+    degrees = data.get("degrees")
     if data.get("wrapped") is not None or not columns:
         return ()
-    if not data.get("degrees") and _wraps(columns, 2 * np.pi):
+    if not degrees and _wraps(columns, 2 * np.pi):
         return ("wrapped",)
-    if _wraps(columns, 360.0):
-        return ("wrapped",) if data.get("degrees") else ("degrees", "wrapped")
-    return ()
+    if not _wraps(columns, 360.0):
+        return ()
+    if degrees is False:
+        raise ConfigError(
+            "data.degrees=false, but angles jump by 360, a turn in degrees; "
+            "give data.degrees=true, or data.wrapped=false if they move so"
+        )
+    return ("wrapped",) if degrees else ("degrees", "wrapped")
 
 
 def _wraps(columns: Sequence[np.ndarray], turn: float) -> bool:
