@@ -98,6 +98,31 @@ def test_a_log_in_any_unit_is_of_order_one_in_the_units_of_its_parameters(length
     assert 0.95e-4 < unseen < max(1.1e-4, 1.1e-3 * np.std(sprung(1.0, 1.0).q_x))
 
 
+@pytest.mark.parametrize("scale", [{"length": 1.0, "mass": 1.0}, {"time": 1e-3}, {"mass": 1e-9}])
+def test_a_search_starts_in_the_units_that_are_given(scale, workplace):
+    """A light slide, whose units would be another length and mass."""
+    sprung(1e-6, 1e-12).to_csv("mine.csv", index=False)
+    plain, found = (examine({"path": "mine.csv"}, scale=given) for given in ({}, scale))
+    assert found.units == plain.units._replace(**scale)
+    sizes = []
+    for one in (plain, found):
+        settings, units = dict(word.split("=") for word in one.settings), one.units
+        inertia = float(settings["lagrangian.initial_inertia"]) * units.mass
+        stiffness = one.stiffness[0][0] * units.size("N/m")
+        sizes.append((inertia, stiffness, one.unseen * units.length))
+        told = (settings.get(f"system.scale.{name}", "1") for name in units._fields)
+        assert tuple(map(float, told)) == units
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+
+
+@pytest.mark.parametrize("word", ["system.scale.length=0.01", "system.scale={length:0.01}"])
+def test_a_search_says_which_units_it_was_given(word, workplace, capsys):
+    sprung(1.0, 1.0).to_csv("mine.csv", index=False)
+    words = ["-cn", "machine", "data.path=mine.csv", "hydra.sweeper.check_only=true"]
+    assert main([*words, "logger=none", word]) == 0
+    assert "units: parameters are learned in 0.01 m, 1 s and 1 kg\n" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("start", [30.0, 1e3])
 def test_where_a_length_is_counted_from_changes_nothing(start, workplace):
     """Absolute encoders of long axes count from afar."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,7 +59,8 @@ def dynamics(
     time_step: float,
     input_matrix: np.ndarray | None,
     *,
-    known: bool = False,
+    scale: Mapping[str, float],
+    known: bool,
 ) -> Dynamics:
     """Return the dynamics that recordings show.
 
@@ -68,6 +69,7 @@ def dynamics(
         coordinates: Those of the machine.
         time_step: Distance of the nodes [s].
         input_matrix: That of the inputs, zero where it is to be learned; ``None``: no inputs.
+        scale: Units of parameters that are given, by name.
         known: Whether the equations are known, in SI units and with values to start from.
     """
     recordings = first_seconds(recordings, max(EXAMINED, NODES * time_step))
@@ -78,7 +80,7 @@ def dynamics(
     ]
     driven = input_matrix is not None
     acting = timing(motions, coordinates, time_step, driven=driven, known=known)
-    sizes = initial_sizes(acting, coordinates, time_step, input_matrix, known=known)
+    sizes = initial_sizes(acting, coordinates, time_step, input_matrix, scale=scale, known=known)
     settings, notes = [*acting.settings, *sizes.settings], [*sizes.notes]
     if not known:
         pairs = with_inputs(acting.motions, time_step, acting.delay)

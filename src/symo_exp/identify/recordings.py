@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,7 @@ def examine(
     input_matrix: Any = None,
     time_step: float | None = None,
     rotations: Sequence[str] = (),
+    scale: Mapping[str, float] = MappingProxyType({}),
     known: System | None = None,
 ) -> Machine:
     """Read recordings and infer what is not given.
@@ -115,6 +117,7 @@ def examine(
         input_matrix: As ``system.input_matrix``; ``None``: by names.
         time_step: As ``system.time_step``; ``None``: by the fastest motion.
         rotations: As ``system.rotations``; none: by the names of quaternions.
+        scale: Units of ``system.scale`` that are given; others by the motion and the inputs.
         known: The system, if its equations are known; it has the coordinates and the inputs.
 
     Raises:
@@ -124,7 +127,8 @@ def examine(
         flat, turning = known.coordinates.flat, known.coordinates.angular
         angular = [name for name, angle in zip(flat, turning, strict=False) if angle] or "none"
         input_matrix, rotations = known.input_matrix.tolist(), known.coordinates.rotations
-    return _Examination(dict(data), angular, input_matrix, time_step, rotations, known).machine()
+    given = dict(data), angular, input_matrix, time_step, rotations, scale, known
+    return _Examination(*given).machine()
 
 
 @dataclass
@@ -140,6 +144,7 @@ class _Examination:
     input_matrix: Any
     time_step: float | None
     rotations: Sequence[str]
+    scale: Mapping[str, float]
     known: System | None
     settings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -181,7 +186,7 @@ class _Examination:
         driven = any(bool(one.samples.u.any()) for one in self.used)
         matrix = self._direct_inputs(time_step) if driven else None
         known = self.known is not None
-        shown_by = dynamics(self.used, self.space, time_step, matrix, known=known)
+        shown_by = dynamics(self.used, self.space, time_step, matrix, scale=self.scale, known=known)
         lists = {
             "settings": (*self.settings, *shown_by.settings),
             "notes": (*self.notes, *shown_by.notes),

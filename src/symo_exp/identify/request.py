@@ -13,6 +13,7 @@ from symo_exp.identify.recordings import Machine, examine
 from symo_exp.process import phases
 from symo_exp.sweep.sweeper import Sweep
 from symo_exp.systems.base import System
+from symo_exp.systems.recorded import scale_of
 
 FILES = [
     "path", "columns", "wrapped", "degrees", "time_unit", "train", "val", "test", "n_val", "n_test",
@@ -77,8 +78,15 @@ class Request:
             input_matrix=plain_value(system.get("input_matrix")),
             time_step=real("system.time_step", system.time_step, above=0) if chosen else None,
             rotations=plain_value(system.get("rotations", [])),
+            scale={} if known else self._scale(),
             known=known,
         )
+
+    def _scale(self) -> dict[str, float]:
+        """Return the units of parameters that are given."""
+        units = scale_of(plain_value(self._master.system.scale))._asdict()
+        given = self._given.keys()
+        return {x: units[x] for x in units if {"system.scale", f"system.scale.{x}"} & given}
 
     def _known(self) -> System | None:
         """Return the system if its equations are known, ``None`` if its recordings alone are.

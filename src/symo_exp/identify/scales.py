@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +67,7 @@ def initial_sizes(
     h: float,
     input_matrix: np.ndarray | None,
     *,
+    scale: Mapping[str, float],
     known: bool,
 ) -> InitialSizes:
     """Return the units and sizes that motions show.
@@ -76,9 +77,12 @@ def initial_sizes(
         coordinates: Those of the machine.
         h: Distance of the nodes [s].
         input_matrix: That of the inputs, zero where it is to be learned; ``None``: no inputs.
+        scale: Units of parameters that are given, by name.
         known: Whether the equations are known, in SI units and with values to start from.
     """
-    units = SI if known else _units(timing.motions, coordinates, h)
+    units, mass = SI, scale.get("mass", 1.0)
+    if not known:
+        units = _units(timing.motions, coordinates, h)._replace(**{**scale, "mass": 1.0})
     space, step = coordinates._replace(units=units), h / units.time
     pairs = scaled_motions(with_inputs(timing.motions, h, timing.delay), space)
     settings: list[str] = []
@@ -91,8 +95,8 @@ def initial_sizes(
         if not known:
             source = "as inputs suggest" if timing.vary else "a guess, because inputs never change"
             notes.append(f"scale: training starts with an inertia of {inertia:.2g}, {source}")
-            units = units._replace(mass=_unit(inertia, FAR))
-            inertia /= units.mass
+            mass = scale.get("mass", _unit(inertia, FAR))
+            inertia /= mass
             settings.append(f"lagrangian.initial_inertia={inertia:.2g}")
             settings.append(f"dissipation.start={DAMPING * inertia:.2g}")
             wrong = contradiction(pairs, coordinates, step, matrix)
@@ -103,13 +107,15 @@ def initial_sizes(
                     "explained as with any; it is learned (model.inputs=given keeps it)"
                 )
         if not coordinates.rotations:
-            friction = _friction(pairs, matrix / units.mass)
+            friction = _friction(pairs, matrix / mass)
+    units = units._replace(mass=mass)
     if units != SI:
         sized = units._asdict().items()
         settings += [f"system.scale.{name}={size:g}" for name, size in sized if size != 1.0]
+        told = "" if scale else ", in which the motion is of order one"
         notes.append(
             f"units: parameters are learned in {units.length:g} m, {units.time:g} s and "
-            f"{units.mass:g} kg, in which the motion is of order one"
+            f"{units.mass:g} kg{told}"
         )
     rest = USUAL_REST  # bodies that turn freely have no joints with dry friction
     if not coordinates.rotations:

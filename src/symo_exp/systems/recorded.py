@@ -62,7 +62,7 @@ class Recorded(System):
         matrix = _matrix(self.input_matrix, freedoms, inputs, zeros=bool(rotations))
         vars(self).update(
             names=names, angular=angular, rotations=rotations, inputs=inputs, input_matrix=matrix,
-            scale=_scale(self.scale),
+            scale=scale_of(self.scale),
         )  # fmt: skip
         super().__post_init__()
 
@@ -117,7 +117,12 @@ def _angular(given: object, names: tuple[str, ...]) -> tuple[str, ...]:
     )
 
 
-def _scale(given: object) -> Units:
+def scale_of(given: object) -> Units:
+    """Return the units of ``system.scale``.
+
+    Raises:
+        ConfigError: If it has other names or numbers that are not positive.
+    """
     named = given._asdict() if isinstance(given, Units) else given
     if not isinstance(named, Mapping) or not set(named) <= set(Units._fields):
         raise ConfigError(
