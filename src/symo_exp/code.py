@@ -78,11 +78,8 @@ def digests(folder: str | Path | None) -> dict[str, str]:
     if folder is None:
         return {}
     home = Path(str(folder)).expanduser().absolute()
-    loaded = (getattr(module, "__file__", None) for module in list(sys.modules.values()))
-    paths = [Path(file) for file in loaded if file]
-    return {
-        str(path.relative_to(home)): _digest(path) for path in paths if path.is_relative_to(home)
-    }
+    files = [file for name in list(sys.modules) if (file := _file_below(home, name))]
+    return {str(file.relative_to(home)): _digest(file) for file in files}
 
 
 def changed(folder: str | Path | None, before: Mapping[str, str]) -> list[str]:
@@ -108,6 +105,15 @@ def _modules() -> set[str]:
 
 def _owns(made: object) -> bool:
     """Return whether a class or function is written in one of the folders."""
-    module = sys.modules.get(str(getattr(made, "__module__", "")))
-    file = getattr(module, "__file__", None)
-    return file is not None and any(Path(file).is_relative_to(folder) for folder in _folders)
+    name = str(getattr(made, "__module__", ""))
+    return any(_file_below(folder, name) for folder in _folders)
+
+
+def _file_below(folder: Path, name: str) -> Path | None:
+    """Return the file of an imported module that is found by its name in a folder.
+
+    Others may lie below it as well: an environment with all its packages.
+    """
+    file = getattr(sys.modules.get(name), "__file__", None)
+    place = folder.joinpath(*name.split("."))  # a package, or a module without its suffix
+    return Path(file) if file and Path(file).parent in (place, place.parent) else None

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import symo_exp
+from symo_exp import code
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
 from symo_exp.job.parts import build
@@ -245,6 +246,22 @@ def test_only_what_the_folder_defines_may_be_named(mine):
     (mine / "objective" / "bounded.yaml").write_text(text)
     words = ["--config-dir", "mine_own", "code=mine_own", "objective=bounded", "model=symo"]
     assert "refused" in refusal(*words, *QUIET)
+
+
+def test_packages_of_an_environment_below_the_folder_are_not_the_users(workplace, monkeypatch):
+    packages = workplace / ".venv" / "lib" / "site-packages"
+    packages.mkdir(parents=True)
+    (packages / "of_environment.py").write_text("def harm(): pass\n")
+    (workplace / "own_package").mkdir()
+    for name in ("own_package/__init__", "own_package/part"):
+        (workplace / f"{name}.py").write_text("from of_environment import harm\ndef own(): pass\n")
+    monkeypatch.syspath_prepend(packages)
+    code.add(workplace)
+    for name in ("own_package", "own_package.part"):
+        assert code.locate(f"{name}.own", "model._target_").__module__ == name
+        with pytest.raises(ConfigError, match="is refused"):
+            code.locate(f"{name}.harm", "model._target_")
+    assert set(code.digests(workplace)) == {"own_package/__init__.py", "own_package/part.py"}
 
 
 def test_an_objective_of_another_kind_of_method_is_refused_in_a_line(mine, capsys):
