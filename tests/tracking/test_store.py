@@ -29,6 +29,7 @@ def test_configuration_then_environment_then_sqlite(monkeypatch, tmp_path):
     assert find(None, "runs") == Store("http://host:5000", None, None)
     assert find("sqlite:///x/y.db", "runs").uri == f"sqlite:///{tmp_path}/x/y.db"
     assert find("sqlite:///x/y.db", "runs").artifacts == f"{tmp_path}/x/artifacts"
+    assert find("sqlite:///lite", "runs").uri == f"sqlite:///{tmp_path}/lite"
     assert find("postgresql+psycopg2://u@h/db", "runs").artifacts == f"{tmp_path}/runs/artifacts"
 
 
@@ -63,6 +64,30 @@ def test_a_server_that_does_not_answer_is_refused():
         silent.bind(("127.0.0.1", 0))
         silent.listen()
         assert "timed out" in refused(find(f"http://127.0.0.1:{silent.getsockname()[1]}", "."))
+
+
+@pytest.mark.parametrize("scheme", ["http", "postgresql"])
+def test_a_port_that_is_no_number_is_refused(scheme):
+    assert "'abc'" in refused(find(f"{scheme}://127.0.0.1:abc", "."))
+
+
+def test_another_service_than_a_tracking_server_is_refused():
+    with socket.create_server(("127.0.0.1", 0)) as other:
+
+        def greet():
+            client, _ = other.accept()
+            with client:
+                client.recv(1000)
+                client.sendall(b"SSH-2.0-OpenSSH\r\n")
+
+        threading.Thread(target=greet, daemon=True).start()
+        told = refused(find(f"http://127.0.0.1:{other.getsockname()[1]}", "."))
+    assert "no tracking server answers" in told
+    assert "SSH" in told
+
+
+def test_a_profile_of_databricks_is_not_asked_before_it_is_used():
+    check(find("databricks://profile", "."), timeout=0.5)
 
 
 def test_a_server_that_asks_for_a_password_is_accepted():

@@ -8,6 +8,7 @@ file lock beside the database.
 from __future__ import annotations
 
 import functools
+import http.client
 import os
 import socket
 import sqlite3
@@ -111,7 +112,7 @@ def find(tracking_uri: str | None, directory: str | Path) -> Store:
         if not name:
             raise ConfigError(f"tracking URI {uri!r} names no file; give sqlite:///path/mlflow.db")
         database = Path(name).absolute()
-        uri = uri.replace(name, str(database), 1)
+        uri = uri.replace(f":///{name}", f":///{database}", 1)
         return Store(uri, str(database.parent / "artifacts"), database)
     if scheme in ("http", "https", "databricks") or uri == "databricks":
         return Store(uri.rstrip("/"), None, None)
@@ -127,15 +128,15 @@ def check(store: Store, timeout: float) -> None:
     Costs no import of MLflow, so that every job can ask before anything starts.
     """
     parts = urlsplit(store.uri)
+    port = PORTS.get(parts.scheme.partition("+")[0])
     if store.database is not None:
         _check_file(store.database)
     elif parts.scheme in ("http", "https"):
         _check_server(store, timeout)
-    elif parts.hostname is not None:
-        port = parts.port or PORTS[parts.scheme.partition("+")[0]]
+    elif parts.hostname is not None and port is not None:
         try:
-            socket.create_connection((parts.hostname, port), timeout).close()
-        except OSError as error:
+            socket.create_connection((parts.hostname, parts.port or port), timeout).close()
+        except (OSError, ValueError) as error:
             raise AwayError(f"no database answers at {store} ({error}): {MEND}") from None
 
 
@@ -145,7 +146,7 @@ def _check_server(store: Store, timeout: float) -> None:
     except urllib.error.HTTPError as error:
         if error.code in (502, 503, 504):  # a proxy, whose server is away
             raise AwayError(f"no tracking server answers at {store} ({error}): {MEND}") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, http.client.HTTPException) as error:
         reason = getattr(error, "reason", None) or error
         raise AwayError(f"no tracking server answers at {store} ({reason}): {MEND}") from None
 
