@@ -209,6 +209,25 @@ def test_a_store_that_was_deleted_gets_everything_again(view, folder, store, tmp
     assert not view.is_published(folder)
 
 
+def test_names_that_mlflow_refuses_are_sent_with_other_letters(view, folder, store):
+    told = "error [m], of θ"
+    folder.describe(About("symo pendulum", {**PARAMETERS, f"data.columns.{told}": 1}))
+    for epochs in (2, 3):
+        Series(folder / "series.csv").append(epochs, {"loss (mean)": 1.0})
+        view.publish(folder)
+    finish(folder)
+    folder.write_measures({told: 2.0})
+    folder.write_parameters([{"name": "a/b [kg]", "value": 3.0, "standard_deviation": 0.5}])
+    view.publish(folder)
+    (run,) = runs(store)
+    assert run.data.params["data.columns.error _m__ of θ"] == "1"
+    assert run.data.metrics == {
+        "loss _mean_": 1.0, "error _m__ of θ": 2.0,
+        "parameter/a_b _kg_": 3.0, "parameter_deviation/a_b _kg_": 0.5,
+    }  # fmt: skip
+    assert steps(store, "loss _mean_") == [2, 3]
+
+
 def test_a_batch_is_not_larger_than_it_may_be(view, folder, store, monkeypatch):
     monkeypatch.setattr(publish, "BATCH", 7)
     grow(folder, 30)

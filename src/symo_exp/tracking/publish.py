@@ -14,6 +14,7 @@ import math
 import re
 import time
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -172,11 +173,17 @@ def _parameters(folder: RunFolder) -> dict[str, float]:
     """Physical parameters and their standard deviations as metrics."""
     found = {}
     for row in folder.parameters():
-        name = re.sub(r"[^\w.\- ]", "_", row["name"])
+        name = row["name"].replace("/", "_")
         found[f"parameter/{name}"] = float(row["value"])
         if not math.isnan(deviation := float(row["standard_deviation"])):
             found[f"parameter_deviation/{name}"] = deviation
     return found
+
+
+@cache
+def _allowed(name: str) -> str:
+    """Return a name in the characters that MLflow takes; users and recordings have others."""
+    return re.sub(r"[^\w.\- /]", "_", name)
 
 
 class _Opened:
@@ -195,16 +202,18 @@ class _Opened:
     def send_series(self, rows: list[dict[str, float]]) -> None:
         """Send the rows after those that the store has."""
         self._send(
-            (name, value, row[TIME], int(row[EPOCH]))
+            (allowed, value, row[TIME], int(row[EPOCH]))
             for row in rows
             for name, value in row.items()
-            if name not in (EPOCH, TIME) and row[EPOCH] > self._sent.get(name, -1)
+            if name not in (EPOCH, TIME)
+            and row[EPOCH] > self._sent.get(allowed := _allowed(name), -1)
         )
 
     def send_measures(self, measures: dict[str, float]) -> None:
         """Send final numbers that the store does not have, at step 0: the last of them counts."""
         now = time.time()
-        new = {name: x for name, x in measures.items() if self._values.get(name) != x}
+        there = {_allowed(name): x for name, x in measures.items()}
+        new = {name: x for name, x in there.items() if self._values.get(name) != x}
         self._send((name, x, now, 0) for name, x in new.items())
         self._values |= new
 
@@ -259,6 +268,7 @@ def _send_parameters(store: Store, run_id: str, about: About) -> None:
     client = connect(store)
     there = client.get_run(run_id).data.params
     given = {**about.parameters, "variant": about.variant} if about.parameters else {}
-    params = [Param(name, str(value)) for name, value in given.items() if name not in there]
+    named = {_allowed(name): str(value) for name, value in given.items()}
+    params = [Param(name, value) for name, value in named.items() if name not in there]
     for start in range(0, len(params), PARAMETERS):
         client.log_batch(run_id, params=params[start : start + PARAMETERS])
