@@ -39,6 +39,14 @@ def test_the_least_of_a_measure_is_found_and_a_run_that_diverges_is_the_worst(wo
     )
 
 
+def test_a_trial_whose_measure_is_not_a_number_is_the_worst(workplace, monkeypatch):
+    values = iter([np.nan, 2.0, np.nan])
+    monkeypatch.setattr("symo_exp.job.job.optimized", lambda *_: next(values))
+    words = ["learning_rate=choice(1e-2,1e-3)", "measures=false", "trainer.max_epochs=1"]
+    assert main([*SEARCH, *words]) == 0
+    assert best(workplace)["best_value"] == 2.0
+
+
 def test_results_of_other_recordings_are_refused(workplace, capsys):
     t = 0.05 * np.arange(60)
     words = ["system=pendulum", "data=recorded", "data.path=mine.csv", "model=node", "logger=none",

@@ -46,7 +46,8 @@ def job(config: DictConfig) -> float | None:
     command was asked to stop, or if another process has finished the run.
 
     Returns:
-        The ``optimized_metric`` for a sweeper that searches; the worst value for a failed run.
+        The ``optimized_metric`` for a sweeper that searches; the worst value for a failed run, and
+        where the metric is not a number, with which Optuna would end.
 
     Raises:
         Refused: For bad input, under another sweeper than ours.
@@ -79,10 +80,12 @@ def job(config: DictConfig) -> float | None:
         raise failure
     trials = hydras.sweeper.get("n_trials")
     log.info("%s%s", f"trial {hydras.job.num + 1} of {trials}: " * bool(trials), run_line(folder))
-    if failure is not None:
-        maximize = "maximize" in str(hydras.sweeper.get("direction"))
-        return -math.inf if maximize else math.inf
-    return optimized(settings.values["optimized_metric"], folder)
+    value = math.nan
+    if failure is None:
+        value = optimized(settings.values["optimized_metric"], folder)
+    maximize = "maximize" in str(hydras.sweeper.get("direction"))
+    worst = -math.inf if maximize else math.inf
+    return worst if math.isnan(value) else value
 
 
 def optimized(name: str, folder: RunFolder) -> float:
