@@ -10,7 +10,7 @@ import pytest
 import torch
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from symo_exp.shell import override_value, python_command
+from symo_exp.shell import override_value, python_command, text_value
 
 
 @pytest.fixture
@@ -84,8 +84,20 @@ def test_arrays_and_tensors_are_lists(value):
     assert override.value() == [value.tolist()]
 
 
-@pytest.mark.parametrize("path", ["logs/my file, größe.csv", "logs/mine.csv", "a=b/[1].csv"])
-def test_a_path_is_read_as_it_is(path):
-    (override,) = OverridesParser.create().parse_overrides([f"key={override_value(Path(path))}"])
-    assert override.value() == path
-    assert not override.is_sweep_override()
+@pytest.mark.parametrize(
+    "text",
+    ["logs/my file, größe.csv", "logs/mine.csv", "a=b/[1].csv", "2024", "null", "NaN", "Inf", ".5",
+     "../x-1:2.csv", "nullable", "it's \"q\"", "~"],
+)  # fmt: skip
+def test_a_path_or_a_text_is_read_as_it_is(text):
+    for written in (override_value(Path(text)), text_value(text)):
+        words = [f"key={written}", f"key={{name: {written}}}"]
+        alone, nested = OverridesParser.create().parse_overrides(words)
+        assert alone.value() == text
+        assert nested.value() == {"name": text}
+        assert not alone.is_sweep_override()
+
+
+def test_plain_words_have_no_quotes():
+    for text in ("logs/mine.csv", "recorded", "_x.1", "a:b"):
+        assert text_value(text) == text

@@ -11,8 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-PLAIN = re.compile(r"[\w./:+-]+", re.ASCII)
-"""Text that Hydra reads without quotes."""
+PLAIN = re.compile(
+    r"(?!(null|true|false|nan|inf)\Z)([a-z_/]|\.(?!\d))[\w./:+-]*", re.ASCII | re.IGNORECASE
+)
+"""Text that Hydra reads without quotes, and as text."""
 
 
 def python_command(*words: str) -> str:
@@ -32,7 +34,7 @@ def install_command(extra: str) -> str:
 def override_value(value: Any, *, nested: bool = False) -> str:
     """Write a value as in an override of Hydra; an array or a tensor is a list.
 
-    A string that is not nested is unchanged; a path is quoted where it needs to be.
+    A string that is not nested is unchanged: it may be anything that Hydra reads.
     """
     if hasattr(value, "tolist"):  # of NumPy, PyTorch or pandas
         value = value.tolist()
@@ -41,13 +43,18 @@ def override_value(value: Any, *, nested: bool = False) -> str:
         return "{" + ", ".join(items) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(override_value(x, nested=True) for x in value) + "]"
-    if isinstance(value, str | os.PathLike):
-        text = os.fspath(value)
-        special = not isinstance(value, str) and not PLAIN.fullmatch(text)
-        return _quoted(text) if nested or special else text
+    if isinstance(value, os.PathLike):
+        return text_value(os.fspath(value))
+    if isinstance(value, str):
+        return _quoted(value) if nested else value
     if value is None:
         return "null"
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def text_value(text: str) -> str:
+    """Write a text as in an override of Hydra, with quotes where it would be read otherwise."""
+    return text if PLAIN.fullmatch(text) else _quoted(text)
 
 
 def _quoted(text: str) -> str:

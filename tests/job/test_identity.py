@@ -1,8 +1,12 @@
 """The settings, folder, variant and name of a job."""
 
+import shlex
+
 import pytest
 
 from symo_exp.job.job import describe_job
+from symo_exp.shell import text_value
+from symo_exp.tracking.page import COMMAND
 from tests.jobs import job_of, jobs_of, planned
 
 
@@ -64,3 +68,13 @@ def test_a_run_is_named_by_what_its_sweep_varies(varied, name, workplace, monkey
     with planned(*words, "logger=none") as (_, (job,)):
         about = describe_job(job.settings, job.choices, words)
     assert about.name == name
+
+
+@pytest.mark.parametrize("experiment", ["2024", "null", "with a space (1), and more"])
+def test_a_run_of_a_search_tells_the_command_that_repeats_it(experiment, workplace):
+    with planned("model=node", "seed=3", f"experiment={text_value(experiment)}") as (_, (job,)):
+        assert job.values["experiment"] == experiment
+        about = describe_job(job.settings, job.choices, [])
+    again = job_of(*shlex.split(about.tags[COMMAND])[3:])
+    assert again.settings == job.settings
+    assert again.folder.path == job.folder.path

@@ -29,7 +29,7 @@ from symo_exp.data.naming import (
     unread_unit,
 )
 from symo_exp.data.paths import few
-from symo_exp.shell import override_value
+from symo_exp.shell import text_value
 from symo_exp.systems.recorded import without_unit
 
 Columns = Mapping[str, str | None]
@@ -280,8 +280,7 @@ def omitting(left_out: Sequence[str], columns: Columns | None = None) -> str:
 
 
 def _value(theirs: str | None) -> str:
-    plain = re.fullmatch(r"(?!(?:null|true|false)$)[a-z_.][\w.-]*", theirs or "", re.A | re.I)
-    return str(theirs) if plain else override_value(theirs, nested=True)
+    return "null" if theirs is None else text_value(theirs)
 
 
 def _escaped(key: str) -> str:

@@ -11,7 +11,7 @@ from hydra.core.global_hydra import GlobalHydra
 
 from symo_exp.job.config import Settings, references, unresolved
 from symo_exp.runs.digest import INCIDENTAL, relevant
-from symo_exp.shell import override_value
+from symo_exp.shell import override_value, text_value
 
 TOLD = {"seed", "data.n_traj", "data.noise_std", "system.time_step"}
 CHOSEN = ("preset", "system", "model", "integrator")
@@ -48,8 +48,12 @@ class Differences(NamedTuple):
         """Return the overrides that repeat a run of a search without the search."""
         code = ["code"] * (self.values.values["code"] is not None)
         names = [*self.told, *self.changed, *code, "experiment"]
-        values = [f"{name}={override_value(self.values.value(name))}" for name in names]
-        return [*self.chosen, *self.choices, *values]
+        values = [(name, self.values.value(name)) for name in names]
+        words = [
+            f"{name}={text_value(x) if isinstance(x, str) else override_value(x)}"
+            for name, x in values
+        ]
+        return [*self.chosen, *self.choices, *words]
 
 
 def differences(settings: Settings, choices: Mapping[str, Any]) -> Differences:
