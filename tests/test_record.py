@@ -64,6 +64,30 @@ def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
     assert job.values["system"]["mechanism"]["inputs"]["names"] == ["slide"]
 
 
+def test_the_command_that_learns_from_a_recording_names_its_file(workplace, capsys):
+    (workplace / "my (new), motions").mkdir()
+    recorded("symo_exp/Pendulum-v0", out="my (new), motions/1=2.csv")
+    command = capsys.readouterr().out.strip().splitlines()[-1]
+    (job,) = jobs_of(*shlex.split(command)[3:])
+    assert job.values["data"]["path"] == "my (new), motions/1=2.csv"
+
+
+def test_a_recording_that_cannot_be_written_leaves_the_file_before(workplace, monkeypatch, capsys):
+    recorded("symo_exp/Pendulum-v0", out="mine.csv")
+    before = (workplace / "mine.csv").read_text()
+
+    def tear(table, path, **_):
+        path.write_text("trajectory,t\n0,")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pd.DataFrame, "to_csv", tear)
+    words = ["symo_exp/Pendulum-v0", "--out", "mine.csv", "--episodes", "1", "--steps", "3"]
+    assert main(["record", *words]) == 2
+    assert "No space left" in capsys.readouterr().err
+    assert (workplace / "mine.csv").read_text() == before
+    assert [*workplace.glob(".mine.csv*")] == []
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
@@ -74,7 +98,11 @@ def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
         (["symo_exp/Pendulum-v0", "--policy", "empty.py"], "has no function policy"),
         (["symo_exp/Pendulum-v0", "--policy", "broken.py"], "fails: division"),
         (["symo_exp/Pendulum-v0", "--policy", "wide.py"], "expected 1 finite"),
-        (["symo_exp/Pendulum-v0", "--steps", "1"], "at least 1 episode and 2 steps"),
+        (["symo_exp/Pendulum-v0", "--policy", "late.py"], "the policy fails: ZeroDivisionError"),
+        (["symo_exp/Pendulum-v0", "--policy", "words.py"], "the policy fails: ValueError"),
+        (["symo_exp/Pendulum-v0", "--steps", "1"], "--steps=1: expected a whole number of at le"),
+        (["symo_exp/Pendulum-v0", "--episodes", "0"], "--episodes=0: expected a whole number of"),
+        (["symo_exp/Pendulum-v0", "--seed", "-1"], "--seed=-1: expected a whole number of at le"),
         (["symo_exp/Pendulum-v0", "--out", "mine.txt"], "ends in .parquet or .csv"),
         (["symo_exp/Pendulum-v0", "--out", "no/where.csv"], "cannot be written"),
     ],
@@ -82,6 +110,8 @@ def test_a_mujoco_environment_is_recorded_with_its_inputs(workplace):
 def test_recordings_that_cannot_be_made_are_refused_in_one_line(words, reason, workplace, capsys):
     (workplace / "empty.py").write_text("")
     (workplace / "broken.py").write_text("1 / 0\n")
+    (workplace / "late.py").write_text("def policy(observation):\n    return 1 / 0\n")
+    (workplace / "words.py").write_text("def policy(observation):\n    return 'left'\n")
     (workplace / "wide.py").write_text("def policy(observation):\n    return [0, 0]\n")
     assert main(["record", "--steps", "3", "--episodes", "1", *words]) == 2
     said = capsys.readouterr().err

@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError, shortened
-from symo_exp.shell import python_command
+from symo_exp.files import write_whole
+from symo_exp.shell import override_value, python_command
 
 Policy = Callable[[np.ndarray], np.ndarray]
 """Maps an observation to an action."""
@@ -77,11 +79,8 @@ def main(argv: Sequence[str]) -> int:
         told += "; default: %(default)s"
         parser.add_argument(name, type=int, default=default, metavar="N", help=told)
     options = parser.parse_args(argv)
-    if min(options.episodes, options.steps - 1) < 1:
-        raise ConfigError(
-            f"record --episodes {options.episodes} --steps {options.steps}: expected at least 1 "
-            "episode and 2 steps"
-        )
+    for name, low in (("episodes", 1), ("steps", 2), ("seed", 0)):
+        whole_number(f"--{name}", getattr(options, name), low=low)
     if options.out.suffix not in (".parquet", ".csv"):
         raise ConfigError(f"--out {options.out}: expected a file that ends in .parquet or .csv")
     if not options.out.parent.is_dir():  # before minutes of recording
@@ -106,7 +105,11 @@ def record_episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int
     observation, _ = env.reset(seed=seed)
     nodes, inputs = [plant.now()], []
     for _ in range(steps):
-        action = np.asarray(policy(observation), dtype=np.float64)
+        try:
+            action = np.asarray(policy(observation), dtype=np.float64)
+        except Exception as error:  # a user's own code
+            told = f"{type(error).__name__}: {shortened(error)}"
+            raise ConfigError(f"the policy fails: {told}") from error
         if action.shape != env.action_space.shape or not np.isfinite(action).all():
             raise ConfigError(
                 f"the policy returned {action.tolist()}: expected {env.action_space.shape[0]} "
@@ -138,11 +141,9 @@ def write_episodes(path: Path, plant: Plant, episodes: Sequence[Episode]) -> Non
             columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
         parts.append(pd.DataFrame(columns))
     table = pd.concat(parts)
+    write = table.to_csv if path.suffix == ".csv" else table.to_parquet
     try:
-        if path.suffix == ".csv":
-            table.to_csv(path, index=False)
-        else:
-            table.to_parquet(path, index=False)
+        write_whole(path, lambda file: write(file, index=False))
     except OSError as error:
         raise ConfigError(f"--out {path} cannot be written ({error.strerror or error})") from None
 
@@ -238,7 +239,7 @@ def _told(path: Path, plant: Plant, episodes: Sequence[Episode]) -> str:
         f"{path}: {len(episodes)} trajectories, {rows} rows, a node every {h:g} s\n"
         + warning * short
         + python_command(
-            "symo_exp", "data=recorded", f"data.path={path}", "system=recorded",
+            "symo_exp", "data=recorded", f"data.path={override_value(path)}", "system=recorded",
             f"system.angular={angular}", f"system.time_step={h:g}",
             f"system.input_matrix={matrix}", "preset=recorded",
         )
