@@ -69,6 +69,18 @@ def test_windows_show_prediction_measurement_and_reference(n):
     assert errors[chosen["worst"]] == errors.max()
 
 
+def test_windows_of_a_slow_machine_are_drawn():
+    """Of one whose time step is longer than the windows of others."""
+    model, _, found = recorded(1)
+    table = rows_of(found)
+    slow = table.assign(t=table.t * 5.0 / H)
+    (figure,), (usual,) = (
+        recordings.recording_figures(model, rows, "symo", "run") for rows in (slow, table)
+    )
+    assert [panel.title for panel in figure.panels] == [panel.title for panel in usual.panels]
+    assert f"RMSE {found.model.rmse(2.0).median():.3g}" in figure.panels[1].title
+
+
 def test_the_title_of_windows_names_the_intervals_that_are_drawn():
     model, _, found = recorded(1)
     table = rows_of(found)

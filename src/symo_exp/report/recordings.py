@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 import torch
 
-from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import (
@@ -127,7 +126,7 @@ def _beside(panel: Panel, table: pd.DataFrame, column: str) -> Panel:
 
 def _ranked(table: pd.DataFrame) -> tuple[pd.Series, Mapping[str, pd.DataFrame]]:
     """Return the RMSE of each window, and the windows of best, median and worst RMSE."""
-    squares = table[(table.t > 0) & (table.t <= HORIZONS[-1])].groupby("window").error
+    squares = table[table.t > 0].groupby("window").error
     errors = squares.apply(lambda error: float(np.sqrt(np.mean(np.square(error)))))
     order = ranking(torch.tensor(errors.to_numpy()))
     chosen = {which: table[table.window == errors.index[at]] for which, at in order.items()}
