@@ -17,6 +17,7 @@ import yaml
 
 from symo_exp.runs.digest import digest
 from symo_exp.runs.folder import About, RunFolder
+from symo_exp.runs.outcome import recording_names
 from symo_exp.runs.series import Series, read
 
 
@@ -281,3 +282,18 @@ def test_a_folder_is_named_relative_to_the_working_directory(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     assert str(RunFolder(tmp_path / "a" / "b")) == os.path.join("a", "b")
     assert json.loads(json.dumps({"x": str(RunFolder("c"))})) == {"x": "c"}
+
+
+@pytest.mark.parametrize(
+    ("path", "names"),
+    [
+        ("a/my log (1), new.csv", "my log (1), new.csv"),
+        (["a/b c.csv", "it's.csv"], "b c.csv, it's.csv"),
+        ("[a].csv", "[a].csv"),
+        ("logs/", "logs"),
+        (".", "."),
+        ("2024", "2024"),
+    ],
+)
+def test_recordings_are_named_by_their_files(path, names):
+    assert recording_names(path) == recording_names(str(path)) == names

@@ -53,7 +53,9 @@ def test_the_description_has_the_command_and_what_came_of_it(view, tmp_path):
 
 
 def test_runs_on_the_same_data_have_the_same_dataset(view, tmp_path):
-    variants = ({}, {"model": "node"}, {"seed": 4}, {"data.n_traj": 16}, {"data.path": "a/b.csv"})
+    files, many = ["a/b.csv", "c/d (1).csv"], [f"{i}.csv" for i in range(1000)]
+    variants = ({}, {"model": "node"}, {"seed": 4}, {"data.n_traj": 16}, {"data.path": files},
+                {"data.path": many}, {"data.path": "a/b.csv"})  # fmt: skip
     datasets = []
     for i, other in enumerate(variants):
         run = published(view, tmp_path, str(i), parameters=PARAMETERS | other)
@@ -63,7 +65,10 @@ def test_runs_on_the_same_data_have_the_same_dataset(view, tmp_path):
     digests = [dataset.digest for dataset in datasets]
     assert digests[0] == digests[1]
     assert len(set(digests)) == len(digests) - 1
-    assert [dataset.name for dataset in datasets[-2:]] == ["pendulum simulated", "b.csv"]
+    names = [dataset.name for dataset in datasets]
+    assert names[3:5] == ["pendulum simulated", "b.csv, d (1).csv"]
+    assert names[5].startswith("0.csv, 1.csv")
+    assert names[6] == "b.csv"
     assert json.loads(datasets[0].profile)["trajectories"] == "8"
 
 

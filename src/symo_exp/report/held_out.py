@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import PurePath
 
 import pandas as pd
 
@@ -28,6 +27,7 @@ from symo_exp.report.looks import (
 )
 from symo_exp.report.runs import local_folder
 from symo_exp.report.tables import ResultTable
+from symo_exp.runs.outcome import recording_names
 
 TESTED = "windows"
 """A measure of all runs that were measured on the test part."""
@@ -57,8 +57,7 @@ def recordings(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     tested = there.run_id.isin(there[there.metric == TESTED].run_id)
     there = there[tested | ~there.recording.isin(there[tested].recording)]
     paths = sorted(set(there.recording))
-    names = {path: ", ".join(PurePath(p).name for p in re.findall(r"[^\[\]', ]+", path))
-             for path in paths}  # fmt: skip
+    names = {path: recording_names(path) for path in paths}
     twice = {name for name in names.values() if list(names.values()).count(name) > 1}
     return {
         path if names[path] in twice else names[path]: there[there.recording == path]

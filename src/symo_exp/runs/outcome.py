@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import socket
 import time
 import uuid
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 Status = Literal["waiting", "running", "finished", "failed", "refused", "interrupted"]
@@ -45,6 +47,20 @@ class About:
     code: dict[str, str] = field(default_factory=dict)
     started: float = field(default_factory=time.time)
     identity: str = field(default_factory=lambda: uuid.uuid4().hex)
+
+
+def recording_names(path: object) -> str:
+    """Return the names of the files of recordings.
+
+    Args:
+        path: The parameter ``data.path`` of a run, or its text: a path or a list of them.
+    """
+    try:
+        found = ast.literal_eval(str(path))
+    except (SyntaxError, ValueError):
+        found = None
+    every = found if isinstance(found, list) else [str(path)]
+    return ", ".join(Path(one).name or one for one in every)  # "." has no name
 
 
 def this_process() -> dict[str, str]:

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from symo_exp.runs.folder import About, Outcome
+from symo_exp.errors import shortened
+from symo_exp.runs.outcome import About, Outcome, recording_names
 from symo_exp.shell import python_command
 from symo_exp.shipped import in_checkout
 from symo_exp.tracking.store import Store, connect, is_away
@@ -19,6 +20,8 @@ COMMAND, RESULT = "symo_exp.command", "symo_exp.result"
 RESULTS = "train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse", "rmse_2s"
 """The measures of a description."""
 VIEW = "mlflow.sharedViewState.symo_exp"
+LONGEST = 500
+"""Characters of the name of a dataset, which MLflow allows."""
 LOCAL = "http://127.0.0.1:5000"
 """Address of MLflow's server for a store that is a file."""
 
@@ -46,10 +49,12 @@ def send_dataset(store: Store, run_id: str, parameters: Mapping[str, Any]) -> No
         return
     source = json.dumps(told, sort_keys=True)
     size = {"trajectories": told.get("data.n_traj"), "noise_std": told.get("data.noise_std")}
+    name = f"{told['system']} simulated"
+    if "data.path" in told:
+        name = shortened(recording_names(told["data.path"]), LONGEST)
     dataset = Dataset(
-        name=Path(told["data.path"]).name if "data.path" in told else f"{told['system']} simulated",
-        digest=hashlib.sha256(source.encode()).hexdigest()[:8], source_type="symo_exp",
-        source=source, profile=json.dumps(size),
+        name=name, digest=hashlib.sha256(source.encode()).hexdigest()[:8],
+        source_type="symo_exp", source=source, profile=json.dumps(size),
     )  # fmt: skip
     tags = [InputTag("mlflow.data.context", "training")]
     given = [DatasetInput(dataset, tags)]
