@@ -1,5 +1,6 @@
 """Signals that workers hear."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -21,6 +22,17 @@ def test_a_worker_forgets_the_signal_of_a_command_when_another_one_uses_it(
             patch.setenv(stopping.FOLDER, str(tmp_path))
         stopping.install()  # as a job does that begins
         assert stopping.requested() == (signal.SIGINT if same else None)
+
+
+@pytest.mark.parametrize("broken", ["os.write", "pathlib.Path.touch"])
+def test_a_signal_that_cannot_be_told_is_obeyed_after_the_epoch(broken, monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with stopping.command(), monkeypatch.context() as patch:
+        patch.setattr(broken, refuse)
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stopping.requested() == signal.SIGTERM
 
 
 CHILD = """

@@ -17,7 +17,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -182,9 +182,11 @@ def _handle(signum: int, frame: Any) -> None:
     second = _noted is not None
     _noted = signum
     if signum != TIME_IS_UP:
-        _tell(signum)
+        with suppress(OSError):  # a full disk
+            _tell(signum)
         if _commands:
-            os.write(2, AT_ONCE if second or _urgent else AFTER_EPOCH)
+            with suppress(OSError):  # nobody reads
+                os.write(2, AT_ONCE if second or _urgent else AFTER_EPOCH)
     if second or _urgent:
         raise Interrupted(signum)
 
