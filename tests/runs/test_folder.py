@@ -117,8 +117,10 @@ def test_a_run_that_starts_anew_has_no_results_of_the_former(folder):
 def test_a_run_that_goes_on_is_the_same_run(folder):
     folder.describe(About("first", {"a": 1}))
     first = folder.about()
+    folder.describe(About("swept", {"a": 1}, sweep="its first"))
     folder.describe(About("again", {"a": 1}, variant="fast"))
     again = folder.about()
+    assert again.sweep == "its first"
     assert (again.identity, again.started) == (first.identity, first.started)
     assert (again.name, again.variant) == ("again", "fast")
     folder.clear()

@@ -28,7 +28,7 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -159,11 +159,15 @@ class RunFolder:
             return None
 
     def describe(self, about: About) -> None:
-        """Write the description; identity and time of the first start are kept."""
+        """Write the description; identity, time and sweep of the first start are kept."""
         before = self.about()
         if before is not None:
-            kept = {"identity": before.identity, "started": before.started}
-            about = About(**{**asdict(about), **kept})
+            about = replace(
+                about,
+                identity=before.identity,
+                started=before.started,
+                sweep=before.sweep or about.sweep,
+            )
         self._write(ABOUT, asdict(about))
 
     def measures(self, studies: Iterable[str] | None = None) -> dict[str, float]:
