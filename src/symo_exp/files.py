@@ -45,9 +45,14 @@ def write_whole(path: Path, write: Callable[[Path], object], *, keep: Path | Non
         new.unlink(missing_ok=True)
 
 
+def write_bytes(path: Path, content: bytes) -> None:
+    """Replace a file atomically by some bytes."""
+    write_whole(path, lambda file: file.write_bytes(content))
+
+
 def write_text(path: Path, text: str) -> None:
     """Replace a file atomically by a text."""
-    write_whole(path, lambda file: file.write_text(text, encoding="utf-8"))
+    write_bytes(path, text.encode())
 
 
 def write_state(path: Path, state: Any, *, keep: Path | None = None) -> None:

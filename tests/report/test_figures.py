@@ -7,6 +7,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -138,6 +139,25 @@ def test_a_chart_becomes_a_file_that_is_the_same_again(form, tmp_path):
     if form == "png":  # the others number their elements throughout a process
         (again,) = draw_charts(figure, tmp_path / "b", [form])
         assert first.read_bytes() == again.read_bytes()
+
+
+@pytest.mark.parametrize("form", ["png", "svg", "pdf"])
+def test_a_chart_that_cannot_be_written_leaves_the_one_before(form, tmp_path, monkeypatch):
+    def tear(path, *_, **__):
+        path.open("w").close()
+        raise OSError("no space")
+
+    rows = pd.DataFrame(
+        {"x": 1.0, "y": [1.0], "method": "symo", "integrator": "", "source": "ours"}
+    )
+    figure = Figure("k", "", "", [Panel("", "there", "", rows)])
+    (file,) = draw_charts(figure, tmp_path, [form])
+    before = file.read_bytes()
+    for name in ("write_text", "write_bytes"):
+        monkeypatch.setattr(Path, name, tear)
+    with pytest.raises(OSError, match="no space"):
+        draw_charts(figure, tmp_path, [form])
+    assert file.read_bytes() == before
 
 
 @pytest.mark.parametrize(

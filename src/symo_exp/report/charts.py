@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 import vl_convert
 
+from symo_exp.files import write_bytes
 from symo_exp.report.figures import SHOULD, Figure, Panel, Range, Trace
 
 WIDTH, HEIGHT = 300, 220
@@ -108,7 +109,6 @@ def config(theme: str) -> dict[str, Any]:
 
 def draw_charts(figure: Figure, folder: Path, formats: Iterable[str]) -> list[Path]:
     """Write ``<key>.<format>`` for each of ``png``, ``pdf`` and ``svg`` asked for."""
-    folder.mkdir(parents=True, exist_ok=True)
     # Matplotlib ships a font that has the symbols of coordinates
     vl_convert.register_font_directory(f"{matplotlib.get_data_path()}/fonts/ttf")
     spec = json.dumps(declare(figure, interactive=False))
@@ -116,11 +116,12 @@ def draw_charts(figure: Figure, folder: Path, formats: Iterable[str]) -> list[Pa
     for form in formats:
         path = folder / f"{figure.key}.{form}"
         if form == "png":
-            path.write_bytes(vl_convert.vegalite_to_png(spec, scale=SCALE))
+            content = vl_convert.vegalite_to_png(spec, scale=SCALE)
         elif form == "pdf":
-            path.write_bytes(vl_convert.vegalite_to_pdf(spec))
+            content = vl_convert.vegalite_to_pdf(spec)
         else:
-            path.write_text(vl_convert.vegalite_to_svg(spec), encoding="utf-8")
+            content = vl_convert.vegalite_to_svg(spec).encode()
+        write_bytes(path, content)
         paths.append(path)
     return paths
 
