@@ -52,18 +52,24 @@ def test_a_finished_run_is_studied_without_training_it_again(workplace, capsys):
 WRONG = """
 class Wrong:
     def __call__(self, model, system, data, *, remember):
-        return {"wrong_error": 1.0}
+        {body}
 """
 
 
-def test_a_study_of_a_user_that_returns_no_finding_is_named(workplace, capsys):
+@pytest.mark.parametrize(
+    ("body", "code", "told"),
+    [
+        ('return {"wrong_error": 1.0}', 2, "study=wrong: its result is dict: expected a symo_exp."),
+        ('raise KeyError("error")', 1, "study=wrong fails: KeyError: 'error'"),
+    ],
+)
+def test_a_study_of_a_user_that_gives_no_finding_is_named(body, code, told, workplace, capsys):
     (workplace / "mine" / "study").mkdir(parents=True)
-    (workplace / "mine" / "wrong_study.py").write_text(WRONG)
-    file = "# @package study.wrong\n# Wrong.\n_target_: wrong_study.Wrong\n"
+    (workplace / "mine" / f"wrong_study_{code}.py").write_text(WRONG.format(body=body))
+    file = f"# @package study.wrong\n# Wrong.\n_target_: wrong_study_{code}.Wrong\n"
     (workplace / "mine" / "study" / "wrong.yaml").write_text(file)
     words = ["--config-dir", "mine", "code=mine", "study=wrong", "model=true_ode", "measures=false"]
-    assert main([*words, *TINY, "pictures=false", "logger=none"]) == 2
-    told = "study=wrong: its result is dict: expected a symo_exp.evaluation.study.Finding"
+    assert main([*words, *TINY, "pictures=false", "logger=none"]) == code
     assert told in capsys.readouterr().err
 
 

@@ -177,5 +177,8 @@ def _study(settings: Mapping[str, Any], folder: RunFolder, parts: Parts) -> None
                 )
         except ConfigError as error:
             raise ConfigError(f"study={name}: {error}") from error
+        except Exception as error:  # it may be a user's
+            told = f"{type(error).__name__}: {first_line(error)}"
+            raise RuntimeError(f"study={name} fails: {told}") from error
         columns = {key: x.numpy() for key, x in found.columns.items()}
         folder.write_study(name, asked[name], found.measures, columns)
