@@ -558,9 +558,9 @@ def test_a_flat_space_has_the_integrator_itself(integrator: VariationalIntegrato
 
 def test_an_integrator_without_an_extension_is_refused() -> None:
     class Other(VariationalMidpoint):
-        name, stages = "other", None
+        stages = None
 
-    with pytest.raises(ConfigError, match=r"integrator=other .*rotations"):
+    with pytest.raises(ConfigError, match=r"Other .*rotations; choose integrator=midpoint"):
         on_space(Other(), Space(1))
 
 

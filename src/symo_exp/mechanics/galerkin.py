@@ -93,7 +93,6 @@ class Galerkin(VariationalIntegrator):
         self.tolerance, self.max_iterations = tolerance, max_iterations
         self.stages: int = stages
         self.order = 2 * stages
-        self.name = f"galerkin{self.order}"
         self.iterates = stages > 1
         self.basis = Basis(stages)
 

@@ -56,8 +56,8 @@ def on_space(integrator: VariationalIntegrator, space: Space) -> VariationalInte
         return integrator
     if integrator.stages is None:
         raise ConfigError(
-            f"integrator={integrator.name} moves lengths and angles only, and the system has "
-            "rotations; choose midpoint, galerkin4, galerkin6 or galerkin10"
+            f"{type(integrator).__name__} moves lengths and angles only, and the system has "
+            "rotations; choose integrator=midpoint, galerkin4, galerkin6 or galerkin10"
         )
     if integrator.stages == 1:
         return GeodesicMidpoint(space)
@@ -78,7 +78,7 @@ class Geodesic(Galerkin):
 
     def __init__(self, *, space: Space, stages: int) -> None:
         super().__init__(stages=stages)
-        self.space, self.name, self.iterates = space, f"geodesic{self.order}", True
+        self.space, self.iterates = space, True
 
     @override
     @torch.no_grad()

@@ -29,7 +29,7 @@ class GeodesicMidpoint(VariationalIntegrator):
         space: The space.
     """
 
-    name, order, stages, iterates, has_hessian = "geodesic2", 2, 1, True, True
+    order, stages, iterates, has_hessian = 2, 1, True, True
 
     def __init__(self, space: Space) -> None:
         self.space = space

@@ -99,7 +99,6 @@ class VariationalIntegrator(ABC):
     if left out); impulses on the configurations themselves come from ``impulses``.
     """
 
-    name: str
     order: int
     iterates = False
     """True if it solves for the motion between two configurations."""
@@ -178,7 +177,6 @@ class VariationalMidpoint(VariationalIntegrator):
     and ``f⁻ = f⁺ = h/4 (F₀ + F₁)`` (thesis (5.15), (5.16)).
     """
 
-    name = "midpoint"
     order = 2
     stages = 1
     has_hessian = True
