@@ -183,6 +183,48 @@ def test_a_mistake_in_a_class_is_refused_before_anything_starts(what, before, af
     assert re.search(said, told)
 
 
+DRAG = """import torch
+from torch import nn
+
+from symo_exp.mechanics.dissipation import Dissipation
+
+
+class Drag(nn.Module, Dissipation):
+    def __init__(self, *, coordinates):
+        super().__init__()
+        self.rate = nn.Parameter(torch.tensor(1.0))
+
+    def force(self, q, v):
+        return -self.rate * v
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "said"),
+    [
+        ("no_dissipation", "Module, Dissipation", "Module", r"expected a \S+.Dissipation"),
+        ("one_force", "* v", "* v.sum(1, keepdim=True)", r"shape \(4, 1\) .* expected \(4, 2\)"),
+        ("one_number", "* v", "* v.sum(1)", r"shape \(4,\) .* expected \(4, 2\)"),
+        ("no_rate", "self.rate *", "self.rates *", r"Drag.force\(q, v\) fails: AttributeError"),
+    ],
+)
+def test_a_mistake_in_a_dissipation_is_refused_before_anything_starts(
+    name, before, after, said, workplace
+):
+    """On two coordinates, to which one force would be broadcast."""
+    folder = workplace / "mine"
+    (folder / "dissipation").mkdir(parents=True)
+    words = "--config-dir", "mine", "code=mine", "system=cartpole", "model=symo", *QUIET
+    for module, text in (("right_drag", DRAG), (name, DRAG.replace(before, after))):
+        (folder / f"{module}.py").write_text(text)
+        node = f"# Mine.\n_target_: {module}.Drag\n_partial_: true\n"
+        (folder / "dissipation" / f"{module}.yaml").write_text(node)
+    with planned(*words, "dissipation=right_drag") as (sweep, jobs):
+        sweep.check(jobs)
+    told = refusal(*words, f"dissipation={name}")
+    assert re.search(said, told)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "error", "said"),
     [

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import nn
 
+from symo_exp.checks import instance
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.dissipation import Dissipation, DissipativeLagrangian
 from symo_exp.mechanics.lagrangian import Lagrangian, evaluated
+from symo_exp.mechanics.returned import checked_tensor, returned
 from symo_exp.mechanics.scaled import ScaledDissipation, ScaledLagrangian
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.units import SI
@@ -49,18 +51,21 @@ def learned_lagrangian(
     """Return a new Lagrangian, with springs and a dissipation if there are factories of them.
 
     Raises:
-        ConfigError: If the Lagrangian is a class of a user that cannot be learned.
+        ConfigError: If one of them is a class of a user that cannot be learned.
     """
     scaled, plain = coordinates.units != SI, coordinates._replace(units=SI)
     conservative = lagrangian(coordinates=plain)
     _check(conservative, plain)
     if springs is not None:
-        conservative = SprungLagrangian(conservative, springs(coordinates=plain))
+        made = springs(coordinates=plain)
+        instance("springs", made, LinearSprings)
+        conservative = SprungLagrangian(conservative, made)
     if scaled:
         conservative = ScaledLagrangian(conservative, coordinates)
     if dissipation is None:
         return conservative
     friction = dissipation(coordinates=plain)
+    _check_dissipation(friction, plain)
     if scaled:
         friction = ScaledDissipation(friction, coordinates)
     return DissipativeLagrangian(conservative, friction)
@@ -81,3 +86,13 @@ def _check(lagrangian: object, coordinates: Coordinates) -> None:
         )
     with torch.no_grad():
         evaluated(lagrangian, space.of_vector(torch.zeros(n + 2, n)), n)
+
+
+def _check_dissipation(dissipation: Any, coordinates: Coordinates) -> None:
+    """Refuse a dissipation whose force has a wrong shape."""
+    instance("dissipation", dissipation, Dissipation)
+    v = torch.zeros(coordinates.n + 2, coordinates.n)
+    told = f"{type(dissipation).__name__}.force(q, v)"
+    with torch.no_grad():
+        found = returned(told, dissipation.force, coordinates.space.of_vector(v), v)
+    checked_tensor(told, found, tuple(v.shape), v.dtype, f"v of shape {tuple(v.shape)}")
