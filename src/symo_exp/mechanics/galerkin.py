@@ -111,7 +111,8 @@ class Galerkin(VariationalIntegrator):
         at = self.expand(lagrangian, q0[chosen], q1[chosen], h, few)
         if not torch.is_grad_enabled():
             return Slots(*(x[place] for x in at.values))
-        return at.condensed().rows(place).slots(q0, q1, forces)
+        at.d2d1()  # what it solves for is kept, and rows share it
+        return at.rows(place).slots(q0, q1, forces)
 
     def _each(
         self, lagrangian: Lagrangian, q0: Tensor, q1: Tensor, h: float, forces: Forces | None
@@ -401,11 +402,6 @@ class CondensedExpansion(DiscreteExpansion):
     def mismatch_jacobian(self) -> Tensor:
         w = self.by_unknowns()[:-1]
         return block_matrix(torch.cat((w[:, -1:], w[:, :-1]), dim=1))
-
-    def condensed(self) -> Self:
-        """Return this expansion with ``d2d1`` computed, which its rows then share."""
-        self._condense()
-        return self
 
     def followed(self, slots: Slots, stationarity: Float[Tensor, "inner batch n"]) -> Slots:
         """Return slot derivatives that include the motion of ``c``, given its equations."""

@@ -266,13 +266,15 @@ def solve(
 
 
 def jacobian(
-    y: Float[Tensor, "batch k"], x: Float[Tensor, "batch n"]
+    y: Float[Tensor, "batch k"], x: Float[Tensor, "batch n"], *, tracked: bool = False
 ) -> Float[Tensor, "batch k n"]:
-    """Return ``∂y_bi/∂x_bj`` of a function that acts row by row."""
+    """Return ``∂y_bi/∂x_bj`` of a function that acts row by row, differentiable if ``tracked``."""
     if not y.requires_grad:  # a constant inertia
         return x.new_zeros(x.shape[0], y.shape[1], x.shape[1])
     rows = [
-        torch.autograd.grad(y[:, i].sum(), x, retain_graph=True, allow_unused=True)[0]
+        torch.autograd.grad(
+            y[:, i].sum(), x, retain_graph=True, create_graph=tracked, allow_unused=True
+        )[0]
         for i in range(y.shape[1])
     ]
     return torch.stack([torch.zeros_like(x) if row is None else row for row in rows], dim=1)

@@ -20,6 +20,7 @@ from symo_exp.mechanics.lagrangian import (
     Gradients,
     Lagrangian,
     Rates,
+    jacobian,
     matvec,
 )
 from symo_exp.mechanics.space import Space
@@ -125,7 +126,8 @@ class KnownLagrangian(nn.Module, Lagrangian):
         tracked = torch.is_grad_enabled()
         q_, mass, p, dq = self._around(q, v, tracked)
         with torch.enable_grad():
-            turned = _derivative_along(p, q_, self.space.push(q_, v), tracked)
+            moved = self.space.push(q_, v).unsqueeze(1)
+            turned = (jacobian(p, q_, tracked=tracked) * moved).sum(-1)
         found = Rates(mass, turned, dq)
         return found if tracked else Rates(*(x.detach() for x in found))
 
@@ -340,20 +342,6 @@ class KnownFriction(nn.Module, Dissipation):
         viscous, coulomb = self.coefficients(v.shape[0])
         found = -viscous * v - coulomb * torch.tanh(v / self.width(v.shape[0]))
         return found if self.drag is None else found + self.drag.force(q, v)
-
-
-def _derivative_along(y: Tensor, x: Tensor, direction: Tensor, tracked: bool) -> Tensor:
-    """Return ``(∂y/∂x) direction`` of a row-wise function, by a backward pass for each column."""
-    found = []
-    for i in range(y.shape[1]):
-        gradient = torch.zeros_like(x)
-        if y.requires_grad:
-            (own,) = torch.autograd.grad(
-                y[:, i].sum(), x, create_graph=tracked, retain_graph=True, allow_unused=True
-            )
-            gradient = gradient if own is None else own
-        found.append((gradient * direction).sum(-1))
-    return torch.stack(found, dim=1)
 
 
 def _upper(matrix: Float[Tensor, "k k"]) -> Float[Tensor, "k k"]:
