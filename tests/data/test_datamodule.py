@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import lightning
 import pytest
@@ -12,9 +13,11 @@ import torch
 from symo_exp.data import datamodule
 from symo_exp.data.base import DataOptions
 from symo_exp.data.cache import key
+from symo_exp.data.datamodule import TrajectoryData
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
 from symo_exp.systems.base import SamplingBox
+from symo_exp.systems.cartpole import Cartpole
 from symo_exp.systems.simulation import Solver
 from symo_exp.systems.table import system as stated
 from symo_exp.thesis.draws import Published
@@ -35,8 +38,8 @@ def test_sets_have_the_requested_sizes_and_types() -> None:
     assert (data.integration.u == 0).all()
     assert [len(w.q) for w in (data.train, data.val, data.test)] == [16, 12, 16]
     assert data.train.q.dtype == data.test.q.dtype == torch.float32
-    assert data.test_trajectories[0].q.dtype == data.train_trajectories[0].q.dtype == torch.float64
-    assert [t.q.shape for t in data.train_trajectories] == [(6, 2)] * 4
+    assert all(data.trajectories(part)[0].q.dtype == torch.float64 for part in ("train", "test"))
+    assert [t.q.shape for t in data.trajectories("train")] == [(6, 2)] * 4
     assert ready(dtype="float64").train.v.dtype == torch.float64
 
 
@@ -46,7 +49,39 @@ def test_data_are_reproducible_bit_for_bit(tmp_path: Path) -> None:
     for data in (again, read):
         for name in ("train", "val", "test", "integration"):
             assert equal(getattr(made, name), getattr(data, name)), name
-        assert all(map(equal, made.test_trajectories, data.test_trajectories))
+        assert all(map(equal, made.trajectories("test"), data.trajectories("test")))
+
+
+class Stopped(Cartpole):
+    """A cartpole whose motions end when the pole is a radian away from the top."""
+
+    ends = ((-9.0, 9.0), (-1.0, 1.0))
+
+
+def stopped(low: float, high: float, **changes: Any) -> TrajectoryData:
+    """Data of motions that begin with the pole at ``low`` to ``high`` [rad]."""
+    system = stated("cartpole")
+    box = {"q": [[-0.5, 0.5], [low, high]], "v": [[0, 0], [-8, 8]], "u": [[0, 0]]}
+    values = {field.name: getattr(system, field.name) for field in dataclasses.fields(system)}
+    return ready(system=Stopped(**{**values, "box": box}), cache_dir=None, n_val=4, **changes)
+
+
+@pytest.mark.parametrize("velocities", ["given", "estimated"])
+def test_motions_that_end_before_their_third_node_are_left_out(velocities: str) -> None:
+    data = stopped(-1.3, 1.3, n_traj=8, n_train_max=8, held_out=2, velocities=velocities)
+    parts = [data.trajectories(part) for part in ("train", "held_out", "val", "test")]
+    assert sum(map(len, parts)) < 8 + 4 + 4
+    assert all(3 <= len(one.q) <= 6 for part in parts for one in part)
+    windows = [sum(len(one.q) - 2 for one in part) for part in parts]
+    train, _, val, test = windows
+    assert [len(x.q) for x in (data.train, data.val, data.test)] == [train, val, test]
+    assert all(one.v.isfinite().all() for part in parts for one in part)
+
+
+@pytest.mark.parametrize(("low", "count", "part"), [(1.1, 4, "integration"), (-1.3, 1, "train")])
+def test_parts_all_of_whose_motions_end_at_once_are_refused(low: float, count: int, part: str):
+    with pytest.raises(ConfigError, match=f"for {part} before its third node; set system.limits"):
+        stopped(low, 1.3, n_traj=count)
 
 
 def test_smaller_training_sets_are_prefixes() -> None:
@@ -59,8 +94,8 @@ def test_smaller_training_sets_are_prefixes() -> None:
 
 def test_the_sets_share_no_start_and_follow_the_seed() -> None:
     data, other = ready(), ready(seed=1)
-    sets = [data.train_trajectories, data.val_trajectories, data.test_trajectories]
-    sets += [data.integration.each(), other.train_trajectories]
+    sets = [data.trajectories("train"), data.trajectories("val"), data.trajectories("test")]
+    sets += [data.integration.each(), other.trajectories("train")]
     rows = torch.stack([trajectory.q[0] for part in sets for trajectory in part])
     assert len(torch.unique(rows, dim=0)) == len(rows)
 
@@ -77,8 +112,8 @@ def test_only_training_data_are_noisy() -> None:
     assert not torch.equal(both.test.q, clean.test.q)
     assert equal(both.val, clean.val)
     assert equal(both.integration, clean.integration)
-    difference = both.test_trajectories[0].q - clean.test_trajectories[0].q
-    other = noisy.train_trajectories[0].q - clean.train_trajectories[0].q
+    difference = both.trajectories("test")[0].q - clean.trajectories("test")[0].q
+    other = noisy.trajectories("train")[0].q - clean.trajectories("train")[0].q
     assert not torch.allclose(difference, other)  # noise of their own
 
 
@@ -272,7 +307,7 @@ def test_a_system_whose_equations_are_unknown_cannot_be_simulated() -> None:
 
 def test_trajectories_start_where_windows_do() -> None:
     data = ready()
-    first = data.test_trajectories[0]
+    first = data.trajectories("test")[0]
     torch.testing.assert_close(data.test.q_prev[0].double(), first.q[0])
     torch.testing.assert_close(data.test.v_next[3].double(), first.v[5])
 

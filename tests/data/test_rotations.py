@@ -54,8 +54,8 @@ def read(frame: pd.DataFrame, path: Path, **changes: Any) -> RecordedData:
 def test_written_recordings_are_read_as_they_were(tmp_path: Path) -> None:
     data, path = read(table(tmp_path), tmp_path), motion()
     data.setup()
-    torch.testing.assert_close(data.train_trajectories[0].q, path.q[0])
-    torch.testing.assert_close(data.train_trajectories[0].v, path.v[0])
+    torch.testing.assert_close(data.trajectories("train")[0].q, path.q[0])
+    torch.testing.assert_close(data.trajectories("train")[0].v, path.v[0])
     assert data.train.q.shape[1] == 12
 
 
@@ -65,7 +65,7 @@ def test_the_sign_and_the_length_of_a_quaternion_do_not_matter(tmp_path: Path) -
     frame.loc[::2, columns] *= -1.0009
     data = read(frame, tmp_path)
     data.setup()
-    torch.testing.assert_close(data.train_trajectories[0].q, motion().q[0])
+    torch.testing.assert_close(data.trajectories("train")[0].q, motion().q[0])
 
 
 def test_velocities_come_from_poses_and_times_are_resampled(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_velocities_come_from_poses_and_times_are_resampled(tmp_path: Path) -> N
     for step in (H, 1.5 * H):
         data = read(frame, tmp_path, time_step=step)
         data.setup()
-        found = data.train_trajectories[0]
+        found = data.trajectories("train")[0]
         nodes = found.q.shape[0]
         turn = found.q[:, 3:].view(nodes, 3, 3)
         one = torch.eye(3).double().expand_as(turn)

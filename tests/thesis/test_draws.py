@@ -39,7 +39,7 @@ def test_a_published_trajectory_begins_a_step_after_its_draw() -> None:
     data = ready(draws=draws)
     drawn = draws(data.system.box, data.recipe()["trajectories"], 0)
     path = generate(data.system, drawn["test"], steps=6, forced=True, solver=data.solver)
-    for found, whole in zip(data.test_trajectories, path.each(), strict=True):
+    for found, whole in zip(data.trajectories("test"), path.each(), strict=True):
         for field, drawn_ in zip(found, whole, strict=True):
             assert len(field) == 6
             torch.testing.assert_close(field, drawn_[1:], rtol=1e-12, atol=1e-12)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from symo_exp.checks import one_of, real, whole_number
 from symo_exp.data.noise import add_noise
+from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import Space, space_of
 from symo_exp.mechanics.types import TrainingSamples, Trajectories, Trajectory
 from symo_exp.mechanics.windows import cut_windows
@@ -22,6 +23,9 @@ Item = TypeVar("Item")
 Kind = TypeVar("Kind", bound=TrainingSamples)
 
 log = logging.getLogger(__name__)
+
+FEWEST = 3
+"""Nodes of a sample; shorter trajectories are not used."""
 
 
 class Splits(NamedTuple):
@@ -53,9 +57,8 @@ class DataModule(lightning.LightningDataModule, ABC):
     """Windows of trajectories in memory, in an order that depends on the seed alone.
 
     After ``setup()`` there are ``train``, ``val`` and ``test`` (``Windows`` in ``dtype``), the
-    trajectories that they were cut from (``train_trajectories``, ``val_trajectories`` and
-    ``test_trajectories``, lists of any lengths) and ``integration``, all float64. A Trainer is not
-    needed.
+    ``trajectories`` that they were cut from, of any lengths, and ``integration``, both float64. A
+    Trainer is not needed.
 
     Args:
         time_step: Distance of the nodes [s].
@@ -147,32 +150,33 @@ class DataModule(lightning.LightningDataModule, ABC):
         for line in self.lines():
             log.info(line)
         splits = self.load()
-        train = splits.train[: self.n_traj]
-        self.train_trajectories = add_noise(
-            train, self.noise_std, [self.noise_seed, 0], self.input_noise_std
+        train = add_noise(
+            splits.train[: self.n_traj], self.noise_std, [self.noise_seed, 0], self.input_noise_std
         )
-        if self.velocities == "estimated":
-            self.train_trajectories = [
-                t._replace(v=central_differences(t.q, self.time_step, space_of(t.q, t.v)))
-                for t in self.train_trajectories
-            ]
-        self.val_trajectories = splits.val
+        kept = self.n_traj - self.held_out
         std = self.noise_std if self.noise_test else 0.0
-        self.test_trajectories = add_noise(splits.test, std, [self.noise_seed, 1])
+        parts = {
+            "train": train[:kept],
+            "held_out": train[kept:],
+            "val": splits.val,
+            "test": add_noise(splits.test, std, [self.noise_seed, 1]),
+        }
+        self._parts = {name: usable(name, part) for name, part in parts.items()}
+        if self.velocities == "estimated":
+            for name in ("train", "held_out"):
+                self._parts[name] = [
+                    t._replace(v=central_differences(t.q, self.time_step, space_of(t.q, t.v)))
+                    for t in self._parts[name]
+                ]
         self.integration = splits.integration
-        self.train = _converted(cut_windows(self.trajectories("train")), self.dtype)
-        self.val = _converted(cut_windows(self.val_trajectories), self.dtype)
-        self.test = _converted(cut_windows(self.test_trajectories), self.dtype)
+        self.train, self.val, self.test = (
+            _converted(cut_windows(self._parts[name]), self.dtype)
+            for name in ("train", "val", "test")
+        )
 
     def trajectories(self, part: Literal["train", "held_out", "val", "test"]) -> list[Trajectory]:
         """Return the trajectories of a part, in float64; "train" excludes "held_out"."""
-        kept = self.n_traj - self.held_out
-        return {
-            "train": self.train_trajectories[:kept],
-            "held_out": self.train_trajectories[kept:],
-            "val": self.val_trajectories,
-            "test": self.test_trajectories,
-        }[part]
+        return self._parts[part]
 
     def batches(self, epoch: int) -> list[TrainingSamples]:
         """Return the mini-batches of an epoch, permuted by the seed and the epoch."""
@@ -216,6 +220,21 @@ class DataModule(lightning.LightningDataModule, ABC):
         return samples
 
 
+def usable(part: str, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return the trajectories of a part that have a sample.
+
+    Raises:
+        ConfigError: If there are trajectories, and none has.
+    """
+    found = [one for one in trajectories if len(one.q) >= FEWEST]
+    if trajectories and not found:
+        raise ConfigError(
+            f"joint limits end every motion for {part} before its third node; set "
+            "system.limits=off or choose a narrower system.box"
+        )
+    return found
+
+
 def _converted(samples: Kind, to: torch.dtype | torch.device) -> Kind:
     """Return samples in a precision, or on a device."""
     return type(samples)(*(field.to(to) for field in samples))
@@ -230,14 +249,12 @@ def stacked(trajectories: Sequence[Trajectory], nodes: int) -> Trajectories:
 def central_differences(q: Tensor, h: float, space: Space) -> Tensor:
     """Return ``(q_{k+1} − q_{k−1}) / 2h``, one-sided of second order at both ends.
 
-    Of a rotation it is the mean of the body rates over both steps.
+    Of a rotation it is the mean of the body rates over both steps. There are at least three nodes.
     """
     if not space.rotations:
         return torch.gradient(q, spacing=h, dim=0, edge_order=2)[0]
     rates = space.difference(q[:-1], q[1:]) / h
     inner = 0.5 * (rates[1:] + rates[:-1])
-    if len(inner) == 0:
-        return rates.expand(2, -1)
     first, last = 2.0 * rates[0] - inner[0], 2.0 * rates[-1] - inner[-1]
     return torch.cat((first.unsqueeze(0), inner, last.unsqueeze(0)))
 

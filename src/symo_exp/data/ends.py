@@ -6,13 +6,9 @@ from collections.abc import Sequence
 
 import torch
 
-from symo_exp.data.base import Splits, stacked
-from symo_exp.errors import ConfigError
+from symo_exp.data.base import Splits, stacked, usable
 from symo_exp.mechanics.types import Trajectories, Trajectory
 from symo_exp.systems.box import Range
-
-FEWEST = 3
-"""Nodes of a sample, the least of a trajectory."""
 
 
 def ended(splits: Splits, ends: Sequence[Range]) -> tuple[Splits, str]:
@@ -25,23 +21,17 @@ def ended(splits: Splits, ends: Sequence[Range]) -> tuple[Splits, str]:
         ends: Range of each coordinate.
 
     Raises:
-        ConfigError: If no trajectory of a part keeps three nodes.
+        ConfigError: If no unforced trajectory keeps three nodes.
     """
     given = {"train": splits.train, "val": splits.val, "test": splits.test}
     parts = {name: [_ended(one, ends) for one in part] for name, part in given.items()}
     rollouts = [_ended(one, ends) for one in splits.integration.each()]
-    for name, part in {**parts, "integration": rollouts}.items():
-        if max(len(one.q) for one in part) < FEWEST:
-            raise ConfigError(
-                f"joint limits end every motion of data.n_{name} before its third node; "
-                "set system.limits=off or choose a narrower system.box"
-            )
     counts = ", ".join(
         f"{sum(len(a.q) < len(b.q) for a, b in zip(part, given[name], strict=True))} of "
         f"{len(part)} {name}"
         for name, part in parts.items()
     )
-    kept = _together(rollouts)
+    kept = _together(usable("integration", rollouts))
     left = len(rollouts) - len(kept.q)
     line = (
         f"motions that a joint limit ends: {counts}; of {len(rollouts)} long rollouts "
@@ -60,6 +50,5 @@ def _ended(trajectory: Trajectory, ends: Sequence[Range]) -> Trajectory:
 def _together(trajectories: Sequence[Trajectory]) -> Trajectories:
     """Return trajectories of one length, which keeps the most nodes in all."""
     lengths = torch.tensor([len(one.q) for one in trajectories])
-    usable = [int(x) for x in lengths.unique() if x >= FEWEST]
-    nodes = max(usable, key=lambda x: x * int((lengths >= x).sum()))
+    nodes = max(lengths.unique().tolist(), key=lambda x: x * int((lengths >= x).sum()))
     return stacked([one for one in trajectories if len(one.q) >= nodes], nodes)
