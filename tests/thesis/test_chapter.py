@@ -35,6 +35,15 @@ def test_a_repeated_chapter_agrees_with_the_published(tmp_path):
     assert "| not run |" in claims
 
 
+@pytest.mark.parametrize("metric", ["test_mse", "integration_mse"])
+def test_a_chapter_without_a_measure_is_reported(metric):
+    """As of runs whose long rollouts all diverge."""
+    told = thesis_report(tidy(repeated(SIZES[SIZES.metric == metric])), "it")
+    (agreed,) = next(section for section in told.sections if section.key == "agreement").tables
+    other = "test" if metric == "integration_mse" else "integration"
+    assert (agreed.rows[[f"{other}: {x}" for x in ("within 3", "÷3", "×3")]] == "0").all(axis=None)
+
+
 def test_published_values_are_drawn_beside_ours():
     told = thesis_report(tidy(repeated(SIZES)), "it")
     figures = {f.key: f for s in told.sections for f in s.figures}

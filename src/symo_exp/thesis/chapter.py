@@ -89,11 +89,13 @@ def agreement(compared: pd.DataFrame) -> ResultTable:
         within=x.between(1 / TOLERATED, TOLERATED), better=x < 1 / TOLERATED, worse=x > TOLERATED
     )
     counts = counted.groupby(["variant", "system", "method", "integrator", "metric"])
-    wide = counts[["within", "better", "worse"]].sum().unstack(fill_value=0)
+    kinds = ["within", "better", "worse"]
+    wide = counts[kinds].sum().unstack(fill_value=0)
+    wide = wide.reindex(columns=pd.MultiIndex.from_product([kinds, metrics]), fill_value=0)
     places = {system: i for i, system in enumerate(in_thesis_order(done.system))}
     rows = [
         [variant or "defaults", system, pair_name(*pair),
-         *(f"{row[kind, metric]}" for metric in metrics for kind in ("within", "better", "worse"))]
+         *(f"{row[kind, metric]}" for metric in metrics for kind in kinds)]
         for (variant, system, *pair), row in sorted(
             wide.iterrows(), key=lambda x: (x[0][0], places[x[0][1]], in_order(x[0][2:]))
         )
