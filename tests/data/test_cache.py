@@ -63,10 +63,19 @@ def save(path: Path, write: Callable, *content: object, **named: object) -> None
         write(file, *content, **named)
 
 
+def flip_in_directory(path: Path, place: int) -> None:
+    """Flip a bit of the entry of the first array: byte 8 has flags, byte 10 the method."""
+    content = bytearray(path.read_bytes())
+    content[content.index(b"PK\x01\x02") + place] ^= 1
+    path.write_bytes(bytes(content))
+
+
 DAMAGE: dict[str, Callable[[Path], object]] = {
     "truncated": lambda path: path.write_bytes(path.read_bytes()[:5000]),
     "empty": lambda path: path.write_bytes(b""),
     "one bit flipped": flip,
+    "encrypted": lambda path: flip_in_directory(path, 8),
+    "compressed in an unknown way": lambda path: flip_in_directory(path, 10),
     "text": lambda path: path.write_text("not an archive"),
     "an array": lambda path: save(path, np.save, np.ones(3)),
     "no recipe": lambda path: save(path, np.savez, a=np.ones(3)),

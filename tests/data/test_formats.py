@@ -94,6 +94,13 @@ def saved(save: Callable[..., None], *given: np.ndarray, **arrays: np.ndarray) -
     return file.getvalue()
 
 
+def encrypted(archive: bytes) -> bytes:
+    """The archive with a flag in its directory that says that its first file is encrypted."""
+    content = bytearray(archive)
+    content[content.index(b"PK\x01\x02") + 8] ^= 1
+    return bytes(content)
+
+
 Writer = Callable[[Path], object]
 WRITERS: dict[str, Writer] = {
     "semicolons": csv("x.csv", sep=";"),
@@ -784,6 +791,11 @@ def test_a_ros_bag_gives_the_same_motion(tmp_path: Path) -> None:
         ("absent", None, "there is no such file or folder"),
         ("x.npz", b"nonsense", "no archive of arrays"),
         ("x.npz", saved(np.save, np.ones(9)), "no archive of arrays"),
+        (
+            "x.npz",
+            encrypted(saved(np.savez, t=np.ones(9))),
+            r"cannot be read \(File 't.npy' is encrypted",
+        ),
         ("x.npz", saved(np.savez, t=np.array([None])), "array t: .*leave t out of the file"),
         ("x.mat", b"nonsense", "cannot be read"),
         ("x.db3", b"nonsense", "ROS bag"),

@@ -114,7 +114,7 @@ def _read(
         reason = "it holds other data"
     except (OSError, ValueError, TypeError, AttributeError, KeyError, EOFError) as error:
         reason = f"unreadable ({' '.join(str(error).split()) or type(error).__name__})"
-    except (zipfile.BadZipFile, zlib.error) as error:
+    except (zipfile.BadZipFile, zlib.error, RuntimeError) as error:  # encrypted, by a flipped bit
         reason = f"damaged ({error})"
     if report:
         log.warning("Cached data %s: %s; it is generated again", path, reason)

@@ -20,8 +20,8 @@ from symo_exp.data.paths import TEXT, Location, shown, suffix
 from symo_exp.errors import ConfigError, first_line
 
 UNREADABLE = (
-    OSError, ValueError, TypeError, IndexError, EOFError, csv.Error, zipfile.BadZipFile, zlib.error,
-    scipy.io.matlab.MatReadError,
+    OSError, ValueError, TypeError, IndexError, EOFError, RuntimeError, csv.Error,
+    zipfile.BadZipFile, zlib.error, scipy.io.matlab.MatReadError,
 )  # fmt: skip
 """Errors of a file that is damaged or of another format, those of pandas and Arrow among them."""
 
