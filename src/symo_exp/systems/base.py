@@ -146,9 +146,13 @@ class System(ABC):
     @classmethod
     def units(cls) -> dict[str, str]:
         """Return the units of the physical parameters by name."""
+        return {name: hint.__metadata__[0] for name, hint in cls._physical_hints().items()}
+
+    @classmethod
+    def _physical_hints(cls) -> dict[str, Any]:
         hints = get_type_hints(cls, include_extras=True)
-        names = [f.name for f in fields(cls) if get_origin(hints[f.name]) is Annotated]
-        return {name: hints[name].__metadata__[0] for name in names}
+        given = {f.name: hints[f.name] for f in fields(cls)}
+        return {name: hint for name, hint in given.items() if get_origin(hint) is Annotated}
 
     def points(self, count: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
         """Return ``count`` draws of ``(q, v, u)`` from the box in float64."""
@@ -157,8 +161,9 @@ class System(ABC):
         return self.coordinates.space.of_vector(x), v, u
 
     def __post_init__(self) -> None:
-        for name in ("time_step", *self.units()):
-            vars(self)[name] = _physical(f"system.{name}", getattr(self, name))
+        vars(self)["time_step"] = real("system.time_step", self.time_step, above=0)
+        for name, hint in self._physical_hints().items():
+            vars(self)[name] = _physical(f"system.{name}", getattr(self, name), hint.__origin__)
         self._check_dimensions()
         if self.box is not None:
             vars(self)["box"] = checked_box(self.box, *self.input_matrix.shape)
@@ -324,13 +329,13 @@ def _fit(names: Any, angular: Any) -> bool:
     return kinds and len(set(names)) == len(names) == len(angular)
 
 
-def _physical(key: str, value: object) -> object:
-    """Return a positive number or a vector of three numbers."""
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        if len(value) != 3:
-            raise ConfigError(f"{key}={list(value)}: expected three numbers")
-        return tuple(real(key, x) for x in value)
-    return real(key, value, above=0)
+def _physical(key: str, value: object, kind: Any) -> object:
+    """Return a positive number or, where ``kind`` is none of a number, a vector of three."""
+    if kind in (float, int):
+        return real(key, value, above=0)
+    if not isinstance(value, Sequence) or len(value) != 3:
+        raise ConfigError(f"{key}={value}: expected three numbers")
+    return tuple(real(key, x) for x in value)
 
 
 def _coefficients(name: str, given: Sequence[float], n: int) -> tuple[float, ...]:
