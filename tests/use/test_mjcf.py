@@ -96,7 +96,7 @@ def pushed(angular):
     found = sprung(angular, planar)
     if not all(angular):
         with torch.no_grad():
-            found.conservative.conservative.weights[0] -= 3.0
+            found.conservative.conservative.weights[0] -= 3.1
     return found
 
 

@@ -47,7 +47,7 @@ def write_bodies(model: DynamicsModel, path: Path) -> Path:
     damping, friction = _friction(parts, inverse, missing)
     found = found._replace(joints=_sprung(model, parts, found, inverse, missing))
     damping, friction = _of_balls(found.joints, damping, friction, missing)
-    along: Coupled = [(c, _tidy(torch.tensor(a).double() @ inverse)) for c, a in friction]
+    along: Coupled = [(c, _tidy(inverse.new_tensor(a) @ inverse)) for c, a in friction]
     if not torch.equal(found.matrix, torch.eye(len(inverse)).double()):
         missing.append("joint coordinates are A q with A = " + str(found.matrix.tolist()))
     if is_urdf:
@@ -105,7 +105,7 @@ def _friction(parts: _Parts, inverse: Tensor, missing: list[str]) -> tuple[Tenso
     damping, friction, lost = passive(parts.dissipation, len(inverse))
     missing += lost
     damping = inverse.T @ parts.scale.matrix(damping, 1) @ inverse
-    forces = ((c, parts.scale.force(torch.tensor(a).double())) for c, a in friction)
+    forces = ((c, parts.scale.force(inverse.new_tensor(a))) for c, a in friction)
     return damping, [_unit_direction(c, force) for c, force in forces]
 
 
@@ -117,7 +117,7 @@ def _sprung(
     constant = torch.zeros(len(inverse)).double()
     if isinstance(parts.lagrangian, PlanarLinks):
         forces = constant_forces(parts.lagrangian, model.coordinates)
-        constant = model.coordinates.units.size("N") * torch.tensor(forces).double()
+        constant = model.coordinates.units.size("N") * inverse.new_tensor(forces)
         if distance := distance_from_rigid(parts.lagrangian, model.coordinates):
             missing.append(
                 "the learned links are not exactly rigid: they differ from those in this file by "
