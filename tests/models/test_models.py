@@ -31,6 +31,7 @@ from tests.models.methods import (
     learner,
     make,
     make_small,
+    one_each,
     pairwise,
     windows,
 )
@@ -588,6 +589,20 @@ def test_true_models_move_alike_in_any_units(name, units):
         assert path.converged.all()
         paths.append(path.q / sizes)
     torch.testing.assert_close(paths[1], paths[0], atol=1e-10, rtol=0.0)
+
+
+@pytest.mark.parametrize(("method", "integrator"), one_each())
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_every_method_predicts_alike_in_any_units(method, integrator, n):
+    """A machine of micrometres moves as one of metres with the same weights."""
+    model, (small, sizes) = make(method, integrator, n), make_small(method, integrator, n)
+    data = windows(n)
+    scaled = Windows(*(x * sizes for x in data[:5]), *data[5:])
+    found, expected = small.predict(scaled), model.predict(data)
+    torch.testing.assert_close(found.q / sizes, expected.q)
+    torch.testing.assert_close(found.v / sizes, expected.v)
+    losses = (one.objective(one.flow, x).loss for one, x in ((small, scaled), (model, data)))
+    torch.testing.assert_close(*losses)
 
 
 @pytest.mark.parametrize("integrator", ["midpoint", "galerkin4"])

@@ -1,4 +1,4 @@
-"""Lagrangians and dissipation in units of their own.
+"""Lagrangians, dissipation and states in units of their own.
 
 Parameters, priors and damping of least squares, and initial values are made for numbers of order
 one. With the units of coordinates ``ℓᵢ``, that of length or 1 for angles, of time ``T`` and of
@@ -57,6 +57,17 @@ class Scale(nn.Module):
     def inside(self, q: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``q / ℓ`` and ``v T / ℓ``."""
         return q / self.place, v * (self.time / self.motion)
+
+    def outside(self, x: Float[Tensor, "*batch n"], times: int) -> Float[Tensor, "*batch n"]:
+        """Return ``ℓ x / T^times``, such as velocities and accelerations."""
+        return x * (self.motion / self.time**times)
+
+    def inputs(
+        self, u: Float[Tensor, "batch m"], input_matrix: Float[Tensor, "n m"]
+    ) -> Float[Tensor, "batch m"]:
+        """Return each input as the largest force that it causes, ``E/ℓ`` being the unit."""
+        size = (input_matrix.abs() * (self.motion / self.energy).unsqueeze(1)).amax(0)
+        return u * size.where(size > 0.0, 1.0)
 
     def force(self, x: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
         """Return ``E x / ℓ``."""

@@ -12,8 +12,10 @@ from typing_extensions import override
 
 from symo_exp.mechanics.euler_lagrange import acceleration
 from symo_exp.mechanics.lagrangian import Lagrangian
+from symo_exp.mechanics.scaled import Scale
 from symo_exp.mechanics.space import FLAT, Space
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.units import SI
 from symo_exp.nets.embedding import features_of
 
 
@@ -51,7 +53,8 @@ class Field(nn.Module, ABC):
 class NetworkAcceleration(Field):
     """``v̇ = net(s(q), v, u)``, without mechanics.
 
-    Angles are embedded as ``(cos, sin)``, rotations by their entries.
+    Angles are embedded as ``(cos, sin)``, rotations by their entries. The numbers of the network
+    are in the units of the coordinates.
 
     Args:
         net: Factory of the network, called with the numbers of its inputs and outputs.
@@ -68,11 +71,14 @@ class NetworkAcceleration(Field):
         n, m = input_matrix.shape
         self.space, self.embedding = coordinates.space, features_of(coordinates)
         self.net = net(inputs=self.embedding.size + n + m, outputs=n)
+        self.scale = None if coordinates.units == SI else Scale(coordinates)
 
     @override
     def forward(self, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
+        if self.scale is not None:
+            (q, v), u = self.scale.inside(q, v), self.scale.inputs(u, self.input_matrix)
         found: Tensor = self.net(torch.cat((self.embedding(q).x, v, u), dim=1))
-        return found
+        return found if self.scale is None else self.scale.outside(found, 2)
 
 
 class EulerLagrangeAcceleration(Field):
