@@ -251,16 +251,17 @@ def links(mass=1.0):
 
 def test_numbers_of_a_machine_without_known_forces_do_not_depend_on_the_unit_of_mass():
     tables = {}
-    for mass in (1.0, 4.0):
+    for mass in (1.0, 4.0, 1e-24):
         found, coordinates = links(mass)
         for driven in (True, False):
             rows = physical_parameters(
                 found, coordinates, list(found.parameters()), None, driven=driven
             )
             tables[mass, driven] = {row.name: row.value for row in rows}
-    driven = tables[1.0, True]
-    assert tables[4.0, True] == pytest.approx({x: 4.0 * value for x, value in driven.items()})
-    assert tables[4.0, False] == pytest.approx(tables[1.0, False])
+    for mass in (4.0, 1e-24):
+        driven = {x: mass * value for x, value in tables[1.0, True].items()}
+        assert tables[mass, True] == pytest.approx(driven, abs=0.0)
+        assert tables[mass, False] == pytest.approx(tables[1.0, False])
 
 
 def scaled_links(*, driven):

@@ -23,7 +23,8 @@ STRUCTURAL = 1e-6
 SMALL = 1e-4
 """Entries of reduced matrices below this, relative to the largest, count as zero."""
 ABSENT = 1e-20
-"""Square below which a quantity counts as absent, such as friction that the data do not show."""
+"""Square below which a quantity counts as absent, such as friction that the data do not show, in
+the units of the machine."""
 ENDED = 1e-9
 """Slope of a learned number, relative to its value, below which it is at the end of its range."""
 FEW = 6
@@ -84,7 +85,10 @@ def physical_parameters(
         return []
     names, units, exact, parts = zip(*found, strict=True)
     values = torch.stack([value.detach().double() for value in exact])
-    numbers = _Numbers(names, units, values, torch.stack(slopes).double())
+    by_parameters = torch.stack(slopes).double()
+    sizes = torch.tensor([coordinates.units.size(unit) for unit in units], dtype=torch.float64)
+    there = (values.abs() > ABSENT * sizes) | (by_parameters.norm(dim=1) > ABSENT**0.5 * sizes)
+    numbers = _Numbers(names, units, values, by_parameters, there)
     one = None
     if not driven and not isinstance(conservative, KnownLagrangian):
         one, numbers = _relative(numbers, posterior)
@@ -104,11 +108,13 @@ class _Numbers(NamedTuple):
     units: Sequence[str]
     values: Float[Tensor, " numbers"]
     slopes: Float[Tensor, "numbers p"]
+    there: Bool[Tensor, " numbers"]
+    """Whether each is present; a square that vanished, as of friction, is absent."""
 
     def only(self, index: Sequence[int]) -> _Numbers:
         """Return some of the numbers."""
         names, units = [self.names[i] for i in index], [self.units[i] for i in index]
-        return _Numbers(names, units, self.values[list(index)], self.slopes[list(index)])
+        return _Numbers(names, units, *(x[list(index)] for x in self[2:]))
 
 
 def _relative(numbers: _Numbers, posterior: Posterior | None) -> tuple[int | None, _Numbers]:
@@ -150,33 +156,27 @@ def _free(numbers: _Numbers, posterior: Posterior) -> Float[Tensor, "numbers fre
     """Return the derivatives along directions without information, zero where negligible."""
     along = numbers.slopes @ posterior.free.double()
     size = numbers.slopes.norm(dim=1).clamp_min(1e-300)
-    least = torch.where(_there(numbers), STRUCTURAL * size, torch.inf).unsqueeze(1)
+    least = torch.where(numbers.there, STRUCTURAL * size, torch.inf).unsqueeze(1)
     return torch.where(along.abs() > least, along, 0.0)
-
-
-def _there(numbers: _Numbers) -> Bool[Tensor, " numbers"]:
-    """Return which numbers are present; a square that vanished, as of friction, is absent."""
-    return (numbers.values.abs() > ABSENT) | (numbers.slopes.norm(dim=1) > ABSENT**0.5)
 
 
 def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
     """Return a row for each number, then those of combinations that are determined."""
-    there = _there(numbers)
     if posterior is None:
         return [
             Parameter(name, float(value), unit, math.nan, "unknown", "no posterior")
             if present
             else _absent(name, unit)
-            for name, unit, value, present in zip(*numbers[:3], there, strict=True)
+            for name, unit, value, _, present in zip(*numbers, strict=True)
         ]
     along = _free(numbers, posterior)
     partners = _partners(along)
     rows = []
-    for i, (name, unit, value, slope) in enumerate(zip(*numbers, strict=True)):
+    for i, (name, unit, value, slope, present) in enumerate(zip(*numbers, strict=True)):
         if partners[i]:
             note = f"determined only together with {_others(numbers.names, partners[i], i)}"
             rows.append(Parameter(name, float(value), unit, math.nan, "no", note))
-        elif not there[i]:
+        elif not present:
             rows.append(_absent(name, unit))
         elif 0.0 < slope.norm() <= ENDED * value.abs():
             rows.append(Parameter(name, float(value), unit, math.nan, "no", "the end of its range"))
@@ -201,11 +201,11 @@ def _combined(
     """
     if posterior is None:
         return []
-    fixed = (_free(numbers, posterior) == 0.0).all(dim=1) & _there(numbers)
+    fixed = (_free(numbers, posterior) == 0.0).all(dim=1) & numbers.there
     note = "the combination that is determined"
     return [
         _certain(name, unit, value, slope, posterior, note)
-        for name, unit, value, slope, own, known in zip(*numbers, parts, fixed, strict=True)
+        for name, unit, value, slope, own, known in zip(*numbers[:4], parts, fixed, strict=True)
         if known and free.intersection(own)
     ]
 
@@ -273,7 +273,7 @@ def _sums(
     every: set[str] = set()
     for unit in dict.fromkeys(numbers.units):
         same = [i for i, x in enumerate(numbers.units) if x == unit]
-        names, _, values, slopes = numbers.only(same)
+        names, _, values, slopes, _ = numbers.only(same)
         for combination in _determined(along[same]):
             signs = combination.round()
             plain = bool((combination - signs).abs().max() < 1e-3 and signs.abs().max() == 1.0)
@@ -292,7 +292,7 @@ def _products(
     factors: _Numbers, along: Float[Tensor, "numbers free"], posterior: Posterior
 ) -> list[Parameter]:
     """Return the products of powers that are determined though their factors are not."""
-    names, units, values, slopes = factors
+    names, units, values, slopes, _ = factors
     rows = []
     for power in _determined(along / values.unsqueeze(1)):
         doubled = (2.0 * power).round()
