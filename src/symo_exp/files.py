@@ -20,7 +20,7 @@ class UnsoundError(Exception):
 
 def user_cache() -> Path:
     """Return the folder for what later commands of the user need not compute again."""
-    return Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "symo_exp"
+    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "symo_exp"
 
 
 def write_whole(path: Path, write: Callable[[Path], object], *, keep: Path | None = None) -> None:

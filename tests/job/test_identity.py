@@ -32,6 +32,13 @@ def test_a_folder_belongs_to_what_is_computed(workplace):
     assert len(set(names)) == len(names)
 
 
+def test_an_output_folder_may_begin_with_the_home_of_the_user(workplace, monkeypatch):
+    monkeypatch.setenv("HOME", str(workplace / "me"))
+    job = job_of('output_dir="~/runs"', "experiment=mine")
+    assert job.folder.path.parent == workplace / "me" / "runs" / "mine"
+    assert job.folder.path.name == job_of().folder.path.name
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -232,7 +232,7 @@ class Search:
 
     @property
     def _folder(self) -> Path:
-        return Path(str(self._master.output_dir)).absolute() / self._experiment
+        return Path(str(self._master.output_dir)).expanduser().absolute() / self._experiment
 
 
 def _cores(master: DictConfig) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -112,6 +113,7 @@ def mechanism(kind: str, name: str | None) -> dict[str, Any]:
     return mujoco.read_mechanism(name) if kind == "model" else mujoco.environment_mechanism(name)
 
 
+OmegaConf.register_new_resolver("expanded", lambda x: os.path.expanduser(str(x)), replace=True)
 OmegaConf.register_new_resolver("mechanism", mechanism, replace=True)
 OmegaConf.register_new_resolver("run_folder", run_folder, replace=True)
 OmegaConf.register_new_resolver("recorded_columns", recorded_columns, replace=True)
