@@ -203,6 +203,17 @@ def test_angles_that_turn_over_are_wrapped_and_others_are_not():
     assert of["squared error [m², rad²]"].notna().all()
 
 
+def test_no_line_joins_the_ends_of_a_turn_where_nodes_are_left_out():
+    rollouts = dataclasses.replace(made(SYSTEMS["pendulum"], nodes=4001), time_step=0.0025)
+    rollouts.q_true[:] = torch.linspace(0, 50, 4001)[:, None]
+    rollouts.q[:], rollouts.v[:] = rollouts.q_true, rollouts.v_true
+    panel = pictures.trajectories(rollouts, "symo", "t").panels[0]
+    for one in series(panel).values():
+        assert len(one) < 2000
+        assert one.y.diff().abs().max() < math.pi
+        assert one.y.isna().sum() == 8
+
+
 def test_a_phase_portrait_wraps_angles_and_has_gaps_where_they_jump():
     system = SYSTEMS["pendulum"]
     for panel in pictures.phase_portrait(made(system), "symo", "t").panels:

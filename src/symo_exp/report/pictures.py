@@ -26,6 +26,7 @@ from symo_exp.report.motions import (
     points,
     ranked_as,
     ranking,
+    thinned,
     unbroken,
 )  # fmt: skip
 from symo_exp.report.paper import save_figure
@@ -105,8 +106,9 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
                 ranked_as(which, len(errors))
                 + f"MSE {short(float(errors[one.trajectory.iloc[0]]))}"
             )
-            shown = one.assign(**{c: unbroken(one[c]) for c in columns}) if turns else one
-            shown = shown[shown.t <= LONG]
+            shown = thinned(one[one.t <= LONG])  # before gaps are made, of one node each
+            if turns:
+                shown = shown.assign(**{c: unbroken(shown[c]) for c in columns})
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
     unit = ", ".join(f"{unit}²" for unit in rollouts.coordinates.units_of_errors)
     for one in chosen.values():
