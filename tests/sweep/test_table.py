@@ -43,6 +43,17 @@ def test_the_table_fits_and_the_best_of_each_column_is_marked(tmp_path):
     assert units.startswith("* the best; MSE in m², rad²; energy in J²; inertia in kg²")
 
 
+def test_labels_that_differ_in_a_name_with_blanks_or_in_a_long_list_are_told_apart(tmp_path):
+    many = ",".join(f"logs/recording_{i}.csv" for i in range(60))
+    labels = [*(f"data.path=my log.{i}.csv" for i in range(2)),
+              *(f"data.path=[{many},{i}.csv,{many}]" for i in range(2))]  # fmt: skip
+    folders = [made(tmp_path / str(i), **MEASURES) for i in range(4)]
+    _, *rows = table(labels, folders).splitlines()
+    assert rows[0].startswith("path=my log.0.csv ")
+    assert rows[1].startswith("path=my log.1.csv ")
+    assert rows[2] != rows[3]
+
+
 @pytest.mark.parametrize(
     ("angles", "units"),
     [

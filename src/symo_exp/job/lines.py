@@ -61,9 +61,10 @@ def parameter_lines(folder: RunFolder) -> list[str]:
 
 def brief(label: str) -> str:
     """``node n=8 seed=1`` for ``model=node data.n_traj=8 seed=1``."""
+    named = {"model": "", "system": "", "integrator": "", "data.n_traj": "n="}
     words = []
     for word in label.split():
         key, equals, value = word.partition("=")
-        named = {"model": "", "system": "", "integrator": "", "data.n_traj": "n="} if equals else {}
-        words.append(named.get(key, key.rpartition(".")[2] + equals) + value)
+        told = named.get(key, key.rpartition(".")[2] + equals) + value
+        words.append(told if equals else word)  # also a part of a value with blanks
     return " ".join(words)

@@ -37,8 +37,8 @@ def parent(jobs: Sequence[Job], name: str, command: str, tracker: Any) -> Iterat
         publish(tracker, folder)
         about = folder.about()
         os.environ[SWEEP] = about.identity if about else ""
-        words = (word.partition("=")[0] for job in jobs for word in job.label.split())
-        varied = list(dict.fromkeys(words))
+        words = (word.partition("=") for job in jobs for word in job.label.split())
+        varied = list(dict.fromkeys(name for name, equals, _ in words if equals))
         os.environ[VARIED] = ",".join(varied)
         tracker.show(varied)
         try:

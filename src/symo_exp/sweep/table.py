@@ -93,7 +93,10 @@ def _column(
 def _fitted(names: Sequence[str], room: int) -> list[str]:
     """Return names cut to ``room`` columns, or to as many more as tell different ones apart."""
     short = [_cut(name, room) for name in names]
-    return short if len(set(short)) == len(set(names)) else _fitted(names, room + 1)
+    while len(set(short)) < len(set(names)):
+        room += 1 + room // 100  # lists of files may be long
+        short = [_cut(name, room) for name in names]
+    return short
 
 
 def _cut(text: str, room: int) -> str:
