@@ -93,6 +93,8 @@ def test_a_recording_that_cannot_be_written_leaves_the_file_before(workplace, mo
     [
         (["Nothing-v0"], "cannot make it"),
         (["CartPole-v1"], "its coordinates are unknown"),
+        (["symo_exp/Quadrotor-v0"], "does not write rotations (R)"),
+        (["Ant-v5"], "does not write rotations (root_R)"),
         (["symo_exp/Pendulum-v0", "--policy", "none.py"], "none.py: there is no such file"),
         (["symo_exp/Pendulum-v0", "--policy", "mine.txt"], "expected random or a .py file"),
         (["symo_exp/Pendulum-v0", "--policy", "empty.py"], "has no function policy"),

@@ -165,11 +165,7 @@ def _plant(env: Any, name: str) -> Plant:
     base = env.unwrapped
     if isinstance(base, Environment):
         system, h = base.system, base.system.time_step
-        if system.coordinates.rotations:
-            raise ConfigError(
-                f"record {name}: this command does not write rotations; simulate them with "
-                "symo_exp.systems.simulation and write them with symo_exp.data.table"
-            )
+        _refuse_rotations(name, system.coordinates.rotations)
         clock = {"steps": -1}
 
         def now() -> tuple[float, np.ndarray, np.ndarray]:
@@ -190,6 +186,7 @@ def _plant(env: Any, name: str) -> Plant:
     from symo_exp.systems.mujoco import environment_mechanism
 
     found = environment_mechanism(name)
+    _refuse_rotations(name, [joint["name"] for joint in found["joints"] if joint.get("axes")])
     names = tuple(joint["name"] for joint in found["joints"])
     return Plant(
         names, tuple(not joint["slides"] for joint in found["joints"]),
@@ -197,6 +194,15 @@ def _plant(env: Any, name: str) -> Plant:
         lambda: (float(data.time), data.qpos.copy(), data.qvel.copy()),
         lambda _: data.ctrl.copy(),
     )  # fmt: skip
+
+
+def _refuse_rotations(name: str, rotations: Sequence[str]) -> None:
+    """Refuse ball joints and free bodies, which have more positions than velocities."""
+    if rotations:
+        raise ConfigError(
+            f"record {name}: this command does not write rotations ({', '.join(rotations)}); write "
+            "such motions yourself, in the columns of docs/rotations.md"
+        )
 
 
 def _policy(given: str, env: Any, seed: int) -> Policy:
