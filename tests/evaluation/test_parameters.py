@@ -264,6 +264,16 @@ def test_numbers_of_a_machine_without_known_forces_do_not_depend_on_the_unit_of_
         assert tables[mass, False] == pytest.approx(tables[1.0, False])
 
 
+@pytest.mark.parametrize("mass", [1.0, 1e-9])
+def test_without_information_no_number_is_determined_whatever_its_size(mass):
+    found, coordinates = links(mass)
+    parameters = list(found.parameters())
+    everything = torch.eye(sum(p.numel() for p in parameters)).double()
+    nothing = Posterior(0.0 * everything[0], 1e-3 * everything, everything, SIGMA, SIGMA, 100)
+    rows = physical_parameters(found, coordinates, parameters, nothing)
+    assert {row.determined for row in rows} == {"no"}
+
+
 def scaled_links(*, driven):
     """Two links that the data determine up to one factor: their numbers, and the table."""
     found, coordinates = links()

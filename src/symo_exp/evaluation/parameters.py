@@ -170,7 +170,10 @@ def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
             for name, unit, value, _, present in zip(*numbers, strict=True)
         ]
     along = _free(numbers, posterior)
-    partners = _partners(along)
+    size = numbers.slopes.norm(dim=1, keepdim=True).clamp_min(1e-300)
+    # the first reduction takes small numbers, such as inertias of light links, for zero
+    each = zip(_partners(along), _partners(along / size), strict=True)
+    partners = [own or relative for own, relative in each]
     rows = []
     for i, (name, unit, value, slope, present) in enumerate(zip(*numbers, strict=True)):
         if partners[i]:
