@@ -22,7 +22,7 @@ from symo_exp.runs.folder import About, RunFolder
 from symo_exp.runs.series import Series
 from symo_exp.tracking.publish import MlflowView
 from symo_exp.tracking.store import Store, connect, experiment_id, find
-from tests.clusters.server import Server, _free_port
+from tests.clusters.server import Server, free_ports
 
 POINTS, SERIES, PARAMETERS = 480, 5, 100
 BASICS = {"model": "symo", "system": "pendulum", "seed": 0, "integrator": "midpoint"}
@@ -50,7 +50,8 @@ def served(folder: Path) -> Iterator[str | None]:
     """The address of a server with PostgreSQL, if there can be one."""
     folder.mkdir()
     folder.parent.chmod(0o755)  # the user of PostgreSQL has to get there
-    server = Server(folder, host="127.0.0.1", port=_free_port(), workers=2)
+    (port,) = free_ports(1)
+    server = Server(folder, host="127.0.0.1", port=port, workers=2)
     try:
         server.start()
     except Exception as error:
@@ -162,12 +163,15 @@ def many_runs(store: Store, count: int) -> None:
 
 
 def multiply(database: Path, run: str, count: int) -> None:
-    """Copy all that a store has of a run, so that it has ``count`` of them."""
+    """Copy all that a store has of a run, so that it has ``count`` of them with other seeds."""
+    changed = {
+        "run_uuid": "substr(run_uuid, 1, 24) || printf('%08d', n)",
+        "value": "case key when 'seed' then n else value end",
+    }
     with sqlite3.connect(database) as db:
         for table in ("runs", "metrics", "latest_metrics", "params", "tags"):
             columns = [row[1] for row in db.execute(f"pragma table_info({table})")]
-            renamed = "substr(run_uuid, 1, 24) || printf('%08d', n)"
-            values = ", ".join(renamed if c == "run_uuid" else c for c in columns)
+            values = ", ".join(changed.get(c, c) for c in columns)
             db.execute(
                 f"with recursive numbers(n) as (select 1 union all select n + 1 from numbers "
                 f"where n < {count - 1}) insert into {table} ({', '.join(columns)}) "
