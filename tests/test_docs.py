@@ -37,10 +37,25 @@ def test_every_page_is_in_a_table_of_contents():
     assert {*written, *(ROOT / "results").glob("**/README.md")} <= contents
 
 
+def anchors(page: Path) -> set[str]:
+    """The anchors of the headings of a page, as GitHub and the site form them."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    found = set()
+    for heading in re.findall(r"^#+ (.+)", text, flags=re.M):
+        words = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading)
+        found.add(re.sub(r"[^\w -]", "", words.lower()).replace(" ", "-"))
+    return found
+
+
 @pytest.mark.parametrize("page", PAGES, ids=pages.relative)
-def test_files_that_a_page_links_to_exist(page):
-    for link in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
-        assert "://" in link or (page.parent / link).exists(), link
+def test_files_and_headings_that_a_page_links_to_exist(page):
+    for link in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
+        if "://" in link:
+            continue
+        name, _, anchor = link.partition("#")
+        linked = page.parent / name if name else page
+        assert linked.exists(), link
+        assert not anchor or anchor in anchors(linked), link
 
 
 @pytest.mark.parametrize("page", PAGES, ids=pages.relative)
