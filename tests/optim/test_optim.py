@@ -11,7 +11,7 @@ from torch import nn
 
 from symo_exp.errors import ConfigError
 from symo_exp.nets.affine import Linearised, linear, parameter_jacobian
-from symo_exp.optim import descent, levenberg_marquardt
+from symo_exp.optim import base, descent, free_memory, levenberg_marquardt
 from symo_exp.optim.chained import Chained
 from symo_exp.optim.lbfgs import LBFGS
 from symo_exp.optim.levenberg_marquardt import LevenbergMarquardt
@@ -231,7 +231,7 @@ def test_with_a_tolerance_the_last_of_the_nearly_best_is_kept():
 
 def test_missing_memory_is_reported_before_the_first_step(monkeypatch):
     model = learner("symo", "midpoint", 2)
-    monkeypatch.setattr(levenberg_marquardt, "available_bytes", lambda: 1000)
+    monkeypatch.setattr(base, "available_bytes", lambda: 1000)
     with pytest.raises(ConfigError, match=r"needs about .* GB .* free"):
         LevenbergMarquardt(model.parameters()).epoch(model, halves(2))
 
@@ -239,7 +239,7 @@ def test_missing_memory_is_reported_before_the_first_step(monkeypatch):
 def test_memory_of_the_step_before_counts_as_free(monkeypatch):
     """The process may keep it: what has been solved is solved again, and nothing larger."""
     model, free = learner("symo", "midpoint", 2), [10**9]
-    monkeypatch.setattr(levenberg_marquardt, "available_bytes", lambda: free[0])
+    monkeypatch.setattr(base, "available_bytes", lambda: free[0])
     optimizer = LevenbergMarquardt(model.parameters())
     optimizer.epoch(model, halves(2))
     free[0] = 1000
@@ -251,11 +251,11 @@ def test_memory_of_the_step_before_counts_as_free(monkeypatch):
 def test_files_in_memory_count_as_free(monkeypatch, tmp_path):
     told = "MemTotal: 3000 kB\nMemFree: 10 kB\nMemAvailable: 2000 kB\nHugePages_Total: 0\n"
     (tmp_path / "meminfo").write_text(told)
-    monkeypatch.setattr(levenberg_marquardt, "MEMORY", tmp_path / "meminfo")
-    assert levenberg_marquardt.available_bytes() == 2000 * 1024
-    monkeypatch.setattr(levenberg_marquardt, "MEMORY", tmp_path / "none")
+    monkeypatch.setattr(free_memory, "MEMORY", tmp_path / "meminfo")
+    assert free_memory.available_bytes() == 2000 * 1024
+    monkeypatch.setattr(free_memory, "MEMORY", tmp_path / "none")
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    assert levenberg_marquardt.available_bytes() == total
+    assert free_memory.available_bytes() == total
 
 
 @pytest.mark.parametrize("kind", [LevenbergMarquardt, TotalLeastSquares])

@@ -25,6 +25,7 @@ from symo_exp.nets.dissipation import LearnedDissipation
 from symo_exp.nets.lagrangians import NetworkLagrangian
 from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.roles import mark, mark_squares
+from symo_exp.optim import base
 from symo_exp.optim.banded import Chain
 from symo_exp.optim.total_least_squares import TotalLeastSquares
 from symo_exp.systems.chain import ChainPendulum
@@ -105,6 +106,12 @@ def train(model, trajectories, **settings):
     while not optimizer.finished:
         found.append(optimizer.epoch(problem, trajectories))
     return optimizer, found
+
+
+def test_missing_memory_is_reported_before_the_first_step(monkeypatch):
+    monkeypatch.setattr(base, "available_bytes", lambda: 1000)
+    with pytest.raises(ConfigError, match=r"TotalLeastSquares needs about .* GB .* free"):
+        train(symo(1), lengths(10, n=1), start=1, epochs=1)
 
 
 @pytest.fixture(scope="module")

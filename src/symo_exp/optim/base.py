@@ -21,6 +21,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.nets.affine import Linearised
 from symo_exp.optim.direct import direct_step
+from symo_exp.optim.free_memory import available_bytes
 
 Sample = TypeVar("Sample", bound=TrainingSamples)
 log = logging.getLogger(__name__)
@@ -105,6 +106,7 @@ class EpochOptimizer(Optimizer, ABC):
         self.parameters: list[Tensor] = [p for g in self.param_groups for p in g["params"]]
         self.patience, self.tolerance = patience, tolerance
         self.finished = False
+        self._most_bytes = 0
         self.memory: dict[str, Any] = {"best": math.inf, "waited": 0, "weights": None}
 
     def require_normal_equations(self) -> None:
@@ -124,6 +126,31 @@ class EpochOptimizer(Optimizer, ABC):
                 "or more; give a smaller network, such as net.width=16, or optimizer=adam",
                 type(self).__name__, count, 8e-9 * count**2,
             )  # fmt: skip
+
+    def require_memory(self, equations: int, *, copies: int) -> None:
+        """Refuse systems that do not fit into memory.
+
+        Memory of the largest one so far may still belong to the process, which uses it again.
+
+        Args:
+            equations: Number of residuals.
+            copies: Number of matrices of their derivatives that there are at once.
+
+        Raises:
+            ConfigError: If there is less free memory.
+        """
+        if self.parameters[0].device.type != "cpu":
+            return
+        size = sum(p.numel() for p in self.parameters)
+        needed = 8 * (copies * equations * size + 3 * min(size, equations) ** 2)
+        free = available_bytes()
+        if free is not None and needed - self._most_bytes > free:
+            raise ConfigError(
+                f"{type(self).__name__} needs about {needed / 1e9:.1f} GB for {size} parameters "
+                f"and {equations} residuals, and {free / 1e9:.1f} GB are free; use a smaller "
+                "net.width, fewer trajectories (data.n_traj), or optimizer=adam or lbfgs"
+            )
+        self._most_bytes = max(self._most_bytes, needed)
 
     @abstractmethod
     def epoch(self, model: Problem, batches: Sequence[Any]) -> dict[str, Tensor]:

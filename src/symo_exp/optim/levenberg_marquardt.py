@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -14,7 +12,6 @@ from torch import Tensor
 from typing_extensions import override
 
 from symo_exp.checks import real, whole_number
-from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import TrainingSamples
 from symo_exp.optim.base import EpochOptimizer, Equations, Problem, concatenated
 from symo_exp.optim.damped import DampedSystem
@@ -31,8 +28,6 @@ LIMIT = 1e12
 """The damping at which a refused step ends the training."""
 EQUATIONS = 8
 """Equations for each parameter while residuals are forces."""
-MEMORY = Path("/proc/meminfo")
-"""Linux's file about the memory of the machine."""
 
 
 class LevenbergMarquardt(EpochOptimizer):
@@ -88,7 +83,6 @@ class LevenbergMarquardt(EpochOptimizer):
         self.require_normal_equations()
         self.shortest, self.huber = shortest, huber
         self.initial_damping = damping
-        self._most_bytes = 0
         self.memory |= {"damping": damping, "loss": math.inf, "asked": math.inf}
         self.memory["forces"] = force_epochs
 
@@ -142,10 +136,9 @@ class LevenbergMarquardt(EpochOptimizer):
         self, model: Equations, samples: TrainingSamples
     ) -> tuple[DampedSystem, Float[Tensor, " equations"] | None]:
         """Return the residuals, their derivatives at the parameters in place, and their factors."""
-        size = len(self.flat())
         with torch.no_grad():
             per_sample = model.residuals(samples.rows(slice(1))).shape[1]
-        self._require(size, len(samples.q) * per_sample)
+        self.require_memory(len(samples.q) * per_sample, copies=2)
         pieces = [model.linearised(rows, self.parameters) for rows in _chunks(samples)]
         residuals = torch.cat([piece.residuals.flatten() for piece in pieces])
         jacobians = [piece.parameters.flatten(0, 1) for piece in pieces]
@@ -159,24 +152,6 @@ class LevenbergMarquardt(EpochOptimizer):
         ):
             jacobian.mul_(part.unsqueeze(-1))
         return DampedSystem(factors * residuals, jacobians), factors
-
-    def _require(self, size: int, equations: int) -> None:
-        """Refuse systems that do not fit into memory.
-
-        Memory of the largest one so far may still belong to the process, which uses it again.
-        """
-        if self.parameters[0].device.type != "cpu":
-            return
-        side = min(size, equations)
-        needed = 8 * (2 * equations * size + 3 * side * side)
-        free = available_bytes()
-        if free is not None and needed - self._most_bytes > free:
-            raise ConfigError(
-                f"Levenberg-Marquardt needs about {needed / 1e9:.1f} GB for {size} parameters and "
-                f"{equations} residuals, and {free / 1e9:.1f} GB are free; use a smaller "
-                "net.width, fewer trajectories (data.n_traj), or optimizer=adam or lbfgs"
-            )
-        self._most_bytes = max(self._most_bytes, needed)
 
 
 class _Trials(Descent):
@@ -251,20 +226,3 @@ class _Equations(DampedEquations):
 def _chunks(samples: TrainingSamples) -> Iterator[TrainingSamples]:
     for start in range(0, len(samples.q), CHUNK):
         yield samples.rows(slice(start, start + CHUNK))
-
-
-def available_bytes() -> int | None:
-    """Return the memory that processes can still take, in bytes; ``None`` if unknown.
-
-    That includes files that the system keeps in memory, most of it on a machine that has run for
-    long. Where the system does not tell, it is all memory.
-    """
-    try:
-        known = dict(line.split(":") for line in MEMORY.read_text(encoding="ascii").splitlines())
-        return 1024 * int(known["MemAvailable"].split()[0])
-    except (OSError, ValueError, LookupError):
-        pass
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return None
