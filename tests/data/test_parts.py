@@ -252,6 +252,16 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
             {},
             "keep one, by data.columns; a row for each coordinate, such as system.input_matrix=[[1",
         ),
+        (
+            {},
+            {"columns": {"u_motor_V": "u_motor0", "u_motor_A": "u_motor1"}},
+            "(motor_V, motor_A) drive the 2 coordinate(s) (arm0, arm1); of the voltage",
+        ),
+        (
+            {},
+            {"columns": {"u_arm0_V": "u_motor0", "u_arm0_A": "u_motor1"}},
+            "(arm0_V, arm0_A) drive the 2 coordinate(s) (arm0, arm1); of the voltage",
+        ),
         ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
         (
             {},

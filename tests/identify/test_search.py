@@ -276,6 +276,14 @@ def test_a_machine_at_rest_has_no_model_and_a_reason(noise, count, workplace, ca
     assert "nothing moves" in said
 
 
+def test_the_voltage_and_the_current_of_a_motor_are_no_two_inputs(workplace):
+    frame = table()
+    wave = np.sin(frame.t)
+    frame.assign(u_theta_V=wave, u_theta_A=0.1 * wave).to_csv("mine.csv", index=False)
+    with pytest.raises(ConfigError, match=r"theta_V, theta_A.* keep one, by data\.columns"):
+        examine({"path": "mine.csv"})
+
+
 @pytest.mark.parametrize("rate", [100, 500, 2000])
 def test_the_time_step_does_not_depend_on_noise_and_on_how_often_it_is_seen(rate, workplace):
     t = np.arange(0.0, 20.0, 1.0 / rate)

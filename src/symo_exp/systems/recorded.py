@@ -140,10 +140,11 @@ def without_unit(name: str) -> str:
 def matrix_by_names(names: Sequence[str], inputs: Sequence[str]) -> list[list[int]] | None:
     """Return the matrix of inputs with the names of coordinates, ``None`` if others have.
 
-    Units at the ends of names are left out.
+    Units at the ends of names are left out. ``None`` also if names differ in their units alone.
     """
     places, actors = (list(map(without_unit, given)) for given in (names, inputs))
-    if len(set(places)) < len(places) or not set(actors) <= set(places):
+    alike = any(len(set(each)) < len(each) for each in (places, actors))
+    if alike or not set(actors) <= set(places):
         return None
     return [[int(place == actor) for actor in actors] for place in places]
 
@@ -157,8 +158,9 @@ def _matrix(
     given: object, names: tuple[str, ...], inputs: tuple[str, ...], *, zeros: bool
 ) -> torch.Tensor:
     n, m = len(names), len(inputs)
-    if given is None and m in (0, n):
-        places, actors = (list(map(without_unit, given)) for given in (names, inputs))
+    places, actors = (list(map(without_unit, each)) for each in (names, inputs))
+    alike = len(set(actors)) < m  # such as the voltage and the current of a motor
+    if given is None and m in (0, n) and not alike:
         in_order = all(x == y or x not in places for x, y in zip(actors, places, strict=False))
         given = torch.eye(n, m).tolist() if in_order else matrix_by_names(names, inputs)
     try:
@@ -178,5 +180,5 @@ def _matrix(
     hint = "; of the voltage, the current and the torque of a motor, keep one, by data.columns"
     raise ConfigError(
         f"{told}: say how the {m} input(s) ({', '.join(inputs)}) drive the {n} coordinate(s) "
-        f"({', '.join(names)}){hint * (m > n)}; a row for each coordinate, {such}"
+        f"({', '.join(names)}){hint * (alike or m > n)}; a row for each coordinate, {such}"
     )
