@@ -45,6 +45,7 @@ def prepared(tmp_path, monkeypatch):
     """Return the rounds of a search by told errors, its fits and its plan."""
     monkeypatch.setattr(trials, "baseline_error", lambda fit: 1e3)
     monkeypatch.setattr(trials, "parameters_of", lambda fit: 10)
+    monkeypatch.setattr(trials, "ran_out_of_time", lambda fit: False)
 
     def prepare(told, one, budget=600.0, pace=None):
         plan = plans.make_plan(one, ladder(one), budget, 2, 1.0, "key")

@@ -18,6 +18,7 @@ from symo_exp.identify.validation import (
     latest_stage,
     likelier,
     noisy_folds,
+    ran_out_of_time,
     with_least_noise,
 )
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
@@ -87,6 +88,22 @@ def test_the_error_of_a_fold_is_the_smallest_of_its_validations(losses, wanted, 
         series.append(epoch, {"train_loss": 1.0, **validated})
     series.flush()
     assert fold_error(folder) == pytest.approx(wanted, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "epochs"), [({}, 190), ({"starts": 1}, 150), ({"epsilons": [1.0, 0.1]}, 150)]
+)
+def test_a_training_ran_out_of_time_before_the_end_of_its_own_stages(given, epochs, tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.path.mkdir()
+    optimizer = {"starts": 2, "start": 40, "force_epochs": 30, "epochs": 20, "epsilons": [1.0] * 4}
+    (folder / CONFIG).write_text(yaml.safe_dump({"optimizer": optimizer | given}))
+    series = Series(folder / SERIES)
+    for epoch in range(epochs):
+        assert ran_out_of_time(folder)
+        series.append(epoch, {"train_loss": 1.0})
+        series.flush()
+    assert not ran_out_of_time(folder)
 
 
 @pytest.mark.parametrize("w", [0.0, 6.0])

@@ -58,11 +58,7 @@ class Effort:
     def total(self, candidate: Candidate) -> int:
         """Return the epochs of a training."""
         late = LATE * (candidate.settings.get("dissipation") == "learned")
-        return self.fewest(candidate) + late * self.epochs
-
-    def fewest(self, candidate: Candidate) -> int:
-        """Return the epochs of a training that ends before the late stages."""
-        return self.begun(candidate) + EPSILONS * self.epochs
+        return self.begun(candidate) + (EPSILONS + late) * self.epochs
 
     def begun(self, candidate: Candidate) -> int:
         """Return the epochs of a training with smoothed nodes."""

@@ -20,11 +20,11 @@ from symo_exp.identify.validation import (
     likelier,
     noisy_folds,
     parameters_of,
+    ran_out_of_time,
     with_least_noise,
 )
 from symo_exp.process import phases
-from symo_exp.runs.folder import SERIES, RunFolder
-from symo_exp.runs.series import read
+from symo_exp.runs.folder import RunFolder
 
 FASTEST = 0.25
 """Ratio of the time that runs take to the planned one, at least."""
@@ -242,7 +242,7 @@ class Trials:
         trial.folders[k] = folder
         if trial.parameters is None:
             trial.parameters = parameters_of(folder)
-        if len(read(folder / SERIES)) < self._plan.effort.fewest(candidate):
+        if ran_out_of_time(folder):
             trial.overran.add(k)
         else:
             trial.overran.discard(k)  # the fold was fitted again, and that fit is kept

@@ -98,6 +98,13 @@ def noisy_folds(noises: Mapping[int, float]) -> list[int]:
     return [k for k, noise in noises.items() if noise > NOISY * least]
 
 
+def ran_out_of_time(fit: RunFolder) -> bool:
+    """Return whether a training ended before the last stage that trainings of its settings have."""
+    optimizer = OmegaConf.load(fit / CONFIG).optimizer
+    begun = optimizer.force_epochs + optimizer.starts * optimizer.start
+    return len(read(fit / SERIES)) < begun + len(optimizer.epsilons) * optimizer.epochs
+
+
 def fold_error(folder: RunFolder) -> float:
     """Return the smallest error of a training on its held-out part.
 
