@@ -55,6 +55,12 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def write_frame(path: Path, frame: Any) -> None:
+    """Replace a file atomically by a frame of pandas, as Parquet or else as CSV by its suffix."""
+    write = frame.to_parquet if path.suffix == ".parquet" else frame.to_csv
+    write_whole(path, lambda file: write(file, index=False))
+
+
 def write_state(path: Path, state: Any, *, keep: Path | None = None) -> None:
     """Replace a file atomically by tensors and plain values, for ``torch.load``.
 

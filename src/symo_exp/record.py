@@ -12,7 +12,7 @@ import numpy as np
 
 from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError, shortened
-from symo_exp.files import write_whole
+from symo_exp.files import write_frame
 from symo_exp.shell import override_value, python_command
 
 Policy = Callable[[np.ndarray], np.ndarray]
@@ -140,10 +140,8 @@ def write_episodes(path: Path, plant: Plant, episodes: Sequence[Episode]) -> Non
             values = getattr(episode, kind)
             columns |= {f"{kind}_{name}": values[:, i] for i, name in enumerate(names)}
         parts.append(pd.DataFrame(columns))
-    table = pd.concat(parts)
-    write = table.to_csv if path.suffix == ".csv" else table.to_parquet
     try:
-        write_whole(path, lambda file: write(file, index=False))
+        write_frame(path, pd.concat(parts))
     except OSError as error:
         raise ConfigError(f"--out {path} cannot be written ({error.strerror or error})") from None
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
-from symo_exp.files import write_text, write_whole
+from symo_exp.files import write_frame, write_text
 from symo_exp.report.document import Report
 from symo_exp.report.runs import save_runs
 from symo_exp.report.tables import latex, markdown_table
@@ -33,7 +32,7 @@ def write_report(report: Report, out: Path, *, formats: Sequence[str], page: boo
     out.mkdir(parents=True, exist_ok=True)
     files = [save_runs(report.runs, out / f"runs.{suffix}") for suffix in ("csv", "parquet")]
     for name, table in report.extra.items():
-        write_whole(out / name, partial(table.to_csv, index=False))
+        write_frame(out / name, table)
         files.append(out / name)
     texts = {"report.md": markdown_report(report, pictures="png" in formats)}
     for one in report.tables:

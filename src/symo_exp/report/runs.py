@@ -27,7 +27,7 @@ from urllib.parse import unquote, urlsplit
 import pandas as pd
 
 from symo_exp.errors import ConfigError, first_line
-from symo_exp.files import write_whole
+from symo_exp.files import write_frame
 from symo_exp.report.looks import TRUE
 from symo_exp.runs.folder import ABOUT, DIED, MEASURES, SERIES, RunFolder
 from symo_exp.runs.series import EPOCH, TIME
@@ -119,9 +119,7 @@ def tidy(runs: Iterable[Row]) -> pd.DataFrame:
 
 def save_runs(runs: pd.DataFrame, path: Path) -> Path:
     """Write a table for ``load_runs``, as CSV or Parquet by the suffix of ``path``."""
-    kept = runs[SAVED].astype(dict.fromkeys(WHOLE, "Int64"))
-    write = kept.to_parquet if path.suffix == ".parquet" else kept.to_csv
-    write_whole(path, lambda file: write(file, index=False))
+    write_frame(path, runs[SAVED].astype(dict.fromkeys(WHOLE, "Int64")))
     return path
 
 
