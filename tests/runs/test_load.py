@@ -268,11 +268,14 @@ def test_missing_files_of_a_run_are_named(folder, tmp_path):
 
 def test_the_model_of_a_run_that_has_not_finished_comes_with_a_warning(folder, caplog):
     made(folder, config())
-    for status in ("finished", "interrupted"):
-        assert "has the status" not in caplog.text
+    load(folder)  # as downloaded from a store, without a status
+    RunFolder(folder).record("finished")
+    load(folder)
+    assert "has the status" not in caplog.text
+    for status in ("interrupted", "waiting", "running", "failed"):
         RunFolder(folder).record(status)
         load(folder)
-    assert "has the status 'interrupted'" in caplog.text
+        assert f"has the status {status!r}" in caplog.text
 
 
 def test_an_unknown_precision_or_device_is_refused(folder):

@@ -15,7 +15,7 @@ from symo_exp import code as own
 from symo_exp.checks import path_text
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.models.base import DynamicsModel
-from symo_exp.runs.folder import CHECKPOINT, CONFIG, POSTERIOR, RunFolder
+from symo_exp.runs.folder import CHECKPOINT, CONFIG, OUTCOME, POSTERIOR, RunFolder
 from symo_exp.runs.load import from_folder
 from symo_exp.tracking.store import connect_existing, find
 
@@ -66,7 +66,7 @@ def load(
     folder = Path(run).expanduser()
     if folder.is_dir():
         model, outcome = from_folder(folder, dtype, device), RunFolder(folder).outcome()
-        if outcome.status in ("running", "interrupted", "failed"):
+        if outcome.status != "finished" and (folder / OUTCOME).exists():  # the store has none
             told = "%s has the status %r: this is the model of its last checkpoint"
             log.warning(told, folder, outcome.status)
         return model
