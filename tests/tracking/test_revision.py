@@ -35,6 +35,21 @@ def test_a_checkout_gives_its_commit_and_whether_it_is_changed(package, tmp_path
     assert revision_tags(package) == clean | {"git_dirty": "true"}
 
 
+def test_a_checkout_whose_changes_are_not_known_is_not_called_clean(package, tmp_path, monkeypatch):
+    git(tmp_path, "init", "-q")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-q", "-m", "first")
+    ask = subprocess.run
+
+    def slow(command, **options):
+        if "status" in command:
+            raise subprocess.TimeoutExpired(command, 10)
+        return ask(command, **options)
+
+    monkeypatch.setattr(subprocess, "run", slow)
+    assert revision_tags(package)["git_dirty"] == "true"
+
+
 def test_an_environment_inside_another_repository_is_not_its_revision(package, tmp_path):
     git(tmp_path, "init", "-q")
     git(tmp_path, "commit", "-q", "--allow-empty", "-m", "someone else's work")

@@ -21,8 +21,9 @@ def revision_tags(package: Path = PACKAGE) -> dict[str, str]:
         return {}
     changed = _git(package, "status", "--porcelain", "--untracked-files=no")
     new = _git(package, "status", "--porcelain", "--", str(package))
+    clean = changed == new == ""  # not where git did not answer in time
     # MLflow shows this tag as the run's version
-    return {"mlflow.source.git.commit": commit, "git_dirty": str(bool(changed or new)).lower()}
+    return {"mlflow.source.git.commit": commit, "git_dirty": str(not clean).lower()}
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
