@@ -1,12 +1,13 @@
 """The table of a sweep: within 80 columns, the best of each column marked."""
 
 import math
+import time
 
 import pytest
 
 from symo_exp.job.lines import run_line
 from symo_exp.runs.folder import About, RunFolder
-from symo_exp.sweep.table import table
+from symo_exp.sweep.table import Watch, table
 
 MEASURES = {
     "train_mse": 1.234e-4, "test_mse": 2e-4, "integration_mse": 1.9e6, "energy_mse": 5.0,
@@ -145,3 +146,17 @@ def test_a_run_is_a_short_line_its_folder_last(tmp_path, monkeypatch):
     assert line == "SyMo pendulum n=8  test 2.00e-4  integration 1.90e6  to 2 s 0.5  12 s  a"
     line = run_line(made(tmp_path / "b", status="failed"))
     assert line == "SyMo pendulum n=8  failed: out of memory  12 s  b"
+
+
+def test_looks_at_many_runs_take_little_of_the_time(tmp_path, monkeypatch):
+    monkeypatch.setattr("symo_exp.sweep.table.SECONDS", 0.001)
+    looks = []
+
+    def slowly(self):
+        looks.append(time.sleep(0.05))
+        return []
+
+    monkeypatch.setattr(Watch, "_look", slowly)
+    with Watch([RunFolder(tmp_path)]):
+        time.sleep(0.9)
+    assert len(looks) <= 4  # at first, once, and at the end

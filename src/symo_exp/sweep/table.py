@@ -20,7 +20,8 @@ from symo_exp.runs.folder import LOG, RunFolder
 
 ENDED = "finished", "failed", "refused", "interrupted"
 WIDTH = 80
-SECONDS = 0.5
+SECONDS, PAUSE = 0.5, 20.0
+"""Least time between two looks at all runs [s], and over the time that a look takes."""
 
 
 def table(labels: Sequence[str], folders: Sequence[RunFolder]) -> str:
@@ -142,10 +143,12 @@ class Watch:
         self._thread.join()
 
     def _watch(self) -> None:
+        pause = SECONDS
         while True:
-            last = self._over.wait(SECONDS)
-            before = self._counts.total()
+            last = self._over.wait(pause)
+            before, start = self._counts.total(), time.monotonic()
             ended = self._look()
+            pause = max(SECONDS, PAUSE * (time.monotonic() - start))
             for place, folder in enumerate(ended if self._total > 1 else (), before + 1):
                 phases.clear()
                 print(f"{place} of {self._total}: {run_line(folder)}", flush=True)
