@@ -10,7 +10,8 @@ import sys
 import pytest
 
 from symo_exp.__main__ import main
-from symo_exp.cli.command import CHECK_ONLY
+from symo_exp.cli.command import CHECK_ONLY, Command
+from symo_exp.cli.help import EXAMPLES
 from symo_exp.runs.folder import RunFolder
 from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.launching import Launches
@@ -284,6 +285,11 @@ def test_help_shows_every_choice_with_a_line(flag, workplace, capsys):
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     for file in [*CONF.glob("*/*.yaml"), *SWEEPS.glob("*.yaml")]:
         assert any(line[0] == file.stem and len(line) > 2 for line in lines if line), file
+
+
+def test_examples_of_the_help_start_runs_or_recordings():
+    assert all(words[0] == "record" or Command(words).runs for words in EXAMPLES)
+    assert any("data.path=mine.csv" in words for words in EXAMPLES)
 
 
 @pytest.mark.parametrize("columns", [80, 100, 200])

@@ -13,6 +13,7 @@ from symo_exp.shell import python_command
 from symo_exp.shipped import CONF, SWEEPS
 
 EXAMPLES = {
+    ("-cn", "machine", "data.path=mine.csv", "budget=10min"): "Learn a machine from its log:",
     ("model=symo", "system=acrobot"): "One run:",
     ("model=symo", "-m", "data.n_traj=8,16"): "A sweep, one run per value:",
     ("-cn", "smoke"): "A sweep kept in a file:",
