@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import json
 import runpy
 import shutil
 import sys
@@ -9,8 +10,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import yaml
 
 import symo_exp
+from symo_exp.runs.folder import RunFolder
 from tests.pages import ROOT
 from tests.tiny import TINY
 
@@ -80,6 +83,31 @@ def test_the_table_of_noise_keeps_other_runs_and_counts_none_twice(runs, tmp_pat
         runpy.run_path(script, run_name="__main__")
     before, after = (pd.read_csv(folder / "runs.csv") for folder in (noise, tmp_path))
     assert len(after) == len(before) + 1
+
+
+@pytest.mark.parametrize("table", ["noise", "hardware"])
+def test_of_equal_runs_a_table_has_the_last_one(table, runs, tmp_path, monkeypatch):
+    """Not the one whose folder is the first or the last by name."""
+    (made,) = (path.parent for path in runs.glob("*/metrics.json"))
+    outputs = tmp_path / "hardware_symo"
+    for name, started, error in [("a", 1.0, 0.5), ("b", 3.0, 0.25), ("c", 2.0, 1.0)]:
+        copy = RunFolder(shutil.copytree(made, outputs / name))
+        config = yaml.safe_load((copy / "config.yaml").read_text(encoding="utf-8"))
+        config["data"]["path"] = "arm.csv"
+        (copy / "config.yaml").write_text(yaml.safe_dump(config), encoding="utf-8")
+        about = json.loads((copy / "run.json").read_text(encoding="utf-8"))
+        (copy / "run.json").write_text(json.dumps({**about, "started": started}), encoding="utf-8")
+        copy.write_measures({"test_mse": error, "rmse_1s": error})
+    script = shutil.copy(ROOT / "results" / table / "table.py", tmp_path)
+    kept = tmp_path / "runs.csv"
+    header = (ROOT / "results" / table / "runs.csv").read_text(encoding="utf-8").splitlines()[0]
+    kept.write_text(f"{header}\n", encoding="utf-8")
+    given = outputs if table == "noise" else tmp_path
+    monkeypatch.setattr(sys, "argv", ["table.py", str(given)])
+    runpy.run_path(script, run_name="__main__")
+    found = pd.read_csv(kept)
+    measure = "test_mse" if table == "noise" else "rmse_1s"
+    assert found[measure].dropna().tolist() == [0.25]
 
 
 def test_a_machine_of_the_coverage_is_not_counted_twice(tmp_path):

@@ -19,6 +19,7 @@ from symo_exp.report.tables import ResultTable, markdown_table
 from symo_exp.runs.folder import RunFolder
 
 HERE = Path(__file__).parent
+KEYS = ["machine", "method", "start", "seed"]
 MEASURES = ["rmse_0.5s", "rmse_1s", "rmse_2s", "pooled_rmse_2s", "valid_s"]
 STARTS = {"fitted": "", "measured": "_measured"}
 METHODS = {
@@ -42,28 +43,33 @@ OTHERS = {"makers": "reference_", "constant velocity": "constant_velocity_"}
 
 
 def runs(outputs: Path) -> pd.DataFrame:
-    """A row a run and start; what every run was held to besides is a method of its own."""
+    """A row a run and start; what every run was held to besides is a method of its own.
+
+    Of runs that are equal in ``KEYS``, the table has the last one.
+    """
     rows = []
     for path in sorted(outputs.glob("hardware_*/*")):
         folder = RunFolder(path)
-        if folder.outcome().status != "finished":
+        about = folder.about()
+        if about is None or folder.outcome().status != "finished":
             continue
         config, found = yaml.safe_load((path / "config.yaml").read_text()), folder.measures()
-        about = folder.about()
-        run = {"machine": Path(config["data"]["path"]).stem, "seed": config["seed"]}
+        run = {
+            "machine": Path(config["data"]["path"]).stem,
+            "seed": config["seed"],
+            "started": about.started,
+        }
         seconds = pd.read_csv(path / "series.csv").training_seconds.max()
+        revision = about.tags.get("mlflow.source.git.commit", "")[:7]
         method = path.parent.name.removeprefix("hardware_")
         for start, suffix in STARTS.items():
             for name, prefix in {method: "", **OTHERS}.items():
                 keys = {m: f"{prefix}{m}{suffix}" for m in MEASURES}
                 values = {m: found[key] for m, key in keys.items() if key in found}
-                own = {"seconds": seconds, "revision": revision(about)} if name == method else {}
+                own = {"seconds": seconds, "revision": revision} if name == method else {}
                 rows.append(run | {"method": name, "start": start} | values | own)
-    return pd.DataFrame(rows).drop_duplicates(["machine", "method", "start", "seed"])
-
-
-def revision(about: object) -> str:
-    return str(getattr(about, "tags", {}).get("mlflow.source.git.commit", ""))[:7]
+    found = pd.DataFrame(rows).sort_values("started").drop(columns="started")
+    return found.drop_duplicates(KEYS, keep="last")
 
 
 def table(found: pd.DataFrame, machine: str, start: str) -> ResultTable:
@@ -105,8 +111,7 @@ if __name__ == "__main__":
     kept = HERE / "runs.csv"
     if sys.argv[1:]:
         both = pd.concat([runs(Path(sys.argv[1])), pd.read_csv(kept)])
-        one = ["machine", "method", "start", "seed"]
-        ordered = both.drop_duplicates(one).sort_values(one)
+        ordered = both.drop_duplicates(KEYS).sort_values(KEYS)
         ordered.to_csv(kept, index=False, float_format="%.5g")
     found = pd.read_csv(kept)
     refitted = HERE / "refitted.csv"

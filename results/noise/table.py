@@ -4,7 +4,7 @@
 
 Keeps the numbers of the finished runs in ``runs.csv`` beside this file, in place of earlier ones;
 without an argument it reads that. Cells are medians over seeds and, in brackets, the range of all
-of them.
+of them. Of runs that are equal in ``KEYS`` and the seed, the last one counts.
 """
 
 import sys
@@ -32,7 +32,8 @@ def runs(outputs: Path) -> pd.DataFrame:
     rows = []
     for path in sorted(outputs.glob("*/config.yaml")):
         folder = RunFolder(path.parent)
-        if folder.outcome().status != "finished":
+        about = folder.about()
+        if about is None or folder.outcome().status != "finished":
             continue
         config, found = yaml.safe_load(path.read_text()), folder.measures()
         method = METHODS[config["model"]["_target_"].rsplit(".", 1)[-1]]
@@ -45,6 +46,7 @@ def runs(outputs: Path) -> pd.DataFrame:
                 "input noise": config["data"].get("input_noise_std", 0.0),
                 "input weight": config["optimizer"].get("input_weight", 0.0),
                 "seed": config["seed"],
+                "started": about.started,
                 **{name: found[name] for name in MEASURES if name in found},
                 "seconds": pd.read_csv(path.with_name("series.csv")).training_seconds.max(),
             }
@@ -86,6 +88,7 @@ if __name__ == "__main__":
         found = pd.concat([runs(Path(folder)) for folder in sys.argv[1:]])
         if found.empty:
             sys.exit(f"no finished runs in {' '.join(sys.argv[1:])}; {kept} stays as it is")
+        found = found.sort_values("started").drop(columns="started")
         both = pd.concat([pd.read_csv(kept), found]).drop_duplicates([*KEYS, "seed"], keep="last")
         both.to_csv(kept, index=False, float_format="%.4g")
     print(table(pd.read_csv(kept)))
