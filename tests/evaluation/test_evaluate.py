@@ -1,6 +1,8 @@
 """The evaluation of models whose errors are known."""
 
 import math
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +26,7 @@ from symo_exp.systems.chain import ChainPendulum
 from symo_exp.systems.simulation import Solver
 from tests.data.small import write_recordings
 from tests.oscillator import Exact, Midpoint, Oscillator, data, oscillator
+from tests.pages import ROOT
 from tests.tables import arguments_of
 from tests.unknown import Unknown
 
@@ -36,6 +39,17 @@ NAMES = {
 }  # fmt: skip
 INERTIA = {"inertia_mse", "inertia_std", "inertia_mse_aligned"}
 VARIATIONAL = {"energy_mse_fd", "test_newton_failed", "integration_newton_failed"}
+
+
+def undefined(names: Iterable[str]) -> set[str]:
+    """The measures without a definition in the documentation, which has ``…_1s`` for others."""
+    page = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
+    plain = (re.sub(r"^constant_velocity_|_measured$", "", name) for name in names)
+    return {name for name in plain if f"`{re.sub('_[12]s$', '_0.5s', name)}`" not in page}
+
+
+def test_every_measure_is_defined_in_the_documentation():
+    assert not undefined(NAMES | INERTIA | VARIATIONAL)
 
 
 def result(model: Exact) -> Evaluation:
@@ -190,6 +204,7 @@ def test_unknown_systems_have_no_measures_of_the_truth(model: partial, tmp_path:
     own = ("usable_s", "open_loop_rmse")
     windows |= {f"{who}{name}" for who in ("", "constant_velocity_") for name in own}
     assert set(found.measures) == windows | NAMES - {"energy_mse", "energy_std"}
+    assert not undefined(found.measures)
     assert all(math.isfinite(value) for value in found.measures.values())
     assert found.rollouts.energy is found.rollouts.energy_true is None
     assert not [name for name in found.rollouts.columns() if "energy" in name]
