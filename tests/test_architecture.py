@@ -21,27 +21,32 @@ from tests.architecture import (
 
 TESTS = Path(__file__).parent
 EVERYBODYS = {"checks", "errors", "files", "imports", "shell", "shipped", "code"}
-CONFIG_HOMES = {"cli", "job", "sweep", "identify", "runs"}
-"""Packages in which objects of Hydra and OmegaConf may occur; `runs` builds what files say."""
+ABOVE = (
+    {"__main__", "avx512", "record", "cli", "compile", "process", "systems", "tracking", "use"},
+    {"torch", "gymnasium", "numpy", "pandas"},
+)
+"""The same as a rule, of the files above the packages."""
+
+
+def assert_allowed(sources, ours, theirs):
+    for file in sources:
+        for name in imports(file):
+            first, _, rest = name.partition(".")
+            if first == "symo_exp":
+                other = rest.partition(".")[0]
+                assert other in ours | EVERYBODYS, f"{file} imports {name}"
+            elif first not in sys.stdlib_module_names | {"typing_extensions"}:
+                assert first in theirs, f"{file} imports {name}"
 
 
 @pytest.mark.parametrize("package", RULES)
 def test_a_package_imports_only_what_it_may(package):
     ours, theirs = RULES[package]
-    for file in files(package):
-        for name in imports(file):
-            first, _, rest = name.partition(".")
-            if first == "symo_exp":
-                other = rest.partition(".")[0]
-                assert other in ours | {package} | EVERYBODYS, f"{file} imports {name}"
-            elif first not in sys.stdlib_module_names | {"typing_extensions"}:
-                assert first in theirs, f"{file} imports {name}"
+    assert_allowed(files(package), ours | {package}, theirs)
 
 
-def test_nothing_imports_the_thesis():
-    for file in ROOT.rglob("*.py"):
-        if file.relative_to(ROOT).parts[0] != "thesis":
-            assert not [n for n in imports(file) if n.startswith("symo_exp.thesis")], file
+def test_files_above_the_packages_import_only_what_they_may():
+    assert_allowed(ROOT.glob("*.py"), *ABOVE)
 
 
 def test_every_package_has_its_rule():
@@ -144,17 +149,3 @@ def test_tests_use_public_attributes():
     """All but ``torch._inductor``, whose failure is simulated, and ``os._exit``."""
     found = {name for file in TESTS.rglob("*.py") for name in foreign_attributes(file)}
     assert found == {"_inductor", "_exit"}
-
-
-def test_configuration_objects_stay_at_the_entrance():
-    for file in ROOT.rglob("*.py"):
-        home = file.relative_to(ROOT).parts[0].removesuffix(".py")
-        found = {name.partition(".")[0] for name in imports(file)} & {"hydra", "omegaconf"}
-        assert home in CONFIG_HOMES or not found, f"{file} imports {found}"
-
-
-def test_only_tracking_and_report_know_mlflow():
-    for file in ROOT.rglob("*.py"):
-        home = file.relative_to(ROOT).parts[0]
-        if home not in ("tracking", "report"):
-            assert "mlflow" not in {name.partition(".")[0] for name in imports(file)}, file
