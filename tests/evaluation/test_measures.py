@@ -16,27 +16,9 @@ def test_the_error_of_a_sample_is_the_mean_square_over_coordinates():
     assert measures.mean_squared(predicted - true).tolist() == [2.0, 5.0]
 
 
-def test_angles_are_not_wrapped():
-    turn = torch.tensor([[2 * math.pi]])
-    assert measures.mean_squared(turn).item() == pytest.approx(4 * math.pi**2)
-
-
-def test_rollout_errors_keep_trajectories_apart():
-    predicted = torch.tensor([[[1.0], [3.0]], [[0.0], [2.0]]])
-    assert measures.mean_squared(predicted).tolist() == [5.0, 2.0]
-    energy = torch.tensor([[2.0, 4.0], [1.0, 1.0]])
-    assert measures.mean_squared(energy - 1.0).tolist() == [5.0, 0.0]
-
-
 def test_a_prediction_is_valid_until_its_error_first_exceeds_a_tenth():
     path = torch.tensor([[0.0, 0.09, 0.2, 0.0], [0.0, 0.0, 0.0, 0.0], [math.nan, 0.0, 0.0, 0.0]])
     assert measures.valid_steps(path.unsqueeze(-1)).tolist() == [2, 4, 0]
-
-
-def test_inertia_error_is_the_mean_over_all_entries():
-    learned = torch.zeros(1, 1, 2, 2)
-    learned[0, 0, 0, 1] = 2.0
-    assert measures.mean_squared(learned).tolist() == [1.0]
 
 
 def test_finite_difference_velocities_are_slopes_between_nodes():
