@@ -161,6 +161,7 @@ def test_angles_of_rotations_have_gaps_where_they_jump():
     for q in (rollouts.q, rollouts.q_true):
         q[:] = SYSTEMS["rigid_body"].coordinates.space.of_vector(turning)
     yaw = [p for p in pictures.trajectories(rollouts, "symo", "t").panels if "yaw" in p.y_label]
+    assert len(yaw) == 3
     for panel in yaw:
         for one in series(panel).values():
             assert one.y.isna().sum() == 1
