@@ -253,6 +253,8 @@ def identify(number: int, folder: Path, budget: str, extra: list[str]) -> dict[s
 def summary(table: pd.DataFrame) -> str:
     """Return how many machines have a verdict, and errors at 0.5 s over those of the truth."""
     found = table[table.code == 0].set_index("machine")
+    if found.empty:
+        return f"0 of {len(table)} machines have a verdict"
     worse = found.index[~(found["rmse_0.5s"] < found["constant_velocity_rmse_0.5s"])]
     times = (found["rmse_0.5s"] / found["true_rmse_0.5s"]).sort_values()
     largest = ", ".join(f"{ratio:.2g} (machine {i})" for i, ratio in times[::-1][:5].items())

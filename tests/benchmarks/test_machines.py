@@ -98,6 +98,11 @@ def test_the_summary_counts_failures_and_ranks_errors_over_those_of_the_truth():
     assert said.endswith("median 3, largest 4 (machine 5), 2 (machine 3)")
 
 
+def test_the_summary_of_failures_alone_has_no_errors():
+    table = pd.DataFrame({name: [np.nan] for name in COLUMNS} | {"machine": [4], "code": [1]})
+    assert summary(table) == "0 of 1 machines have a verdict"
+
+
 def test_a_machine_of_the_kept_table_can_be_run_again(tmp_path, monkeypatch):
     kept = ROOT / "results" / "machines" / "random.csv"
     (tmp_path / "results" / "machines").mkdir(parents=True)
