@@ -163,6 +163,10 @@ class TotalLeastSquares(EpochOptimizer):
         if before is None:
             x = smoothed(trajectories, model.reads_velocity)
             memory["nodes"] = torch.cat((x, chain.x[:, chain.known :]), dim=1)
+            first = chain._replace(centre=chain.centre[:1])
+            with torch.no_grad():
+                window = model.residuals(first.windows(*first.stencil(memory["nodes"])))
+            self.require_memory(len(chain.centre) * window.shape[1], copies=4)
             memory["damping"] = damping
             self._set_late(to_start=False)
             memory["initial"] = self._snapshot(0.0)
@@ -181,10 +185,6 @@ class TotalLeastSquares(EpochOptimizer):
             memory |= self._untrained() | {"damping": damping, "ended": None}
         memory["epoch"] = epoch + 1
         if memory["ended"] is None:
-            first = chain._replace(centre=chain.centre[:1])
-            with torch.no_grad():
-                window = model.residuals(first.windows(*first.stencil(memory["nodes"])))
-            self.require_memory(len(chain.centre) * window.shape[1], copies=4)
             weight = chain.weights(model.sizes, self.velocity_weight, self.input_weight)
             equations: Equations = model
             if epoch < self.force_epochs:
