@@ -361,12 +361,33 @@ def test_equations_with_kinks_and_in_any_unit_are_accepted(size: float) -> None:
     assert system.lagrangian is system
 
 
+XYZ = ("x", "y", "z")
+
+
 @pytest.mark.parametrize(
     ("name", "value", "told"),
     [
         ("coordinates", Coordinates(("x", "y"), (False,)), "names=.*angular=.*expected different"),
         ("coordinates", Coordinates(("x", "x"), (False, True)), "expected different names"),
         ("coordinates", ("x",), "expected Coordinates"),
+        *(
+            (
+                "coordinates",
+                Coordinates.of(XYZ, angular, ("R",), [free]),
+                r"free=.* as \[\(0, 0\)\]",
+            )
+            for angular, free in [
+                ((False,) * 3, (1, 0)),
+                ((False,) * 3, (0, 1)),
+                ((False,) * 3, (-1, 0)),
+                ((False, False, True), (0, 0)),
+            ]
+        ),
+        (
+            "coordinates",
+            Coordinates(XYZ, (False,) * 3, ("R",)),
+            "names=.*rotations=.*Coordinates.of",
+        ),
         ("input_matrix", torch.ones(1), r"is \(1,\): expected a tensor with a row for each"),
         ("input_matrix", torch.ones(2, 1), r"is \(2, 1\): expected .* 1 coordinate"),
         ("input_matrix", [[1.0]], "is list: expected a tensor"),

@@ -178,6 +178,13 @@ class System(ABC):
                 f"{kind}.coordinates has names={names.names} and angular={names.angular}: "
                 "expected different names and, for each, True or False"
             )
+        if not _bodies_fit(names):
+            raise ConfigError(
+                f"{kind}.coordinates has names={names.names}, rotations={names.rotations} and "
+                f"free={names.free}: expected Coordinates.of(lengths and angles, which are angles, "
+                "rotations, free), in free the indices of the first of three lengths and of the "
+                "rotation of a body, as [(0, 0)]"
+            )
         shape = tuple(matrix.shape) if isinstance(matrix, Tensor) else type(matrix).__name__
         if not isinstance(matrix, Tensor) or matrix.ndim != 2 or len(matrix) != names.n:
             raise ConfigError(
@@ -327,6 +334,16 @@ def _fit(names: Any, angular: Any) -> bool:
         return False
     kinds = all(isinstance(x, str) for x in names) and all(isinstance(x, bool) for x in angular)
     return kinds and len(set(names)) == len(names) == len(angular)
+
+
+def _bodies_fit(coordinates: Coordinates) -> bool:
+    """Return whether rotations have the last names, and free bodies lengths and a rotation."""
+    flat, rotations = coordinates.flat, coordinates.rotations
+    angular = coordinates.angular[: len(flat)]
+    own = [(x, y) for x, y in coordinates.free if x in range(len(flat) - 2)]
+    own = [(x, y) for x, y in own if not any(angular[x : x + 3]) and y in range(len(rotations))]
+    named = Coordinates.of(flat, angular, rotations)
+    return len(own) == len(coordinates.free) and tuple(coordinates.names) == named.names
 
 
 def _physical(key: str, value: object, kind: Any) -> object:
