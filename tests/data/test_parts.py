@@ -104,6 +104,12 @@ def test_recordings_too_short_to_be_split_in_time_are_refused_with_the_distance_
         divided("mine.csv", [alone(t, np.sin(t))], {}, None, None, time_step)
 
 
+def test_a_recording_of_a_few_samples_is_not_split_in_time() -> None:
+    t = np.array([0.0, 1.0, 100.0, 200.0])
+    with pytest.raises(ConfigError, match="too short to be split in time"):
+        divided("mine.csv", [alone(t, np.sin(t))], {}, None, None, 1.0)
+
+
 @pytest.mark.parametrize("lacking", ["val", "test"])
 def test_too_few_recordings_for_the_part_that_is_lacking_are_split_in_time(
     lacking: str, tmp_path: Path, caplog

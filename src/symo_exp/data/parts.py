@@ -301,6 +301,8 @@ def _in_blocks(
         rest = float(clock[-1]) - span
         left = f" ({rest:.3g} s at rest are left out)" if rest > 0 else ""
         told.append(f"{span:.4g} s{left} in {rounds * len(PATTERN)} blocks of {size:.3g} s")
+    if any(len(block.samples.t) < 2 for block in blocks):
+        return list(recordings), None
     return blocks, (
         f"split in time: {' and '.join(told)}, in turn {', '.join(pattern)}; {gap:.2g} s left out "
         "between parts"
