@@ -348,6 +348,17 @@ def test_stretches_too_fast_for_the_samples_are_left_out(rate, angular, cut, wor
         assert kept.seconds > found.seconds
 
 
+def test_leaps_after_which_nothing_is_left_are_refused_with_a_setting_that_keeps_them(workplace):
+    t = 0.02 * np.arange(17)
+    q = np.cos(3.0 * t) + 0.3 * (np.arange(17) == 8)  # in the middle of short recordings
+    frames = [pd.DataFrame({"trajectory": i, "t": t, "q_theta": q + 0.1 * i}) for i in range(6)]
+    pd.concat(frames).to_csv("mine.csv", index=False)
+    with pytest.raises(ConfigError, match=r"nothing is left .* left out: .*data.leave_out=\[\]"):
+        examine({"path": "mine.csv"}, angular="all")
+    kept = examine({"path": "mine.csv", "leave_out": []}, angular="all")
+    assert kept.seconds == pytest.approx(5 * 0.32)
+
+
 def driven(lag=0.0, *, jumps=False):
     """Recordings of a pendulum whose motor follows its input with a time constant."""
     h, q, v, motion = 0.005, 0.0, 0.0, []

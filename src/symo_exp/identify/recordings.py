@@ -423,8 +423,11 @@ class _Examination:
         self.notes += [note] if note else []
         self.used, _ = uninterrupted(self.used, found)
         if not self.used:
-            raise ConfigError(f"{self.where}: nothing is left to choose and train models; {note}")
+            raise self._nothing_left(note)
         return found
+
+    def _nothing_left(self, note: str | None) -> ConfigError:
+        return ConfigError(f"{self.where}: nothing is left to choose and train models; {note}")
 
     def _leave_out(self, time_step: float) -> None:
         """Leave out where samples do not resolve the motion or something else moves the machine."""
@@ -443,6 +446,8 @@ class _Examination:
             self._read_parts(time_step)
             self.used = self._continuous()
             self.used, _ = uninterrupted(self._near(), time_step)
+            if not self.used:
+                raise self._nothing_left(self.notes[-1])
         if left_out:
             self.settings.append(f"data.leave_out={override_value(left_out)}")
 
