@@ -132,6 +132,8 @@ def test_a_blow_is_left_out_of_the_search_and_it_says_so(pace, workplace) -> Non
     assert not any("leave_out" in one for one in kept.settings)
     assert told.explained > kept.explained
     assert told.seconds < kept.seconds
+    again = examine({"path": "mine.csv", "time_unit": "s", "leave_out": [[name, low, high]]})
+    assert (again.seconds, again.explained) == (told.seconds, told.explained)
 
 
 def read(frames: list[pd.DataFrame], path: Path, leave_out: object) -> RecordedData:

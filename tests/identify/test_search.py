@@ -359,6 +359,15 @@ def test_leaps_after_which_nothing_is_left_are_refused_with_a_setting_that_keeps
     assert kept.seconds == pytest.approx(5 * 0.32)
 
 
+def test_a_few_samples_far_apart_are_refused(workplace):
+    """They are too few to be split in time at any time step that they allow."""
+    t = 2.0 * np.arange(20)
+    frames = [pd.DataFrame({"trajectory": n, "t": t[:n], "q_x": np.cos(t[:n])}) for n in (9, 20)]
+    pd.concat(frames).to_csv("mine.csv", index=False)
+    with pytest.raises(ConfigError, match=r"too short to be split in time .*a node every 2 s"):
+        examine({"path": "mine.csv", "time_unit": "s"}, angular="none")
+
+
 def driven(lag=0.0, *, jumps=False):
     """Recordings of a pendulum whose motor follows its input with a time constant."""
     h, q, v, motion = 0.005, 0.0, 0.0, []

@@ -277,9 +277,10 @@ class _Examination:
         named = {part: data.get(part) for part in PARTS}
         recordings: Sequence[Recording] = table.recordings
         self.starts = {one.label: float(one.samples.t[0]) for one in recordings}
+        # until it is chosen, the time step is as small as samples allow
+        step = time_step or max((one.samples.step for one in recordings), default=STEPS[0])
         if data.get("leave_out") is not None:
-            recordings = without(recordings, data["leave_out"], time_step or STEPS[0])
-        step = time_step or min((STEPS[0], *(one.samples.step for one in recordings)))
+            recordings = without(recordings, data["leave_out"], step)
         counts = data.get("n_val"), data.get("n_test")
         parts, _, note = divided(self.where, recordings, named, *counts, step)
         self.used, self.test = [*parts["train"], *parts["val"]], parts["test"]
@@ -430,8 +431,13 @@ class _Examination:
         return ConfigError(f"{self.where}: nothing is left to choose and train models; {note}")
 
     def _leave_out(self, time_step: float) -> None:
-        """Leave out where samples do not resolve the motion or something else moves the machine."""
+        """Leave out where samples do not resolve the motion or something else moves the machine.
+
+        Stretches that are given are left out again, since how far they reach depends on the time
+        step.
+        """
         if not self._is_open("leave_out"):
+            self._read_again(time_step, "data.leave_out leaves pieces that are too short")
             return
         left_out: list[Stretch] = []
         for finds, reason in REASONS.items():
@@ -443,13 +449,17 @@ class _Examination:
             self.notes.append(f"left out: {told}; {reason} (data.leave_out=[] keeps all)")
             left_out += stretches
             self.data["leave_out"] = left_out
-            self._read_parts(time_step)
-            self.used = self._continuous()
-            self.used, _ = uninterrupted(self._near(), time_step)
-            if not self.used:
-                raise self._nothing_left(self.notes[-1])
+            self._read_again(time_step, self.notes[-1])
         if left_out:
             self.settings.append(f"data.leave_out={override_value(left_out)}")
+
+    def _read_again(self, time_step: float, note: str) -> None:
+        """Read ``used`` without what is left out; the note says why nothing may be left."""
+        self._read_parts(time_step)
+        self.used = self._continuous()
+        self.used, _ = uninterrupted(self._near(), time_step)
+        if not self.used:
+            raise self._nothing_left(note)
 
     def _in_table(self, stretch: Stretch, time_step: float) -> Stretch:
         """Return the trajectory of the table that has a stretch, and its times after the start.
