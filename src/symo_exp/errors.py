@@ -1,6 +1,7 @@
 """The error of invalid user input, and messages of one line."""
 
 import os
+import re
 
 
 class ConfigError(ValueError):
@@ -36,6 +37,11 @@ def first_line(error: BaseException) -> str:
 def shortened(text: object, most: int = 300) -> str:
     """Return a text without line ends, at most so many characters."""
     return " ".join(str(text).split())[:most]
+
+
+def without_passwords(text: str) -> str:
+    """Return a text in which addresses, as ``postgresql://me:…@host``, have no passwords."""
+    return re.sub(r"(://[^/\s:@]*):[^/\s]*@", r"\1:…@", text)
 
 
 class Refused(BaseException):

@@ -299,3 +299,19 @@ def test_a_folder_is_named_relative_to_the_working_directory(tmp_path, monkeypat
 )
 def test_recordings_are_named_by_their_files(path, names):
     assert recording_names(path) == recording_names(str(path)) == names
+
+
+@pytest.mark.parametrize("secret", ["s3cret", "s3cr:et", "s3cret@"])
+def test_files_of_a_run_have_no_password_of_a_store(folder, secret):
+    uri = f"postgresql+psycopg2://me:{secret}@host:5432/runs"
+    folder.write_config({"logger": {"tracking_uri": uri}, "data": {"path": "http://a/b:c@d"}})
+    tags = {"symo_exp.command": f"python -m symo_exp logger.tracking_uri={uri} seed=1"}
+    folder.describe(About(f"logger.tracking_uri={uri}", {"logger.tracking_uri": uri}, tags=tags))
+    for path in folder.path.rglob("*.*"):
+        assert "s3c" not in path.read_text(encoding="utf-8"), path
+    shown = "postgresql+psycopg2://me:…@host:5432/runs"
+    assert folder.config()["logger"]["tracking_uri"] == shown
+    assert folder.config()["data"]["path"] == "http://a/b:c@d"
+    about = folder.about()
+    assert about.parameters == {"logger.tracking_uri": shown}
+    assert about.tags["symo_exp.command"].endswith(f"tracking_uri={shown} seed=1")

@@ -34,6 +34,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from symo_exp.errors import without_passwords
 from symo_exp.files import read_json, write_state, write_text, write_whole
 from symo_exp.runs.outcome import About, Outcome, Status, this_process
 
@@ -159,7 +160,10 @@ class RunFolder:
             return None
 
     def describe(self, about: About) -> None:
-        """Write the description; identity, time and sweep of the first start are kept."""
+        """Write the description; identity, time and sweep of the first start are kept.
+
+        It is read by all who may read a store, and has no passwords.
+        """
         before = self.about()
         if before is not None:
             about = replace(
@@ -224,11 +228,11 @@ class RunFolder:
         self._write(FOLDS, {"runs": [os.path.relpath(run.path, self.path) for run in runs]})
 
     def write_config(self, config: Mapping[str, Any]) -> None:
-        """Write the resolved settings."""
+        """Write the resolved settings, without passwords."""
         import yaml
 
         text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
-        write_text(self / CONFIG, text)
+        write_text(self / CONFIG, without_passwords(text))
 
     def config(self) -> dict[str, Any]:
         """Return the resolved settings; none before the run starts, or if they cannot be read."""
@@ -299,7 +303,8 @@ class RunFolder:
         return read_json(self / name)
 
     def _write(self, name: str, content: Mapping[str, Any]) -> None:
-        write_text(self / name, json.dumps(dict(content), indent=1, default=str) + "\n")
+        text = json.dumps(dict(content), indent=1, default=str) + "\n"
+        write_text(self / name, without_passwords(text))
 
 
 def _finite(measures: Mapping[str, float]) -> dict[str, float | str]:

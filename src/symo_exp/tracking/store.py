@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 from filelock import FileLock, Timeout
 
 from symo_exp.checks import path_text
-from symo_exp.errors import ConfigError, first_line
+from symo_exp.errors import ConfigError, first_line, without_passwords
 from symo_exp.files import write_whole
 from symo_exp.imports import first_import
 
@@ -62,10 +62,7 @@ class Store:
 
     def __str__(self) -> str:
         """Return the URI without a password."""
-        parts = urlsplit(self.uri)
-        if not parts.password:
-            return self.uri
-        return self.uri.replace(f":{parts.password}@", ":…@", 1)
+        return without_passwords(self.uri)
 
     def may_have(self, run_id: str) -> bool:
         """Return whether a run is there, without importing MLflow; true for servers.
