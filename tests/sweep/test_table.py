@@ -7,6 +7,7 @@ import pytest
 
 from symo_exp.job.lines import run_line
 from symo_exp.runs.folder import About, RunFolder
+from symo_exp.runs.outcome import Outcome
 from symo_exp.sweep.table import Watch, table
 
 MEASURES = {
@@ -154,9 +155,9 @@ def test_looks_at_many_runs_take_little_of_the_time(tmp_path, monkeypatch):
 
     def slowly(self):
         looks.append(time.sleep(0.05))
-        return []
+        return Outcome("waiting")
 
-    monkeypatch.setattr(Watch, "_look", slowly)
+    monkeypatch.setattr(RunFolder, "outcome", slowly)
     with Watch([RunFolder(tmp_path)]):
         time.sleep(0.9)
     assert len(looks) <= 4  # at first, once, and at the end

@@ -252,13 +252,13 @@ def phase_rows(
 
 def points(x: Iterable, y: Iterable, pair: Pair | None = None, count: int = POINTS) -> pd.DataFrame:
     """Return about ``count`` points of a model, or of the truth without a pair."""
-    table = thinned(pd.DataFrame({"x": x, "y": y}), count)
+    table = evenly_thinned(pd.DataFrame({"x": x, "y": y}), count)
     method, integrator = pair or ("", "")
     source = "ours" if pair else "truth"
     return table.assign(method=method, integrator=integrator, source=source)
 
 
-def thinned(table: pd.DataFrame, count: int = POINTS) -> pd.DataFrame:
+def evenly_thinned(table: pd.DataFrame, count: int = POINTS) -> pd.DataFrame:
     """Return ``count`` to twice as many rows of a longer table, at equal distances."""
     return table.iloc[:: max(1, len(table) // count)]
 

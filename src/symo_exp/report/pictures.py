@@ -19,6 +19,7 @@ from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import MEASURED, TRUTH, coordinate_labels, look, short
 from symo_exp.report.motions import (
     LONG,
+    evenly_thinned,
     kept,
     learned_figure,
     over_time,
@@ -26,7 +27,6 @@ from symo_exp.report.motions import (
     points,
     ranked_as,
     ranking,
-    thinned,
     unbroken,
 )  # fmt: skip
 from symo_exp.report.paper import save_figure
@@ -106,7 +106,7 @@ def trajectories(rollouts: Rollouts, method: str, title: str) -> Figure:
                 ranked_as(which, len(errors))
                 + f"MSE {short(float(errors[one.trajectory.iloc[0]]))}"
             )
-            shown = thinned(one[one.t <= LONG])  # before gaps are made, of one node each
+            shown = evenly_thinned(one[one.t <= LONG])  # before gaps are made, of one node each
             if turns:
                 shown = shown.assign(**{c: unbroken(shown[c]) for c in columns})
             panels.append(over_time({pair: shown}, *columns, label, said + _until(one)))
