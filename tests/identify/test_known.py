@@ -53,6 +53,15 @@ def test_a_column_of_another_name_is_refused_with_a_setting_that_renames_it(log)
         examine({"path": "log.csv"}, known=stated("pendulum", time_step=0.02))
 
 
+def test_a_mapped_column_of_another_name_is_refused_with_a_setting_that_is_accepted(log):
+    log.rename(columns={"q_theta": "place", "t": "clock"}).to_csv("log.csv", index=False)
+    known, mapped = stated("pendulum", time_step=0.02), {"t": "clock", "q_1": "place"}
+    with pytest.raises(ConfigError, match=r"'data.columns=\{t: clock, q_theta: place\}'"):
+        examine({"path": "log.csv", "columns": mapped}, known=known)
+    suggested = {"t": "clock", "q_theta": "place"}
+    assert examine({"path": "log.csv", "columns": suggested}, known=known).known
+
+
 @pytest.mark.slow
 def test_one_command_finds_the_constants_of_known_equations(log, workplace, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(workplace / "cache"))

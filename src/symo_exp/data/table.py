@@ -243,7 +243,7 @@ def _check_places(
     where: str, found: Sequence[str], wanted: Mapping[str, Sequence[str]], given: Columns
 ) -> None:
     """Refuse columns that look like a coordinate or an input and are not one of the system's."""
-    in_order: dict[str, str] = {}  # of kinds none of whose names differ in number
+    in_order: dict[str, str] = {}  # wanted to found names, of kinds with as many of each
     for kind, names in wanted.items():
         others = [x for x in found if x[:2] == f"{kind}_" and x not in names]
         missing = [name for name in names if name not in found]
@@ -255,7 +255,9 @@ def _check_places(
             there = few([name[2:] for name in wanted[kind]]) or "none"
             mend = f"or leave it out, {omitting([column], given)}"
             if column in in_order.values():
-                mend = f"if the order is the same by {as_setting({**given, **in_order})}"
+                kept = {ours: x for ours, x in given.items() if ours not in in_order.values()}
+                in_file = {ours: given.get(x, x) for ours, x in in_order.items()}
+                mend = f"if the order is the same by {as_setting({**kept, **in_file})}"
             raise ConfigError(
                 f"{where}: column {column} belongs to no {KINDS[kind]} of the system ({there}); "
                 f"rename it by data.columns or in the file, {mend}"
