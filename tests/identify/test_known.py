@@ -62,6 +62,15 @@ def test_a_mapped_column_of_another_name_is_refused_with_a_setting_that_is_accep
     assert examine({"path": "log.csv", "columns": suggested}, known=known).known
 
 
+@pytest.mark.parametrize(("own", "other"), [("q_theta", "q_arm"), ("u_0", "u_motor")])
+def test_the_columns_of_another_machine_are_refused_with_the_system_that_takes_them(
+    own, other, log
+):
+    log.rename(columns={own: other}).to_csv("log.csv", index=False)
+    with pytest.raises(ConfigError, match=f"{other} belongs to no .*give system=recorded"):
+        examine({"path": "log.csv"}, known=stated("pendulum", time_step=0.02))
+
+
 @pytest.mark.slow
 def test_one_command_finds_the_constants_of_known_equations(log, workplace, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(workplace / "cache"))

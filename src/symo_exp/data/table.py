@@ -258,7 +258,9 @@ def _check_places(
                 kept = {ours: x for ours, x in given.items() if ours not in in_order.values()}
                 in_file = {ours: given.get(x, x) for ours, x in in_order.items()}
                 mend = f"if the order is the same by {as_setting({**kept, **in_file})}"
+            # a recorded system has all of these columns; of velocities, it may lack some
+            other = "for a machine without known equations, give system=recorded; else "
             raise ConfigError(
                 f"{where}: column {column} belongs to no {KINDS[kind]} of the system ({there}); "
-                f"rename it by data.columns or in the file, {mend}"
+                f"{other * (kind != 'v')}rename it by data.columns or in the file, {mend}"
             )
