@@ -27,6 +27,8 @@ from symo_exp.systems.table import system as stated
 
 H = 0.02
 SECONDS = 30.0
+DRIVEN = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
+FREE = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
 
 
 def motion(seconds: float = SECONDS) -> pd.DataFrame:
@@ -242,18 +244,17 @@ def test_files_of_the_same_name_are_different_trajectories(tmp_path: Path) -> No
         path.parent.mkdir(exist_ok=True)
         piece = motion(4.0).assign(q_0=k)
         piece.to_csv(path, index=False) if path.suffix == ".csv" else piece.to_parquet(path)
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
     for some, names in (
         ([0, 1, 3], ["a/log", "b/log", "c/log"]),
         ([0, 1, 2, 3], ["a/log.csv", "b/log.csv", "b/log.parquet", "c/log.csv"]),
         ([1], [""]),
     ):
-        found = read_recordings([paths[k] for k in some], system).recordings
+        found = read_recordings([paths[k] for k in some], DRIVEN).recordings
         assert [one.label for one in found] == names
         kept = without(found, [[names[-1], 1.0, 2.0]], H)
         assert [one.samples.q[0, 0] for one in kept] == some
     with pytest.raises(ConfigError, match=r"log.csv is there twice"):
-        read_recordings([paths[0], tmp_path / "a/*.csv"], system)
+        read_recordings([paths[0], tmp_path / "a/*.csv"], DRIVEN)
 
 
 @pytest.mark.parametrize("pattern", ["", "*.csv"])
@@ -435,9 +436,8 @@ def test_a_few_numbers_with_separators_of_thousands_are_not_left_out(
     table.assign(q_0=words.mask(table.index == 99, large)).to_csv(
         tmp_path / "x.csv", index=False, **style
     )
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
     with pytest.raises(ConfigError, match=f"{large}.* in data row 100: write numbers as 1234.5"):
-        read_recordings(tmp_path / "x.csv", system)
+        read_recordings(tmp_path / "x.csv", DRIVEN)
 
 
 @pytest.mark.parametrize(
@@ -452,9 +452,8 @@ def test_dates_are_read_as_seconds_from_the_first_one(dated, rounding, tmp_path:
     table = motion()
     table.assign(t=dated(table.t)).to_csv(tmp_path / "dated.csv")
     table.to_csv(tmp_path / "x.csv")
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
     (found,), (expected,) = (
-        read_recordings(tmp_path / name, system).recordings for name in ("dated.csv", "x.csv")
+        read_recordings(tmp_path / name, DRIVEN).recordings for name in ("dated.csv", "x.csv")
     )
     np.testing.assert_allclose(found.samples.t, expected.samples.t, rtol=0.0, atol=rounding)
 
@@ -477,8 +476,7 @@ def test_times_of_a_fast_clock_are_seconds(start: float, tmp_path: Path) -> None
 def test_a_few_rows_without_a_number_are_left_out_and_it_is_said(tmp_path: Path) -> None:
     table = motion()
     table.assign(q_0=table.q_0.where(table.index % 50 > 0)).to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
-    found = read_recordings(tmp_path / "x.csv", system)
+    found = read_recordings(tmp_path / "x.csv", DRIVEN)
     kept = table[table.index % 50 > 0]
     np.testing.assert_allclose(found.recordings[0].samples.t, kept.t, rtol=1e-12)
     np.testing.assert_allclose(found.recordings[0].samples.q[:, 0], kept.q_0, rtol=1e-12)
@@ -493,8 +491,7 @@ def test_inputs_far_from_all_others_are_used_and_it_is_said(
     """They may be those of a sensor that fails, or a short push."""
     table = motion()
     table.assign(u_0=table.u_0.mask(table.index % 500 == 7, failure)).to_csv(tmp_path / "x.csv")
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
-    found = read_recordings(tmp_path / "x.csv", system)
+    found = read_recordings(tmp_path / "x.csv", DRIVEN)
     assert found.recordings[0].samples.u[7] == failure
     said = f"u_0 is far from its other values in 6 rows, such as {failure:g} in data row 8"
     assert any(said in note for note in found.notes) == noted
@@ -507,8 +504,7 @@ def test_a_clock_that_starts_anew_begins_a_recording(tmp_path: Path) -> None:
         table.iloc[rows].assign(t=table.t.iloc[rows] - table.t.iloc[rows[0]]) for rows in pieces
     ]
     pd.concat(anew).to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
-    found = read_recordings(tmp_path / "x.csv", system)
+    found = read_recordings(tmp_path / "x.csv", DRIVEN)
     assert "3 recordings" in found.notes[-1]
     for one, rows in zip(found.recordings, pieces, strict=True):
         np.testing.assert_allclose(one.samples.q[:, 0], table.q_0.iloc[rows], rtol=1e-12)
@@ -523,11 +519,10 @@ def test_a_counter_of_times_goes_on_where_it_starts_anew(name, unit, count, tmp_
     times = 0.01 * np.arange(8000)
     counts = np.round(times / unit).astype(int)
     path = tmp_path / "x.csv"
-    system = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
     for first in (0, count - 150):
         table = pd.DataFrame({name: (counts + first) % count, "q_0": np.sin(times)})
         table.to_csv(path, index=False)
-        found = read_recordings(path, system, {"t": "ms"} if name == "ms" else None)
+        found = read_recordings(path, FREE, {"t": "ms"} if name == "ms" else None)
         (one,) = found.recordings
         assert one.samples.t - one.samples.t[0] == pytest.approx(times)
         told = any("counter starts anew" in note for note in found.notes)
@@ -538,16 +533,15 @@ def test_a_counter_of_times_goes_on_where_it_starts_anew(name, unit, count, tmp_
 def test_inputs_of_another_clock_are_read_as_the_message_says(every: int, tmp_path: Path) -> None:
     t = 0.01 * np.arange(900)
     path, table = tmp_path / "x.csv", pd.DataFrame({"t": t, "q_0": np.sin(t), "u_0": np.cos(t)})
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
     same = table.assign(u_0=table.u_0.where(table.index % every == 0))
     own = pd.concat([table[["t", "q_0"]], table.assign(t=t + 0.003).iloc[::every][["t", "u_0"]]])
     for change in (same, own.sort_values("t")):
         change.to_csv(path, index=False)
         with pytest.raises(ConfigError, match="inputs keep their last values") as error:
-            read_recordings(path, system)
+            read_recordings(path, DRIVEN)
         assert "null" not in str(error.value)  # without its input, a machine is another one
         change.assign(u_0=change.u_0.ffill()).dropna().to_csv(path, index=False)
-        (one,) = read_recordings(path, system).recordings
+        (one,) = read_recordings(path, DRIVEN).recordings
         assert len(one.samples.t) >= 899
 
 
@@ -555,8 +549,7 @@ def test_inputs_of_another_clock_are_read_as_the_message_says(every: int, tmp_pa
 def test_any_number_of_rows_may_be_written_twice(label, tmp_path: Path) -> None:
     table = motion().assign(**label)
     table.loc[table.index.repeat(2)].to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
-    found = read_recordings(tmp_path / "x.csv", system)
+    found = read_recordings(tmp_path / "x.csv", DRIVEN)
     np.testing.assert_allclose(found.recordings[0].samples.q[:, 0], table.q_0, rtol=1e-12)
     assert "3000 of 6000 rows are copies and are left out" in found.notes
 
@@ -567,12 +560,11 @@ def test_a_clock_that_is_set_back_by_a_part_of_its_time_is_refused(label, tmp_pa
     table = motion().assign(**label)
     late = (table.t - 0.5 * (table.index >= 1500)).round(2)
     table.assign(t=late).to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
     with pytest.raises(ConfigError, match=r"goes back in time after t=14.99"):
-        read_recordings(tmp_path / "x.csv", system)
+        read_recordings(tmp_path / "x.csv", DRIVEN)
     for order in (table.sample(frac=1, random_state=0), table[::-1]):
         order.to_csv(tmp_path / "x.csv", index=False)
-        (found,) = read_recordings(tmp_path / "x.csv", system).recordings
+        (found,) = read_recordings(tmp_path / "x.csv", DRIVEN).recordings
         np.testing.assert_allclose(found.samples.q[:, 0], table.q_0, rtol=1e-12)
 
 
@@ -592,16 +584,15 @@ def test_a_column_that_changes_where_positions_jump_is_not_passed_over(
     q = np.sin(t - k + start(k))
     table = pd.DataFrame({"t": t + clock * k, "q_0": q, "Versuch": k, "noise": np.arange(600) % 2})
     table.to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
     if not told:
-        assert len(read_recordings(tmp_path / "x.csv", system).recordings) == 1
+        assert len(read_recordings(tmp_path / "x.csv", FREE).recordings) == 1
         return
     with pytest.raises(ConfigError, match="positions jump where Versuch changes") as error:
-        read_recordings(tmp_path / "x.csv", system)
+        read_recordings(tmp_path / "x.csv", FREE)
     # without the column, one of the leaps is too small to be told from a motion
     for columns, count in (({"trajectory": "Versuch"}, 6), ({"Versuch": None}, 5)):
         assert as_setting(columns) in str(error.value)
-        assert len(read_recordings(tmp_path / "x.csv", system, columns).recordings) == count
+        assert len(read_recordings(tmp_path / "x.csv", FREE, columns).recordings) == count
 
 
 def struck(q: np.ndarray) -> np.ndarray:
@@ -638,8 +629,7 @@ def test_positions_that_leap_begin_a_recording(change, count, pause: float, tmp_
     q = np.array([1.0, 1.5, 0.8])[k] * np.cos(3.0 * (t - 3.0 * k))
     table = pd.DataFrame({"t": t + pause * k, "q_0": change(q)})
     table.to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
-    found = read_recordings(tmp_path / "x.csv", system)
+    found = read_recordings(tmp_path / "x.csv", FREE)
     assert len(found.recordings) == count
     assert any("leap 2 time(s), first after t=2.99: 3 rec" in x for x in found.notes) == (count > 1)
 
@@ -659,8 +649,7 @@ def test_positions_that_a_slow_sensor_repeats_are_left_out(rows, shown, tmp_path
     t, place = 0.01 * k, np.sin(0.01 * rows(k))
     table = pd.DataFrame({"t": t, "q_0": place, "u_0": k % 5 == 0}).astype(float)
     table.to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
-    found = read_recordings(tmp_path / "x.csv", system)
+    found = read_recordings(tmp_path / "x.csv", DRIVEN)
     (one,) = found.recordings
     assert len(one.samples.q) == shown
     assert any("repeats its positions" in note for note in found.notes) == (shown < 900)
@@ -676,8 +665,7 @@ def test_positions_that_an_encoder_repeats_are_kept(speed: float, tmp_path: Path
     for place in (np.floor(speed * k), np.round(50.0 * np.sin(0.01 * speed * k))):
         table = pd.DataFrame({"t": 0.01 * k, "q_0": 0.01 * place})
         table.to_csv(tmp_path / "x.csv", index=False)
-        system = Recorded(time_step=H, names=("0",), inputs=(), angular="all")
-        (one,) = read_recordings(tmp_path / "x.csv", system).recordings
+        (one,) = read_recordings(tmp_path / "x.csv", FREE).recordings
         assert len(one.samples.q) == 900
 
 
@@ -687,8 +675,7 @@ def test_a_column_of_recordings_needs_no_setting(name: str, tmp_path: Path) -> N
     table = motion(6.0)
     number = np.arange(len(table)) // 200
     table.assign(**{name: number}).to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
-    found = read_recordings(tmp_path / "x.csv", system)
+    found = read_recordings(tmp_path / "x.csv", DRIVEN)
     assert [one.label for one in found.recordings] == ["0", "1", "2"]
     assert f"column {name} is read as trajectory" in found.notes
 
@@ -699,8 +686,7 @@ def test_times_of_day_are_read_without_a_warning(tmp_path: Path) -> None:
     clock = pd.Timestamp("2024-05-01 23:00") + pd.to_timedelta(table.t, "s")
     words = clock.dt.strftime("%H:%M:%S.%f")
     table.assign(t=words).to_csv(tmp_path / "x.csv", index=False)
-    system = Recorded(time_step=H, names=("0",), inputs=("0",), angular="all")
-    (found,) = read_recordings(tmp_path / "x.csv", system).recordings
+    (found,) = read_recordings(tmp_path / "x.csv", DRIVEN).recordings
     np.testing.assert_allclose(found.samples.t, table.t, rtol=0.0, atol=1e-6)
 
 

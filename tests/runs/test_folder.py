@@ -5,11 +5,9 @@ import json
 import math
 import os
 import pathlib
-import resource
 import shutil
 import subprocess
 import sys
-from contextlib import contextmanager
 
 import pandas
 import pytest
@@ -19,6 +17,7 @@ from symo_exp.runs.digest import digest
 from symo_exp.runs.folder import About, RunFolder
 from symo_exp.runs.outcome import recording_names
 from symo_exp.runs.series import Series, read
+from tests.limits import no_file_larger_than
 
 
 @pytest.fixture
@@ -242,17 +241,6 @@ def test_rows_that_are_cut_off_are_written_again(path):
     assert [row["x"] for row in read(path)] == [0.0, 1.0, 2.0, 9.0]
     Series(path).cut(0)
     assert read(path) == []
-
-
-@contextmanager
-def no_file_larger_than(size):
-    """Let writes fail, after a part of them, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize("free", [0, 5])

@@ -1,11 +1,10 @@
 """A resumed training ends with the same bits, whatever files are left."""
 
 import os
-import resource
 import shutil
 import signal
 import zipfile
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from unittest import mock
 
 import pytest
@@ -18,6 +17,7 @@ from symo_exp.training import resuming
 from symo_exp.training.checkpoint import WholeFiles
 from symo_exp.training.divergence import DivergenceError
 from symo_exp.training.learner import Learner
+from tests.limits import no_file_larger_than, no_more_files
 from tests.models.methods import learned
 from tests.tables import choices
 from tests.training.runs import CLOCKS, Cut, cut, go, same, state
@@ -191,17 +191,6 @@ def test_without_a_valid_checkpoint_training_starts_anew(whole, folder, caplog):
     assert resumed(caplog) == []
 
 
-@contextmanager
-def no_more_files():
-    """The process may open no further file."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (0, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
 def no_memory():
     """Loading takes more memory than there is."""
     return mock.patch("torch.load", side_effect=MemoryError)
@@ -307,24 +296,13 @@ def test_a_disk_that_is_full_for_a_while_costs_only_checkpoints(
     assert sum("No space left" in r.message for r in caplog.records) == 2
 
 
-@contextmanager
-def small_files():
-    """No file may grow beyond 4 kB, which ends as on a full disk: before all is written."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 def test_a_checkpoint_that_is_cut_short_costs_nothing_else(whole, workplace, monkeypatch, caplog):
     save, count = WholeFiles.save_checkpoint, 0
 
     def cut_short(*given, **options):
         nonlocal count
         count += 1
-        with small_files() if count in (2, 3) else nullcontext():
+        with no_file_larger_than(4096) if count in (2, 3) else nullcontext():
             save(*given, **options)
 
     monkeypatch.setattr(WholeFiles, "save_checkpoint", cut_short)

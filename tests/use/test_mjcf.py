@@ -45,6 +45,14 @@ def perturbed(module):
     return module.double()
 
 
+def mass_of(theirs, data):
+    """The mass matrix of MuJoCo, where ``mj_forward`` was last."""
+    mass = np.zeros((theirs.nv, theirs.nv))
+    for row, unit in zip(mass, np.eye(theirs.nv), strict=True):
+        mujoco.mj_mulM(theirs, data, row, unit)
+    return mass
+
+
 def known(system):
     n = system.coordinates.n
     system = replace(system, viscous=tuple(0.1 * (i + 1) for i in range(n)))
@@ -171,16 +179,13 @@ def test_mujoco_has_the_same_mass_matrix_and_forces(case, tmp_path):
     model, q, v, a = case
     file = symo_exp.export(model, tmp_path / "machine.xml")
     theirs = mujoco.MjModel.from_xml_path(str(file))
-    data, n = mujoco.MjData(theirs), q.shape[1]
+    data = mujoco.MjData(theirs)
     rates = model.lagrangian.conservative.rates(q, v)
     bias, passive = rates.mass_rate_v - rates.q, model.dissipation.force(q, v)
     for k in range(len(q)):
         data.qpos[:], data.qvel[:] = (a @ q[k]).numpy(), (a @ v[k]).numpy()
         mujoco.mj_forward(theirs, data)
-        mass = np.zeros((n, n))
-        for i, unit in enumerate(np.eye(n)):
-            mujoco.mj_mulM(theirs, data, mass[i], unit)
-        at = a.numpy()
+        at, mass = a.numpy(), mass_of(theirs, data)
         springs = data.qfrc_passive - data.qfrc_damper  # ours are part of the potential
         exact = {"rtol": 1e-9, "atol": 1e-9}
         np.testing.assert_allclose(at.T @ mass @ at, rates.mass[k].detach(), **exact)
@@ -281,12 +286,9 @@ def test_mujoco_has_the_same_equations_of_bodies_that_turn(case, tmp_path):
         data.qpos[:], data.qvel[order] = numbers[k, places], v[k]
         data.ctrl[:] = u[k]
         mujoco.mj_forward(theirs, data)
-        mass = np.zeros((n, n))
-        for i, unit in enumerate(np.eye(n)):
-            mujoco.mj_mulM(theirs, data, mass[i], unit)
         springs = data.qfrc_passive - data.qfrc_damper
         found = (
-            mass[order][:, order],
+            mass_of(theirs, data)[order][:, order],
             *(y[order] for y in (data.qfrc_bias - springs, data.qfrc_damper, data.qfrc_actuator)),
         )
         for ours, there in zip((rates.mass, bias, passive, force), found, strict=True):
@@ -377,14 +379,12 @@ def test_links_in_a_plane_of_any_number_are_bodies_as_far_as_the_machine_is(
         links.points += noise * links.points.abs().max() * torch.randn_like(links.points)
     model = model_of(links, system.coordinates, torch.eye(n).double())
     theirs = mujoco.MjModel.from_xml_path(str(symo_exp.export(model, tmp_path / "machine.xml")))
-    data, mass = mujoco.MjData(theirs), np.zeros((n, n))
+    data = mujoco.MjData(theirs)
     q, *_ = points(system, 1)
     a = system.linkage.matrix
     data.qpos[:] = (a @ q[0]).numpy()
     mujoco.mj_forward(theirs, data)
-    for i, unit in enumerate(np.eye(n)):
-        mujoco.mj_mulM(theirs, data, mass[i], unit)
-    found = a.numpy().T @ mass @ a.numpy()
+    found = a.numpy().T @ mass_of(theirs, data) @ a.numpy()
     expected = links.mass_matrix(q)[0].detach().numpy()
     apart = float(abs(found - expected).max()) / abs(expected).max()
     rigid = "not exactly rigid" not in caplog.text
@@ -408,13 +408,12 @@ def test_links_without_a_weight_are_bodies_of_possible_sizes(angular, weightless
     coordinates = Coordinates(tuple("abc"[:n]), angular)
     model = model_of(lagrangian, coordinates, torch.eye(n).double())
     theirs = mujoco.MjModel.from_xml_path(str(symo_exp.export(model, tmp_path / "machine.xml")))
-    data, mass = mujoco.MjData(theirs), np.zeros((n, n))
+    data = mujoco.MjData(theirs)
     q = torch.linspace(0.5, 1.0, n).double()[None]
     data.qpos[:] = q[0].numpy()
     mujoco.mj_forward(theirs, data)
-    for i, unit in enumerate(np.eye(n)):
-        mujoco.mj_mulM(theirs, data, mass[i], unit)
     expected = links.rates(q, torch.zeros_like(q))
+    mass = mass_of(theirs, data)
     np.testing.assert_allclose(mass, expected.mass[0].detach(), rtol=1e-9, atol=1e-12)
     assert abs(theirs.body_ipos).max() < 1e3
     if all(angular):
@@ -438,11 +437,10 @@ def test_a_body_too_light_for_a_file_is_reported(length, tmp_path):
     model = model_of(chain.double(), coordinates, torch.eye(1).double())
     file = symo_exp.export(model, tmp_path / "mirror.xml")
     theirs = mujoco.MjModel.from_xml_path(str(file))
-    data, mass = mujoco.MjData(theirs), np.zeros(1)
+    data = mujoco.MjData(theirs)
     mujoco.mj_forward(theirs, data)
-    mujoco.mj_mulM(theirs, data, mass, np.ones(1))
     learned = chain.mass_matrix(torch.zeros(1, 1).double()).item()
-    same = mass[0] == pytest.approx(learned, rel=1e-9, abs=0.0)
+    same = mass_of(theirs, data).item() == pytest.approx(learned, rel=1e-9, abs=0.0)
     assert ("body of q is heavier in this file: at least 1e-13" in file.read_text()) != same
 
 
