@@ -7,6 +7,7 @@ import pytest
 
 from symo_exp.identify import plan as plans
 from symo_exp.identify import trials
+from symo_exp.identify.fits import Fits
 from symo_exp.identify.rounds import Rounds
 from symo_exp.identify.structures import ladder
 from symo_exp.runs.folder import SERIES, RunFolder
@@ -308,3 +309,23 @@ def test_what_there_is_no_time_for_is_printed(searched, capsys):
     assert missed
     assert not missed & {c.name for c in fits.done}
     assert "no time left" not in out  # cheaper candidates are tried
+
+
+def test_a_fit_that_is_tested_is_not_trained_anew():
+    """Also where all fits are, by resume=false."""
+
+    class Told:
+        def perform(self, words, names):
+            self.words = words
+            return [None for _ in words]
+
+    one, sweep = machine(2, 60.0), Told()
+    plan = plans.make_plan(one, ladder(one), 600.0, 2, 1.0, "key")
+    fits = Fits(sweep, one, plan, {"resume": "resume=false"}, "mine", seed=0, clock=False)
+    candidate, epochs, attempt = ladder(one)[0], 9, 1
+    fits.to_all(candidate, epochs, [attempt])
+    (fitted,) = sweep.words
+    fits.test(candidate, epochs, attempt)
+    (tested,) = sweep.words
+    assert "resume=true" not in fitted
+    assert tested[-1] == "resume=true"

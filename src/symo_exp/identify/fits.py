@@ -90,7 +90,8 @@ class Fits:
         """
         shown = "pictures=true", "measures=true"
         words = self._overrides_of_last(candidate, epochs, attempt, *shown)
-        self._performed([words], [candidate.name])
+        # resume=false is for the fits; this one has just been made
+        self._performed([[*words, "resume=true"]], [candidate.name])
 
     def _performed(self, words: Sequence[list[str]], names: Sequence[str]) -> list[RunFolder]:
         folders = []
