@@ -57,5 +57,6 @@ def test_trajectories_begin_at_their_starts_and_inputs_are_constant() -> None:
 
 
 def test_unknown_draws_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"data\.draws='mine': .*draws=NAME"):
-        small(draws="mine")
+    for draws in "mine", uniform:  # neither has a lead
+        with pytest.raises(ConfigError, match=r"data\.draws=.*: choose with draws=NAME"):
+            small(draws=draws)

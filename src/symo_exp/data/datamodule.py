@@ -95,7 +95,7 @@ class TrajectoryData(DataModule):
         )
         self.solver = Solver() if solver is None else solver
         self.draws = Independent() if draws is None else draws
-        if not callable(self.draws):
+        if not isinstance(self.draws, Draws):
             raise ConfigError(f"data.draws={draws!r}: choose with draws=NAME, a file of conf/draws")
         if n_traj > n_train_max:
             raise ConfigError(
