@@ -321,6 +321,13 @@ def test_held_out_trajectories_come_from_the_training_budget() -> None:
         small(held_out=0, monitor="held_out")
 
 
+@pytest.mark.parametrize("monitor", ["val", "held_out"])
+def test_a_single_trajectory_cannot_be_held_out(monitor: str) -> None:
+    with pytest.raises(ConfigError, match=r"n_traj=1: .*; give 2 or more, or data\.mon"):
+        small(n_traj=1, held_out=0.1, monitor=monitor)
+    assert small(n_traj=1, held_out=0, monitor="val").held_out == 0
+
+
 @pytest.mark.parametrize(("n_traj", "share", "count"), [(8, 0.1, 1), (32, 0.1, 3), (4, 0.01, 1)])
 def test_a_share_is_held_out(n_traj: int, share: float, count: int) -> None:
     data = small(n_traj=n_traj, n_train_max=n_traj, held_out=share, monitor="held_out")

@@ -124,6 +124,11 @@ class DataModule(lightning.LightningDataModule, ABC):
         self.dtype: torch.dtype = getattr(torch, name)
         one_of("data.monitor", monitor, ("val", "test", "held_out"))
         self.monitor = monitor
+        if n_traj == 1 and (held_out or monitor == "held_out"):
+            raise ConfigError(
+                f"data.n_traj=1: data.monitor={monitor} with data.held_out={held_out} leaves no "
+                "trajectory to train on; give 2 or more, or data.monitor=val data.held_out=0"
+            )
         if 0.0 < held_out < 1.0:
             held_out = max(1, round(held_out * n_traj))
         low = 1 if monitor == "held_out" else 0
