@@ -111,7 +111,7 @@ class Galerkin(VariationalIntegrator):
         at = self.expand(lagrangian, q0[chosen], q1[chosen], h, few)
         if not torch.is_grad_enabled():
             return Slots(*(x[place] for x in at.values))
-        at.d2d1()  # what it solves for is kept, and rows share it
+        at.d2d1()  # its solutions are kept, and copied with the rows
         return at.rows(place).slots(q0, q1, forces)
 
     def _each(

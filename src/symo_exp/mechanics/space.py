@@ -242,7 +242,7 @@ class Space:
     def of_vector(self, x: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch N"]:
         """Return configurations of flat coordinates and rotation vectors ``φ``, ``R = exp φ``.
 
-        Rotation vectors of any length: whole turns are taken off those of more than one.
+        Rotation vectors may have any length; whole turns are subtracted beyond the first one.
         """
         if not self.rotations:
             return x

@@ -25,7 +25,7 @@ class Chained(EpochOptimizer):
         params: The parameters.
         first: Makes the first optimiser, one of torch.
         epochs: Epochs of the first.
-        then: Makes the second optimiser, one of samples.
+        then: Makes the second optimiser, which takes the samples of an epoch at once.
 
     Raises:
         ConfigError: If one of them is of another kind.
@@ -49,8 +49,9 @@ class Chained(EpochOptimizer):
         instance("optimizer.then", self._then, EpochOptimizer)
         if self._then.reads_trajectories:
             raise ConfigError(
-                f"optimizer.then is {type(self._then).__name__}, which has a start of its own: "
-                "give it alone, as optimizer=total_least_squares, or another one"
+                f"optimizer.then is {type(self._then).__name__}, which takes trajectories: "
+                "expected an optimizer of samples, such as LevenbergMarquardt; "
+                "optimizer=total_least_squares begins with steps of Adam, too"
             )
         self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._first, max(epochs, 1))
         self.memory["epoch"] = 0
