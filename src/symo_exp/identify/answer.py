@@ -67,7 +67,7 @@ class Answer:
 
         Args:
             measures: Those of the model.
-            error: The noise of its fit, NaN where it is unknown.
+            error: The noise of its fit, infinite where it is unknown.
             model: The link to its run, or the folder.
         """
         label = verdict(measures) or "not judged"

@@ -43,7 +43,7 @@ class Timing:
         delay: Delay [s]; 0: none explains it better.
         clear: Whether the delay is that of all candidates.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
-        vary: Whether the inputs ever change; without inputs, they do.
+        vary: Whether the inputs ever change.
         note: A line about the delay.
     """
 
