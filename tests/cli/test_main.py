@@ -16,6 +16,7 @@ from symo_exp.shipped import CONF, SWEEPS
 from symo_exp.sweep.launching import Launches
 from symo_exp.sweep.sweeper import watched
 from tests.jobs import jobs_of, refusal, settings_of
+from tests.pages import ROOT
 from tests.tiny import TINY
 
 QUIET = [*TINY, "logger=none", "pictures=false"]
@@ -362,6 +363,12 @@ def test_a_run_ends_in_a_table_of_its_measures_and_its_folder(finished):
     run = RunFolder(folder)
     assert run.outcome().status == "finished"
     assert "net.width=8" in run.about().variant
+
+
+def test_every_file_of_a_run_is_in_the_documentation(finished):
+    page = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
+    (folder,) = (finished[0] / "outputs" / "default").glob("e2e_symo-pendulum-*")
+    assert not {path.name for path in folder.glob("[!.]*") if f"`{path.name}" not in page}
 
 
 def test_a_run_from_the_beginning_has_the_same_numbers_and_a_time_of_its_own(again):

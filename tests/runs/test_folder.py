@@ -1,7 +1,6 @@
 """The folder of a run: atomic files, its lock and its content; and its series."""
 
 import itertools
-import json
 import math
 import os
 import pathlib
@@ -271,7 +270,6 @@ def test_complete_rows_are_read_wherever_a_kill_cut_the_file(path):
 def test_a_folder_is_named_relative_to_the_working_directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert str(RunFolder(tmp_path / "a" / "b")) == os.path.join("a", "b")
-    assert json.loads(json.dumps({"x": str(RunFolder("c"))})) == {"x": "c"}
 
 
 @pytest.mark.parametrize(
