@@ -58,19 +58,6 @@ def test_files_and_headings_that_a_page_links_to_exist(page):
         assert not anchor or anchor in anchors(linked), link
 
 
-def anchors(page: Path) -> set[str]:
-    """The headings of a page as links to them are written."""
-    prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
-    headings = re.findall(r"^#{1,3} (.*)$", prose, flags=re.M)
-    return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
-
-
-@pytest.mark.parametrize("page", pages.PAGES, ids=pages.relative)
-def test_headings_that_a_page_links_to_exist(page):
-    for file, anchor in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", page.read_text(encoding="utf-8")):
-        assert anchor in anchors(page.parent / file if file else page), f"{file}#{anchor}"
-
-
 @pytest.mark.parametrize("page", PAGES, ids=pages.relative)
 def test_formulas_have_only_forms_that_the_site_draws(page):
     """Docutils puts an index under an accented letter, and a power at the second bar of a norm."""
