@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import torch
 import yaml
 
 import symo_exp
+from symo_exp.mechanics.types import Trajectory
 from symo_exp.runs.folder import RunFolder
 from tests.pages import ROOT
 from tests.tiny import TINY
@@ -108,6 +110,14 @@ def test_of_equal_runs_a_table_has_the_last_one(table, runs, tmp_path, monkeypat
     found = pd.read_csv(kept)
     measure = "test_mse" if table == "noise" else "rmse_1s"
     assert found[measure].dropna().tolist() == [0.25]
+
+
+@pytest.mark.parametrize(("there", "taken"), [(1, 1), (10, 10), (400, 300)])
+def test_the_makers_equations_are_refitted_to_different_windows(there, taken):
+    script = runpy.run_path(str(ROOT / "results" / "hardware" / "refit.py"))
+    q = torch.arange(25.0 * there + 1.0)[:, None]  # 25 time steps are the 0.5 s of a window
+    found = script["pieces"]([Trajectory(q, q, q)])
+    assert found.q[:, 0].unique().numel() == len(found.q) == taken
 
 
 def test_a_machine_of_the_coverage_is_not_counted_twice(tmp_path):

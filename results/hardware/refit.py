@@ -53,7 +53,8 @@ def pieces(trajectories: Sequence[Trajectory]) -> Trajectory:
     """Windows of equal length, evenly over all trajectories."""
     steps = round(SPAN / TIME_STEP)
     starts = [(t, k) for t in trajectories for k in range(0, len(t.q) - steps, steps)]
-    chosen = [starts[i] for i in np.linspace(0, len(starts) - 1, WINDOWS).astype(int)]
+    count = min(WINDOWS, len(starts))
+    chosen = [starts[i] for i in np.linspace(0, len(starts) - 1, count).astype(int)]
     return Trajectory(*(torch.stack([getattr(t, x)[k : k + steps + 1] for t, k in chosen])
                         for x in ("q", "v", "u")))  # fmt: skip
 
