@@ -65,8 +65,8 @@ def draws(runs: Path, name: str) -> str:
     rows = []
     for file in runs.glob(f"*-{name}-*/config.yaml"):
         config = yaml.safe_load(file.read_text())
-        data, finished = config["data"], RunFolder(file.parent).outcome().status == "finished"
-        if not finished or data["n_traj"] != 32:
+        data, folder = config["data"], RunFolder(file.parent)
+        if folder.outcome().status != "finished" or data["n_traj"] != 32:
             continue
         noise = data["noise_std"]
         alike = cells[cells.noise_std == noise]
@@ -76,7 +76,7 @@ def draws(runs: Path, name: str) -> str:
         model = symo_exp.load(file.parent)
         if isinstance(getattr(model, "objective", None), PreconditionedResidual):
             continue
-        integrator = model.flow.integrator.name
+        integrator = folder.about().parameters["integrator"]
         like = alike[(alike.method == method) & (alike.integrator == integrator)].value
         if true is None:  # the same for all of them
             system = hydra.utils.instantiate(config["system"])

@@ -239,6 +239,13 @@ def test_names_without_a_split_leave_the_others_to_training(tmp_path: Path) -> N
     assert first(data, "train") == pytest.approx([np.sin(k) for k in (0, 3, 4)])
 
 
+def test_names_of_any_kind_are_read_as_texts(tmp_path: Path) -> None:
+    plain = table()
+    lists = plain.assign(trajectory=[[x] for x in plain.trajectory])
+    data = read(lists, tmp_path, val=["['b']"], test=["['c']"])
+    assert [first(data, part) for part in ("val", "test")] == [[np.sin(1)], [np.sin(2)]]
+
+
 @pytest.mark.parametrize(
     ("change", "settings", "message"),
     [

@@ -153,6 +153,9 @@ def _read(
     with readable(file):
         table = table_of(file)
         table.columns = pd.Index(head.names)
+    for column in {"trajectory", "split"} & set(table):
+        if table[column].dtype == object:  # Parquet may have lists
+            table[column] = table[column].map(str, na_action="ignore")
     notes: list[str] = []
     table["t"], seconds = from_dates(where, table["t"], seconds, notes)
     for column in numbers:
