@@ -75,7 +75,7 @@ def test_a_blow_is_found_and_nothing_else(blow: float) -> None:
 
 @pytest.mark.parametrize("blow", [0.0, 60.0])
 @pytest.mark.parametrize("angular", [False, True])
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize("share", [0.0, pytest.param(0.01, marks=pytest.mark.slow), 0.1])
 def test_a_coordinate_that_never_moves_hides_no_shock_and_adds_none(
     share: float, angular: bool, blow: float
 ) -> None:

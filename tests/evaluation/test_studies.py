@@ -35,7 +35,9 @@ def variational(system, integrator=None, **other):
     return TrueVariational(integrator=integrator, root=ROOT, **given(system, **other))
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(x, marks=[pytest.mark.slow] * (k % 2)) for k, x in enumerate(SYSTEMS)]
+)
 def test_a_precise_model_follows_the_truth_under_an_input(name):
     """An input that came half a step late would be seen: the reference knows it at every time."""
     system = SYSTEMS[name]

@@ -92,7 +92,7 @@ def compare(tmp_path, words, kills, seed, database=None):
 
 
 def test_a_killed_run_ends_like_one_that_was_not(tmp_path, database):
-    compare(tmp_path, [*WORDS, "model=e2e_symo"], kills=1, seed=0, database=database)
+    compare(tmp_path, [*WORDS, "model=node"], kills=1, seed=0, database=database)
 
 
 @pytest.mark.slow

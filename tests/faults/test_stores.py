@@ -21,9 +21,8 @@ def one_line(code, said, *, exit_code, words):
     assert "Traceback" not in said
 
 
-@pytest.mark.parametrize(
-    "sweep", [[], pytest.param(["-m", "seed=0"], marks=pytest.mark.slow)], ids=["run", "sweep"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("sweep", [[], ["-m", "seed=0"]], ids=["run", "sweep"])
 def test_a_store_of_a_newer_mlflow_is_refused_before_training(sweep, store, tmp_path):
     with sqlite3.connect(store.database) as database:
         database.execute("update alembic_version set version_num = 'from_the_future'")

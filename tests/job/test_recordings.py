@@ -41,6 +41,7 @@ def only(workplace) -> RunFolder:
     return RunFolder(path)
 
 
+@pytest.mark.slow
 def test_another_reference_measures_a_finished_run_again_and_does_not_train_it(
     recordings, monkeypatch, capsys
 ):

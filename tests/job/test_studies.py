@@ -86,6 +86,7 @@ class Twice:
 """
 
 
+@pytest.mark.slow
 def test_a_study_does_not_replace_another_measure(workplace, capsys):
     (workplace / "mine" / "study").mkdir(parents=True)
     (workplace / "mine" / "twice_study.py").write_text(TWICE)

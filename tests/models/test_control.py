@@ -117,7 +117,7 @@ def test_configurations_that_are_not_finite_leave_the_controls_of_other_rows(met
 
 
 @pytest.mark.parametrize(("method", "integrator"), [("l_node", "rk4"), ("symo", "midpoint")])
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3))])
 def test_inverse_dynamics_of_a_small_machine_finds_the_same_controls(method, integrator, n):
     """In single precision, too, whose roundings of metres are larger than the machine."""
     model, (small, sizes) = make(method, integrator, n), make_small(method, integrator, n)
@@ -131,7 +131,7 @@ def test_inverse_dynamics_of_a_small_machine_finds_the_same_controls(method, int
     torch.testing.assert_close(single.double(), expected, rtol=0, atol=0.05)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3))])
 def test_controls_of_a_small_machine_take_as_many_updates(n, monkeypatch):
     """After fewer ones the same rows are nan."""
     lengths = {"coordinates": Coordinates(tuple("xyz"[:n]), (False,) * n)}

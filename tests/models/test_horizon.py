@@ -176,7 +176,7 @@ def test_a_motion_that_is_lost_has_constant_residuals():
 
 
 @pytest.mark.parametrize(("method", "integrator"), [("l_node", "rk4"), ("e2e_symo", "midpoint")])
-@pytest.mark.parametrize("n", [2, 3])
+@pytest.mark.parametrize("n", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_small_machine_has_the_same_residuals_weights_and_lost_motions(method, integrator, n):
     """Each in the units of its coordinates; one length jumps, and its motion is lost."""
     objective, found = HorizonError(horizon=STEPS), []

@@ -141,7 +141,9 @@ def test_a_chart_becomes_a_file_that_is_the_same_again(form, tmp_path):
         assert first.read_bytes() == again.read_bytes()
 
 
-@pytest.mark.parametrize("form", ["png", "svg", "pdf"])
+@pytest.mark.parametrize(
+    "form", ["svg", *(pytest.param(x, marks=pytest.mark.slow) for x in ("png", "pdf"))]
+)
 def test_a_chart_that_cannot_be_written_leaves_the_one_before(form, tmp_path, monkeypatch):
     def tear(path, *_, **__):
         path.open("w").close()

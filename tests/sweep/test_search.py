@@ -108,6 +108,7 @@ def test_a_search_without_a_run_that_succeeds_fails(workplace, capsys):
     assert "repeat" not in out
 
 
+@pytest.mark.slow
 def test_the_best_of_a_search_with_own_classes_is_repeated_with_them(workplace, capsys):
     mine = workplace / "mine"
     (mine / "objective").mkdir(parents=True)

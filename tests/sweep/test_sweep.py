@@ -186,7 +186,9 @@ def test_what_a_signal_breaks_in_the_launcher_is_not_an_error(
     assert caplog.text.count("no run was started") == told
 
 
-@pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 1)])
+@pytest.mark.parametrize(
+    ("moment", "finished"), [pytest.param("before", 0, marks=pytest.mark.slow), ("after", 1)]
+)
 def test_a_signal_beside_the_training_ends_the_sweep_and_keeps_what_is_finished(
     moment, finished, workplace, store, monkeypatch, capsys
 ):
