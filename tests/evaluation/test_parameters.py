@@ -53,6 +53,20 @@ def test_friction_that_vanished_is_reported_as_none(known):
     assert "no" not in {row.determined for row in rows if row not in none}
 
 
+def test_a_number_without_effect_is_one_that_data_do_not_show():
+    """A free direction that no other number changes along, as the rest velocity's."""
+    system = SYSTEMS["pendulum"]
+    found = LearnedDissipation(coordinates=system.coordinates, coulomb=True)
+    parameters = list(found.parameters())
+    mean = torch.cat([p.detach().flatten() for p in parameters])
+    everything = torch.eye(len(mean), dtype=torch.float64)
+    for k in range(len(mean)):
+        posterior = Posterior(mean, everything, everything[:, k : k + 1], SIGMA, SIGMA, 100)
+        rows = physical_parameters(found, system.coordinates, parameters, posterior)
+        (note,) = {row.note for row in rows if row.determined == "no"}
+        assert note == "data do not show it"
+
+
 def table(system, *, forced, fixed=()):
     """The table of a system at its true values, from noisy motions of itself."""
     system = replace(system, viscous=(0.1,) * system.coordinates.n, time_step=0.05)

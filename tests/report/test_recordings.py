@@ -91,6 +91,12 @@ def test_the_title_of_windows_names_the_intervals_that_are_drawn():
         assert any(one.band for panel in figure.panels for one in panel.traces()) == there
 
 
+def test_a_dissipation_that_vanished_is_not_drawn():
+    model, _, found = recorded(2, dissipation=SimpleNamespace(force=lambda q, v: -1e-160 * v))
+    (figure,) = recordings.recording_figures(model, rows_of(found), "symo", "run")
+    assert figure.key == "windows"
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_a_dissipation_is_drawn_over_velocity_and_time(n):
     model, _, found = recorded(n, dissipation=DAMPED)

@@ -177,7 +177,8 @@ def _rows(numbers: _Numbers, posterior: Posterior | None) -> list[Parameter]:
     rows = []
     for i, (name, unit, value, slope, present) in enumerate(zip(*numbers, strict=True)):
         if partners[i]:
-            note = f"determined only together with {_others(numbers.names, partners[i], i)}"
+            others = _others(numbers.names, partners[i], i)
+            note = f"determined only together with {others}" if others else "data do not show it"
             rows.append(Parameter(name, float(value), unit, math.nan, "no", note))
         elif not present:
             rows.append(_absent(name, unit))
@@ -230,10 +231,8 @@ def _certain(
 
 
 def _others(names: Sequence[str], partners: Sequence[int], own: int) -> str:
-    """Return the first partners of a number in words."""
+    """Return the first partners of a number in words, empty if it has none but itself."""
     others = [names[j] for j in partners if j != own]
-    if not others:
-        return "terms that are not listed"
     more = f" and {len(others) - FEW} more" if len(others) > FEW else ""
     return ", ".join(others[:FEW]) + more
 

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from symo_exp.evaluation.parameters import ABSENT
 from symo_exp.models.base import DynamicsModel
 from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import (
@@ -32,7 +33,7 @@ LONGEST_NAME = 24
 def recording_figures(
     model: DynamicsModel, table: pd.DataFrame, method: str, title: str, key: str = ""
 ) -> list[Figure]:
-    """Return the windows and, of a model with dissipation, its forces in them.
+    """Return the windows and, of a model that has found dissipation, its forces in them.
 
     Args:
         model: The model that predicts.
@@ -42,7 +43,8 @@ def recording_figures(
         key: Prefix of the names of the files.
     """
     made = [windows_figure(model, table, method, title)]
-    if f"dissipation_{model.coordinates.names[0]}" in table:
+    forces = table.filter(regex="^dissipation_").abs().max().max()  # NaN without a dissipation
+    if forces > ABSENT * model.coordinates.units.size("N m"):
         made.append(dissipation_figure(model, table, method, title))
     return [replace(measured_figure(figure), key=f"{key}{figure.key}") for figure in made]
 
