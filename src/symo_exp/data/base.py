@@ -17,15 +17,12 @@ from symo_exp.data.noise import add_noise
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import Space, space_of
 from symo_exp.mechanics.types import TrainingSamples, Trajectories, Trajectory
-from symo_exp.mechanics.windows import cut_windows
+from symo_exp.mechanics.windows import NODES, cut_windows
 
 Item = TypeVar("Item")
 Kind = TypeVar("Kind", bound=TrainingSamples)
 
 log = logging.getLogger(__name__)
-
-FEWEST = 3
-"""Nodes of a sample; shorter trajectories are not used."""
 
 
 class Splits(NamedTuple):
@@ -231,7 +228,7 @@ def usable(part: str, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
     Raises:
         ConfigError: If there are trajectories, and none has.
     """
-    found = [one for one in trajectories if len(one.q) >= FEWEST]
+    found = [one for one in trajectories if len(one.q) >= NODES]
     if trajectories and not found:
         raise ConfigError(
             f"joint limits end every motion for {part} before its third node; set "

@@ -29,6 +29,7 @@ from symo_exp.data.turns import continuous, refuse_counts, refuse_turns, turned
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.space import Space
 from symo_exp.mechanics.types import Coordinates, Trajectory
+from symo_exp.mechanics.windows import NODES
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
 
@@ -289,9 +290,10 @@ def _trajectory(where: str, recording: Recording, coordinates: Coordinates, h: f
                 f"may not be shorter; set system.time_step={samples.step:.3g} or more"
             )
         samples = _resampled(samples, space, h)
-    if len(samples.t) < 3:
+    if len(samples.t) < NODES:
         raise ConfigError(
-            f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; at least 3 are needed"
+            f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; at least {NODES} are "
+            "needed"
         )
     q, u = torch.tensor(samples.q), torch.tensor(samples.u)
     v = central_differences(q, h, space) if samples.v is None else torch.tensor(samples.v)

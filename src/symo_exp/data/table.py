@@ -27,7 +27,6 @@ from symo_exp.data.repairs import (
 from symo_exp.data.resample import Samples
 from symo_exp.data.times import check_seconds, from_dates, going_on
 from symo_exp.data.trajectories import (
-    FEWEST,
     by_trajectory,
     check_jumps,
     check_order,
@@ -37,6 +36,7 @@ from symo_exp.data.trajectories import (
 )
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
+from symo_exp.mechanics.windows import NODES
 from symo_exp.systems.base import System
 
 
@@ -224,9 +224,9 @@ def _divided(
                 f"that is read as {column}"
             )
     for label, rows in by_trajectory(table):
-        if len(rows) < FEWEST:
+        if len(rows) < NODES:
             raise ConfigError(
-                f"{where}: {titled(label)} has {len(rows)} node(s); at least {FEWEST} are needed"
+                f"{where}: {titled(label)} has {len(rows)} node(s); at least {NODES} are needed"
             )
         parts = list(rows["split"].astype(str).str.lower().unique()) if "split" in rows else [""]
         if len(parts) > 1:

@@ -12,9 +12,8 @@ from symo_exp.data.advice import Columns, as_setting, omitting
 from symo_exp.data.paths import titled
 from symo_exp.data.wraps import SAME, wraps_of
 from symo_exp.errors import ConfigError
+from symo_exp.mechanics.windows import NODES
 
-FEWEST = 3
-"""Samples of a recording, at least."""
 JUMP, FEW_ROWS = 2.0, 10
 """Step from a row to the next over the largest elsewhere beyond which it is a jump, and the rows
 between two of them, on average, from which a column may tell recordings apart."""
@@ -49,7 +48,7 @@ def numbered_by_clock(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
         return table  # in order, or in no order at all
     if any(t[last] > 0.5 * (t[first] + t[last - 1]) for first, last in pieces[:-1]):
         return table
-    if min(last - first for first, last in pieces) < FEWEST:
+    if min(last - first for first, last in pieces) < NODES:
         return table  # rows in another order
     notes.append(f"times start anew {len(starts)} time(s): {len(pieces)} recordings")
     numbers = np.concatenate([np.full(b - a, k + 1) for k, (a, b) in enumerate(pieces)])
@@ -93,7 +92,7 @@ def check_jumps(
     Raises:
         ConfigError: If there is such a column.
     """
-    if "trajectory" in table or len(table) < FEWEST:
+    if "trajectory" in table or len(table) < NODES:
         return
     rows = table.sort_values("t", kind="stable")
     steps, q = np.diff(rows["t"]), np.abs(np.diff(rows[list(places)], axis=0))
@@ -124,7 +123,7 @@ def refuse_wraps(where: str, table: pd.DataFrame, places: Sequence[str]) -> None
     Raises:
         ConfigError: If there is such a coordinate.
     """
-    if len(table) < FEWEST:
+    if len(table) < NODES:
         return
     groups = [rows.sort_values("t", kind="stable") for _, rows in by_trajectory(table)]
     for name in places:
@@ -151,7 +150,7 @@ def split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str])
         places: Names of the columns of lengths and angles.
         notes: Lines for the log, to which one is added.
     """
-    if "trajectory" in table or len(table) < FEWEST or not places:
+    if "trajectory" in table or len(table) < NODES or not places:
         return table
     rows = table.sort_values("t", kind="stable")
     steps, moves = np.diff(rows["t"]), np.abs(np.diff(rows[list(places)], axis=0))

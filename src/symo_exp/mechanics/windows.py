@@ -9,6 +9,9 @@ from torch import Tensor
 
 from symo_exp.mechanics.types import Stretches, Trajectory, Windows
 
+NODES = 3
+"""Nodes of a window; shorter trajectories have none."""
+
 
 def cut_windows(trajectories: Sequence[Trajectory]) -> Windows:
     """Return all windows of three consecutive nodes, T − 2 of a trajectory of T nodes."""
