@@ -54,7 +54,8 @@ def make_trainer(
         folder: Folder of the checkpoints.
         run: Digest of the run that the checkpoints belong to.
         kernels: Digest of the settings that compiled kernels depend on.
-        time_limit: Processor time after which the training is ended [s]; ``None``: no limit.
+        time_limit: Processor time of all starts after which the training is ended [s]; ``None``: no
+            limit.
         callbacks: Callbacks that are called before those of the trainer.
 
     Raises:
@@ -70,9 +71,8 @@ def make_trainer(
     _settle(accelerator, threads)
     checkpoint = Checkpoint(folder, checkpoint_every, run)
     bar: list[lightning.Callback] = [ProgressBar()] if progress else []
-    if time_limit is not None:
-        bar.append(StopOverrun(real("trainer.time_limit", time_limit, above=0)))
-    ours = [StopOnDivergence(checkpoint), checkpoint]
+    limit = None if time_limit is None else real("trainer.time_limit", time_limit, above=0)
+    ours = [StopOnDivergence(checkpoint), checkpoint, StopOverrun(limit)]
     return lightning.Trainer(
         accelerator=accelerator,
         devices=1,
