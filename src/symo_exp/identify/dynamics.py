@@ -14,43 +14,28 @@ from symo_exp.evaluation.horizon import HORIZONS
 from symo_exp.identify.inputs import timing
 from symo_exp.identify.pace import growth_of_errors, suitable_horizons
 from symo_exp.identify.sampled import EXAMINED, NODES, at_nodes, first_seconds, with_inputs
-from symo_exp.identify.scales import USUAL_RADIUS, initial_sizes
+from symo_exp.identify.scales import InitialSizes, initial_sizes
 from symo_exp.identify.senses import told_reversed
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.mechanics.units import Units
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dynamics:
-    """Properties of a machine's dynamics that its motions show.
+class Dynamics(InitialSizes):
+    """Properties of a machine's dynamics that its motions show, with the sizes to start from.
 
     Args:
-        rest_velocity: Below which dry friction fades at first, in ``units``: a small part of the
-            speed of the slowest coordinate.
-        units: Those in which parameters are learned.
         delay: Of the inputs [s], if one explains the motion better than none; else 0; ``None`` if
             ``settings`` have it.
         explained: Share of the accelerations' power that is explained; ``None``: unknown.
-        stiffness: Of springs that explain what gravity does not, in ``units``; else
-            ``None``.
         horizon: Longest time over which errors are compared [s].
-        friction: Friction of each coordinate to start from where residuals are forces at first, in
-            ``units``.
-        radius: Radius of gyration of a body that turns freely, in ``units``.
-        settings: Overrides that every candidate has.
-        notes: The inferred properties, a line each.
+
+    The other arguments are those of ``InitialSizes``; ``settings`` and ``notes`` are those of the
+    whole dynamics.
     """
 
-    rest_velocity: float
-    units: Units
     delay: float | None
     explained: float | None
-    stiffness: tuple[tuple[float, ...], ...] | None
     horizon: float = HORIZONS[-1]
-    friction: tuple[float, ...] = ()
-    radius: float = USUAL_RADIUS
-    settings: tuple[str, ...]
-    notes: tuple[str, ...]
 
 
 def dynamics(
@@ -94,15 +79,13 @@ def dynamics(
         notes.append(
             f"unstable: the errors of predictions grow fast; those over {times} s are compared"
         )
+    lists = {
+        "settings": tuple(settings),
+        "notes": (*notes, *acting.notes) if driven else tuple(notes),
+    }
     return Dynamics(
-        rest_velocity=sizes.rest_velocity,
-        units=sizes.units,
+        **vars(sizes) | lists,
         delay=None if acting.clear else acting.delay,
         explained=acting.explained,
-        stiffness=sizes.stiffness,
         horizon=horizons[-1],
-        friction=sizes.friction,
-        radius=sizes.radius,
-        settings=tuple(settings),
-        notes=(*notes, *acting.notes) if driven else tuple(notes),
     )

@@ -53,12 +53,12 @@ class InitialSizes:
     """
 
     units: Units
-    radius: float
-    friction: tuple[float, ...]
+    radius: float = USUAL_RADIUS
+    friction: tuple[float, ...] = ()
     rest_velocity: float
     stiffness: tuple[tuple[float, ...], ...] | None
-    settings: Sequence[str]
-    notes: Sequence[str]
+    settings: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def initial_sizes(
@@ -134,8 +134,8 @@ def initial_sizes(
         friction=friction,
         rest_velocity=rest,
         stiffness=stiffness,
-        settings=settings,
-        notes=notes,
+        settings=tuple(settings),
+        notes=tuple(notes),
     )
 
 
