@@ -17,6 +17,7 @@ from symo_exp.models.learned import learned_lagrangian
 from symo_exp.models.objectives import PreconditionedResidual
 from symo_exp.models.true import TrueVariational
 from symo_exp.nets.dissipation import LearnedDissipation, MachineFriction
+from symo_exp.nets.drag import LearnedDrag
 from symo_exp.nets.known import KnownFriction, KnownLagrangian
 from symo_exp.nets.planar_links import PlanarLinks
 from symo_exp.nets.readings import readings
@@ -130,10 +131,31 @@ def test_a_driven_pendulum_is_determined_up_to_one_scale():
         ([("N m s/rad", 1.0), ("kg m^2", -1.0)], "N s/(m rad kg)"),
         ([("N m / (kg m^2)", 1.0), ("kg / (kg m^2)", -1.0)], "N m/kg"),
         ([("N^(1/3) m^(1/3)/s^(1/3)", 3.0), ("1", 2.0)], "N m/s"),
+        ([("kg/(m s)", 1.0), ("kg/(m s)", 1.0)], "kg^2/(m^2 s^2)"),
+        ([("N^(1/3) / (kg m^2)^(1/3)", 3.0)], "N/(kg m^2)"),
     ],
 )
 def test_units_of_products_have_no_unit_twice(powers, unit):
     assert product(powers) == unit
+
+
+@pytest.mark.parametrize(
+    ("unit", "powers"),
+    [
+        ("kg/(m s)", (-1, -1, 1)),
+        ("N m / (kg m^2)", (0, -2, 0)),
+        ("N s/(m rad kg)", (0, -1, 0)),
+        ("N m s^2/rad^2", (2, 0, 1)),
+        ("m^(1/2) kg^(1/2)/s", (0.5, -1, 0.5)),
+        ("1/(kg^(1/3) m)^2", (-2, 0, -2 / 3)),
+        ("V s/rad", (0, 1, 0)),
+    ],
+)
+def test_the_size_of_a_unit_is_that_of_its_powers(unit, powers):
+    length, time, mass = powers
+    found = Units(1e-3, 0.1, 1e-6).size(unit)
+    assert found == pytest.approx(1e-3**length * 0.1**time * 1e-6**mass)
+    assert Units(1e-3, 0.1, 1e-6).size(product([(unit, 1.0)])) == pytest.approx(found)
 
 
 def test_one_known_constant_determines_a_driven_pendulum():
@@ -255,25 +277,31 @@ def test_without_a_posterior_determination_is_unknown():
     assert [row.name for row in rows] == ["gravity", "mass_cart", "mass_pole", "half_length"]
 
 
-def links(mass=1.0):
+def links(mass=1.0, friction=LearnedDissipation):
     """Two links that no known force drives, in units with this mass."""
     torch.manual_seed(0)
     coordinates = Coordinates(("a", "b"), (True, True), units=Units(1.0, 1.0, mass))
     kind = partial(PlanarLinks, relative=False)
-    return learned_lagrangian(coordinates, kind, LearnedDissipation, None).double(), coordinates
+    return learned_lagrangian(coordinates, kind, friction, None).double(), coordinates
 
 
-def test_numbers_of_a_machine_without_known_forces_do_not_depend_on_the_unit_of_mass():
+@pytest.mark.parametrize(("friction", "power"), [(LearnedDissipation, 1.0), (LearnedDrag, 1 / 3)])
+def test_numbers_of_a_machine_without_known_forces_do_not_depend_on_the_unit_of_mass(
+    friction, power
+):
     tables = {}
     for mass in (1.0, 4.0, 1e-24):
-        found, coordinates = links(mass)
+        found, coordinates = links(mass, friction)
         for driven in (True, False):
             rows = physical_parameters(
                 found, coordinates, list(found.parameters()), None, driven=driven
             )
             tables[mass, driven] = {row.name: row.value for row in rows}
     for mass in (4.0, 1e-24):
-        driven = {x: mass * value for x, value in tables[1.0, True].items()}
+        driven = {
+            x: mass ** (power if x.startswith("drag") else 1.0) * value
+            for x, value in tables[1.0, True].items()
+        }
         assert tables[mass, True] == pytest.approx(driven, abs=0.0)
         assert tables[mass, False] == pytest.approx(tables[1.0, False])
 

@@ -57,7 +57,7 @@ def test_training_starts_near_the_given_inertia(angular, initial_inertia):
     assert spectrum.max() < 10.0
 
 
-@pytest.mark.parametrize("initial_inertia", [1e-3, 50.0])
+@pytest.mark.parametrize("initial_inertia", [1e-12, 1e-3, 50.0])
 @pytest.mark.parametrize("angular", [(True,), (False, True), (True,) * 3])
 def test_the_initial_inertia_is_the_scale_of_inertia_and_potential(angular, initial_inertia):
     """So that free motions at the start of training do not depend on it."""

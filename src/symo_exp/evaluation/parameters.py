@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from symo_exp.mechanics.forced import ForcedLagrangian
 from symo_exp.mechanics.types import Coordinates
-from symo_exp.mechanics.units import product
+from symo_exp.mechanics.units import powers_in, product
 from symo_exp.nets.inputs import LearnedInputs
 from symo_exp.nets.known import KnownLagrangian
 from symo_exp.nets.readings import Reading, readings
@@ -119,7 +120,8 @@ class _Numbers(NamedTuple):
 
 def _relative(numbers: _Numbers, posterior: Posterior | None) -> tuple[int | None, _Numbers]:
     """Return the number that all inertias and forces are divided by, and the quotients."""
-    mechanical = [i for i, unit in enumerate(numbers.units) if _is_mechanical(unit)]
+    powers = [powers_in(unit)[2] for unit in numbers.units]
+    mechanical = [i for i, power in enumerate(powers) if power]
     inertias = [
         i for i in mechanical if numbers.units[i].startswith("kg") and numbers.values[i] > 0.0
     ]
@@ -130,26 +132,25 @@ def _relative(numbers: _Numbers, posterior: Posterior | None) -> tuple[int | Non
     def undetermined(one: int) -> int:
         if posterior is None:
             return 0
-        return int((_free(_over(numbers, mechanical, one), posterior) != 0.0).any(1).sum())
+        return int((_free(_over(numbers, powers, one), posterior) != 0.0).any(1).sum())
 
     chosen = min(inertias, key=undetermined)
-    return chosen, _over(numbers, mechanical, chosen)
+    return chosen, _over(numbers, powers, chosen)
 
 
-def _over(numbers: _Numbers, some: Sequence[int], one: int) -> _Numbers:
-    """Return the numbers, some of them divided by one."""
-    values, slopes = numbers.values.clone(), numbers.slopes.clone()
-    values[some] /= numbers.values[one]
-    slopes[some] -= values[some].unsqueeze(1) * numbers.slopes[one]
-    slopes[some] /= numbers.values[one]
+def _over(numbers: _Numbers, powers: Sequence[Fraction], one: int) -> _Numbers:
+    """Return the numbers, each divided by a power of one of them, that of mass in its unit."""
+    power = torch.tensor([float(x) for x in powers], dtype=torch.float64)
+    size = numbers.values[one] ** power
+    values = numbers.values / size
+    common = (power * values).unsqueeze(1) * numbers.slopes[one] / numbers.values[one]
+    slopes = numbers.slopes / size.unsqueeze(1) - common
     unit, units = numbers.units[one], list(numbers.units)
-    for i in some:
-        units[i] = "1" if units[i] == unit else f"{units[i]} / ({unit})"
+    for i, own in enumerate(powers):
+        if own:
+            by = f"({unit})" if own == 1 else f"({unit})^({own})"
+            units[i] = "1" if units[i] == unit else f"{units[i]} / {by}"
     return numbers._replace(units=units, values=values, slopes=slopes)
-
-
-def _is_mechanical(unit: str) -> bool:
-    return any(part.startswith(("N", "kg")) for part in unit.split())
 
 
 def _free(numbers: _Numbers, posterior: Posterior) -> Float[Tensor, "numbers free"]:

@@ -12,7 +12,11 @@ POWERS = {
     "m": (1, 0, 0), "s": (0, 1, 0), "kg": (0, 0, 1), "N": (1, -2, 1), "rad": (0, 0, 0),
     "1": (0, 0, 0),
 }  # fmt: skip
-"""Powers of length, time and mass in units."""
+"""Powers of length, time and mass in units; those of others, such as V, are zero."""
+FACTOR = re.compile(
+    r"(/?) *(?:\(((?:[^()]|\([^()]*\))*)\)|([A-Za-z]+|1))(?:\^\(?(\d+(?:/\d+)?)\)?)?"
+)
+"""A slash, a unit or a product of units in parentheses, and its power."""
 
 
 class Units(NamedTuple):
@@ -31,14 +35,24 @@ class Units(NamedTuple):
     def size(self, unit: str) -> float:
         """Return the unit of the same quantity, in an SI unit such as ``kg m^2`` or ``N s/m``."""
         found = 1.0
-        for name, exponent in _factors(unit):
-            for size, times in zip(self, POWERS[name], strict=True):
-                found *= size ** float(exponent * times)
+        for size, power in zip(self, powers_in(unit), strict=True):
+            found *= size ** float(power)
         return found
 
 
 SI = Units()
 """Metres, seconds and kilograms."""
+
+
+def powers_in(unit: str) -> tuple[Fraction, Fraction, Fraction]:
+    """Return the powers of length, time and mass in a unit."""
+    length = time = mass = Fraction(0)
+    for name, exponent in _factors(unit):
+        own = POWERS.get(name, (0, 0, 0))
+        length, time, mass = (
+            x + exponent * y for x, y in zip((length, time, mass), own, strict=True)
+        )
+    return length, time, mass
 
 
 def product(powers: Iterable[tuple[str, float]]) -> str:
@@ -49,10 +63,8 @@ def product(powers: Iterable[tuple[str, float]]) -> str:
     """
     total: dict[str, Fraction] = defaultdict(Fraction)
     for unit, power in powers:
-        above, _, divisor = unit.partition(" / ")  # as in N m / (kg m^2)
-        for part, sign in (above, 1), (divisor, -1):
-            for name, exponent in _factors(part):
-                total[name] += sign * exponent * Fraction(power)
+        for name, exponent in _factors(unit):
+            total[name] += exponent * Fraction(power)
     total.pop("1", None)
     above = " ".join(_power(name, x) for name, x in total.items() if x > 0) or "1"
     below = [_power(name, -x) for name, x in total.items() if x < 0]
@@ -68,6 +80,8 @@ def _power(name: str, exponent: Fraction) -> str:
 
 
 def _factors(unit: str) -> Iterator[tuple[str, Fraction]]:
-    """Yield the units of which one such as ``kg m^2`` or ``N s/m`` is the product of powers."""
-    for below, name, power in re.findall(r"(/?)([A-Za-z]+|1)(?:\^\(?(\d+(?:/\d+)?)\)?)?", unit):
-        yield name, Fraction(power or 1) * (-1 if below else 1)
+    """Yield the units of which one such as ``N s/m`` or ``kg/(m s)`` is the product of powers."""
+    for below, group, name, power in FACTOR.findall(unit):
+        exponent = Fraction(power or 1) * (-1 if below else 1)
+        for part, own in _factors(group) if group else [(name, Fraction(1))]:
+            yield part, exponent * own

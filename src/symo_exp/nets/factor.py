@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from symo_exp.mechanics.lagrangian import matvec, vecmat
 
 EPSILON = 1e-9
-"""``ε`` in ``H = L Lᵀ + ε I``."""
+"""``ε`` in ``H = L Lᵀ + ε I`` over the inertia at the start of training."""
 
 
 class HeadPoint(NamedTuple):
@@ -47,14 +47,17 @@ class FactorHead(nn.Module):
         n: Number of coordinates.
         squares: Whether the kinetic energy is a sum of squared speeds; else ``L`` is a Cholesky
             factor.
+        inertia: Inertia at the start of training, to which ``ε`` is relative: that of a light
+            machine may be smaller than any fixed number.
     """
 
     place: Tensor
     lower_row: Tensor
     lower_column: Tensor
 
-    def __init__(self, n: int, *, squares: bool = False) -> None:
+    def __init__(self, n: int, *, squares: bool = False, inertia: float = 1.0) -> None:
         super().__init__()
+        self.epsilon = EPSILON * inertia
         self.n, self.columns = n, 3 * n if squares else n
         self.soft = 0 if squares else n
         """Number of outputs, the first ones, that are a diagonal before its softplus."""
@@ -110,7 +113,7 @@ class FactorHead(nn.Module):
     def mass(self, factor: Float[Tensor, "*batch n r"]) -> Float[Tensor, "*batch n n"]:
         """Return ``H = L Lᵀ + ε I``."""
         identity = torch.eye(self.n, dtype=factor.dtype, device=factor.device)
-        return factor @ factor.mT + EPSILON * identity
+        return factor @ factor.mT + self.epsilon * identity
 
     def point(
         self, outputs: Float[Tensor, "batch outputs"], v: Float[Tensor, "batch n"]
@@ -122,7 +125,7 @@ class FactorHead(nn.Module):
 
     def momentum(self, at: HeadPoint) -> Float[Tensor, "batch n"]:
         """Return ``∂ℒ/∂v = L y + ε v``."""
-        return matvec(at.factor, at.y) + EPSILON * at.v
+        return matvec(at.factor, at.y) + self.epsilon * at.v
 
     def cotangent(self, at: HeadPoint) -> Float[Tensor, "batch outputs"]:
         """Return ``∂ℒ/∂o``: ``vᵢ yⱼ`` for ``L_ij``, ``−1`` for ``V``."""
@@ -146,7 +149,7 @@ class FactorHead(nn.Module):
         diagonal = (self._own(at.v, y_rate) + self._own(b, at.y)) * at.slope + bend
         lower = self._entries(at.v, y_rate) + self._entries(b, at.y)
         outputs = torch.cat((diagonal, lower, torch.zeros_like(at.v[:, :1])), dim=1)
-        velocity = matvec(at.factor, y_rate) + matvec(factor_rate, at.y) + EPSILON * b
+        velocity = matvec(at.factor, y_rate) + matvec(factor_rate, at.y) + self.epsilon * b
         return outputs, velocity
 
     def curvature(

@@ -96,7 +96,9 @@ class StructuredLagrangian(nn.Module, Lagrangian):
             real("lagrangian.initial_inertia", initial_inertia, above=0)
         whole_number("lagrangian.harmonics", harmonics, low=0)
         self.embedding = Embedding(angular=angular, relative=relative, rotations=rotations)
-        self.head = FactorHead(len(angular) + 3 * rotations, squares=squares)
+        self.head = FactorHead(
+            len(angular) + 3 * rotations, squares=squares, inertia=initial_inertia or 1.0
+        )
         self.net = MLP(
             inputs=self.embedding.size,
             outputs=self.head.outputs,
