@@ -1,6 +1,7 @@
 """The command of the report, of complete runs, unfinished runs and none."""
 
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -322,6 +323,22 @@ def recorded(path, method, rmse, **more):
     return row(measures, system="recorded", method=method, recording=path, **about)
 
 
+def test_parts_of_a_page_and_files_have_names_of_their_own():
+    """Also where disks do not tell capital letters from small ones."""
+    names = "a b.csv", "A_B.csv"
+    rows = [recorded(name, "symo", 0.1) for name in names]
+    rows += [
+        row({"test_mse": 1e-3, "coordinates": n}, system=system, variant=f"system.n={n}")
+        for system in ("arm 1", "ARM/1") for n in (1, 2)
+    ]  # fmt: skip
+    report = general_report(tidy(rows), "it")
+    keys = [one.key.casefold() for part in (report.sections, report.tables, report.figures)
+            for one in part]  # fmt: skip
+    assert sum(key.startswith("recording_") for key in keys) == 3 * len(names)
+    assert len(set(keys)) == len(keys)
+    assert all(re.fullmatch(r"\w+", key) for key in keys)
+
+
 def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     known = Candidate("links", 1.0, {}), Candidate("network, learned friction", 5.0, {})
     chosen, failed = Trial(known[0], errors={0: 0.1, 1: 0.2}), Trial(known[1], reasons={0: "why"})
@@ -330,7 +347,7 @@ def test_a_search_shows_its_candidates_and_the_model_that_was_tested(tmp_path):
     fold = recorded("arm.csv", "symo", 0.1, variant="recorded, data.fold=[0, 2]")
     runs = tidy([best, (fold[0], {"val_loss": 0.1})])
     tables = {t.key: t for part in general_report(runs, "it").sections for t in part.tables}
-    assert next(iter(tables["recording_arm_csv"].rows[""])) == "SyMo, midpoint"
+    assert next(iter(tables["recording_arm_csv_errors"].rows[""])) == "SyMo, midpoint"
     candidates = tables["recording_arm_csv_candidates"].rows.set_index("candidate")
     assert list(candidates.index) == ["links (chosen)", "network, learned friction"]
     assert candidates.error["links (chosen)"] == "0.141"
@@ -366,12 +383,12 @@ def test_each_recording_has_a_section_with_baseline_noise_and_verdict(tmp_path):
     )
     assert "## Recording arm.csv" in text
     assert "## Recording leg.csv" in text
-    arm = (out / "tables" / "recording_arm_csv.md").read_text()
+    arm = (out / "tables" / "recording_arm_csv_errors.md").read_text()
     assert "| SyMo, midpoint | 2 | 0.1 | 0.1 | 0.1 | 0.7 | – | usable to 0.7 s |" in arm
     assert "| NODE, midpoint | 1 | 0.4 | 0.4 | 0.4 |" in arm
     assert "| constant velocity |  | 2 | 2 | 2 |" in arm
     assert "| noise of the measurement |  | 1.00e-3 | 1.00e-3 | 1.00e-3 |" in arm
-    leg = (out / "tables" / "recording_leg_csv.md").read_text()
+    leg = (out / "tables" / "recording_leg_csv_errors.md").read_text()
     assert "no better than constant velocity" in leg
     assert not (out / "tables" / "accuracy.md").exists()
 

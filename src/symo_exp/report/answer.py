@@ -13,7 +13,6 @@ from symo_exp.report.looks import (
     all_angles,
     in_order,
     label_and_unit,
-    letters,
     look,
     measure_name,
     number,
@@ -268,7 +267,7 @@ def heat_map(system: str, found: Iterable[Ranked]) -> ResultTable:
     marks.insert(0, "", np.nan)
     note = f"n: training trajectories. {over_seeds(max(seeds))}; × times the best, which is bold."
     notes = [note] if marks.notna().any(axis=None) else []
-    return ResultTable(f"best_{letters(system)}", system, rows, notes, system=system, shades=marks)
+    return ResultTable(f"best_{system}", system, rows, notes, system=system, shades=marks)
 
 
 def _against(power: float, least: float) -> str:

@@ -14,7 +14,6 @@ from symo_exp.report.figures import Figure, Panel
 from symo_exp.report.looks import (
     all_angles,
     label_and_unit,
-    letters,
     measure_name,
     pair_names,
     short,
@@ -191,7 +190,7 @@ def over_order(found: pd.DataFrame) -> list[Figure]:
         title = f"Errors over the order of the integrator ({settings})"
         caption = f"{seeds_caption(rows)} Without colour: the true system in that integrator."
         drawn = panels(rows, ORDER, OVER_ORDER)
-        made.append(Figure(f"order_{letters(settings)}", title, caption, drawn, columns=4))
+        made.append(Figure(f"order_{settings}", title, caption, drawn, columns=4))
     return made
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pandas as pd
 
 from symo_exp.report.figures import Figure
+from symo_exp.report.looks import letters
 from symo_exp.report.tables import ResultTable
 
 
@@ -43,6 +44,9 @@ class Section:
 class Report:
     """The content of a report.
 
+    Keys are anchors of the page and names of files, so letters and digits replace all else in
+    them, and a number is added to one that another section, table or figure has.
+
     Args:
         title: The heading of the report.
         summary: Where the runs are from.
@@ -57,6 +61,19 @@ class Report:
     runs: pd.DataFrame
     extra: dict[str, pd.DataFrame] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        taken: set[str] = set()
+        named = [replace(one, key=_free(one.key, taken)) for one in self.sections]
+        named = [
+            replace(
+                one,
+                tables=[replace(x, key=_free(x.key, taken)) for x in one.tables],
+                figures=[replace(x, key=_free(x.key, taken)) for x in one.figures],
+            )
+            for one in named
+        ]
+        object.__setattr__(self, "sections", named)
+
     @property
     def tables(self) -> list[ResultTable]:
         """The tables of all sections."""
@@ -66,3 +83,14 @@ class Report:
     def figures(self) -> list[Figure]:
         """The figures of all sections."""
         return [figure for section in self.sections for figure in section.figures]
+
+
+def _free(key: str, taken: set[str]) -> str:
+    """Return a key that is not yet ``taken``, and add it there."""
+    name, count = letters(key), 1
+    free = name
+    while free.casefold() in taken:  # some disks do not tell capital letters from small ones
+        count += 1
+        free = f"{name}_{count}"
+    taken.add(free.casefold())
+    return free

@@ -10,7 +10,7 @@ import pandas as pd
 from symo_exp.report.cells import DEFAULTS, at_step, cells, settings_of, table_note, usual_steps
 from symo_exp.report.curves import Axis, panels, seeds_caption
 from symo_exp.report.figures import Figure
-from symo_exp.report.looks import all_angles, letters, measure_name, number, pair_names, short
+from symo_exp.report.looks import all_angles, measure_name, number, pair_names, short
 from symo_exp.report.tables import ResultTable
 
 COORDINATES = Axis("coordinates", "coordinates", log=False, ticks=True)
@@ -29,10 +29,10 @@ def growth(runs: pd.DataFrame) -> tuple[list[ResultTable], list[Figure]]:
     tables, figures = [], []
     for (system, settings, n_traj), rows in _grown(runs):
         told = f"{settings or DEFAULTS}, {number(n_traj)} trajectories"
-        key = f"growth_{letters(f'{system}_{settings}_{number(n_traj)}')}"
+        key = f"growth_{system}_{settings}_{number(n_traj)}"
         tables.append(_table(key, f"{system} over its coordinates ({told})", rows))
         figures.append(
-            Figure(key, f"{system} over its coordinates ({told})", seeds_caption(rows),
+            Figure(f"{key}_curves", f"{system} over its coordinates ({told})", seeds_caption(rows),
                    panels(rows, COORDINATES, OVER_N))
         )  # fmt: skip
     return tables, figures

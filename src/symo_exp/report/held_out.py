@@ -21,7 +21,6 @@ from symo_exp.report.looks import (
     all_angles,
     in_order,
     label_and_unit,
-    letters,
     pair_name,
     short,
 )
@@ -82,9 +81,9 @@ def _measures(row: pd.Series) -> Mapping[str, float]:
 
 def section(name: str, rows: pd.DataFrame) -> Section:
     """Return the errors of the models of a file, and figures and tables of the best one."""
-    medians, key = _medians(rows), f"recording_{letters(name)}"
+    medians, key = _medians(rows), f"recording_{name}"
     tested = (rows.metric == TESTED).any()
-    tables = [_errors_table(medians, key, _unit(rows))] if tested else []
+    tables = [_errors_table(medians, f"{key}_errors", _unit(rows))] if tested else []
     caption = f"{_summary(medians)} Of each method, the settings with the smallest error to 1 s."
     figures = [Figure(f"{key}_horizon", "Error over the horizon", caption, _panels(rows, medians))]
     best = rows.merge(medians[KEYS].head(1), on=KEYS).sort_values("seed", kind="stable").iloc[0]

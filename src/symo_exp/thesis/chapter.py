@@ -11,7 +11,6 @@ from symo_exp.report.curves import AT
 from symo_exp.report.looks import (
     Pair,
     in_order,
-    letters,
     look,
     measure_name,
     number,
@@ -227,4 +226,4 @@ def _what_over(overs: pd.DataFrame) -> Iterable[str]:
 
 
 def _suffix(variant: str) -> str:
-    return f"_{letters(variant)}" if variant else ""
+    return f"_{variant}" if variant else ""
