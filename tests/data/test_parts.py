@@ -358,6 +358,38 @@ def test_the_log_reports_unused_data_and_resampling(
     assert [line.split(":")[0] for line in lines[3:]] == ["inputs", "noise", "time step", "scale"]
 
 
+@pytest.mark.parametrize("pace", [0.9992, 0.9999, 1.0, 1.0001, 1.0008])
+def test_the_pace_of_a_clock_is_believed_over_the_whole_record(pace: float, tmp_path: Path) -> None:
+    t = H * pace * np.arange(200)
+    swings = [pd.DataFrame({"trajectory": k, "t": t, "q_arm": np.sin(3 * t + k)}) for k in range(3)]
+    (one,) = read(pd.concat(swings), tmp_path).trajectories("test")
+    nodes = H * np.arange(len(one.q))
+    np.testing.assert_allclose(one.q[5:-5, 0], np.sin(3 * nodes + 2)[5:-5], atol=2e-4)
+
+
+@pytest.mark.parametrize("rounding", [0.0, 5e-5])
+def test_times_that_scatter_little_around_the_nodes_are_theirs(
+    rounding: float, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(0)
+    t = 7.0 + H * np.arange(200) + rng.uniform(-rounding, rounding, 200)
+    swings = [pd.DataFrame({"trajectory": k, "t": t, "q_arm": np.sin(3 * t + k)}) for k in range(3)]
+    (one,) = read(pd.concat(swings), tmp_path).trajectories("test")
+    np.testing.assert_array_equal(one.q[:, 0], np.sin(3 * t + 2))
+
+
+def test_a_time_step_that_is_too_short_is_refused_with_one_that_is_accepted(tmp_path: Path) -> None:
+    t = 1.004 * H * np.arange(50)
+    given = pd.concat(
+        pd.DataFrame({"trajectory": k, "t": t, "q_arm": np.sin(t + k)}) for k in range(3)
+    )
+    with pytest.raises(ConfigError, match="may not be shorter") as error:
+        read(given, tmp_path)
+    step = float(str(error.value).partition("set system.time_step=")[2].split()[0])
+    system = recorded_system(tmp_path / "mine.parquet", time_step=step, angular="all")
+    RecordedData(system=system, path=tmp_path / "mine.parquet").setup()
+
+
 def test_a_batch_is_an_eighth_of_the_samples(tmp_path: Path) -> None:
     assert len(read(table(), tmp_path).batches(0)) == 6  # of 12 samples, two each
     assert len(read(table(), tmp_path, batch_size=5).batches(0)) == 3

@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 import symo_exp
 from symo_exp.__main__ import main
 from symo_exp.data.delays import lagging
+from symo_exp.data.recorded import RecordedData
 from symo_exp.data.resample import Samples
 from symo_exp.data.sensors import noise_of
 from symo_exp.errors import ConfigError
@@ -764,6 +765,16 @@ def test_the_time_step_resolves_a_vibration(hertz, noise, workplace):
     step = examine({"path": "mine.csv"}).time_step
     assert 2 * np.pi * hertz * step < 0.75
     assert step == 0.02 or 2 * np.pi * hertz * step > 0.2
+
+
+@pytest.mark.parametrize("rate", [99.0, 99.9, 99.95, 100.0, 100.05])
+def test_the_time_step_of_a_fast_motion_is_the_pace_of_the_samples(rate, workplace):
+    t = np.arange(0.0, 6.0, 1.0 / rate)
+    pd.DataFrame({"t": t, "q_x": np.sin(100.0 * t)}).to_csv("mine.csv")
+    step = examine({"path": "mine.csv"}).time_step
+    assert step == pytest.approx(1.0 / rate, rel=1.1e-3)
+    system = Recorded(names=["x"], angular="none", time_step=step)
+    RecordedData(system=system, path="mine.csv").setup()
 
 
 @pytest.mark.parametrize(("hertz", "pieces"), [(300.0, 10), (2e4, 1)])

@@ -9,7 +9,7 @@ import numpy as np
 
 from symo_exp.checks import whole_number
 from symo_exp.data.paths import few, titled
-from symo_exp.data.resample import LONGEST_GAP, Samples
+from symo_exp.data.resample import LONGEST_GAP, TIME_TOLERANCE, Samples
 from symo_exp.data.table import Recording
 from symo_exp.errors import ConfigError
 
@@ -245,8 +245,8 @@ def uninterrupted(
     for one in recordings:
         t = one.samples.t
         steps = np.diff(t)
-        long = np.flatnonzero(steps > LONGEST_GAP * time_step * (1 + 1e-3))
-        if not len(long) or np.median(steps) > time_step * (1 + 1e-3):
+        long = np.flatnonzero(steps > LONGEST_GAP * time_step * (1 + TIME_TOLERANCE))
+        if not len(long) or np.median(steps) > time_step * (1 + TIME_TOLERANCE):
             pieces.append(one)
             continue
         edges = [0, *(long + 1), len(t)]

@@ -23,7 +23,7 @@ from symo_exp.data.header import header
 from symo_exp.data.naming import names
 from symo_exp.data.parts import FEWEST, Parts, divided, uninterrupted, without
 from symo_exp.data.paths import Location, shown, titled
-from symo_exp.data.resample import Samples, resample
+from symo_exp.data.resample import TIME_TOLERANCE, Samples, at_equal_times, resample
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.data.turns import continuous, refuse_counts, refuse_turns, turned
 from symo_exp.errors import ConfigError
@@ -33,8 +33,6 @@ from symo_exp.mechanics.windows import NODES
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
 
-TIME_TOLERANCE = 1e-3
-"""Largest relative difference of a recorded step that equals ``system.time_step``."""
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
 LONGEST_LAG = 1e9
@@ -283,11 +281,11 @@ def _trajectory(where: str, recording: Recording, coordinates: Coordinates, h: f
     """
     where, space = f"{where}: {titled(recording.label)}", coordinates.space
     samples = turned(where, recording.acting(), coordinates)
-    if not _equal(samples.t, h):
+    if not at_equal_times(samples.t, h):
         if samples.step > h * (1 + TIME_TOLERANCE):
             raise ConfigError(
                 f"{where} has a sample every {samples.step:.6g} s, and system.time_step={h:g} "
-                f"may not be shorter; set system.time_step={samples.step:.3g} or more"
+                f"may not be shorter; set system.time_step={samples.step:.4g} or more"
             )
         samples = _resampled(samples, space, h)
     if len(samples.t) < NODES:
@@ -308,10 +306,6 @@ def _resampled(samples: Samples, space: Space, h: float) -> Samples:
     return found._replace(q=q.numpy(), v=v.numpy())
 
 
-def _equal(t: np.ndarray, h: float) -> bool:
-    return bool((np.abs(np.diff(t) - h) <= TIME_TOLERANCE * h).all())
-
-
 def _told_read(where: str, recordings: Sequence[Recording], parts: Parts) -> str:
     """Return a line on how many recordings are in each part and how many are not used."""
     text = ", ".join(f"{len(part)} {name}" for name, part in parts.items())
@@ -324,11 +318,11 @@ def _told_read(where: str, recordings: Sequence[Recording], parts: Parts) -> str
 def _told_resampled(parts: Parts, h: float) -> list[str]:
     """Return a line on how times were resampled, if any were."""
     used = [one.samples for one in itertools.chain(*parts.values())]
-    resampled = [samples for samples in used if not _equal(samples.t, h)]
+    resampled = [samples for samples in used if not at_equal_times(samples.t, h)]
     if not resampled:
         return []
     usual = sorted(samples.step for samples in resampled)
-    rate = f"{usual[0]:.3g}" + (f" to {usual[-1]:.3g}" if usual[-1] > 1.01 * usual[0] else "")
+    rate = f"{usual[0]:.5g}" + (f" to {usual[-1]:.5g}" if usual[-1] > 1.01 * usual[0] else "")
     largest = max(float(np.diff(samples.t).max()) for samples in resampled)
     return [
         f"resampled: {len(resampled)} of {len(used)} trajectories from {rate} s (the longest "

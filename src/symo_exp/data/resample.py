@@ -14,6 +14,8 @@ ENOUGH = 5
 """Least number of samples that a cubic polynomial is fitted to."""
 LONGEST_GAP = 3
 """Steps over which a motion is interpolated, at most."""
+TIME_TOLERANCE = 1e-3
+"""Relative difference of two time steps up to which neither is longer: those of clocks scatter."""
 
 
 class Samples(NamedTuple):
@@ -32,7 +34,7 @@ class Samples(NamedTuple):
         matter, so that candidates with different ones have the same parts of recordings.
         """
         steps, usual = np.diff(self.t, prepend=self.t[:1]), self.step
-        lost = np.where(steps > LONGEST_GAP * usual * (1 + 1e-3), steps - usual, 0.0)
+        lost = np.where(steps > LONGEST_GAP * usual * (1 + TIME_TOLERANCE), steps - usual, 0.0)
         return np.asarray(self.t - self.t[:1] - np.cumsum(lost))
 
     @property
@@ -56,6 +58,17 @@ class Samples(NamedTuple):
         return self.rows((clock >= low) & (clock <= high))
 
 
+def at_equal_times(t: np.ndarray, h: float) -> bool:
+    """Return whether samples are nodes ``h`` apart.
+
+    None is off its node, which is so many steps after the first sample, by more than
+    ``TIME_TOLERANCE`` of a step. A clock that runs at another pace by less than this in each step
+    is seen after some of them.
+    """
+    nodes = t[0] + h * np.arange(len(t))
+    return bool((np.abs(t - nodes) <= TIME_TOLERANCE * h).all())
+
+
 def resample(samples: Samples, h: float) -> Samples:
     """Return the motion at nodes ``h`` apart, estimated from samples at rising times.
 
@@ -67,7 +80,7 @@ def resample(samples: Samples, h: float) -> Samples:
     are samples on both sides, unless they are sparse.
     """
     t, q, v, u = samples
-    lead = h / 2 if samples.step <= DENSE * h * (1 + 1e-3) else 0.0
+    lead = h / 2 if samples.step <= DENSE * h * (1 + TIME_TOLERANCE) else 0.0
     count = int(np.floor((t[-1] - t[0] - 2 * lead) / h + 1e-6)) + 1
     nodes = t[0] + lead + h * np.arange(count)
     place, slope = fitted(t, q, nodes, h)

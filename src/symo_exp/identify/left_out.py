@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from symo_exp.data.resample import LONGEST_GAP
+from symo_exp.data.resample import LONGEST_GAP, TIME_TOLERANCE
 from symo_exp.data.shocks import shocks
 from symo_exp.data.table import Recording
 from symo_exp.identify.sampled import at_nodes, with_inputs
@@ -32,7 +32,7 @@ def too_fast(recordings: Sequence[Recording], coordinates: Coordinates, h: float
     angular = np.array(coordinates.angular)
     if coordinates.rotations or not angular.any():
         return []
-    if h >= 2.0 * max(one.samples.step for one in recordings) * (1 - 1e-3):
+    if 2.0 * max(one.samples.step for one in recordings) <= h * (1 + TIME_TOLERANCE):
         return []
     motions = at_nodes(recordings, h)
     misses = [np.abs(np.diff(q[:, angular], 4, axis=0)).max(axis=1) / 6 for _, _, q in motions]

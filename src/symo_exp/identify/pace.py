@@ -9,6 +9,7 @@ import numpy as np
 from symo_exp.data.explained import growth_rate
 from symo_exp.data.folds import thinned
 from symo_exp.data.parts import uninterrupted
+from symo_exp.data.resample import TIME_TOLERANCE
 from symo_exp.data.sensors import blur_of, noise_of
 from symo_exp.data.table import Recording
 from symo_exp.evaluation.horizon import HORIZONS
@@ -34,10 +35,11 @@ longest of these."""
 def fitting_time_step(
     recordings: Sequence[Recording], coordinates: Coordinates, finest: float
 ) -> float:
-    """Return the largest of ``STEPS`` that resolves the motion, at least ``finest``."""
-    usable = [h for h in STEPS if h >= finest * (1 - 1e-3)]
+    """Return the largest of ``STEPS`` that resolves the motion, else ``finest``."""
+    usable = [h for h in STEPS if finest <= h * (1 + TIME_TOLERANCE)]
+    finest = float(f"{finest:.4g}")
     if not usable:
-        return float(f"{finest:.4g}")
+        return finest
     recordings, _ = uninterrupted(recordings, usable[0])  # nothing is known of a motion in a gap
     beginning, spread = first_seconds(recordings, EXAMINED), thinned(recordings, SPREAD)
 
@@ -45,7 +47,7 @@ def fitting_time_step(
         slow = _turn(spread, coordinates, h) <= COARSE and _phase(beginning, h) <= COARSE
         return slow and growth_of_errors(beginning, coordinates, h) * h <= STEEP
 
-    return next(filter(resolves, usable), usable[-1])
+    return next(filter(resolves, usable), min(finest, usable[-1]))
 
 
 def _turn(recordings: Sequence[Recording], coordinates: Coordinates, h: float) -> float:

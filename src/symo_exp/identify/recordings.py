@@ -15,6 +15,7 @@ from symo_exp.data.header import header
 from symo_exp.data.naming import names, unit_of
 from symo_exp.data.parts import PARTS, divided, uninterrupted, without
 from symo_exp.data.paths import few, shown, titled
+from symo_exp.data.resample import TIME_TOLERANCE
 from symo_exp.data.sensors import noise_of
 from symo_exp.data.table import Recording, read_recordings
 from symo_exp.data.turns import continuous, refuse_counts, turned
@@ -415,10 +416,10 @@ class _Examination:
                     f" in {few(odd)}, every {usual:.3g} s in most recordings; without the former, "
                     "the time step may be shorter"
                 )
-        elif found < finest * (1 - 1e-3):
+        elif finest > found * (1 + TIME_TOLERANCE):
             raise ConfigError(
-                f"system.time_step={found:g} is shorter than the {finest:.3g} s between samples of "
-                f"{self.where}; give {finest:.3g} or more, or leave it out"
+                f"system.time_step={found:g} is shorter than the {finest:.4g} s between samples of "
+                f"{self.where}; give {finest:.4g} or more, or leave it out"
             )
         _, note = uninterrupted([*self.used, *self.test], found)
         self.notes += [note] if note else []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from symo_exp.data.resample import LONGEST_GAP
+from symo_exp.data.resample import LONGEST_GAP, TIME_TOLERANCE
 from symo_exp.identify.candidates import Candidate, left_open
 from symo_exp.identify.recordings import Machine
 from symo_exp.shell import override_value
@@ -104,8 +104,8 @@ def with_half_the_step(candidate: Candidate, machine: Machine) -> list[Candidate
     smaller.
     """
     step = float(candidate.settings.get("system.time_step", machine.time_step)) / 2
-    cut = machine.gap > LONGEST_GAP * step * (1 + 1e-3)
-    if cut or step < machine.finest_step * (1 - 1e-3):
+    cut = machine.gap > LONGEST_GAP * step * (1 + TIME_TOLERANCE)
+    if cut or machine.finest_step > step * (1 + TIME_TOLERANCE):
         return []
     count = round(machine.time_step / step)
     share = f"half {THE_STEP}" if count == 2 else f"1/{count} of {THE_STEP}"
