@@ -390,6 +390,16 @@ def test_a_time_step_that_is_too_short_is_refused_with_one_that_is_accepted(tmp_
     RecordedData(system=system, path=tmp_path / "mine.parquet").setup()
 
 
+@pytest.mark.parametrize("fold", [[0, 2], [1, 2], "pooled"])
+def test_the_fits_of_a_search_do_not_diagnose_the_data_again(
+    fold: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = read(table(), tmp_path).lines()
+    monkeypatch.delattr(RecordedData, "diagnosis")
+    lines = read(table(), tmp_path, fold=fold).lines()
+    assert 0 < len(lines) < len(alone)
+
+
 def test_a_batch_is_an_eighth_of_the_samples(tmp_path: Path) -> None:
     assert len(read(table(), tmp_path).batches(0)) == 6  # of 12 samples, two each
     assert len(read(table(), tmp_path, batch_size=5).batches(0)) == 3

@@ -176,6 +176,7 @@ class RecordedData(DataModule):
             recordings = without(recordings, leave_out, h)
         named = {"train": train, "val": val, "test": test}
         parts, recordings, note = divided(where, recordings, named, n_val, n_test, h)
+        self._is_compared = fold is not None
         if fold is not None:
             parts = folded(parts, fold)
         if seconds is not None:
@@ -227,7 +228,8 @@ class RecordedData(DataModule):
 
     @override
     def lines(self) -> Sequence[str]:
-        if self._coordinates.rotations:
+        # a search examines the recordings once, and its fits are many
+        if self._coordinates.rotations or self._is_compared:
             return self._report
         return [*self._report, *self.diagnosis().lines()]
 
