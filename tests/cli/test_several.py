@@ -55,6 +55,20 @@ def test_all_are_run_and_a_failure_does_not_stop_the_next(folder, started, capsy
     assert capsys.readouterr().out.count("== ") == 2
 
 
+def test_a_search_by_another_sweeper_may_be_among_them(folder, started, monkeypatch, capsys):
+    """Its trials are not known before it runs."""
+    sweepers = pytest.importorskip("hydra_plugins.hydra_optuna_sweeper.optuna_sweeper")
+    searched = []
+    monkeypatch.setattr(
+        sweepers.OptunaSweeper, "sweep", lambda *_, **__: searched.append(started[:])
+    )
+    search = ONE.replace("none}", "none}, {override hydra/sweeper: optuna}")
+    (folder / "b.yaml").write_text(search.replace('"8,16"', "'choice(8,16)'"))
+    assert main(["--config-dir", str(folder), "-cn", "both"]) == 1  # the jobs of a leave no outcome
+    assert searched == [[2]]
+    assert "error" not in capsys.readouterr().err
+
+
 def test_the_command_line_narrows_them_all(folder):
     narrow = ["data.n_traj=8", "seed=0,1,2"]
     both = Command(["--config-dir", str(folder), "-cn", "both", *narrow]).several()

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import signal
 
 import numpy as np
 import pandas as pd
@@ -79,6 +80,21 @@ def test_bad_input_is_one_line(word, wanted, workplace, capsys):
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith(f"symo_exp: error: {word}")
     assert wanted in line
+
+
+def test_workers_of_a_search_are_started_deaf_to_the_signal(workplace, monkeypatch):
+    """They would end by it with tracebacks while they import PyTorch."""
+    launchers = pytest.importorskip("hydra_plugins.hydra_joblib_launcher.joblib_launcher")
+    blocked = []
+
+    def launch(*_, **__):
+        blocked.append(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(launchers.JoblibLauncher, "launch", launch)
+    assert main([*SEARCH, "hydra/launcher=joblib", "net.width=choice(4,8)"]) == 130
+    assert blocked == [True]
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
 def test_the_search_that_ships_counts_and_ends_with_a_command_that_repeats_the_best(

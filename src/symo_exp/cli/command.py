@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 import yaml
 
 from symo_exp.errors import ConfigError, Refused
-from symo_exp.process import phases
+from symo_exp.process import phases, stopping
 from symo_exp.shipped import CONF, SWEEPS
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ WITH_A_VALUE = "-cn --config-name", "-cd --config-dir", "-cp --config-path", "-p
 CFG = "job", "hydra", "all"
 INFO = "all", "config", "defaults", "defaults-tree", "plugins", "searchpath"
 """Options of Hydra, and the values of two of them."""
-CHECK_ONLY = "hydra.sweeper.check_only=true"
+CHECK_ONLY = "hydra.callbacks.search.check_only=true"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -118,7 +118,8 @@ class Command:
         before = sys.argv
         sys.argv = [before[0], *self.options, *self._per_job(), *extra]
         try:
-            entry()
+            with stopping.deaf_children():  # also to the signal for launchers of other sweepers
+                entry()
         except SystemExit as end:
             return int(end.code or 0)
         except Refused as refused:

@@ -15,6 +15,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from symo_exp.errors import ConfigError, Refused
+from symo_exp.job.job import READS_FOLDERS
 from symo_exp.shell import override_value, python_command
 from symo_exp.sweep.compose import Composer
 from symo_exp.tracking.page import COMMAND
@@ -23,13 +24,21 @@ RESULTS = "optimization_results.yaml"
 
 
 class AnnounceBest(Callback):
-    """Print the best trial of a search as a command that repeats it."""
+    """Print the best trial of a search as a command that repeats it.
+
+    Args:
+        check_only: End the command before the first trial; the settings of trials are not known.
+    """
+
+    def __init__(self, *, check_only: bool = False) -> None:
+        self._check_only = check_only
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Keep Optuna from announcing a study, whose trials are counted elsewhere.
 
         Raises:
             Refused: For numbers of trials with which Optuna fails or never ends.
+            SystemExit: Without an error, if a search is only to be checked.
         """
         if "n_trials" in config.hydra.sweeper:
             for name in ("n_trials", "n_jobs"):
@@ -41,6 +50,8 @@ class AnnounceBest(Callback):
                 import optuna
 
                 optuna.logging.set_verbosity(optuna.logging.WARNING)
+        if self._check_only and not config.hydra.sweeper._target_.startswith(READS_FOLDERS):
+            raise SystemExit(0)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Read the results that the sweeper has left in the folder of the sweep."""
