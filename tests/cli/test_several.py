@@ -89,10 +89,12 @@ def test_an_invalid_list_of_sweeps_is_refused(content, wanted, folder, started, 
     assert started == []
 
 
-def test_a_sweep_of_ones_own_does_not_hide_one_that_ships(folder, started, capsys):
-    (folder / "tables.yaml").write_text(ONE)
-    assert main(["--config-dir", str(folder), "-cn", "tables"]) == 2
-    assert "tables.yaml has the name of a sweep of symo_exp" in capsys.readouterr().err
+@pytest.mark.parametrize("name", ["tables", "config"])
+def test_a_file_of_ones_own_does_not_hide_one_that_ships(name, folder, started, capsys):
+    """Hydra would take the one that ships and not tell."""
+    (folder / f"{name}.yaml").write_text(ONE)
+    assert main(["--config-dir", str(folder), "-cn", "a"]) == 2
+    assert f"{name}.yaml has the name of a file of symo_exp; rename it" in capsys.readouterr().err
     assert started == []
 
 

@@ -65,11 +65,12 @@ class Command:
         self._parsed = _parsed(self.overrides)
 
     def _require_other_names(self) -> None:
-        """Refuse a choice of the user's with the name of one of ours, which Hydra would take."""
+        """Refuse a file of the user's with the name of one of ours, which Hydra would take."""
         for folder in self.folders:
-            for ours in CONF.glob("*/**/*.yaml"):
-                if (file := folder / ours.relative_to(CONF)).is_file():
-                    raise ConfigError(f"{file} has the name of a file of symo_exp; rename it")
+            for home in (CONF, SWEEPS):
+                for ours in home.glob("**/*.yaml"):
+                    if (file := folder / ours.relative_to(home)).is_file():
+                        raise ConfigError(f"{file} has the name of a file of symo_exp; rename it")
 
     @property
     def runs(self) -> bool:
@@ -81,12 +82,10 @@ class Command:
     def several(self) -> list[Command]:
         """Return one command per sweep if ``-cn NAME`` is a file that lists sweeps."""
         places = [folder / f"{self.name}.yaml" for folder in (SWEEPS, *self.folders)]
-        files = [place for place in places if place.is_file()]
-        if len(files) > 1:
-            raise ConfigError(f"{files[1]} has the name of a sweep of symo_exp; rename it")
-        if not files or not self.runs:
+        file = next((place for place in places if place.is_file()), None)
+        if file is None or not self.runs:
             return []
-        names = _listed_sweeps(files[0])
+        names = _listed_sweeps(file)
         return [Command([*self.options, "-cn", name, *self.overrides]) for name in names]
 
     def checked(self) -> list[Command]:
