@@ -252,10 +252,43 @@ def test_files_in_memory_count_as_free(monkeypatch, tmp_path):
     told = "MemTotal: 3000 kB\nMemFree: 10 kB\nMemAvailable: 2000 kB\nHugePages_Total: 0\n"
     (tmp_path / "meminfo").write_text(told)
     monkeypatch.setattr(free_memory, "MEMORY", tmp_path / "meminfo")
+    monkeypatch.setattr(free_memory, "GROUPS", tmp_path / "none")
     assert free_memory.available_bytes() == 2000 * 1024
     monkeypatch.setattr(free_memory, "MEMORY", tmp_path / "none")
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     assert free_memory.available_bytes() == total
+
+
+@pytest.mark.parametrize(
+    ("told", "home", "limit", "use", "prefix"),
+    [
+        ("0::/job/step", "", "memory.max", "memory.current", ""),
+        ("3:cpu:/x\n4:memory:/job/step\n0::/", "memory", "memory.limit_in_bytes",
+         "memory.usage_in_bytes", "total_"),
+    ],
+)  # fmt: skip
+def test_what_a_container_or_a_job_of_a_cluster_may_not_take_is_not_free(
+    told, home, limit, use, prefix, monkeypatch, tmp_path
+):
+    def group(path, most, used):
+        (tmp_path / home / path).mkdir(parents=True, exist_ok=True)
+        kept = f"{prefix}inactive_file 200\n{prefix}active_file 100\nother 7"
+        for name, text in ((limit, most), (use, used), ("memory.stat", kept)):
+            (tmp_path / home / path / name).write_text(f"{text}\n")
+
+    (tmp_path / "cgroup").write_text(f"{told}\n")
+    monkeypatch.setattr(free_memory, "GROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr(free_memory, "MOUNTED", tmp_path)
+    of_machine = free_memory.available_bytes()
+    for path in ("", "job", "job/step"):
+        group(path, "max" if prefix == "" else 2**63 - 4096, 5000)
+    assert free_memory.available_bytes() == pytest.approx(of_machine, rel=0.5)
+    group("job", 6000, 5000)
+    assert free_memory.available_bytes() == 1300
+    group("job/step", 5100, 5000)
+    assert free_memory.available_bytes() == 400
+    group("", 5100, 6000)
+    assert free_memory.available_bytes() == 0
 
 
 @pytest.mark.parametrize("kind", [LevenbergMarquardt, TotalLeastSquares])
