@@ -67,12 +67,26 @@ def test_a_failing_job_does_not_stop_the_others(swept):
         (["model=symo", "lagrangian=absolute", "root.guess=inertial", "net.width=8"], 2),
         (["model=l_node", "objective=smoothing", "dtype=float64"], 0),  # the optimizer
         (["model=e2e_symo", "objective=horizon", "objective.horizon=5"], 0),
-        (["optimizer=lbfgs", "scheduler=none", "learning_rate=1e-2"], 1),
+        (["optimizer=lbfgs", "scheduler=none", "learning_rate=1e-2"], 2),
+        (
+            [
+                "optimizer=adam_then_lm",
+                "dtype=float64",
+                "scheduler=cosine",
+                "scheduler.T_max=9",
+                "learner.scheduler_monitor=val_loss",
+                "learner.gradient_clip=1",
+            ],
+            3,
+        ),
+        (["optimizer=adam,lbfgs", "scheduler=plateau", "scheduler.patience=9", "-m"], 0),
+        (["model=true_ode", "optimizer=adamw", "learning_rate=1e-2", "learner.gradient_clip=1"], 3),
         (["draws=published", "draws.interleaved=true", "springs=linear", "seed=1"], 0),
     ],
 )
 def test_words_of_a_command_that_no_run_reads_are_found(words, without_effect):
     with planned(*words) as (sweep, jobs):
+        sweep.check(jobs)
         found = sweep.unread(jobs, words, {})
     assert len(found) == without_effect, found
 

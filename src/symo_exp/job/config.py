@@ -30,14 +30,22 @@ class Settings(NamedTuple):
         """Return whether a setting, or a node above it, only refers to another."""
         return _is_below(name, self.references)
 
-    def is_read(self, name: str) -> bool:
-        """Return whether a run reads a setting, or any below it, itself or by a reference."""
+    def is_read(self, name: str, idle: Collection[str] = ()) -> bool:
+        """Return whether a run reads a setting, or any below it, itself or by a reference.
+
+        Args:
+            name: Its dotted name.
+            idle: Dotted names of settings that have no effect in this run.
+        """
         read: set[str] = set()
         found = set(_ROOTS)
         while found - read:
             read |= found
-            inside = [text for one, text in self.references.items() if _is_below(one, read)]
+            there = [one for one in self.references if _is_below(one, read)]
+            inside = [self.references[one] for one in there if not _is_below(one, idle)]
             found = {word for text in inside for word in re.findall(r"[\w.]+", text)}
+        if _is_below(name, idle):
+            return False
         return _is_below(name, read) or any(one.startswith(f"{name}.") for one in read)
 
     def value(self, name: str) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from symo_exp.runs.load import raised_by_constructor
 from symo_exp.runs.series import Series
 from symo_exp.systems.base import System
 from symo_exp.systems.box import SamplingBox
+from symo_exp.training.learner import SCHEDULE
 from symo_exp.training.recording import SeriesRecorder
 
 LEAST = {"T_max": 1, "patience": 0, "cooldown": 0}
@@ -43,6 +44,8 @@ class Parts(NamedTuple):
     reference: Any
     run: str
     """Digest of the settings, which checkpoints carry."""
+    idle: Collection[str]
+    """Dotted names of settings that have no effect on this run."""
 
 
 def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
@@ -88,9 +91,12 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
     recorder = SeriesRecorder(
         Series(folder / SERIES), lambda: tracker.publish(folder), tracker.flush_seconds
     )
+    idle: Collection[str] = ["learner"]
     if learner is not None:
         check_objective(learner.objective, model)
-        _check_optimizer(learner, settings["trainer"].get("accelerator", "cpu"))
+        optimizer = _optimizer(learner, settings["trainer"].get("accelerator", "cpu"))
+        whole = isinstance(optimizer, EpochOptimizer)
+        idle = [f"learner.{name}" for name in SCHEDULE] if whole else []
     run, compiled = digest(settings), kernels(settings)
     trainer = make(
         settings,
@@ -100,10 +106,11 @@ def build(settings: Mapping[str, Any], folder: RunFolder) -> Parts:
         kernels=compiled,
         callbacks=[recorder],
     )
-    return Parts(system, data, model, learner, tracker, trainer, reference, run)
+    return Parts(system, data, model, learner, tracker, trainer, reference, run, idle)
 
 
-def _check_optimizer(learner: Any, accelerator: str) -> None:
+def _optimizer(learner: Any, accelerator: str) -> Any:
+    """Return the optimiser of a learner, checked with its schedule."""
     try:
         (optimizer,), schedulers = learner.configure_optimizers()
     except ConfigError:
@@ -124,6 +131,7 @@ def _check_optimizer(learner: Any, accelerator: str) -> None:
             f"trainer.accelerator={accelerator}: {type(optimizer).__name__} works on the processor "
             "only; give trainer=cpu, or an optimizer that works on both, such as adam"
         )
+    return optimizer
 
 
 def _reference(settings: Mapping[str, Any], system: Any, data: Any) -> Any:

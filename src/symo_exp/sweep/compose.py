@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hydra.core.config_loader import ConfigLoader
@@ -184,14 +184,26 @@ class Composer:
                     f"possible: {', '.join(fits)}"
                 )
 
-    def unread(self, job: Job) -> dict[str, str]:
-        """Return the overrides of a job that change nothing that its run reads, and their names."""
+    def unread(self, job: Job, idle: Collection[str] = ()) -> dict[str, str]:
+        """Return the overrides of a job that change nothing that its run reads, and their names.
+
+        Args:
+            job: The job.
+            idle: As in ``Settings.is_read``.
+        """
+        read = functools.partial(job.settings.is_read, idle=idle)
         parsed = OverridesParser.create().parse_overrides(job.overrides)
-        unread = [one for one in parsed if not self._is_read(one, job, parsed)]
+        unread = [one for one in parsed if not self._is_read(one, job, parsed, read)]
         return {str(one.input_line): one.key_or_group for one in unread}
 
-    def _is_read(self, override: Override, job: Job, parsed: Sequence[Override]) -> bool:
-        name, read = override.key_or_group, job.settings.is_read
+    def _is_read(
+        self,
+        override: Override,
+        job: Job,
+        parsed: Sequence[Override],
+        read: Callable[[str], bool],
+    ) -> bool:
+        name = override.key_or_group
         if name.partition(".")[0] not in job.values or read(name):
             return True
         if not self._is_choice(override):

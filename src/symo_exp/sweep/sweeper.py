@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -73,6 +73,7 @@ class Sweep:
         self._context, self._task, self._master = context, task, master
         self.composer = Composer(context.config_loader, master)
         self.launches = Launches(context, task, master)
+        self._idle: dict[Path, Collection[str]] = {}  # settings without effect, of checked jobs
 
     def run(
         self, arguments: Sequence[str], params: Mapping[str, Any], *, check_only: bool = False
@@ -92,7 +93,7 @@ class Sweep:
             return 0
         configure_log(self._master.hydra.hydra_logging, self._master.hydra.verbose)
         for word, name in self.unread(jobs, arguments, params).items():
-            told = "%s has no effect: no part of the run refers to %s (--cfg job prints it)"
+            told = "%s has no effect: no part of the run uses %s (--cfg job prints it)"
             log.warning(told, word, name)
         sweep = [(jobs[0], parent_folder(jobs))] if finished and len(jobs) > 1 else []
         for job, folder in [*sweep, *((job, job.folder) for job in finished)]:
@@ -192,7 +193,7 @@ class Sweep:
         unread: dict[str, str] = {}
         read: set[str] = set()
         for job in jobs:
-            without = self.composer.unread(job)
+            without = self.composer.unread(job, self._idle.get(job.folder.path, ()))
             unread |= without
             read |= set(job.overrides) - without.keys()
         return {word: name for word, name in unread.items() if name in asked and word not in read}
@@ -218,6 +219,7 @@ class Sweep:
                     here = {**values["trainer"], "accelerator": "cpu"}
                     values = values | {"trainer": here}
                 parts = build(values, job.folder)
+                self._idle[job.folder.path] = parts.idle
                 if values["logger"] not in stores:
                     parts.tracker.check()
                     stores.append(values["logger"])

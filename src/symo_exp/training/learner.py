@@ -22,6 +22,9 @@ from symo_exp.models.objectives import Objective, Statistics
 from symo_exp.nets.affine import Linearised
 from symo_exp.optim.base import EpochOptimizer, Equations, check_steps, minibatches
 
+SCHEDULE = "scheduler", "scheduler_monitor"
+"""Settings that have no effect on an ``EpochOptimizer``, which has no rate."""
+
 
 class Learner(lightning.LightningModule):
     """Minimises the mean square of an objective's residuals over the parameters of a model.
@@ -219,7 +222,7 @@ class Learner(lightning.LightningModule):
 
     def _schedule(self, monitored: Tensor) -> None:
         if isinstance(self._torch_optimizer(), EpochOptimizer):
-            return  # it has no rate
+            return
         scheduler = self.lr_schedulers()
         if isinstance(scheduler, ReduceLROnPlateau):
             scheduler.step(monitored)
