@@ -206,6 +206,9 @@ class Drag(nn.Module, Dissipation):
         ("one_force", "* v", "* v.sum(1, keepdim=True)", r"shape \(4, 1\) .* expected \(4, 2\)"),
         ("one_number", "* v", "* v.sum(1)", r"shape \(4,\) .* expected \(4, 2\)"),
         ("no_rate", "self.rate *", "self.rates *", r"Drag.force\(q, v\) fails: AttributeError"),
+        ("no_width", "coordinates)", "coordinates, width)", "Drag needs width, which its settings"),
+        ("no_sizes", "*, coord", "width, size, *, coord", "Drag needs width and size, which "),
+        ("no_axes", ", *, coordinates", "", "Drag is given coordinates, which it does not take"),
     ],
 )
 def test_a_mistake_in_a_dissipation_is_refused_before_anything_starts(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NamedTuple
@@ -30,6 +31,10 @@ from symo_exp.training.recording import SeriesRecorder
 
 LEAST = {"T_max": 1, "patience": 0, "cooldown": 0}
 """The smallest values of settings of PyTorch's schedulers, which do not check them."""
+CALL = r"(?P<made>[\w.<>]+?)(?:\.__init__)?\(\) "
+MISSING = re.compile(CALL + r"missing \d+ required [\w-]+(?: [\w-]+)* arguments?: (?P<names>.+)")
+UNEXPECTED = re.compile(CALL + r"got an unexpected keyword argument '(?P<name>\w+)'")
+"""Python's words on an argument that is missing, and on one that a constructor does not take."""
 
 
 class Parts(NamedTuple):
@@ -157,7 +162,24 @@ def make(settings: Mapping[str, Any], group: str, **given: Any) -> Any:
         cause = raised_by_constructor(error)
         if isinstance(cause, ConfigError):
             raise cause from error
-        raise ConfigError(f"{group}: {str(cause) or type(cause).__name__}") from error
+        told = _told_call(str(cause)) if isinstance(cause, TypeError) else None
+        raise ConfigError(f"{group}: {told or str(cause) or type(cause).__name__}") from error
+
+
+def _told_call(message: str) -> str | None:
+    """Return Python's message about arguments of a constructor as what to do, if it is one."""
+    if found := MISSING.match(message):
+        names = found["names"].replace("'", "")
+        return (
+            f"{found['made']} needs {names}, which its settings do not have; write it in its file, "
+            "beside _target_"
+        )
+    if found := UNEXPECTED.match(message):
+        return (
+            f"{found['made']} is given {found['name']}, which it does not take; add it to the "
+            "arguments of its __init__"
+        )
+    return None
 
 
 @contextmanager
