@@ -160,6 +160,11 @@ def test_weighted_squares_have_the_gradient_of_hubers_loss():
     assert (huber_weights(torch.zeros(3, 1).double(), 1.345) == 1.0).all()
 
 
+def test_the_threshold_of_two_errors_lies_between_them():
+    e = torch.tensor([[1.0], [9.0]], dtype=torch.float64)
+    assert huber_weights(e, 1.0)[:, 0].tolist() == pytest.approx([1.0, 1.4826 * 5.0 / 9.0])
+
+
 def test_a_motion_that_is_lost_has_constant_residuals():
     """One stretch jumps further than any motion; the others keep their derivatives."""
     model, objective = make("l_node", "rk4", 2), HorizonError(horizon=STEPS)

@@ -103,6 +103,22 @@ def _estimate(problem, data, epsilon):
     return torch.linalg.solve(slopes.T @ weight @ slopes, slopes.T @ weight @ e)
 
 
+@pytest.mark.parametrize("of", ["residuals", "parameters", "nodes"])
+@pytest.mark.parametrize("epsilon", [None, 0.1])
+def test_there_is_none_where_a_residual_or_a_derivative_is_not_finite(of, epsilon):
+    class Broken(Falling):
+        def residuals(self, windows):
+            found = super().residuals(windows)
+            theta = repeated(self.theta, len(windows.q))[:, :1]
+            zero = {"residuals": None, "parameters": 0.0 * theta, "nodes": 0.0 * windows.q}[of]
+            at = torch.arange(len(found)).unsqueeze(1) == 3
+            return found + at * (torch.nan if zero is None else zero.sqrt())
+
+    problem = Broken()
+    data = motions(1e-2, 1e-3, count=1, nodes=20)
+    assert posterior(problem.residuals, [problem.theta], data, epsilon=epsilon) is None
+
+
 def test_parameters_without_effect_are_free_directions():
     problem = Falling(3)
     found = posterior(problem.residuals, [problem.theta], motions(1e-2, 0.0), epsilon=0.1)

@@ -252,6 +252,25 @@ def test_training_continues_from_the_best_start():
     assert sorted(away)[0] < 1e-3 * sorted(away)[1]
 
 
+@pytest.mark.parametrize("broken", [0, 1])
+def test_a_start_whose_residuals_are_not_numbers_is_not_continued_from(broken):
+    model, trajectories = symo(1), lengths(6, n=1)
+    optimizer = TotalLeastSquares(
+        model.parameters(), epsilons=(1.0,), start=1, epochs=1, damping=1e9, warm_up=3
+    )
+    learner, ends = Learner(model), []
+    right = learner.residuals
+    for start in range(2):
+        factor = torch.nan if start == broken else 1.0
+        learner.residuals = lambda windows, factor=factor: factor * right(windows)
+        optimizer.epoch(learner, trajectories)
+        ends.append(optimizer.flat().clone())
+        learner.residuals = right
+    optimizer.epoch(learner, trajectories)
+    away = [(optimizer.flat() - end).norm().item() for end in ends]
+    assert away.index(max(away)) == broken
+
+
 def test_late_parameters_are_zero_until_their_stage():
     model = symo(1, dissipation=friction(width=3))
     net = list(model.dissipation.net.parameters())

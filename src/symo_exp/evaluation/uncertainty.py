@@ -52,7 +52,7 @@ def posterior_of(
             residuals, parameters, train,
             velocities=model.reads_velocity, sizes=model.coordinates.sizes, **estimate,
         )  # fmt: skip
-        if not (found.directions.isfinite().all() and found.mean.isfinite().all()):
+        if found is None:
             log.info("no posterior: the derivatives of the residuals are not finite")
             return None
         flat = not model.coordinates.space.rotations  # intervals are of lengths and angles

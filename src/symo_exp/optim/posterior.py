@@ -103,8 +103,10 @@ def posterior(
     input_weight: float = 0.0,
     sizes: Float[Tensor, " n"] | None = None,
     precision: Float[Tensor, " p"] | None = None,
-) -> Posterior:
+) -> Posterior | None:
     """Return the posterior of parameters at their estimate.
+
+    ``None`` where residuals or their derivatives are not finite.
 
     Args:
         residuals: Residuals of a batch of windows, those that were made small.
@@ -122,6 +124,8 @@ def posterior(
     weight = chain.weights(units, velocity_weight, input_weight)
     x = chain.x if epsilon is None else _settled(residuals, chain, weight, epsilon)
     r, by_theta, by_x = chain.linearised(residuals, x, weight, parameters)
+    if not all(bool(one.isfinite().all()) for one in (r, by_theta, *by_x)):
+        return None
     e = r + chain.apply(by_x, (chain.x - x) / weight)
     count, size = e.numel(), by_theta.shape[2]
     own, variance = _likeliest(chain, by_x, e)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -252,7 +253,8 @@ class TotalLeastSquares(EpochOptimizer):
         self.finished = self.memory["epoch"] >= self.total_epochs
 
     def _snapshot(self, loss: float) -> dict[str, Any]:
-        """Return the parameters with their damping and priors."""
+        """Return the parameters with their damping and priors; a loss that is NaN is the worst."""
+        loss = math.inf if math.isnan(loss) else loss
         kept = {name: self.memory[name] for name in ("damping", "noise", "precision")}
         return {"loss": loss, "parameters": self.flat().clone(), **kept}
 
