@@ -14,6 +14,7 @@ from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError, shortened
 from symo_exp.files import write_frame
 from symo_exp.shell import override_value, python_command
+from symo_exp.words import counted
 
 Policy = Callable[[np.ndarray], np.ndarray]
 """Maps an observation to an action."""
@@ -111,10 +112,8 @@ def record_episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int
             told = f"{type(error).__name__}: {shortened(error)}"
             raise ConfigError(f"the policy fails: {told}") from error
         if action.shape != env.action_space.shape or not np.isfinite(action).all():
-            raise ConfigError(
-                f"the policy returned {action.tolist()}: expected {env.action_space.shape[0]} "
-                "finite number(s)"
-            )
+            wanted = counted(env.action_space.shape[0], "finite number")
+            raise ConfigError(f"the policy returned {action.tolist()}: expected {wanted}")
         action = np.clip(action, env.action_space.low, env.action_space.high)
         observation, _, terminated, truncated, _ = env.step(action)
         nodes.append(plant.now())
@@ -240,7 +239,7 @@ def _told(path: Path, plant: Plant, episodes: Sequence[Episode]) -> str:
         "that keeps the environment from ending the episode\n"
     )
     return (
-        f"{path}: {len(episodes)} trajectories, {rows} rows, a node every {h:g} s\n"
+        f"{path}: {counted(len(episodes), 'trajectory')}, {rows} rows, a node every {h:g} s\n"
         + warning * short
         + python_command(
             "symo_exp", "data=recorded", f"data.path={override_value(path)}", "system=recorded",

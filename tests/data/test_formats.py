@@ -631,7 +631,7 @@ def test_positions_that_leap_begin_a_recording(change, count, pause: float, tmp_
     table.to_csv(tmp_path / "x.csv", index=False)
     found = read_recordings(tmp_path / "x.csv", FREE)
     assert len(found.recordings) == count
-    assert any("leap 2 time(s), first after t=2.99: 3 rec" in x for x in found.notes) == (count > 1)
+    assert any("leap 2 times, first after t=2.99: 3 rec" in x for x in found.notes) == (count > 1)
 
 
 @pytest.mark.parametrize(

@@ -256,7 +256,7 @@ def test_names_of_any_kind_are_read_as_texts(tmp_path: Path) -> None:
         ({"split": "val"}, {}, "no trajectory for train; its column split has val"),
         ({"split": ""}, {"test": ["a"]}, "no trajectory for val; name some by data.val=[...]"),
         ({"split": ["train", "test"] * 20}, {}, "trajectory a is in the splits train, test"),
-        ({"q_": 0.0}, {}, "system.input_matrix=null: say how the 2 input(s) (motor0, motor1)"),
+        ({"q_": 0.0}, {}, "system.input_matrix=null: say how 2 inputs (motor0, motor1)"),
         ({"v_leg": 0.0}, {}, "column v_leg belongs to no coordinate of the system (arm0, arm1)"),
         ({}, {"angular": None}, "system.angular=null"),
         ({}, {"angular": ["leg"]}, "which of arm0, arm1 are angles?"),
@@ -268,12 +268,12 @@ def test_names_of_any_kind_are_read_as_texts(tmp_path: Path) -> None:
         (
             {},
             {"columns": {"u_motor_V": "u_motor0", "u_motor_A": "u_motor1"}},
-            "(motor_V, motor_A) drive the 2 coordinate(s) (arm0, arm1); of the voltage",
+            "(motor_V, motor_A) drive 2 coordinates (arm0, arm1); of the voltage",
         ),
         (
             {},
             {"columns": {"u_arm0_V": "u_motor0", "u_arm0_A": "u_motor1"}},
-            "(arm0_V, arm0_A) drive the 2 coordinate(s) (arm0, arm1); of the voltage",
+            "(arm0_V, arm0_A) drive 2 coordinates (arm0, arm1); of the voltage",
         ),
         ({"u_motor2": 0.0}, {"matrix": [[1], [2]]}, "such as system.input_matrix="),
         (

@@ -256,7 +256,7 @@ def test_ragged_trajectories_keep_all_their_nodes(table: pd.DataFrame, tmp_path:
             "turns q_theta by 5.78 rad",
         ),
         (lambda t: t.iloc[:20], "has 2 trajectories, too few"),
-        (lambda t: t.iloc[:2].drop(columns="trajectory"), "the recording has 2 node(s); at least"),
+        (lambda t: t.iloc[:2].drop(columns="trajectory"), "the recording has 2 nodes; at least"),
         (
             lambda t: t.iloc[[1, 0, *range(2, 10)]].drop(columns="trajectory"),
             "the recording goes back in time after t=0.05; give each",

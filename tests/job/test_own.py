@@ -335,7 +335,7 @@ def test_results_of_code_that_has_changed_since_are_warned_of(mine, capsys):
     file.write_text(file.read_text().replace("0.5 * self.stiffness", "0.25 * self.stiffness"))
     assert main(words) == 0
     told = "".join(capsys.readouterr())
-    assert "changing_system.py: changed since 1 run(s) were started; resume=false" in told
+    assert "changing_system.py: changed since the start of 1 run; resume=false" in told
     assert "other.py" not in told
     assert "finished already" in told
 

@@ -149,8 +149,8 @@ def test_columns_with_names_of_their_own_are_learned_from(names, recordings):
 @pytest.mark.parametrize(
     ("words", "wanted"),
     [
-        (["reference=motor_double_pendulum"], "does not fit a system of 1 coordinate(s)"),
-        (["reference=free_triple_pendulum"], "does not fit a system of 1 coordinate(s)"),
+        (["reference=motor_double_pendulum"], "does not fit a system of 1 coordinate and "),
+        (["reference=free_triple_pendulum"], "does not fit a system of 1 coordinate and "),
         (["reference=motor_pendulum", "reference.inertia=heavy"], "reference.inertia"),
         (["reference=motor_pendulum", "reference.gears=2"], "reference.gears"),
         (["reference=pendulum"], "motor_pendulum"),

@@ -181,7 +181,7 @@ def test_a_killed_worker_is_told_once(workplace, monkeypatch, caplog):
         assert sweep.launches.run(jobs) == []
     assert rounds == [["seed=0", "seed=1", "seed=2"], ["seed=1", "seed=2"], ["seed=0"]]
     told = [r.getMessage() for r in caplog.records if "was killed" in r.getMessage()]
-    assert told == ["a worker was killed: 3 run(s) are started again"]
+    assert told == ["a worker was killed: the command starts 3 runs again"]
 
 
 @pytest.mark.parametrize(("signum", "told"), [(None, 1), (signal.SIGINT, 0)])

@@ -23,6 +23,7 @@ from symo_exp.mechanics.types import Trajectories
 from symo_exp.process import phases
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver
+from symo_exp.words import counted
 
 log = logging.getLogger(__name__)
 
@@ -162,7 +163,8 @@ class TrajectoryData(DataModule):
         for split in Splits._fields:
             rollout = split == "integration"
             steps = 1 + (self.integration_steps if rollout else self.n_steps)
-            phases.say(f"simulating {self.counts[split]} motions of {steps} steps ({split})")
+            motions = counted(self.counts[split], "motion")
+            phases.say(f"simulating {motions} of {counted(steps, 'step')} ({split})")
             trajectories = generate(
                 self.system,
                 starts[split],

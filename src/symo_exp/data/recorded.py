@@ -32,6 +32,7 @@ from symo_exp.mechanics.types import Coordinates, Trajectory
 from symo_exp.mechanics.windows import NODES
 from symo_exp.systems.base import System
 from symo_exp.systems.recorded import Recorded
+from symo_exp.words import counted
 
 SWINGS = 4
 """Sweeps from which the size of an oscillation is judged."""
@@ -291,9 +292,9 @@ def _trajectory(where: str, recording: Recording, coordinates: Coordinates, h: f
             )
         samples = _resampled(samples, space, h)
     if len(samples.t) < NODES:
+        nodes = counted(len(samples.t), "node")
         raise ConfigError(
-            f"{where} has {len(samples.t)} node(s) at system.time_step={h:g}; at least {NODES} are "
-            "needed"
+            f"{where} has {nodes} at system.time_step={h:g}; at least {NODES} are needed"
         )
     q, u = torch.tensor(samples.q), torch.tensor(samples.u)
     v = central_differences(q, h, space) if samples.v is None else torch.tensor(samples.v)

@@ -38,6 +38,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Coordinates
 from symo_exp.mechanics.windows import NODES
 from symo_exp.systems.base import System
+from symo_exp.words import counted
 
 
 class Recording(NamedTuple):
@@ -225,9 +226,8 @@ def _divided(
             )
     for label, rows in by_trajectory(table):
         if len(rows) < NODES:
-            raise ConfigError(
-                f"{where}: {titled(label)} has {len(rows)} node(s); at least {NODES} are needed"
-            )
+            nodes = counted(len(rows), "node")
+            raise ConfigError(f"{where}: {titled(label)} has {nodes}; at least {NODES} are needed")
         parts = list(rows["split"].astype(str).str.lower().unique()) if "split" in rows else [""]
         if len(parts) > 1:
             raise ConfigError(

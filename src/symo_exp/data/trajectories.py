@@ -13,6 +13,7 @@ from symo_exp.data.paths import titled
 from symo_exp.data.wraps import SAME, wraps_of
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.windows import NODES
+from symo_exp.words import counted
 
 JUMP, FEW_ROWS = 2.0, 10
 """Step from a row to the next over the largest elsewhere beyond which it is a jump, and the rows
@@ -50,7 +51,7 @@ def numbered_by_clock(table: pd.DataFrame, notes: list[str]) -> pd.DataFrame:
         return table
     if min(last - first for first, last in pieces) < NODES:
         return table  # rows in another order
-    notes.append(f"times start anew {len(starts)} time(s): {len(pieces)} recordings")
+    notes.append(f"times start anew {counted(len(starts), 'time')}: {len(pieces)} recordings")
     numbers = np.concatenate([np.full(b - a, k + 1) for k, (a, b) in enumerate(pieces)])
     return table.assign(trajectory=numbers)
 
@@ -165,7 +166,8 @@ def split_at_leaps(table: pd.DataFrame, places: Sequence[str], notes: list[str])
     if not len(starts) or lengths.min() < FEW_ROWS:
         return table
     notes.append(
-        f"positions leap {len(starts)} time(s), first after t={rows['t'].iloc[starts[0] - 1]:.6g}: "
+        f"positions leap {counted(len(starts), 'time')}, first after "
+        f"t={rows['t'].iloc[starts[0] - 1]:.6g}: "
         f"{len(lengths)} recordings (a column trajectory says otherwise)"
     )
     return rows.assign(trajectory=np.repeat(np.arange(1, len(lengths) + 1), lengths))

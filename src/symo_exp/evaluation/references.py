@@ -13,6 +13,7 @@ from symo_exp.errors import ConfigError, first_line
 from symo_exp.mechanics.explicit import RK4
 from symo_exp.mechanics.space import FLAT, Space
 from symo_exp.mechanics.types import Trajectories
+from symo_exp.words import counted
 
 SUBSTEPS = 10
 """Integration steps of a reference in a time step, so that the integrator's error is negligible."""
@@ -38,8 +39,9 @@ def check_fit(reference: Reference, n: int, m: int) -> None:
     except (AttributeError, RuntimeError, ValueError, TypeError, IndexError) as error:
         reason = first_line(error)
     raise ConfigError(
-        f"reference: {type(reference).__name__} does not fit a system of {n} coordinate(s) and "
-        f"{m} input(s) ({reason}); choose the one of this machine, or reference=none"
+        f"reference: {type(reference).__name__} does not fit a system of "
+        f"{counted(n, 'coordinate')} and {counted(m, 'input')} ({reason}); choose the one of "
+        "this machine, or reference=none"
     )
 
 

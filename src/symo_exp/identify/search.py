@@ -42,6 +42,7 @@ from symo_exp.process import phases
 from symo_exp.runs.folder import SERIES, RunFolder
 from symo_exp.runs.series import read
 from symo_exp.sweep.sweeper import Sweep
+from symo_exp.words import counted
 
 PLAN = "plan.json"
 
@@ -191,9 +192,10 @@ class Search:
             time = f"{plan.needed / 60:.2g} to {plan.budget / 60:.2g} min"
         left = f" ({equal} more are equal with the given settings)" if equal else ""
         return (
-            f"plan: {len(plan.names)} of {possible} candidates{left} over {plan.folds} folds, "
-            f"{plan.seconds:.3g} s of data each ({100 * share:.0f} %), "
-            f"{plan.effort.epochs} epochs a stage, {plan.cores} runs at a time, {time}"
+            f"plan: {len(plan.names)} of {counted(possible, 'candidate')}{left} over "
+            f"{counted(plan.folds, 'fold')}, {plan.seconds:.3g} s of data each "
+            f"({100 * share:.0f} %), {counted(plan.effort.epochs, 'epoch')} a stage, "
+            f"{counted(plan.cores, 'run')} at a time, {time}"
         )
 
     def _last_fits(

@@ -25,6 +25,7 @@ from symo_exp.identify.validation import (
 )
 from symo_exp.process import phases
 from symo_exp.runs.folder import RunFolder
+from symo_exp.words import counted
 
 FASTEST = 0.25
 """Ratio of the time that runs take to the planned one, at least."""
@@ -77,7 +78,7 @@ class Trials:
             return
         self._spend(todo)
         names = ", ".join(dict.fromkeys(c.name for c, _ in todo))
-        phases.say(f"{len(todo)} runs: {names}")
+        phases.say(f"{counted(len(todo), 'run')}: {names}")
         for candidate, k, folder in self._fits.to_folds(todo):
             self._note(candidate, k, folder)
         self._fit_again({c.name: c for c, _ in todo}.values())

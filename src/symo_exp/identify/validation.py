@@ -18,6 +18,7 @@ from symo_exp.identify.candidates import Candidate
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
 from symo_exp.runs.load import divided_recordings, from_folder
 from symo_exp.runs.series import read
+from symo_exp.words import counted
 
 NOISY = 4.0
 """Ratio of the noise of folds beyond which one ended at another minimum."""
@@ -67,9 +68,8 @@ class Trial:
         if self.reasons:
             return f"failed: {next(iter(self.reasons.values()))}"
         ended = f", {len(self.overran)} ran out of time" if self.overran else ""
-        count = len(self.errors)
-        folds = f"{count} fold{'s' * (count != 1)}, {self.seconds:.0f} s"
-        return f"error {self.mean():.3g} over {folds}{ended}"
+        folds = counted(len(self.errors), "fold")
+        return f"error {self.mean():.3g} over {folds}, {self.seconds:.0f} s{ended}"
 
 
 def noise_of_fit(fit: RunFolder) -> float:

@@ -12,6 +12,7 @@ from torch.autograd import forward_ad
 from symo_exp.checks import whole_number
 from symo_exp.errors import ConfigError, first_line
 from symo_exp.mechanics.space import FLAT, Space
+from symo_exp.words import counted
 
 Array = Any
 """Numbers of any precision: a tensor on any device, an array, a DataFrame or nested sequences."""
@@ -150,8 +151,7 @@ class Inputs:
         x, wanted = self._numbers(name, given), (*self._batch, *shape)
         sizes = [a if isinstance(b, str) else b for a, b in zip(x.shape, wanted, strict=False)]
         if x.ndim != len(wanted) or list(x.shape) != sizes:
-            count = len(self.q)
-            kind = "a single state" if self.single else f"{count} state" + "s" * (count != 1)
+            kind = "a single state" if self.single else counted(len(self.q), "state")
             fits = ", ".join(map(str, wanted))
             raise ConfigError(f"{name} has shape {tuple(x.shape)}: expected ({fits}) for {kind}")
         return x.unsqueeze(0) if self.single else x

@@ -19,6 +19,7 @@ from symo_exp.nets.embedding import require_one_body
 from symo_exp.nets.mlp import MLP
 from symo_exp.nets.roles import mark
 from symo_exp.nets.triangle import Triangle
+from symo_exp.words import counted
 
 
 class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
@@ -116,9 +117,9 @@ class LearnedRigidBody(RigidBodyLagrangian, nn.Module):
         if not self.learned_inputs:
             return self.coordinates.input_force(input_matrix, q, u)
         if u.shape[1] != self.learned_inputs:
+            there = counted(u.shape[1], "input")
             raise ConfigError(
-                f"lagrangian.learned_inputs={self.learned_inputs}: the system has {u.shape[1]} "
-                "input(s)"
+                f"lagrangian.learned_inputs={self.learned_inputs}: the system has {there}"
             )
         if self.input_net is not None:
             entries = self.input_net(q[:, -9:])

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from symo_exp.errors import ConfigError
+from symo_exp.words import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -166,7 +167,8 @@ def _chosen(runs: pd.DataFrame) -> str:
     if sys.stdin.isatty() and sys.stdout.isatty():
         print("Experiments, the last first:")
         for i, name in enumerate(names):
-            print(f"{i + 1:4d}  {name}: {len(each.get_group(name))} runs, {started[name]:%F %H:%M}")
+            runs_of = counted(len(each.get_group(name)), "run")
+            print(f"{i + 1:4d}  {name}: {runs_of}, {started[name]:%F %H:%M}")
         return _answered(names)
     print(
         f"{last}: the last of {len(names)} experiments; --experiment NAME chooses another "

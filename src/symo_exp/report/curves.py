@@ -15,11 +15,13 @@ from symo_exp.report.looks import (
     all_angles,
     label_and_unit,
     measure_name,
+    number,
     pair_names,
     short,
     unit,
 )
 from symo_exp.shipped import CONF
+from symo_exp.words import counted
 
 ERRORS = ("train_mse", "test_mse", "integration_mse")
 GROUPS = {
@@ -130,7 +132,7 @@ def noise_figures(found: pd.DataFrame) -> list[Figure]:
         here = rows[(rows.system == system)]
         # published noises may go far beyond
         here = here[here.noise_std.isin(noises) | (here.source == "floor")]
-        title = f"{system}: errors over the noise, {sizes[system]:g} trajectories"
+        title = f"{system}: errors over the noise, {counted(sizes[system], 'trajectory')}"
         angular = all_angles(here.metric, here["median"])
         q = label_and_unit("rmse_1s", angular)[1]
         axis = NOISE._replace(label=f"{NOISE.label} [{q}; {q.replace(',', '/s,')}/s]")
@@ -149,7 +151,10 @@ def speed(runs: pd.DataFrame) -> list[Figure]:
     if learned.empty:
         return []
     words = zip(learned.variant, learned.n_traj, learned.seed, strict=True)
-    said = [f"{v or DEFAULTS}, {n:g} trajectories, seed {seed:g}" for v, n, seed in words]
+    said = [
+        ", ".join([v or DEFAULTS, *[counted(n, "trajectory")] * (n == n), f"seed {number(seed)}"])
+        for v, n, seed in words
+    ]
     learned = learned.assign(median=learned.value, text=said)
     noisy = " without noise" * bool((runs.noise_std > 0).any())
     caption = (
@@ -209,7 +214,7 @@ def _with_floors(found: pd.DataFrame, axis: Axis) -> pd.DataFrame:
     lines = lines.assign(x=lines[axis.column].astype(float))
     of, ours = ["system", "metric"], lines.source == "ours"
     text = [
-        f"{short(low)} to {short(high)}, {seeds:g} seed" + "s" * (seeds > 1)
+        f"{short(low)} to {short(high)}, {counted(seeds, 'seed')}"
         for low, high, seeds in zip(lines.low, lines.high, lines.seeds, strict=True)
     ]
     ranges = pd.Series(text, index=lines.index, dtype=object)

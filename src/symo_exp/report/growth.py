@@ -12,6 +12,7 @@ from symo_exp.report.curves import Axis, panels, seeds_caption
 from symo_exp.report.figures import Figure
 from symo_exp.report.looks import all_angles, measure_name, number, pair_names, short
 from symo_exp.report.tables import ResultTable
+from symo_exp.words import counted
 
 COORDINATES = Axis("coordinates", "coordinates", log=False, ticks=True)
 OVER_N = (
@@ -28,7 +29,7 @@ def growth(runs: pd.DataFrame) -> tuple[list[ResultTable], list[Figure]]:
     """
     tables, figures = [], []
     for (system, settings, n_traj), rows in _grown(runs):
-        told = f"{settings or DEFAULTS}, {number(n_traj)} trajectories"
+        told = f"{settings or DEFAULTS}, {counted(n_traj, 'trajectory')}"
         key = f"growth_{system}_{settings}_{number(n_traj)}"
         tables.append(_table(key, f"{system} over its coordinates ({told})", rows))
         figures.append(

@@ -24,6 +24,7 @@ from symo_exp.report.looks import (
 from symo_exp.report.runs import without_result
 from symo_exp.report.tables import ResultTable
 from symo_exp.tracking.store import Store
+from symo_exp.words import counted
 
 TABLE = ("train_mse", "test_mse", "integration_mse", "energy_mse", "inertia_mse")
 FLOORS = ("test_mse", "integration_mse", "integration_mse_100", "valid_steps", "energy_mse")
@@ -98,8 +99,8 @@ def warning(runs: pd.DataFrame) -> list[str]:
     count = without_result(runs).run_id.nunique()
     if runs.run_id.nunique() == count:
         return ["There are no finished runs yet."]
-    which = "1 run has no result" if count == 1 else f"{count} runs have no result"
-    return [f"{which}: see the last section."] if count else []
+    has = "has" if count == 1 else "have"
+    return [f"{counted(count, 'run')} {has} no result: see the last section."] if count else []
 
 
 def scope(runs: pd.DataFrame, compared: Compared) -> list[str]:
@@ -108,8 +109,8 @@ def scope(runs: pd.DataFrame, compared: Compared) -> list[str]:
     rest = (learned.variant != compared.variant).sum()
     if not (compared.variant or rest):
         return []
-    have = "1 run has" if rest == 1 else f"{rest} runs have"
-    others = f"; {have} other settings, which the tables list" if rest else ""
+    has = "has" if rest == 1 else "have"
+    others = f"; {counted(rest, 'run')} {has} other settings, which the tables list" * bool(rest)
     which = "Settings of the answer, and of figures that name no others"
     return [f"{which}: {compared.variant or DEFAULTS}{others}."]
 
@@ -121,7 +122,7 @@ def state(runs: pd.DataFrame) -> list[str]:
         return []
     told = ", ".join(f"{n} {status.lower()}" for status, n in each.status.value_counts().items())
     finished = each[each.status == "FINISHED"]
-    lines = [f"{len(each)} {'runs' if len(each) > 1 else 'run'}: {told}."]
+    lines = [f"{counted(len(each), 'run')}: {told}."]
     if len(finished):
         lines.append(f"Processor time of training: {duration(finished.seconds.sum())}.")
     if revisions := sorted({r[:10] for r in finished.revision if r}):

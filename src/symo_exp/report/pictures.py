@@ -32,6 +32,7 @@ from symo_exp.report.motions import (
 from symo_exp.report.paper import save_figure
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.recorded import Recorded
+from symo_exp.words import counted
 
 LEARNED_SECONDS = 10.0
 """Length [s] of the motion along which learned quantities are drawn, as in the thesis."""
@@ -190,7 +191,7 @@ def _until(one: pd.DataFrame) -> str:
 
 def _horizon(rollouts: Rollouts) -> str:
     steps, step = rollouts.q.shape[1] - 1, rollouts.time_step
-    return f"{steps * step:g} s ({steps} steps of {step:g} s)"
+    return f"{steps * step:g} s ({counted(steps, 'step')} of {step:g} s)"
 
 
 def _labels(rollouts: Rollouts) -> list[tuple[str, str]]:

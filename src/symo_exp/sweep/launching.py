@@ -20,6 +20,7 @@ from symo_exp.runs.folder import DIED
 from symo_exp.shell import override_value
 from symo_exp.sweep import slurm
 from symo_exp.sweep.compose import Job
+from symo_exp.words import counted
 
 log = logging.getLogger(__name__)
 
@@ -78,7 +79,8 @@ class Launches:
                     log.error("no run was started: %s", self._stopped)
                 break
             if killed and stopping.requested() is None:
-                log.error("a worker was killed: %d run(s) are started again", len(died + waiting))
+                again = counted(len(died + waiting), "run")
+                log.error("a worker was killed: the command starts %s again", again)
             todo = waiting
         return died
 

@@ -32,6 +32,7 @@ from symo_exp.sweep.compose import Composer, Job, expand, labels
 from symo_exp.sweep.launching import Launches
 from symo_exp.sweep.parent import parent, parent_folder
 from symo_exp.sweep.table import Watch, table
+from symo_exp.words import counted
 
 log = logging.getLogger(__name__)
 
@@ -288,8 +289,9 @@ def _warn_of_code(jobs: Sequence[Job]) -> None:
         files.update(changed)
     if old:
         log.warning(
-            "%s: changed since %d run(s) were started; resume=false starts them anew, "
-            "experiment=NAME makes others beside them", ", ".join(sorted(files)), old,
+            "%s: changed since the start of %s; resume=false starts them anew, "
+            "experiment=NAME makes others beside them", ", ".join(sorted(files)),
+            counted(old, "run"),
         )  # fmt: skip
 
 

@@ -30,6 +30,7 @@ from symo_exp.systems import complex_step
 from symo_exp.systems.box import Range, SamplingBox
 from symo_exp.systems.box import checked as checked_box
 from symo_exp.systems.equations import check_equations
+from symo_exp.words import counted
 
 VIEW = ((1.0, 0.35, 0.0), (0.0, 0.3, 1.0))
 """Right and up of a picture in world axes: bodies from the front, a little from above."""
@@ -188,8 +189,8 @@ class System(ABC):
         shape = tuple(matrix.shape) if isinstance(matrix, Tensor) else type(matrix).__name__
         if not isinstance(matrix, Tensor) or matrix.ndim != 2 or len(matrix) != names.n:
             raise ConfigError(
-                f"{kind}.input_matrix is {shape}: expected a tensor with a row for each of the "
-                f"{names.n} coordinate(s) and a column for each input"
+                f"{kind}.input_matrix is {shape}: expected a tensor with a row for each of "
+                f"{counted(names.n, 'coordinate')} and a column for each input"
             )
 
 
@@ -362,6 +363,7 @@ def _coefficients(name: str, given: Sequence[float], n: int) -> tuple[float, ...
         values = ()
     if len(values) != n or not all(0.0 <= x < math.inf for x in values):
         raise ConfigError(
-            f"system.{name}={given}: expected a list of {n} number(s), 0 or more: one a coordinate"
+            f"system.{name}={given}: expected a list of {counted(n, 'number')}, 0 or more: one "
+            "a coordinate"
         )
     return values

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from symo_exp.checks import dictionary
 from symo_exp.errors import ConfigError
+from symo_exp.words import counted
 
 Range = tuple[float, float]
 
@@ -67,7 +68,7 @@ def _ranges(name: str, ranges: Sequence[Range], count: int) -> tuple[Range, ...]
     ordered = all(math.isfinite(low) and low <= high < math.inf for low, high in pairs)
     if len(pairs) != count or not ordered:
         raise ConfigError(
-            f"system.box.{name}={ranges}: expected a list of {count} pair(s) [low, high] "
+            f"system.box.{name}={ranges}: expected a list of {counted(count, 'pair')} [low, high] "
             "with low <= high"
         )
     return pairs

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from symo_exp.systems.mujoco_library import library
+from symo_exp.words import counted
 
 FREEDOMS = {"hinge": 1, "slide": 1, "ball": 3, "free": 6}
 """Degrees of freedom of a joint."""
@@ -96,7 +97,7 @@ def notes(model: Any) -> Iterator[str]:
     """Yield a line for each feature of a model that is switched off or handled differently."""
     pairs = _touching(model)
     if pairs:
-        yield f"contacts are ignored ({pairs} pair(s) of geoms could touch)"
+        yield f"contacts are ignored ({counted(pairs, 'pair')} of geoms could touch)"
     kinds = ("Euler", "RK4", "implicit", "implicitfast")
     integrator = int(model.opt.integrator)
     name = kinds[integrator] if integrator < len(kinds) else str(integrator)

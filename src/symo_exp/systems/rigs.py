@@ -20,6 +20,7 @@ from symo_exp.checks import real
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.lagrangian import Lagrangian, solve
 from symo_exp.systems import complex_step
+from symo_exp.words import counted
 
 SHARP = 100.0
 """The slope [s/rad] of dry friction ``c atan(100 v)`` about standstill."""
@@ -83,8 +84,8 @@ class FreeChain(Rig):
         for name, count in wanted.items():
             if len(getattr(self, name)) != count:
                 raise ConfigError(
-                    f"reference.{name}={list(getattr(self, name))}: expected {count} value(s) "
-                    f"for the {n} link(s) of reference.mass"
+                    f"reference.{name}={list(getattr(self, name))}: expected "
+                    f"{counted(count, 'value')} for {counted(n, 'link')} of reference.mass"
                 )
 
     @cached_property

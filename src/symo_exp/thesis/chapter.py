@@ -23,6 +23,7 @@ from symo_exp.report.overview import TABLE
 from symo_exp.report.tables import ResultTable
 from symo_exp.thesis.claims import PAIRS, judge
 from symo_exp.thesis.published import TIME_STEPS
+from symo_exp.words import counted
 
 NUMBERS = {"pendulum": "6.2", "acrobot": "6.3", "cartpole": "6.4"}
 TOLERATED = 3.0
@@ -84,10 +85,10 @@ def agreement(compared: pd.DataFrame) -> ResultTable:
     metrics = {"test_mse": "test", "integration_mse": "integration"}
     done = compared[(compared.seeds > 0) & compared.metric.isin(metrics)].dropna(subset="factor")
     x = done.factor
-    counted = done.assign(
+    sized = done.assign(
         within=x.between(1 / TOLERATED, TOLERATED), better=x < 1 / TOLERATED, worse=x > TOLERATED
     )
-    counts = counted.groupby(["variant", "system", "method", "integrator", "metric"])
+    counts = sized.groupby(["variant", "system", "method", "integrator", "metric"])
     kinds = ["within", "better", "worse"]
     wide = counts[kinds].sum().unstack(fill_value=0)
     wide = wide.reindex(columns=pd.MultiIndex.from_product([kinds, metrics]), fill_value=0)
@@ -119,7 +120,7 @@ def claims(measures: pd.DataFrame) -> ResultTable:
             "section": claim["section"], "system": claim["system"], "statement": claim["text"],
             "n": claim["n_traj"], "by its own numbers": published.said, "by ours": ours.said,
             "margin": short(ours.margin), "95 % interval": interval if several else "–",
-            "": f"{ours.seeds} seed" + "s" * several if ours.seeds else "",
+            "": counted(ours.seeds, "seed") if ours.seeds else "",
         })  # fmt: skip
     notes = [
         "Margin: the ratio that the statement is about, the smallest error on its larger side to "

@@ -17,6 +17,7 @@ from symo_exp.errors import ConfigError
 from symo_exp.models.inference import leaves_inference_mode
 from symo_exp.systems.base import LagrangianSystem, System
 from symo_exp.systems.simulation import Solver, simulate
+from symo_exp.words import counted
 
 TimeStep = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
 """Maps ``(q, v, u)`` of a batch to ``(q⁺, v⁺, found)`` one time step later; ``found`` is false in
@@ -43,8 +44,8 @@ class Copies:
             n, m = system.input_matrix.shape
             raise ConfigError(
                 f"the ranges of states and inputs of {type(system).__name__} are not known: give "
-                f"box=dict(q=..., v=..., u=...), a list of [low, high] for each of the {n} "
-                f"coordinate(s) and {m} input(s)"
+                f"box=dict(q=..., v=..., u=...), a list of [low, high] for each of "
+                f"{counted(n, 'coordinate')} and {counted(m, 'input')}"
             )
         function("motion", motion, "a function of (q, v, u)", None, None, None)
         if reward is not None:
@@ -74,9 +75,8 @@ class Copies:
             except (TypeError, ValueError):
                 part = np.array(np.nan)
             if part.shape not in (drawn.shape, (size,)) or not np.isfinite(part).all():
-                raise ConfigError(
-                    f"reset option {name}={given[name]}: expected {size} finite number(s)"
-                )
+                wanted = counted(size, "finite number")
+                raise ConfigError(f"reset option {name}={given[name]}: expected {wanted}")
             if name == "q" and not space.rotates(torch.tensor(part)).all():
                 raise ConfigError(
                     f"reset option q={given[name]}: expected rotation matrices, row by row, after "

@@ -50,6 +50,7 @@ from symo_exp.systems.table import system as stated
 from symo_exp.systems.table import systems
 from symo_exp.tracking.load import model_of
 from symo_exp.use.copies import Copies, Reward, TimeStep, exact
+from symo_exp.words import counted
 
 MAX_EPISODE_STEPS = 500
 SOLVER = Solver(method="RK45", rtol=1e-8, atol=1e-8)
@@ -268,8 +269,9 @@ def _require_same_sizes(model: DynamicsModel, system: System) -> None:
     if sizes[0] != sizes[1]:
         (_, n, m), (_, others, inputs) = sizes
         raise ConfigError(
-            f"{type(system).__name__} has {others} coordinate(s) and {inputs} input(s): expected "
-            f"the system of the model, which has {n} and {m} and the same rotations"
+            f"{type(system).__name__} has {counted(others, 'coordinate')} and "
+            f"{counted(inputs, 'input')}: expected the system of the model, which has {n} "
+            f"and {m} and the same rotations"
         )
 
 
