@@ -14,6 +14,7 @@ from symo_exp.data import datamodule
 from symo_exp.data.base import DataOptions
 from symo_exp.data.cache import key
 from symo_exp.data.datamodule import TrajectoryData
+from symo_exp.data.draws import Independent
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Windows
 from symo_exp.systems.base import SamplingBox
@@ -187,6 +188,10 @@ def test_the_cache_key_depends_on_versions_and_equations(monkeypatch: pytest.Mon
     edited = kind.potential
     with monkeypatch.context() as patch:
         patch.setattr(kind, "potential", lambda self, q: 1.001 * edited(self, q))
+        assert key(small().recipe()) != before
+    drawn = Independent.__call__
+    with monkeypatch.context() as patch:
+        patch.setattr(Independent, "__call__", lambda self, *args: drawn(self, *args[:-1], 5))
         assert key(small().recipe()) != before
     assert key(small().recipe()) == before
 

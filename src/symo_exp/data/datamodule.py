@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ from typing_extensions import Unpack, override
 from symo_exp.checks import MOST, whole_number
 from symo_exp.data.base import DataModule, DataOptions, Splits
 from symo_exp.data.cache import Cache
-from symo_exp.data.draws import Draws, Independent, generate
+from symo_exp.data.draws import Draws, Independent, Starts, generate
 from symo_exp.data.ends import ended
 from symo_exp.errors import ConfigError
 from symo_exp.mechanics.types import Trajectories
@@ -122,7 +123,8 @@ class TrajectoryData(DataModule):
             "libraries": {m.__name__: m.__version__ for m in (np, scipy, torch)},
             "system": self.system.identity(),
             "solver": {"class": type(self.solver).__qualname__, **asdict(self.solver)},
-            "draws": {"class": type(self.draws).__qualname__, **vars(self.draws)},
+            "lead": self.draws.lead,
+            "starts": self._fingerprint(),
             "seed": self.seed,
             "trajectories": self.counts,
             "steps": self.n_steps + 1,
@@ -157,8 +159,20 @@ class TrajectoryData(DataModule):
             return self._generate()
         return self.cache.get(self._name, self.recipe(), self._generate)
 
+    def _starts(self) -> Mapping[str, Starts]:
+        return self.draws(self.system.box, self.counts, self.seed)
+
+    def _fingerprint(self) -> str:
+        """Return a hash of the starts, so that edited draws do not pass for the old ones."""
+        found = hashlib.sha256()
+        for name, starts in sorted(self._starts().items()):
+            found.update(name.encode())
+            for field in starts:
+                found.update(field.numpy().tobytes())
+        return found.hexdigest()[:16]
+
     def _generate(self) -> dict[str, np.ndarray]:
-        starts = self.draws(self.system.box, self.counts, self.seed)
+        starts = self._starts()
         arrays: dict[str, np.ndarray] = {}
         for split in Splits._fields:
             rollout = split == "integration"

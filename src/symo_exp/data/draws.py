@@ -28,8 +28,8 @@ class Starts(NamedTuple):
 class Draws(Protocol):
     """Starts of every set of trajectories, from the box of a system and a seed.
 
-    ``counts`` maps the name of a set to its size. The class and the fields of an instance are part
-    of the key of cached trajectories.
+    ``counts`` maps the name of a set to its size. The starts and ``lead`` are part of the key of
+    cached trajectories.
     """
 
     @property
