@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from symo_exp.report.runs import tidy
+from symo_exp.report.tables import ResultTable
 from symo_exp.thesis import published
 from symo_exp.thesis.chapter import factor, progress
 from symo_exp.thesis.claims import CLAIMS, PAIRS, judge
@@ -75,6 +76,7 @@ def test_missing_runs_are_listed_for_the_main_variant_alone():
 )  # fmt: skip
 def test_factors_say_larger_or_smaller(number, printed):
     assert factor(number) == printed
+    assert ResultTable("k", "t", pd.DataFrame([["of", printed]])).numeric == [False, True]
 
 
 def test_all_statements_are_borne_out_by_the_published_numbers():

@@ -55,6 +55,13 @@ def test_every_run_of_the_thesis_is_there_once():
     assert table.like.notna().all()
 
 
+def test_deviations_over_trajectories_are_possible():
+    table = published.published().dropna(subset="std")
+    told = table.note.str.contains("± over all nodes")
+    ratio = table["std"] / table.value  # of n numbers that are not negative, at most √n
+    assert ratio[~told].max() < 16**0.5 < ratio[told].max()
+
+
 def test_factors_compare_averages_over_the_same_quantities():
     cell = {"system": "cartpole", "method": "symo", "integrator": "midpoint"}
     run = row({"integration_mse": 0.1, "integration_mse_state": 0.551668}, **cell)

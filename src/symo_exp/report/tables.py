@@ -16,7 +16,7 @@ LATEX = {
 }  # fmt: skip
 
 
-NUMBER = r"[-+−±×]?(\d|inf|nan|∞|–|$)"
+NUMBER = r"[-+−±×÷]?(\d|inf|nan|∞|–|$)"
 """The beginning of a cell with a number, or without anything."""
 
 

@@ -69,7 +69,7 @@ def _table(
     title += f" (table {NUMBERS[system]})" if system in NUMBERS else ""
     notes = [
         "Ours: median over the seeds (their number in brackets), and in square brackets the "
-        "lowest and the highest. Thesis: one run, ± over trajectories where it gives it.",
+        "lowest and the highest. Thesis: one run, ± over trajectories unless stated otherwise.",
         *_what_over(theirs[["metric", "method", "over", "note"]].drop_duplicates()),
         "Factor: ours over the published, both averaged over the same quantities where we have "
         "that measure; × larger, ÷ smaller.",
