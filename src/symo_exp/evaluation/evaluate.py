@@ -28,7 +28,7 @@ SHORT = 100
 
 
 class Case(NamedTuple):
-    """A model in float64 and its rollouts along ``data.integration``."""
+    """A model for evaluation and its rollouts along ``data.integration``."""
 
     model: DynamicsModel
     truth: Lagrangian | None
@@ -57,8 +57,9 @@ def evaluate(
 ) -> Evaluation:
     """Return the measures of a trained model.
 
-    They are computed in float64 with converged roots, so that they do not depend on tolerances of
-    the training. Divergence gives infinite measures.
+    By default they are computed in float64 with converged roots, so that they do not depend on
+    tolerances of the training (``preset=thesis``: in float32 with tolerances of the thesis).
+    Divergence gives infinite measures.
 
     Args:
         model: The trained model.

@@ -268,7 +268,7 @@ class DynamicsModel(nn.Module):
 
     @leaves_inference_mode
     def for_evaluation(self) -> DynamicsModel:
-        """Return a copy for evaluation: double precision, roots found to convergence."""
+        """Return a copy for evaluation, by default in double precision with converged roots."""
         twin = copy.deepcopy(self)
         twin.flow = twin.flow.converged()
         return twin.to(self._evaluation_dtype).eval().requires_grad_(False)
