@@ -16,6 +16,8 @@ LONGEST_GAP = 3
 """Steps over which a motion is interpolated, at most."""
 TIME_TOLERANCE = 1e-3
 """Relative difference of two time steps up to which neither is longer: those of clocks scatter."""
+PACE_TOLERANCE = 5e-5
+"""That of the mean time step of a recording, which changes an inertia by twice as much."""
 
 
 class Samples(NamedTuple):
@@ -59,14 +61,15 @@ class Samples(NamedTuple):
 
 
 def at_equal_times(t: np.ndarray, h: float) -> bool:
-    """Return whether samples are nodes ``h`` apart.
+    """Return whether samples are nodes ``h`` apart, each step nearly and the mean of all closely.
 
-    None is off its node, which is so many steps after the first sample, by more than
-    ``TIME_TOLERANCE`` of a step. A clock that runs at another pace by less than this in each step
-    is seen after some of them.
+    Times that scatter are those of nodes. A clock that runs at another pace is not, although each
+    step may differ from ``h`` by less than such times do.
     """
-    nodes = t[0] + h * np.arange(len(t))
-    return bool((np.abs(t - nodes) <= TIME_TOLERANCE * h).all())
+    steps = np.diff(t)
+    near = np.abs(steps - h) <= TIME_TOLERANCE * h
+    whole = h * len(steps)
+    return bool(near.all() and abs(t[-1] - t[0] - whole) <= PACE_TOLERANCE * whole)
 
 
 def resample(samples: Samples, h: float) -> Samples:
