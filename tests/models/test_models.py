@@ -212,6 +212,17 @@ def test_adjoint_gradients_approach_the_direct_ones_as_the_step_shrinks(method, 
     assert 0.0 < errors[1] < 0.2 * errors[0] < 1e-3
 
 
+@pytest.mark.parametrize("follows", [lambda u: u, lambda u: u.clone(), lambda u: 2.0 * u])
+def test_adjoint_gradients_in_the_control_approach_the_direct_ones(follows):
+    data, gradients = windows(2), []
+    for sensitivity in ("direct", "adjoint"):
+        model = make("l_node", "rk4", 2, time_step=0.002, sensitivity=sensitivity)
+        u = data.u.clone().requires_grad_()
+        total = model.step(data.q, data.v, u, follows(u)).v.sum()
+        gradients.append(torch.autograd.grad(total, u)[0])
+    torch.testing.assert_close(*gradients, rtol=1e-3, atol=0.0)
+
+
 def test_an_adjoint_step_has_the_value_of_the_direct_one():
     data = windows(2)
     direct, adjoint = (
