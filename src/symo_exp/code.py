@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from symo_exp.errors import ConfigError, first_line
+from symo_exp.errors import ConfigError, place_in_code, with_place
 
 COMMANDS = "symo_exp", "torch", "lightning"
 """The packages that a ``_target_`` of a command may name."""
@@ -61,10 +61,11 @@ def locate(target: Any, where: str, homes: tuple[str, ...] = COMMANDS) -> Callab
     try:
         made: Callable[..., Any] = pkgutil.resolve_name(target)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{where}={target} cannot be found: {error}") from error
+        raise ConfigError(
+            f"{where}={target} cannot be found: {error}{place_in_code(error)}"
+        ) from error
     except Exception as error:  # of a module of the user's
-        reason = f"{type(error).__name__}: {first_line(error)}"
-        raise ConfigError(f"{where}={target} cannot be imported: {reason}") from error
+        raise ConfigError(f"{where}={target} cannot be imported: {with_place(error)}") from error
     module = f"{getattr(made, '__module__', '')}."
     function = ("symo_exp.",) if homes == COMMANDS else ()
     homely = inspect.isclass(made) and module.startswith(tuple(f"{home}." for home in homes))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from symo_exp.checks import whole_number
-from symo_exp.errors import ConfigError, shortened
+from symo_exp.errors import ConfigError, shortened, with_place
 from symo_exp.files import write_frame
 from symo_exp.shell import override_value, python_command
 from symo_exp.words import counted
@@ -109,8 +109,7 @@ def record_episode(env: Any, plant: Plant, policy: Policy, steps: int, seed: int
         try:
             action = np.asarray(policy(observation), dtype=np.float64)
         except Exception as error:  # a user's own code
-            told = f"{type(error).__name__}: {shortened(error)}"
-            raise ConfigError(f"the policy fails: {told}") from error
+            raise ConfigError(f"the policy fails: {with_place(error)}") from error
         if action.shape != env.action_space.shape or not np.isfinite(action).all():
             wanted = counted(env.action_space.shape[0], "finite number")
             raise ConfigError(f"the policy returned {action.tolist()}: expected {wanted}")
@@ -215,7 +214,7 @@ def _policy(given: str, env: Any, seed: int) -> Policy:
     try:
         found = runpy.run_path(given).get("policy")
     except Exception as error:  # a user's own code
-        raise ConfigError(f"--policy {given} fails: {error}") from error
+        raise ConfigError(f"--policy {given} fails: {with_place(error)}") from error
     if not callable(found):
         raise ConfigError(f"--policy {given} has no function policy(observation)")
     made: Policy = found

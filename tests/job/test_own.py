@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 
 import symo_exp
 from symo_exp import code
 from symo_exp.__main__ import main
 from symo_exp.errors import ConfigError
-from symo_exp.job.parts import build
+from symo_exp.job.parts import build, make
 from symo_exp.job.recipe import perform
 from symo_exp.runs.folder import About
 from tests import pages
@@ -181,6 +182,39 @@ def test_a_mistake_in_a_class_is_refused_before_anything_starts(what, before, af
     where.write_text(where.read_text().replace(f"mine_{what}.", f"{name}."))
     told = refusal("--config-dir", "mine_own", "code=mine_own", *ADDED[what].split(), *QUIET)
     assert re.search(said, told)
+
+
+def changed_spring(mine, name, before, after, **more):
+    """The system of a changed module, made like that of a command."""
+    (mine / f"{name}.py").write_text(FILES["mine_system.py"].replace(before, after))
+    code.add(mine)
+    code.locate(f"{name}.Spring", "system._target_")
+    settings = yaml.safe_load(FILES["system/spring.yaml"])["system"] | more
+    return make({"system": settings | {"_target_": f"{name}.Spring"}}, "system")
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "said"),
+    [
+        ("no_name", "torch.tensor", "tensor", "NameError: "),
+        ("no_module", "import torch", "import torches", "cannot be found: No module named "),
+        ("no_field", "self.hardening", "self.harden", "AttributeError: "),
+        ("no_key", "    coord", "    def __post_init__(self): {}[0]\n\n    coord", "system: 0"),
+    ],
+)
+def test_an_error_in_a_module_of_the_user_is_told_with_its_line(name, before, after, said, mine):
+    line = FILES["mine_system.py"].partition(before)[0].count("\n") + 1
+    with pytest.raises(ConfigError, match=rf"{said}.*\({name}\.py, line {line}\)"):
+        _ = changed_spring(mine, name, before, after).lagrangian
+
+
+def test_lists_and_mappings_of_a_class_of_the_user_are_plain(mine):
+    """They are part of the identity of simulated data, which is written as JSON."""
+    before, given = "    coordinates =", {"gains": [1.0, 2.0], "limits": {"x": [0.0, 1.0]}}
+    fields = f"    gains: list[float]\n    limits: dict[str, list[float]]\n{before}"
+    system = changed_spring(mine, "with_a_list", before, fields, **given)
+    assert {name: getattr(system, name) for name in given} == given
+    json.dumps(system.identity())
 
 
 DRAG = """import torch

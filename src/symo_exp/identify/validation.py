@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 
 import numpy as np
-from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from symo_exp.evaluation.horizon import HORIZONS
@@ -16,6 +15,7 @@ from symo_exp.evaluation.recordings import held_out_error
 from symo_exp.evaluation.references import ConstantVelocity
 from symo_exp.identify.candidates import Candidate
 from symo_exp.runs.folder import CONFIG, SERIES, RunFolder
+from symo_exp.runs.instances import instance_of
 from symo_exp.runs.load import divided_recordings, from_folder
 from symo_exp.runs.series import read
 from symo_exp.words import counted
@@ -118,7 +118,7 @@ def fold_error(folder: RunFolder) -> float:
 def baseline_error(folder: RunFolder) -> float:
     """Return the same error of constant velocity on the held-out part of a training."""
     config = OmegaConf.load(folder / CONFIG)
-    system = instantiate(config.system)
+    system = instance_of(config.system)
     return held_out_error(
         ConstantVelocity(system.time_step, system.coordinates.space),
         divided_recordings(folder).val,

@@ -16,7 +16,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from symo_exp import code
-from symo_exp.errors import ConfigError, Refused, debugging, first_line, one_line
+from symo_exp.errors import ConfigError, Refused, debugging, first_line, one_line, place_in_code
 from symo_exp.imports import first_import
 from symo_exp.job.config import Settings, resolve
 from symo_exp.job.lines import brief, run_line
@@ -187,7 +187,8 @@ def _do(settings: Settings, folder: RunFolder, hydras: Any) -> BaseException | N
         except Exception as error:
             # to the log of the run, not to the terminal
             log.debug("the run ended here", exc_info=True)
-            failure, status, reason = error, "failed", f"{type(error).__name__}: {one_line(error)}"
+            failure, status = error, "failed"
+            reason = f"{type(error).__name__}: {one_line(error)}{place_in_code(error)}"
             if isinstance(error, ConfigError):
                 status, reason = "refused", one_line(error)
         _end(folder, tracker, status, reason, time.perf_counter() - start)

@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 
 import lightning
 import torch
-from hydra.utils import instantiate
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from symo_exp import code
 from symo_exp.checks import instance, one_of, real, whole_number
-from symo_exp.errors import ConfigError, first_line
+from symo_exp.errors import ConfigError, first_line, place_in_code
 from symo_exp.evaluation.references import check_fit
 from symo_exp.evaluation.study import check_study
 from symo_exp.models.base import DynamicsModel
@@ -22,7 +21,7 @@ from symo_exp.models.objectives import check_objective
 from symo_exp.optim.base import EpochOptimizer
 from symo_exp.runs.digest import digest, kernels
 from symo_exp.runs.folder import CHECKPOINTS, SERIES, RunFolder
-from symo_exp.runs.load import raised_by_constructor
+from symo_exp.runs.instances import instance_of
 from symo_exp.runs.series import Series
 from symo_exp.systems.base import System
 from symo_exp.systems.box import SamplingBox
@@ -121,7 +120,9 @@ def _optimizer(learner: Any, accelerator: str) -> Any:
     except ConfigError:
         raise
     except (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError) as error:
-        raise ConfigError(f"optimizer or scheduler: {first_line(error)}") from error
+        raise ConfigError(
+            f"optimizer or scheduler: {first_line(error)}{place_in_code(error)}"
+        ) from error
     for scheduler in schedulers:
         if isinstance(scheduler, ReduceLROnPlateau):
             real("scheduler.factor", scheduler.factor, above=0)
@@ -154,16 +155,13 @@ def make(settings: Mapping[str, Any], group: str, **given: Any) -> Any:
     if not isinstance(settings[group], Mapping):
         raise ConfigError(f"{group}: expected a class (_target_)")
     try:
-        # given afterwards: Hydra would take a system, a dataclass, for configuration
-        return instantiate(settings[group], _partial_=True)(**given)
+        return instance_of(settings[group], **given)
     except ConfigError:
         raise
     except Exception as error:
-        cause = raised_by_constructor(error)
-        if isinstance(cause, ConfigError):
-            raise cause from error
-        told = _told_call(str(cause)) if isinstance(cause, TypeError) else None
-        raise ConfigError(f"{group}: {told or str(cause) or type(cause).__name__}") from error
+        told = _told_call(str(error)) if isinstance(error, TypeError) else None
+        reason = told or str(error) or type(error).__name__
+        raise ConfigError(f"{group}: {reason}{place_in_code(error)}") from error
 
 
 def _told_call(message: str) -> str | None:

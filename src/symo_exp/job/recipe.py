@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from symo_exp.checks import instance
-from symo_exp.errors import ConfigError, first_line
+from symo_exp.errors import ConfigError, first_line, with_place
 from symo_exp.evaluation.evaluate import Evaluation, evaluate
 from symo_exp.evaluation.forces import unlearned_forces
 from symo_exp.evaluation.intervals import Predicted
@@ -178,7 +178,6 @@ def _study(settings: Mapping[str, Any], folder: RunFolder, parts: Parts) -> None
         except ConfigError as error:
             raise ConfigError(f"study={name}: {error}") from error
         except Exception as error:  # it may be a user's
-            told = f"{type(error).__name__}: {first_line(error)}"
-            raise RuntimeError(f"study={name} fails: {told}") from error
+            raise RuntimeError(f"study={name} fails: {with_place(error)}") from error
         columns = {key: x.numpy() for key, x in found.columns.items()}
         folder.write_study(name, asked[name], found.measures, columns)

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from symo_exp.errors import ConfigError, first_line
+from symo_exp.errors import ConfigError, with_place
 
 
 def returned(told: str, function: Callable[..., Any], *given: Any) -> Any:
@@ -27,7 +27,7 @@ def returned(told: str, function: Callable[..., Any], *given: Any) -> Any:
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError(f"{told} fails: {type(error).__name__}: {first_line(error)}") from error
+        raise ConfigError(f"{told} fails: {with_place(error)}") from error
 
 
 def checked_tensor(

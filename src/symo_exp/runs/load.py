@@ -7,13 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import hydra.utils
 import torch
 import yaml
-from hydra.errors import InstantiationException
 
 from symo_exp import code
-from symo_exp.errors import ConfigError, first_line, shortened
+from symo_exp.errors import ConfigError, first_line, place_in_code, shortened
 from symo_exp.files import UnsoundError, read_state
 from symo_exp.models.base import DynamicsModel
 from symo_exp.models.inference import leaves_inference_mode
@@ -28,6 +26,7 @@ from symo_exp.runs.folder import (
     PREVIOUS,
     RunFolder,
 )
+from symo_exp.runs.instances import instance_of
 
 log = logging.getLogger(__name__)
 
@@ -62,9 +61,7 @@ def from_folder(
 def divided_recordings(run: RunFolder) -> Splits:
     """Return the recordings of a run, divided as its configuration says."""
     config = run.config()
-    system = hydra.utils.instantiate(config["system"])
-    # given afterwards: Hydra would take a system, a dataclass, for configuration
-    splits: Splits = hydra.utils.instantiate(config["data"], _partial_=True)(system=system).load()
+    splits: Splits = instance_of(config["data"], system=instance_of(config["system"])).load()
     return splits
 
 
@@ -86,25 +83,20 @@ def _built(
 ) -> tuple[Any, DynamicsModel]:
     """Return the system and the model of a configuration, maybe of another version."""
     try:
-        found = hydra.utils.instantiate(system)
-        build = hydra.utils.instantiate({**model, "_partial_": True})
-        return found, build(
+        found = instance_of(system)
+        return found, instance_of(
+            model,
             coordinates=found.coordinates,
             input_matrix=found.input_matrix,
             time_step=found.time_step,
         )
+    except ConfigError:  # of another kind, such as a package that is missing
+        raise
     except Exception as error:
-        cause = raised_by_constructor(error)
-        if isinstance(cause, ConfigError):  # of another kind, such as a package that is missing
-            raise cause from error
         raise ConfigError(
-            f"{folder / CONFIG} does not fit this version of symo_exp: {first_line(cause)}"
+            f"{folder / CONFIG} does not fit this version of symo_exp: {first_line(error)}"
+            f"{place_in_code(error)}"
         ) from error
-
-
-def raised_by_constructor(error: BaseException) -> BaseException:
-    """Return the error of a constructor that Hydra called, without Hydra's own around it."""
-    return (isinstance(error, InstantiationException) and error.__cause__) or error
 
 
 def _set_weights(model: DynamicsModel, folder: Path) -> None:
